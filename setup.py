@@ -1,0 +1,35 @@
+"""Package metadata. `pip install -c constraints.txt .` installs the CPU version; extras are listed below."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+TRAIN = ["kornia>=0.7", "matplotlib>=3.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli-w>=1.0", "typer>=0.12"]
+TEST = ["pytest>=8", "pytest-xdist>=3.5"]
+
+setup(
+    name="torch_radbp",
+    version="0.1.0",
+    description="A differentiable path tracer for PyTorch with memoized adjoint radiance",
+    long_description=Path(__file__).with_name("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    license="MIT",
+    python_requires=">=3.10",
+    packages=[*find_packages(include=["torch_radbp", "torch_radbp.*"]), "torch_radbp.training"],
+    package_dir={"torch_radbp.training": "training"},
+    package_data={"torch_radbp.training": ["recipes/*.toml", "*.md"]},
+    install_requires=[
+        "torch>=2.13,<2.14",
+        "numpy>=1.26",
+        "embreex>=4.4",
+        "numba>=0.61",
+        "trimesh>=4.0",
+        "OpenEXR>=3.3",
+        "Pillow>=10",
+        "safetensors>=0.4",
+        'tomli>=2; python_version < "3.11"',
+        *TRAIN,
+    ],
+    extras_require={"test": TEST, "peer": ["mitsuba==3.9.1"], "cuda": ["warp-lang>=1.5"]},
+    entry_points={"console_scripts": ["radbp = torch_radbp.training.cli:main"]},
+)

@@ -1,0 +1,8 @@
+"""The backward pass: memoized adjoint radiance, its schedules, and the strategies to compare with."""
+
+from torch_radbp.adjoint.memoized import MemoizedAdjoint
+from torch_radbp.adjoint.quadratic import QuadraticAdjoint
+from torch_radbp.adjoint.replay import ReplayAdjoint
+from torch_radbp.adjoint.tape import TapeAdjoint
+
+__all__ = ["MemoizedAdjoint", "QuadraticAdjoint", "ReplayAdjoint", "TapeAdjoint"]

@@ -1,0 +1,158 @@
+"""The one `torch.autograd.Function`: from the leaves of `SceneTensors` to images."""
+
+from __future__ import annotations
+
+from typing import Callable, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.utils._pytree import tree_flatten, tree_map_only
+
+from torch_radbp.adjoint.sweep import PathRecord, Sweep
+from torch_radbp.path import Integrand, PathState, Step, trace
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.perspective import PinholeTensors
+from torch_radbp.vec import Vec3
+
+
+class Chunk(NamedTuple):
+    """A block of lanes that is traced together: some samples of some neighbouring pixels of one sensor."""
+
+    sensor: int  # row of the output batch
+    first_pixel: int
+    pixels: int
+    first_sample: int
+    samples: int
+
+
+class View(NamedTuple):
+    """One sensor of a call."""
+
+    camera: PinholeTensors
+    width: int  # of the crop window, pixels
+    height: int
+    seed_keys: tuple[int, int]  # of the forward pass, and of the backward pass
+
+
+class RenderCall(NamedTuple):
+    """All that one rendering needs beside the scene's leaves."""
+
+    scene: SceneTensors
+    make_integrand: Callable[[SceneTensors], Integrand]
+    adjoint_of_bounce: Callable
+    camera_path: Callable[..., PathState]
+    adjoint: object  # the strategy
+    views: list[View]
+    chunks: list[Chunk]
+    spp: int
+    independent_backward: bool  # seed_grad was given
+
+
+def plan_chunks(views: list[View], spp: int, lanes: int) -> list[Chunk]:
+    """Blocks of at most `lanes` lanes that cover all pixels and samples: whole pixels if they fit."""
+    samples = min(spp, lanes)
+    pixels = max(1, lanes // samples)
+    return [Chunk(sensor, first_pixel, min(pixels, view.width * view.height - first_pixel), first_sample,
+                  min(samples, spp - first_sample))
+            for sensor, view in enumerate(views)
+            for first_pixel in range(0, view.width * view.height, pixels)
+            for first_sample in range(0, spp, samples)]
+
+
+def start_paths(call: RenderCall, chunk: Chunk, seed_key: int) -> PathState:
+    """The camera paths of a chunk, pixel by pixel."""
+    device = call.scene.triangles.material.device
+    lane = torch.arange(chunk.pixels * chunk.samples, dtype=torch.int32, device=device)
+    offset = torch.div(lane, chunk.samples, rounding_mode="floor")
+    view = call.views[chunk.sensor]
+    seed = torch.tensor(seed_key, dtype=torch.int32, device=device)
+    width = torch.tensor(view.width, dtype=torch.int32, device=device)
+    return call.camera_path(view.camera, width, offset + chunk.first_pixel,
+                            lane - offset * chunk.samples + chunk.first_sample, seed)
+
+
+def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: int, record: bool) -> tuple[Vec3, PathRecord]:
+    """Radiance of each lane, and what the backward pass will need of it."""
+    strategy = call.adjoint
+    kept = frozenset(strategy.kept(integrand.max_depth)) if record else frozenset()
+    states: dict[int, PathState] = {}
+    steps: dict[int, Step] = {}
+    bounces = 0
+
+    def visit(depth: int, state: PathState, step: Step) -> None:
+        nonlocal bounces
+        bounces = depth + 1
+        if depth in kept:
+            states[depth] = state
+        if record and strategy.keep_hits:
+            steps[depth] = step
+
+    L = trace(integrand, start_paths(call, chunk, seed_key), visit)
+    radiance = L if record and strategy.keep_radiance else None
+    return L, PathRecord(lambda: start_paths(call, chunk, seed_key), radiance, states, steps, bounces)
+
+
+def accumulate(images: list[Tensor], chunk: Chunk, L: Vec3, spp: int) -> None:
+    """Adds the lanes of a chunk to the pixels that they belong to."""
+    pixels = slice(chunk.first_pixel, chunk.first_pixel + chunk.pixels)
+    for channel, component in enumerate(L):
+        images[chunk.sensor][channel, pixels] += component.reshape(chunk.pixels, chunk.samples).sum(1) / spp
+
+
+def render_images(call: RenderCall, integrand: Integrand, record: bool) -> tuple[Tensor, list[PathRecord]]:
+    """(B, 3, H, W) linear RGB, and the records of the chunks if asked for."""
+    view = call.views[0]
+    images = [call.scene.triangles.p0.x.new_zeros(3, view.height * view.width) for _ in call.views]
+    records = []
+    for chunk in call.chunks:
+        L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[0], record)
+        accumulate(images, chunk, L, call.spp)
+        if record:
+            records.append(path_record)
+    return torch.stack(images).reshape(len(call.views), 3, view.height, view.width), records
+
+
+def lane_adjoint(call: RenderCall, chunk: Chunk, grad_images: Tensor) -> Vec3:
+    """Derivative of the loss with respect to L_1 of each lane: a pixel is the mean of its samples."""
+    pixels = slice(chunk.first_pixel, chunk.first_pixel + chunk.pixels)
+    gradient = grad_images[chunk.sensor].reshape(3, -1)[:, pixels] / call.spp
+    return Vec3(*(component.contiguous() for component in gradient.repeat_interleave(chunk.samples, dim=1)))
+
+
+class RenderFunction(torch.autograd.Function):
+    """Images as a function of the scene's leaves, with memoized adjoint radiance as its derivative."""
+
+    @staticmethod
+    def forward(ctx, call: RenderCall, *leaves: Tensor) -> Tensor:
+        ctx.call = call
+        ctx.integrand = call.make_integrand(tree_map_only(Tensor, Tensor.detach, call.scene))
+        record = any(ctx.needs_input_grad) and not call.independent_backward
+        images, ctx.records = render_images(call, ctx.integrand, record)
+        return images
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, grad_images: Tensor):
+        call, integrand = ctx.call, ctx.integrand
+        leaves = [leaf for leaf in tree_flatten(call.scene)[0]]
+        positions = [position for position, leaf in enumerate(leaves) if isinstance(leaf, Tensor) and leaf.requires_grad]
+        needed = [k for k, need in enumerate(ctx.needs_input_grad[1:]) if need]
+        wanted = tuple(positions[k] for k in needed)
+        gradients = [torch.zeros_like(leaves[position]) for position in wanted]
+        for index, chunk in enumerate(call.chunks):
+            if call.independent_backward:
+                _, record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[1], record=True)
+            else:
+                record = ctx.records[index]
+            adj_L = lane_adjoint(call, chunk, grad_images)
+            call.adjoint.backward(Sweep(integrand, call.adjoint_of_bounce, record, adj_L, wanted, gradients))
+        result: list[Tensor | None] = [None] * len(positions)
+        for k, gradient in zip(needed, gradients):
+            result[k] = gradient
+        return None, *result
+
+
+def render_with_derivative(call: RenderCall) -> Tensor:
+    """The images; attached to the scene's leaves through `RenderFunction`."""
+    leaves = [leaf for leaf in tree_flatten(call.scene)[0] if isinstance(leaf, Tensor) and leaf.requires_grad]
+    return RenderFunction.apply(call, *leaves)

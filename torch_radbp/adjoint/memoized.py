@@ -1,0 +1,66 @@
+"""Memoized adjoint radiance with a configurable checkpoint schedule: the note's method, and the default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch_radbp.adjoint.schedule import ADJOINT, ADVANCE, DROP, KEEP, LOAD, backward_plan, kept_depths
+from torch_radbp.adjoint.sweep import Sweep
+
+STRIDES = ("sqrt", "log")
+
+
+@dataclass(frozen=True)
+class MemoizedAdjoint:
+    """Walks back over the bounces with the incident radiance of each in a memo; exact for every stride.
+
+    With N bounces:
+
+    | stride | path states kept | bounces replayed |
+    |---|---|---|
+    | 1 | N | 0 |
+    | k | N / k + k | N |
+    | "sqrt" | 2 sqrt N | N |
+    | "log" | log2 N | N log2 N |
+
+    Args:
+        stride: an integer >= 1, "sqrt" or "log".
+        keep_hits: remember what each ray met (13 bytes a lane and bounce), so that the backward pass casts no ray. False
+            bounds the memory strictly by the states above, at the price of casting rays again.
+
+    Raises:
+        ValueError: for any other stride.
+
+    Reference: Li 2020, "Deriving Radiative Backpropagation using the Recursive Form of Path Tracing", section 2.
+    """
+
+    stride: int | str = 1
+    keep_hits: bool = True
+
+    def __post_init__(self):
+        integer = isinstance(self.stride, int) and not isinstance(self.stride, bool) and self.stride >= 1
+        if not integer and self.stride not in STRIDES:
+            raise ValueError(f"stride must be an integer of at least 1, 'sqrt' or 'log', got {self.stride!r}")
+
+    keep_radiance = False
+
+    def kept(self, bounces: int) -> tuple[int, ...]:
+        """Depths whose state the forward pass keeps."""
+        return kept_depths(bounces, self.stride)
+
+    def backward(self, sweep: Sweep) -> None:
+        """Runs the plan of the schedule."""
+        record = sweep.record
+        states = dict(record.states)
+        current = None
+        for kind, depth in backward_plan(record.bounces, tuple(sorted(states)), self.stride):
+            if kind == LOAD:
+                current = states[depth]
+            elif kind == ADVANCE:
+                current = sweep.advance(current, depth)
+            elif kind == KEEP:
+                states[depth] = current
+            elif kind == ADJOINT:
+                sweep.adjoint(states[depth], depth)
+            elif kind == DROP:
+                del states[depth]

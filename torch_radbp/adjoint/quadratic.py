@@ -1,0 +1,51 @@
+"""The note's first `d_Li`: incident radiance is traced again at every depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch_radbp.adjoint.sweep import Sweep
+from torch_radbp.path import PathState, survivors, take_step
+from torch_radbp.vec import Vec3, masked
+
+
+@dataclass(frozen=True)
+class QuadraticAdjoint:
+    """Keeps nothing and computes L_{k+1} anew for each bounce: N^2 / 2 forward steps. To compare with.
+
+    Args:
+        keep_hits: as in `MemoizedAdjoint`.
+
+    Reference: Li 2020, section 1.
+    """
+
+    keep_hits: bool = True
+    keep_radiance = False
+
+    def kept(self, bounces: int) -> tuple[int, ...]:
+        return ()
+
+    def backward(self, sweep: Sweep) -> None:
+        """Walks down the path, as the recursion `d_Li` does."""
+        state = sweep.record.start()
+        for depth in range(sweep.record.bounces):
+            following = sweep.advance(state, depth)
+            sweep.memo = incident_radiance(sweep, following, depth + 1)
+            sweep.adjoint(state, depth)
+            state = following
+
+
+def incident_radiance(sweep: Sweep, state: PathState, depth: int) -> Vec3:
+    """L of the paths that have reached `depth`, by lane; 0 where none has."""
+    L = [component.clone() for component in Vec3.full(sweep.adj_L.x, 0.0)]
+    weight = Vec3.full(state.beta.x, 1.0)
+    for depth in range(depth, sweep.record.bounces):
+        if len(state.lane) == 0:
+            break
+        vertex, step = take_step(sweep.integrand, state, depth, sweep.record.steps.get(depth))
+        for total, part in zip(L, weight * (vertex.Le + masked(step.visible, vertex.Ld))):
+            total.index_add_(0, state.lane, part)
+        alive = vertex.alive.nonzero().squeeze(1)
+        weight = (weight * vertex.F).map(lambda component: component[alive])
+        state = survivors(vertex)
+    return Vec3(*L)

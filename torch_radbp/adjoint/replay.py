@@ -1,0 +1,43 @@
+"""Path replay backpropagation: incident radiance by subtraction and division."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from torch_radbp.adjoint.sweep import Sweep, at_lane
+from torch_radbp.path import survivors, take_step
+from torch_radbp.vec import Vec3, masked
+
+
+@dataclass(frozen=True)
+class ReplayAdjoint:
+    """Keeps only L_1 and recovers L_{k+1} = (L_k - E_k) / F_k on the way down. To compare with.
+
+    Wrong where F_k is 0: at a reflectance of exactly 0 the incident radiance cannot be recovered, and the derivative that
+    it would have carried is missing. Use `MemoizedAdjoint` there. It also loses digits where F_k is small.
+
+    Args:
+        keep_hits: as in `MemoizedAdjoint`.
+
+    Reference: Vicini et al. 2021, "Path Replay Backpropagation", algorithm 2.
+    """
+
+    keep_hits: bool = True
+    keep_radiance = True
+
+    def kept(self, bounces: int) -> tuple[int, ...]:
+        return ()
+
+    def backward(self, sweep: Sweep) -> None:
+        """Walks down the path with what remains of L."""
+        state, L = sweep.record.start(), sweep.record.radiance
+        for depth in range(sweep.record.bounces):
+            vertex, step = take_step(sweep.integrand, state, depth, sweep.record.steps.get(depth))
+            remaining = at_lane(L, state.lane) - (vertex.Le + masked(step.visible, vertex.Ld))
+            incident = Vec3(*(torch.where(f > 0, r / torch.where(f > 0, f, 1.0), 0.0) for r, f in zip(remaining, vertex.F)))
+            L = Vec3(*(old.index_copy(0, state.lane.long(), new) for old, new in zip(L, incident)))
+            sweep.memo = Vec3(*(component.clone() for component in L))
+            sweep.adjoint(state, depth)
+            state = survivors(vertex)

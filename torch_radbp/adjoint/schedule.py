@@ -1,0 +1,95 @@
+"""Where the path state is kept, and in which order the backward sweep visits the bounces.
+
+Pure functions of (number of bounces, stride) that return plain values, so that coverage, order of replayed steps and number
+of states can be tested without a renderer. "Depth d" below is the d-th bounce, counted from 0.
+
+Reference: Li 2020, section 2 (every k-th depth; or log N of them); Griewank 1992 for recursive bisection.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+LOAD, ADVANCE, KEEP, ADJOINT, DROP = "load", "advance", "keep", "adjoint", "drop"
+
+
+class Action(NamedTuple):
+    """One instruction to the sweep."""
+
+    kind: str
+    """load: make the kept state of `depth` the current one. advance: replay bounce `depth` of the current state. keep: keep
+    the current state, which has reached `depth`. adjoint: differentiate bounce `depth` from its kept state. drop: forget
+    the kept state of `depth`."""
+    depth: int
+
+
+def kept_depths(bounces: int, stride: int | str) -> tuple[int, ...]:
+    """Depths whose state the forward pass keeps.
+
+    Args:
+        bounces: the greatest number of bounces.
+        stride: every `stride`-th; "sqrt" for about sqrt(N) of them; "log" for log2 N, at N (1 - 2^-i).
+    """
+    if stride != "log":
+        step = max(1, math.isqrt(max(0, bounces - 1)) + 1) if stride == "sqrt" else int(stride)
+        return tuple(range(0, bounces, step))
+    depths, first = [], 0
+    while first < bounces:
+        depths.append(first)
+        first = first + (bounces - first + 1) // 2
+    return tuple(depths)
+
+
+def backward_plan(bounces: int, kept: tuple[int, ...], stride: int | str) -> list[Action]:
+    """Instructions that differentiate bounces `bounces - 1` down to 0, each once.
+
+    Args:
+        bounces: how many bounces the forward pass took.
+        kept: depths whose states it kept, ascending, the first of them 0.
+        stride: as given to `kept_depths`; decides how a segment between two kept states is replayed.
+    """
+    kept = tuple(depth for depth in kept if depth < bounces)
+    plan: list[Action] = []
+    for first, end in reversed(list(zip(kept, kept[1:] + (bounces,)))):
+        if stride == "log":
+            bisect(first, end, plan)
+        else:
+            replay_segment(first, end, plan)
+    return plan
+
+
+def replay_segment(first: int, end: int, plan: list[Action]) -> None:
+    """Replays a segment once, keeping every state of it."""
+    plan.append(Action(LOAD, first))
+    for depth in range(first, end - 1):
+        plan += [Action(ADVANCE, depth), Action(KEEP, depth + 1)]
+    for depth in reversed(range(first, end)):
+        plan += [Action(ADJOINT, depth), Action(DROP, depth)]
+
+
+def bisect(first: int, end: int, plan: list[Action]) -> None:
+    """Halves a segment until it is one bounce: log2(length) states at a time, length * log2(length) / 2 replays."""
+    if end - first == 1:
+        plan += [Action(ADJOINT, first), Action(DROP, first)]
+        return
+    middle = first + (end - first + 1) // 2
+    plan.append(Action(LOAD, first))
+    plan += [Action(ADVANCE, depth) for depth in range(first, middle)]
+    plan.append(Action(KEEP, middle))
+    bisect(middle, end, plan)
+    bisect(first, middle, plan)
+
+
+def peak_states(bounces: int, stride: int | str) -> int:
+    """The greatest number of states that exist at once, the current one of a replay not counted."""
+    held = peak = len(kept_depths(bounces, stride))
+    for action in backward_plan(bounces, kept_depths(bounces, stride), stride):
+        held += {KEEP: 1, DROP: -1}.get(action.kind, 0)
+        peak = max(peak, held)
+    return peak
+
+
+def replayed_steps(bounces: int, stride: int | str) -> int:
+    """How many forward bounces the backward sweep takes again."""
+    return sum(action.kind == ADVANCE for action in backward_plan(bounces, kept_depths(bounces, stride), stride))

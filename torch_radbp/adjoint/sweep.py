@@ -1,0 +1,99 @@
+"""The backward sweep: from the deepest bounce up, with the memo of incident radiance.
+
+    L_k     = E_k + F_k L_{k+1}
+    adj_k   = dloss/dL_k = adj_1 beta_k
+    dloss/dtheta = sum_k adj_k (dE_k/dtheta + dF_k/dtheta L_{k+1})
+
+When bounce k is reached, L_{k+1} stands in the memo: one vector-Jacobian product of the local map theta -> (E_k, F_k) gives
+the parameters' derivatives, and the memo becomes L_k for the bounce above. There is no subtraction of prefixes and no
+division by a BSDF value, so that a reflectance of exactly 0 has the right derivative.
+
+Reference: Li 2020, section 2 (`d_Li_cached`, where the memo is called `cache`).
+"""
+
+from __future__ import annotations
+
+from typing import Callable, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.utils._pytree import tree_flatten, tree_unflatten
+
+from torch_radbp.path import Depths, Integrand, PathState, Settings, Step, bounce, survivors, take_step
+from torch_radbp.scene.lookup import Tap
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import Vec3, masked
+
+
+class PathRecord(NamedTuple):
+    """What the forward pass leaves for the backward pass of one chunk of lanes."""
+
+    start: Callable[[], PathState]  # makes the camera paths again
+    radiance: Vec3 | None  # L_1 of each lane, kept for path replay only
+    states: dict[int, PathState]  # by depth, where the schedule keeps them
+    steps: dict[int, Step]  # by depth, empty with keep_hits=False
+    bounces: int
+
+
+def bounce_adjoint(scene: SceneTensors, wanted: tuple[int, ...], state: PathState, step: Step, adj_L: Vec3,
+                   L_next: Vec3, at: Depths, settings: Settings) -> tuple[Vec3, list[list[tuple[Tensor, Tensor]]]]:
+    """The local vector-Jacobian product of one bounce.
+
+    Args:
+        scene: detached.
+        wanted: which leaves of `scene` (in the order of `tree_flatten`) to differentiate.
+        state, step: the bounce, as in the forward pass.
+        adj_L: derivative of the loss with respect to L_k (not to L_1).
+        L_next: L_{k+1} of each lane, 0 where the path ended.
+        at, settings: as in the forward pass.
+
+    Returns:
+        L_k, and for each wanted leaf the list of (index, adjoint) of its reads.
+    """
+    leaves, structure = tree_flatten(scene)
+    taps = [Tap(leaves[position]) for position in wanted]
+    for position, tap in zip(wanted, taps):
+        leaves[position] = tap
+    with torch.enable_grad():
+        vertex = bounce(tree_unflatten(leaves, structure), scene, state, step.hit, at, settings)
+        E, F = vertex.Le + masked(step.visible, vertex.Ld), vertex.F
+        outputs = [(value, adjoint) for value, adjoint in zip((*E, *F), (*adj_L, *(adj_L * L_next))) if value.requires_grad]
+        reads = [leaf for tap in taps for _, leaf in tap.reads]
+        adjoints = iter(torch.autograd.grad([value for value, _ in outputs], reads,
+                                            [adjoint for _, adjoint in outputs], allow_unused=True))
+    scattered = [[(index, next(adjoints)) for index, _ in tap.reads] for tap in taps]
+    return (E + F * L_next).detach(), scattered
+
+
+class Sweep:
+    """The state of one chunk's backward pass: the memo, the adjoint of the image, the gradient buffers."""
+
+    def __init__(self, integrand: Integrand, adjoint_of_bounce: Callable, record: PathRecord, adj_L: Vec3,
+                 wanted: tuple[int, ...], gradients: list[Tensor]):
+        self.integrand, self.adjoint_of_bounce, self.record = integrand, adjoint_of_bounce, record
+        self.adj_L, self.wanted, self.gradients = adj_L, wanted, gradients
+        self.memo = Vec3.full(adj_L.x, 0.0)  # L_{k+1} of each lane; 0 until a deeper bounce has written it
+
+    def advance(self, state: PathState, depth: int) -> PathState:
+        """Replays one bounce."""
+        vertex, _ = take_step(self.integrand, state, depth, self.record.steps.get(depth))
+        return survivors(vertex)
+
+    def adjoint(self, state: PathState, depth: int) -> None:
+        """Differentiates one bounce and moves the memo from L_{k+1} to L_k."""
+        step = self.record.steps.get(depth)
+        if step is None:
+            _, step = take_step(self.integrand, state, depth)
+        lane = None if len(state.lane) == len(self.memo.x) else state.lane
+        adj_L = at_lane(self.adj_L, lane) * state.beta
+        L, scattered = self.adjoint_of_bounce(self.integrand.scene, self.wanted, state, step, adj_L,
+                                              at_lane(self.memo, lane), self.integrand.at(depth), self.integrand.settings)
+        for gradient, reads in zip(self.gradients, scattered):
+            for index, adjoint in reads:
+                if adjoint is not None:
+                    gradient.index_add_(0, index, adjoint)
+        self.memo = L if lane is None else Vec3(*(old.index_copy_(0, lane.long(), new) for old, new in zip(self.memo, L)))
+
+
+def at_lane(value: Vec3, lane: Tensor | None) -> Vec3:
+    return value if lane is None else value.map(lambda component: component.index_select(0, lane))

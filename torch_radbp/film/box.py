@@ -1,0 +1,21 @@
+"""The box filter."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.film.filter import Filter
+from torch_radbp.plugin import positive, register
+
+
+@register("rfilter", "box")
+class Box(Filter):
+    """Constant within `radius` pixels of the centre (one pixel wide by default)."""
+
+    def __init__(self, *, radius: float = 0.5):
+        super().__init__()
+        self.radius = positive("radius", radius)
+
+    def evaluate(self, x: Tensor) -> Tensor:
+        return torch.ones_like(x)

@@ -1,0 +1,35 @@
+"""What every reconstruction filter shares.
+
+Filters are importance-sampled: the offset of a sample from its pixel's centre is drawn from the filter itself, so that a
+pixel is the plain mean of its samples (Ernst et al. 2006, "Filter Importance Sampling").
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import ReconstructionFilter
+
+TABLE_SIZE = 1025
+
+
+class Filter(ReconstructionFilter):
+    """A separable, non-negative filter."""
+
+    radius: float
+
+    def evaluate(self, x: Tensor) -> Tensor:
+        """The filter at distances `x` from the centre, in pixels, not normalised."""
+        raise TypeError(f"{type(self).__name__} does not define its values")
+
+    def quantiles(self) -> Tensor:
+        """(TABLE_SIZE,) float64 offsets in pixels at equally spaced values of the cumulative distribution."""
+        x = torch.linspace(-self.radius, self.radius, 16 * TABLE_SIZE + 1, dtype=torch.float64)
+        middle = 0.5 * (x[1:] + x[:-1])
+        cumulative = torch.cat([x.new_zeros(1), self.evaluate(middle).cumsum(0)])
+        wanted = torch.linspace(0, 1, TABLE_SIZE, dtype=torch.float64) * cumulative[-1]
+        right = torch.searchsorted(cumulative, wanted).clamp(1, len(x) - 1)
+        low, high = cumulative[right - 1], cumulative[right]
+        fraction = (wanted - low) / torch.where(high > low, high - low, 1.0)
+        return x[right - 1] + fraction * (x[right] - x[right - 1])

@@ -1,0 +1,48 @@
+"""The film: size, crop window and reconstruction filter."""
+
+from __future__ import annotations
+
+from torch_radbp.film.gaussian import Gaussian
+from torch_radbp.plugin import Film, ReconstructionFilter, nearest, register
+
+PIXEL_FORMATS, COMPONENT_FORMATS, FILE_FORMATS = ("rgb",), ("float16", "float32", "uint32"), ("openexr",)
+
+
+@register("film", "hdrfilm")
+class HDRFilm(Film):
+    """A linear RGB image.
+
+    Args:
+        width, height: of the whole image, pixels.
+        crop_offset_x, crop_offset_y, crop_width, crop_height: the window that is rendered; the whole image if not given.
+        sample_border: accepted for compatibility; samples are drawn from the filter around each pixel, so that pixels at
+            the border are exact with or without it.
+        pixel_format: rgb. component_format, file_format: of files that Mitsuba writes; no effect here.
+        rfilter: box, tent or gaussian.
+    """
+
+    def __init__(self, *, width: int = 768, height: int = 576, crop_offset_x: int = 0, crop_offset_y: int = 0,
+                 crop_width: int | None = None, crop_height: int | None = None, sample_border: bool = False,
+                 pixel_format: str = "rgb", component_format: str = "float16", file_format: str = "openexr",
+                 rfilter: ReconstructionFilter | None = None):
+        super().__init__()
+        crop_width = width - crop_offset_x if crop_width is None else crop_width
+        crop_height = height - crop_offset_y if crop_height is None else crop_height
+        for name, value in (("width", width), ("height", height), ("crop_width", crop_width), ("crop_height", crop_height)):
+            if value < 1:
+                raise ValueError(f"{name} must be at least 1, got {value}")
+        if (min(crop_offset_x, crop_offset_y) < 0 or crop_offset_x + crop_width > width
+                or crop_offset_y + crop_height > height):
+            raise ValueError(f"the crop window {crop_width} x {crop_height} at ({crop_offset_x}, {crop_offset_y}) must lie "
+                             f"inside the image of {width} x {height}")
+        for name, value, known in (("pixel_format", pixel_format, PIXEL_FORMATS),
+                                   ("component_format", component_format, COMPONENT_FORMATS),
+                                   ("file_format", file_format, FILE_FORMATS)):
+            if value not in known:
+                raise ValueError(f"{name} {value!r} is not supported; {nearest(value, known)}")
+        self.width, self.height = width, height
+        self.crop_offset_x, self.crop_offset_y = crop_offset_x, crop_offset_y
+        self.crop_width, self.crop_height = crop_width, crop_height
+        self.sample_border, self.pixel_format = sample_border, pixel_format
+        self.component_format, self.file_format = component_format, file_format
+        self.rfilter = Gaussian() if rfilter is None else rfilter

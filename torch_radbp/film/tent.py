@@ -1,0 +1,20 @@
+"""The tent filter."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from torch_radbp.film.filter import Filter
+from torch_radbp.plugin import positive, register
+
+
+@register("rfilter", "tent")
+class Tent(Filter):
+    """Falls linearly to zero at `radius` pixels."""
+
+    def __init__(self, *, radius: float = 1.0):
+        super().__init__()
+        self.radius = positive("radius", radius)
+
+    def evaluate(self, x: Tensor) -> Tensor:
+        return (1.0 - x.abs() / self.radius).clamp_min(0.0)

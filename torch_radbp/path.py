@@ -1,0 +1,262 @@
+"""One bounce of path tracing, and the loop over bounces.
+
+With L_k the radiance that leaves vertex k towards vertex k-1,
+
+    L_k = E_k + F_k L_{k+1}
+
+where E_k is what the vertex emits plus the light that reaches it by next-event estimation, and F_k is BSDF times cosine over
+the density of the sampled direction (and over the probability of surviving roulette). `bounce` computes E_k, F_k and the
+next ray; the image is L_1, summed forwards here with the throughput beta_k = F_1 ... F_{k-1}, and walked backwards by
+`adjoint/sweep.py`.
+
+Reference: Li 2020, "Deriving Radiative Backpropagation using the Recursive Form of Path Tracing"; Kajiya 1986.
+"""
+
+from __future__ import annotations
+
+from typing import Callable, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.utils._pytree import tree_map
+
+from torch_radbp.bsdf.diffuse import Diffuse
+from torch_radbp.raycast.protocol import Hit, RayCaster
+from torch_radbp.sampling.mis import power_heuristic
+from torch_radbp.sampling.sampler import CAMERA_DEPTH, lane_key, uniform
+from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
+from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light
+from torch_radbp.scene.lookup import sample_texture
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.perspective import PinholeTensors, camera_ray
+from torch_radbp.vec import Ray, Vec3, masked, max_component, normalize
+
+# The random numbers of one bounce.
+LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE = range(6)
+
+SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
+
+
+class Settings(NamedTuple):
+    """What the integrand is: static, compiled in."""
+
+    nee: bool = True
+    hide_emitters: bool = False
+
+
+class Depths(NamedTuple):
+    """Where on the path a bounce lies: () int32 tensors, so that one compiled function serves every bounce."""
+
+    depth: Tensor  # 0 at the first surface
+    max_depth: Tensor
+    rr_depth: Tensor
+
+
+class PathState(NamedTuple):
+    """All that a bounce needs to know of the path so far, per lane; what a schedule keeps."""
+
+    ray: Ray
+    beta: Vec3  # throughput
+    pdf: Tensor  # density over solid angle with which the ray's direction was sampled; 0: not by chance (camera)
+    key: Tensor  # int32, of the lane's random numbers
+    lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
+
+
+class Step(NamedTuple):
+    """What a bounce decided that would cost rays to decide again."""
+
+    hit: Hit
+    visible: Tensor  # bool: the shadow ray was free
+
+
+class Vertex(NamedTuple):
+    """One path vertex: the terms of L_k = (Le + visible Ld) + F L_{k+1}, the shadow ray and the continuation."""
+
+    Le: Vec3  # emission, weighted against next-event estimation
+    Ld: Vec3  # light by next-event estimation if the shadow ray is free
+    F: Vec3  # bsdf * cos / pdf / survival probability
+    shadow: Ray
+    shadow_distance: Tensor  # 0: nothing to connect to
+    next: PathState
+    alive: Tensor  # bool: the path goes on
+
+
+def camera_path(camera: PinholeTensors, width: int, pixel: Tensor, sample: Tensor, seed: Tensor) -> PathState:
+    """Starts one path per lane.
+
+    Args:
+        camera: the sensor.
+        width: of the crop window, pixels.
+        pixel, sample: (N,) int32, row-major pixel of the crop window and number of the sample in it.
+        seed: () int32.
+    """
+    key = lane_key(seed, pixel, sample)
+    depth = torch.full_like(seed, CAMERA_DEPTH)
+    dtype = camera.tan_x.dtype
+    row = torch.div(pixel, width, rounding_mode="floor")
+    column = pixel - row * width
+    ray = camera_ray(camera, column, row, uniform(key, depth, 0, dtype), uniform(key, depth, 1, dtype))
+    lane = torch.arange(pixel.shape[0], dtype=torch.int32, device=pixel.device)
+    return PathState(ray, Vec3.full(ray.d.x, 1.0), torch.zeros_like(ray.d.x), key, lane)
+
+
+def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Depths,
+           settings: Settings) -> Vertex:
+    """One step of the recursion L_k = E_k + F_k L_{k+1}.
+
+    Args:
+        scene: attached; what is integrated.
+        proposal: detached; decides samples, densities, weights and survival.
+        state: the path so far.
+        hit: what the ray meets.
+        at: the depth of this bounce.
+        settings: the integrand.
+
+    Returns:
+        The vertex. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
+    """
+    dtype = state.beta.x.dtype
+
+    # Find the surface that the ray meets.
+    si = surface_interaction(proposal, state.ray, hit)
+    scatters = si.valid & (at.depth + 1 < at.max_depth)
+
+    # Add the light that it emits, weighted against the chance that next-event estimation finds it.
+    Le = emitted(scene, si)
+    if settings.nee:
+        by_chance = power_heuristic(state.pdf, emitted_pdf(proposal, state.ray, si))
+        Le = Le * torch.where(state.pdf > 0, by_chance, 1.0)
+    if settings.hide_emitters:
+        Le = masked(at.depth > 0, Le)
+
+    # Look up the material.
+    reflectance = material_reflectance(scene, si)
+
+    # Connect to a point on a light.
+    numbers = [uniform(state.key, at.depth, dimension, dtype) for dimension in range(6)]
+    if settings.nee:
+        light = sample_light(scene, proposal, si, *numbers[LIGHT_CHOICE:LIGHT_V + 1])
+        connected, Ld = next_event(reflectance, si, light, scatters)
+        shadow, shadow_distance = light.shadow, torch.where(connected, light.distance, 0.0)
+    else:
+        Ld, shadow, shadow_distance = Vec3.full(state.pdf, 0.0), state.ray, torch.zeros_like(state.pdf)
+
+    # Sample the BSDF for the next direction.
+    wo = Diffuse.sample(numbers[BSDF_U], numbers[BSDF_V])
+    pdf = Diffuse.pdf(si.wi, wo)
+    scatters = scatters & (pdf > 0)
+    F = Diffuse.eval(reflectance, si.wi, wo) * torch.where(scatters, 1.0 / torch.where(scatters, pdf, 1.0), 0.0)
+
+    # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
+    roulette = at.depth + 1 >= at.rr_depth
+    promise = max_component((state.beta * F).detach()).clamp(SURVIVE_AT_LEAST, SURVIVE_AT_MOST)
+    survival = torch.where(roulette, promise, 1.0)
+    alive = scatters & (numbers[ROULETTE] < survival)
+    F = masked(alive, F * (1.0 / survival))
+
+    # Leave along the sampled direction.
+    d = normalize(si.frame.to_world(wo))
+    ray = Ray(si.offset(d), d)
+    return Vertex(Le, Ld, F, shadow, shadow_distance, PathState(ray, state.beta * F, pdf, state.key, state.lane), alive)
+
+
+def material_reflectance(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
+    """Reflectance of the side that the ray meets; zero behind a one-sided material."""
+    uv = si.uv if scene.layout.reflectance_bitmaps else None
+    front = scene.materials.front[si.material]
+    if not scene.layout.back_sides:
+        return sample_texture(scene.reflectance, front, uv)
+    texture = torch.where(si.front, front, scene.materials.back[si.material])
+    return masked(texture >= 0, sample_texture(scene.reflectance, texture.clamp_min(0), uv))
+
+
+def next_event(reflectance: Vec3, si: SurfaceInteraction, light: LightSample, scatters: Tensor) -> tuple[Tensor, Vec3]:
+    """Which lanes can connect to their light sample, and the light that arrives if nothing is in between."""
+    wo = si.frame.to_local(light.d)
+    connected = scatters & (light.pdf > 0) & (wo.z > 0) & (si.wi.z > 0)
+    pdf = Diffuse.pdf(si.wi, wo)
+    weight = torch.where(light.is_delta, 1.0, power_heuristic(light.pdf, pdf))
+    density = torch.where(connected, weight / torch.where(connected, light.pdf, 1.0), 0.0)
+    return connected, masked(connected, Diffuse.eval(reflectance, si.wi, wo) * light.radiance * density)
+
+
+class Integrand(NamedTuple):
+    """What is integrated, and with which functions: everything about a rendering but its lanes."""
+
+    scene: SceneTensors  # attached if plain autograd is to record the loop
+    proposal: SceneTensors  # the same, detached
+    caster: RayCaster
+    settings: Settings
+    max_depth: int
+    rr_depth: int
+    bounce: Callable[..., Vertex]  # `bounce`, eager or compiled
+
+    def at(self, depth: int) -> Depths:
+        """The position on the path as tensors."""
+        where = torch.tensor([depth, self.max_depth, self.rr_depth], dtype=torch.int32,
+                             device=self.scene.triangles.material.device)
+        return Depths(*where.unbind())
+
+
+def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None) -> tuple[Vertex, Step]:
+    """One bounce of every lane; rays are cast only if `step` does not hold their answers."""
+    hit = first_hit(integrand, state.ray, depth) if step is None else step.hit
+    vertex = integrand.bounce(integrand.scene, integrand.proposal, state, hit, integrand.at(depth), integrand.settings)
+    if step is None:
+        connects = integrand.settings.nee and depth + 1 < integrand.max_depth
+        shadowed = integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else ~vertex.alive
+        step = Step(hit, ~shadowed)
+    return vertex, step
+
+
+def survivors(vertex: Vertex) -> PathState:
+    """The lanes that go on, packed together."""
+    index = vertex.alive.nonzero().squeeze(1)
+    if len(index) == len(vertex.alive):
+        return vertex.next
+    return tree_map(lambda tensor: tensor.index_select(0, index), vertex.next)
+
+
+def trace(integrand: Integrand, state: PathState, visit: Callable[[int, PathState, Step], None] | None = None) -> Vec3:
+    """The radiance L_1 along each lane's camera ray: the loop over bounces.
+
+    Args:
+        integrand: the scene and how to step.
+        state: from `camera_path`.
+        visit: called at every depth with the state that reached it and what was decided there.
+
+    Returns:
+        (N,) linear RGB, in the order of `state`; attached if `integrand.scene` is.
+    """
+    L, depth = Vec3.full(state.beta.x, 0.0), 0
+    while depth < integrand.max_depth and len(state.lane):
+        vertex, step = take_step(integrand, state, depth)
+        if visit is not None:
+            visit(depth, state, step)
+        E = vertex.Le + masked(step.visible, vertex.Ld)
+        L = add_at(L, state.lane, state.beta * E)
+        state, depth = survivors(vertex), depth + 1
+    return L
+
+
+def add_at(L: Vec3, lane: Tensor, value: Vec3) -> Vec3:
+    """`L` with `value` added at `lane`."""
+    if len(lane) == len(L.x):
+        return L + value
+    return Vec3(*(total.index_add(0, lane, part) for total, part in zip(L, value)))
+
+
+def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
+    """The closest surface; emitters that the camera is not to see directly are passed through."""
+    hit = integrand.caster.intersect(ray)
+    if depth > 0 or not (integrand.settings.hide_emitters and integrand.scene.layout.area_lights):
+        return hit
+    triangles = integrand.proposal.triangles
+    while True:
+        hidden = ((hit.prim >= 0) & (triangles.radiance[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)
+        if len(hidden) == 0:
+            return hit
+        behind = tree_map(lambda tensor: tensor[hidden], ray)
+        si = surface_interaction(integrand.proposal, behind, tree_map(lambda tensor: tensor[hidden], hit))
+        beyond = integrand.caster.intersect(Ray(si.offset(behind.d), behind.d))
+        hit = tree_map(lambda old, new: old.index_copy(0, hidden, new), hit, beyond)

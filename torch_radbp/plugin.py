@@ -1,0 +1,158 @@
+"""What every plugin shares: its registry, its schema, and the errors of a scene description.
+
+A plugin is an `nn.Module` registered under a category and a Mitsuba type name. The keyword-only signature of its
+constructor is its schema: the loader, `radbp info` and the writer read attribute names, annotations and defaults from there.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import typing
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+REGISTRY: dict[str, dict[str, type[Plugin]]] = {
+    name: {}
+    for name in ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter", "sampler", "integrator")
+}
+
+
+class SceneError(ValueError):
+    """A scene description that cannot be used; the message names the place and what is supported."""
+
+
+class Matrix4(Tensor):
+    """Annotation of a (4, 4) transform, world from local."""
+
+
+class Point3(Tensor):
+    """Annotation of three floats."""
+
+
+class Filename(str):
+    """Annotation of a path to a file, relative to the scene description."""
+
+
+class Attribute(NamedTuple):
+    """One row of a plugin's schema."""
+
+    annotation: Any
+    default: Any
+    required: bool
+
+
+class Plugin(nn.Module):
+    """Base of all plugins; `id` is the name given in the scene description, or None."""
+
+    category: str = ""
+    type: str = ""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.id: str | None = None
+        self.shared: dict[str, Plugin] = {}
+
+    def __getattr__(self, name: str):
+        shared = self.__dict__.get("shared", {})
+        return shared[name] if name in shared else super().__getattr__(name)
+
+    def share(self, name: str) -> None:
+        """Keeps the child `name` as a reference only, because it is registered (and named) elsewhere."""
+        self.shared[name] = self._modules.pop(name)
+
+    def freeze(self, name: str, value: Tensor) -> None:
+        """Registers `value` as a parameter that takes no gradient until the user asks for one."""
+        self.register_parameter(name, nn.Parameter(value, requires_grad=False))
+
+
+class Texture(Plugin):
+    category = "texture"
+
+
+class BSDF(Plugin):
+    category = "bsdf"
+
+
+class Emitter(Plugin):
+    category = "emitter"
+
+
+class Shape(Plugin):
+    category = "shape"
+
+
+class Sensor(Plugin):
+    category = "sensor"
+
+
+class Film(Plugin):
+    category = "film"
+
+
+class ReconstructionFilter(Plugin):
+    category = "rfilter"
+
+
+class Sampler(Plugin):
+    category = "sampler"
+
+
+class Integrator(Plugin):
+    category = "integrator"
+
+
+def register(category: str, name: str):
+    """Class decorator that makes a plugin known to the loader as `category` / `name`."""
+
+    def add(cls: type[Plugin]) -> type[Plugin]:
+        cls.category, cls.type = category, name
+        REGISTRY[category][name] = cls
+        return cls
+
+    return add
+
+
+def attributes(cls: type[Plugin]) -> dict[str, Attribute]:
+    """The schema of a plugin class: attribute name to annotation, default and whether it is required."""
+    hints = typing.get_type_hints(cls.__init__)
+    schema = {}
+    for name, parameter in inspect.signature(cls.__init__).parameters.items():
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
+            required = parameter.default is inspect.Parameter.empty
+            schema[name] = Attribute(hints[name], None if required else parameter.default, required)
+    return schema
+
+
+def nearest(name: str, known: typing.Iterable[str]) -> str:
+    """A sentence that lists the known names, the most similar first."""
+    known = sorted(known)
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    hint = f"did you mean {' or '.join(repr(c) for c in close)}? " if close else ""
+    return f"{hint}known: {', '.join(known) or 'none'}"
+
+
+def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tensor:
+    """`value` as a float tensor, checked for shape and for NaN or infinity.
+
+    Raises:
+        ValueError: if the shape differs or a value is not finite.
+    """
+    tensor = value.detach().clone() if isinstance(value, Tensor) else torch.as_tensor(value)
+    if not tensor.is_floating_point():
+        tensor = tensor.to(torch.get_default_dtype())
+    if shape is not None and tuple(tensor.shape) != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
+    bad = int((~torch.isfinite(tensor)).sum())
+    if bad:
+        raise ValueError(f"{name} must be finite, got {bad} of {tensor.numel()} values that are NaN or infinite")
+    return tensor
+
+
+def positive(name: str, value: float) -> float:
+    """`value`, checked to be greater than zero and finite."""
+    if not (value > 0 and value < float("inf")):
+        raise ValueError(f"{name} must be greater than 0 and finite, got {value}")
+    return float(value)

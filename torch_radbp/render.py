@@ -1,0 +1,164 @@
+"""`Renderer` and `render`: the public entry. Checks what it is given, plans chunks, calls the tracer."""
+
+from __future__ import annotations
+
+from typing import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.utils._pytree import tree_flatten, tree_map_only
+
+from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
+from torch_radbp.adjoint.function import RenderCall, View, plan_chunks, render_images, render_with_derivative
+from torch_radbp.path import Integrand, Settings
+from torch_radbp.raycast import make_caster
+from torch_radbp.sampling.sampler import seed_key
+from torch_radbp.scene import Scene
+from torch_radbp.scene.integrator import check_depths
+from torch_radbp.scene.pack import geometry, pack
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.stages import EAGER, compiled
+
+STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
+UNLIMITED = 1024  # bounces; roulette ends a path long before
+LANES_EAGER, LANES_COMPILED = 1 << 16, 1 << 18  # lanes a chunk, measured with benchmarks/versus_mitsuba.py
+
+
+class Renderer(nn.Module):
+    """A differentiable path tracer as a module.
+
+    Args:
+        scene: what is rendered; `renderer.scene` afterwards.
+        spp: samples per pixel; None: what the sensor's sampler element says.
+        max_depth: 1 = emission only, 2 = direct light, -1 = unlimited; None: what the integrator element says.
+        rr_depth: scattering events before Russian roulette; None likewise.
+        hide_emitters: do not show emitters that the camera sees directly; None likewise.
+        adjoint: how the backward pass works: `MemoizedAdjoint(stride)`, `ReplayAdjoint`, `QuadraticAdjoint`, `TapeAdjoint`.
+        sampling: "detached": directions, densities, weights and survival carry no derivative.
+        nee: next-event estimation with multiple importance sampling.
+        chunk: lanes (paths) traced together; None picks.
+        compile: compile the functions of a bounce; worth it from some dozen renderings on.
+        caster: "embree" or "brute"; None picks by device.
+
+    Derivatives reach the texels of reflectances and the radiance and intensity of emitters.
+
+    Raises:
+        ValueError: for settings that make no sense.
+    """
+
+    def __init__(self, scene: Scene, spp: int | None = None, max_depth: int | None = None, rr_depth: int | None = None,
+                 hide_emitters: bool | None = None, adjoint=None, sampling: str = "detached", nee: bool = True,
+                 chunk: int | None = None, memory_budget: str | int | None = None, compile: bool = False,
+                 caster: str | None = None):
+        super().__init__()
+        if not isinstance(scene, Scene):
+            raise TypeError(f"scene must be a torch_radbp.Scene (from load or load_dict), got {type(scene).__name__}")
+        self.scene = scene
+        defaults = scene.integrator
+        self.spp = scene.sensors[0].sampler.sample_count if spp is None else spp
+        self.max_depth = defaults.max_depth if max_depth is None else max_depth
+        self.rr_depth = defaults.rr_depth if rr_depth is None else rr_depth
+        self.hide_emitters = defaults.hide_emitters if hide_emitters is None else hide_emitters
+        self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
+        self.sampling, self.nee, self.chunk, self.compile_stages, self.caster_name = sampling, nee, chunk, compile, caster
+        check_count("spp", self.spp)
+        check_depths(self.max_depth, self.rr_depth)
+        if chunk is not None:
+            check_count("chunk", chunk)
+        if not isinstance(self.adjoint, STRATEGIES):
+            raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {adjoint!r}")
+        if sampling != "detached":
+            raise ValueError(f"sampling={sampling!r} is not available; known: 'detached' "
+                             f"('attached' and 'hybrid' are planned)")
+        self.casters: list = []
+
+    def forward(self, seed: int = 0, sensors: Sequence[int] | None = None, spp: int | None = None,
+                seed_grad: int | None = None) -> Tensor:
+        """Renders the scene.
+
+        Args:
+            seed: of the random numbers; the same seed gives the same image.
+            sensors: indices of the sensors to render; None: all.
+            spp: samples per pixel of this call.
+            seed_grad: draws the backward pass from its own random numbers, so that derivatives of losses that are not
+                linear in the image are not biased by sharing samples with it.
+
+        Returns:
+            (B, 3, H, W) linear RGB radiance, row 0 at the top, one image per sensor.
+
+        Raises:
+            ValueError: for a sensor that does not exist, or sensors of different size.
+        """
+        spp = self.spp if spp is None else spp
+        check_count("spp", spp)
+        call = self.prepare(seed, sensors, spp, seed_grad)
+        if isinstance(self.adjoint, TapeAdjoint):
+            return render_images(call, call.make_integrand(call.scene), record=False)[0]
+        return render_with_derivative(call)
+
+    def prepare(self, seed: int, sensors: Sequence[int] | None, spp: int, seed_grad: int | None) -> RenderCall:
+        """The scene packed, rays ready to be cast, chunks planned."""
+        available = self.scene.sensors
+        indices = list(range(len(available))) if sensors is None else list(sensors)
+        if not indices or any(not 0 <= index < len(available) for index in indices):
+            raise ValueError(f"sensors must be indices from 0 to {len(available) - 1}, got {sensors}")
+        films = [available[index].film for index in indices]
+        sizes = {(film.crop_width, film.crop_height) for film in films}
+        if len(sizes) > 1:
+            raise ValueError(f"the sensors of one call must have films of one size, got {sorted(sizes)}; "
+                             f"render them in separate calls")
+        scene = pack(self.scene)
+        self.check_differentiable(scene)
+        caster = self.current_caster()
+        width, height = sizes.pop()
+        views = [View(tree_map_only(Tensor, Tensor.detach, available[index].tensors()), width, height,
+                      tuple(seed_key(s + available[index].sampler.seed, index) for s in (seed, seed_grad or 0)))
+                 for index in indices]
+        stages = compiled() if self.compile_stages else EAGER
+        max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
+        settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters)
+
+        def make_integrand(tensors: SceneTensors) -> Integrand:
+            proposal = tree_map_only(Tensor, Tensor.detach, tensors)
+            return Integrand(tensors, proposal, caster, settings, max_depth, self.rr_depth, stages.bounce)
+
+        lanes = self.chunk or (LANES_COMPILED if self.compile_stages else LANES_EAGER)
+        return RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.camera_path, self.adjoint, views,
+                          plan_chunks(views, spp, lanes), spp, seed_grad is not None)
+
+    def current_caster(self):
+        """The ray caster for the vertices as they are now; rebuilt or refitted only when they have changed."""
+        vertices, faces = geometry(self.scene)
+        if self.casters and torch.equal(self.casters[0].faces, faces):
+            if not torch.equal(self.casters[0].vertices, vertices):
+                self.casters[0].update(vertices)
+        else:
+            self.casters = [make_caster(self.caster_name, vertices, faces)]
+        return self.casters[0]
+
+    def check_differentiable(self, scene: SceneTensors) -> None:
+        """Raises ValueError if a gradient is asked for that would silently be missing."""
+        differentiable = {id(leaf) for leaf in (*scene.reflectance.texels, *scene.radiance.texels)}
+        missing = [leaf for leaf in tree_flatten(scene)[0]
+                   if isinstance(leaf, Tensor) and leaf.requires_grad and id(leaf) not in differentiable]
+        moving = [name for name, parameter in self.scene.named_parameters() if parameter.requires_grad
+                  and name.rsplit(".", 1)[-1] not in ("value", "data", "original")]
+        if missing or moving:
+            raise ValueError(f"derivatives with respect to shapes, poses and positions are not available yet, but "
+                             f"{', '.join(moving) or 'a parametrised one'} requires grad; set requires_grad_(False) there")
+
+
+def check_count(name: str, value: int) -> None:
+    """Raises ValueError unless `value` is an integer of at least 1."""
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        raise ValueError(f"{name} must be an integer of at least 1, got {value!r}")
+
+
+def render(scene: Scene, *, seed: int = 0, sensors: Sequence[int] | None = None, seed_grad: int | None = None,
+           **settings) -> Tensor:
+    """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad)`: see `Renderer`.
+
+    Returns:
+        (B, 3, H, W) linear RGB radiance.
+    """
+    return Renderer(scene, **settings)(seed=seed, sensors=sensors, seed_grad=seed_grad)

@@ -1,0 +1,51 @@
+"""Counter-based random numbers: a pure function of (seed, sensor, pixel, sample, depth, dimension).
+
+Nothing is stored or restored for a replay, and results do not depend on chunk size, schedule or order of execution. The
+generator is an integer hash in int32 arithmetic, which wraps in torch on every device. float32 and float64 renderings use
+the same 24 random bits, so that both follow the same paths.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+DIMENSIONS_PER_BOUNCE = 16
+CAMERA_DEPTH = -1  # the depth under which the camera draws its numbers
+
+
+def hash32(x: Tensor) -> Tensor:
+    """Scrambles int32 values so that each input bit flips each output bit with probability about one half.
+
+    Reference: C. Wellons 2018, "Prospecting for Hash Functions" (`lowbias32`: constants 0x21f0aaad, 0xd35a2d97 of the
+    later search, shifts 16, 15, 15).
+    """
+    x = (x ^ ((x >> 16) & 0xFFFF)) * 0x21F0AAAD
+    x = (x ^ ((x >> 15) & 0x1FFFF)) * -0x2CA5D269
+    return x ^ ((x >> 15) & 0x1FFFF)
+
+
+def seed_key(seed: int, sensor: int) -> int:
+    """Folds a 64-bit seed and the index of a sensor into one int32."""
+    folded = torch.tensor([seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, sensor + 1], dtype=torch.int64)
+    low, high, sensor_key = folded.to(torch.int32)
+    return int(hash32(hash32(hash32(low) + high) + sensor_key))
+
+
+def lane_key(seed: Tensor, pixel: Tensor, sample: Tensor) -> Tensor:
+    """The int32 key of each lane's random numbers."""
+    return hash32(hash32(pixel + seed) + hash32(sample ^ 0x5BD1E995))
+
+
+def uniform(key: Tensor, depth: Tensor, dimension: int, dtype: torch.dtype) -> Tensor:
+    """Uniform numbers in [0, 1), one per lane.
+
+    Args:
+        key: (N,) int32, from `lane_key`.
+        depth: () int32 tensor, the bounce.
+        dimension: which number of that bounce, below `DIMENSIONS_PER_BOUNCE`.
+        dtype: of the result.
+    """
+    counter = hash32(depth * DIMENSIONS_PER_BOUNCE + (dimension + 1) * 0x3C6EF35F)
+    bits = (hash32(key + counter) >> 8) & 0xFFFFFF
+    return bits.to(dtype) * (1.0 / (1 << 24))

@@ -1,0 +1,37 @@
+"""Mappings from the unit square to directions and points, with their densities."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torch_radbp.vec import Vec2, Vec3
+
+
+def square_to_cosine_hemisphere(u: Tensor, v: Tensor) -> Vec3:
+    """Directions around +z with density cos(theta) / pi."""
+    r, phi = torch.sqrt(u), 2.0 * math.pi * v
+    return Vec3(r * torch.cos(phi), r * torch.sin(phi), torch.sqrt((1.0 - u).clamp_min(0.0)))
+
+
+def cosine_hemisphere_pdf(w: Vec3) -> Tensor:
+    """Density of `square_to_cosine_hemisphere` over solid angle; zero below the horizon."""
+    return w.z.clamp_min(0.0) * (1.0 / math.pi)
+
+
+def square_to_uniform_sphere(u: Tensor, v: Tensor) -> Vec3:
+    """Directions with density 1 / (4 pi)."""
+    z = 1.0 - 2.0 * u
+    r, phi = torch.sqrt((1.0 - z * z).clamp_min(0.0)), 2.0 * math.pi * v
+    return Vec3(r * torch.cos(phi), r * torch.sin(phi), z)
+
+
+UNIFORM_SPHERE_PDF = 1.0 / (4.0 * math.pi)
+
+
+def square_to_uniform_triangle(u: Tensor, v: Tensor) -> Vec2:
+    """Barycentric coordinates of the second and third vertex, uniform over the area."""
+    root = torch.sqrt(u)
+    return Vec2(root * (1.0 - v), root * v)

@@ -1,0 +1,34 @@
+"""The integrator element of a scene: the defaults of `Renderer`."""
+
+from __future__ import annotations
+
+from torch_radbp.plugin import Integrator, register
+
+
+@register("integrator", "path")
+class Path(Integrator):
+    """Path tracing with next-event estimation.
+
+    Args:
+        max_depth: 1 = emission only, 2 = direct light, -1 = unlimited.
+        rr_depth: number of scattering events after which Russian roulette begins.
+        hide_emitters: do not show emitters that the camera sees directly.
+    """
+
+    def __init__(self, *, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False):
+        super().__init__()
+        check_depths(max_depth, rr_depth)
+        self.max_depth, self.rr_depth, self.hide_emitters = max_depth, rr_depth, hide_emitters
+
+
+@register("integrator", "prb")
+class PathReplay(Path):
+    """Mitsuba's differentiable integrator; the same defaults here (`adjoint=` chooses the method)."""
+
+
+def check_depths(max_depth: int, rr_depth: int) -> None:
+    """Raises ValueError unless both depths make sense."""
+    if max_depth < -1:
+        raise ValueError(f"max_depth must be -1 (unlimited) or at least 0, got {max_depth}")
+    if rr_depth < 1:
+        raise ValueError(f"rr_depth must be at least 1, got {rr_depth}")

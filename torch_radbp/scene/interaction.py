@@ -1,0 +1,67 @@
+"""What is known about the point where a ray meets a surface."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.scene.lookup import lookup
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import Frame, Ray, Vec2, Vec3, cross, dot, normalize, where
+
+
+class SurfaceInteraction(NamedTuple):
+    """A surface point per lane; directions `wi` point away from the surface, in the local frame."""
+
+    valid: Tensor  # bool: the ray meets a surface at all
+    prim: Tensor  # int32 triangle, 0 where invalid
+    material: Tensor  # int32 row of the material table
+    p: Vec3  # world position
+    n: Vec3  # unit geometric normal
+    frame: Frame  # shading frame; its normal is turned to the viewer's side of a two-sided material
+    front: Tensor  # bool: the viewer is on the side of the shading normal
+    wi: Vec3  # towards the viewer, local
+    uv: Vec2 | None
+    epsilon: Tensor  # distance by which rays start off the surface
+
+    def offset(self, d: Vec3) -> Vec3:
+        """Where a ray with direction `d` starts: off the surface, on the side that it leaves to."""
+        side = torch.where(dot(self.n, d) >= 0, self.epsilon, -self.epsilon)
+        return self.p + self.n * side
+
+
+def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteraction:
+    """Interpolates the triangle that was hit.
+
+    Args:
+        scene: the scene.
+        ray: (N,) rays.
+        hit: a `raycast.Hit`: triangle (-1: none) and barycentric coordinates of its second and third vertex.
+    """
+    triangles = scene.triangles
+    valid = hit.prim >= 0
+    prim = hit.prim.clamp_min(0)
+    p0, e1, e2 = lookup(triangles.p0, prim), lookup(triangles.e1, prim), lookup(triangles.e2, prim)
+    p = p0 + e1 * hit.u + e2 * hit.v
+    n = normalize(cross(e1, e2))
+    shading = n
+    if scene.layout.shading_normals:
+        w = 1.0 - hit.u - hit.v
+        shading = normalize(lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * hit.u
+                            + lookup(triangles.n2, prim) * hit.v)
+    uv = None
+    if triangles.uv0 is not None:
+        w = 1.0 - hit.u - hit.v
+        uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * hit.u + lookup(triangles.uv2, prim) * hit.v
+    front = dot(shading, ray.d) < 0
+    material = triangles.material[prim]
+    if scene.layout.back_sides:
+        turned = ~front & (scene.materials.back[material] >= 0)
+        shading = where(turned, -shading, shading)
+    frame = Frame.of(shading)
+    # Relative to the size of the coordinates, since that is the scale of their rounding errors.
+    largest = torch.maximum(p.x.abs(), torch.maximum(p.y.abs(), p.z.abs()))
+    epsilon = (1.0 + largest) * (1500 * torch.finfo(torch.float32).eps)
+    return SurfaceInteraction(valid, prim, material, p, n, frame, front, frame.to_local(-ray.d), uv, epsilon)

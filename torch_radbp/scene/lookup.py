@@ -1,0 +1,84 @@
+"""Reading tables by lane, so that a local derivative knows what was read and where.
+
+The derivative of a gather is a scatter-add. Inside the local vector-Jacobian product of a bounce no table is ever
+scattered into: a tapped table hands out what it gathered as leaves and remembers the indices; the sweep adds the leaves'
+adjoints to one gradient buffer afterwards, with `index_add_`. Plain autograd (the oracle) reads plain tensors.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.vec import Vec2, Vec3
+
+
+class Tap:
+    """A table whose entries are wanted as leaves: `reads` lists (index, leaf) in order."""
+
+    def __init__(self, table: Tensor):
+        self.table = table
+        self.reads: list[tuple[Tensor, Tensor]] = []
+
+    def read(self, index: Tensor) -> Tensor:
+        leaf = self.table[index].detach().requires_grad_()
+        self.reads.append((index, leaf))
+        return leaf
+
+
+def lookup(table, index: Tensor):
+    """Entries of a table, or of each component of a `Vec2` / `Vec3` of tables, at int32 `index` (N,)."""
+    if isinstance(table, (Vec2, Vec3)):
+        return table.map(lambda component: lookup(component, index))
+    return table.read(index) if isinstance(table, Tap) else table[index]
+
+
+class TextureBank(NamedTuple):
+    """Textures laid end to end; a constant colour is a texture of one texel. X textures, K texels in all."""
+
+    texels: Vec3  # (K,) each, linear RGB; attached
+    offset: Tensor  # (X,) int32, first texel
+    width: Tensor  # (X,) int32
+    height: Tensor  # (X,) int32
+    wrap: Tensor  # (X,) int32: 0 repeat, 1 mirror, 2 clamp
+    nearest: Tensor  # (X,) bool
+    to_u: Vec3  # (X,) each: u' = x u + y v + z
+    to_v: Vec3
+
+
+def wrapped(texel: Tensor, size: Tensor, wrap: Tensor) -> Tensor:
+    """Integer texel coordinates brought into [0, size) by each lane's wrap mode."""
+    repeat = torch.remainder(texel, size)
+    folded = torch.remainder(texel, 2 * size)
+    mirror = torch.minimum(folded, 2 * size - 1 - folded)
+    clamp = torch.minimum(texel.clamp_min(0), size - 1)
+    return torch.where(wrap == 0, repeat, torch.where(wrap == 1, mirror, clamp))
+
+
+def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
+    """Linear RGB of textures at surface coordinates.
+
+    Args:
+        bank: attached or tapped.
+        texture: (N,) int32, which texture each lane reads.
+        uv: (N,) surface coordinates, or None if every texture of the bank is one texel.
+    """
+    first = bank.offset[texture]
+    if uv is None:
+        return lookup(bank.texels, first)
+    width, height, wrap = bank.width[texture], bank.height[texture], bank.wrap[texture]
+    to_u, to_v = lookup(bank.to_u, texture), lookup(bank.to_v, texture)
+    half = torch.where(bank.nearest[texture], 0.0, 0.5).to(uv.x.dtype)
+    x = (to_u.x * uv.x + to_u.y * uv.y + to_u.z) * width - half
+    y = (to_v.x * uv.x + to_v.y * uv.y + to_v.z) * height - half
+    left, top = torch.floor(x.detach()), torch.floor(y.detach())
+    fx = torch.where(half > 0, x - left, 0.0)
+    fy = torch.where(half > 0, y - top, 0.0)
+    column, row = left.to(torch.int32), top.to(torch.int32)
+    x0, x1 = wrapped(column, width, wrap), wrapped(column + 1, width, wrap)
+    y0, y1 = wrapped(row, height, wrap) * width + first, wrapped(row + 1, height, wrap) * width + first
+    upper = lookup(bank.texels, y0 + x0) * (1.0 - fx) + lookup(bank.texels, y0 + x1) * fx
+    lower = lookup(bank.texels, y1 + x0) * (1.0 - fx) + lookup(bank.texels, y1 + x1) * fx
+    return upper * (1.0 - fy) + lower * fy

@@ -1,0 +1,185 @@
+"""`pack`: from the modules of a `Scene` to `SceneTensors`, by ordinary differentiable torch."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import BSDF, Emitter, Texture
+from torch_radbp.sampling.alias import alias_table
+from torch_radbp.scene.lookup import TextureBank
+from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.tensors import (AREA, CONSTANT, POINT, Layout, LightTable, MaterialTable, SceneTensors,
+                                       TriangleTable)
+from torch_radbp.shape.surface import Triangles
+from torch_radbp.texture.bitmap import WRAP_MODES
+from torch_radbp.texture.rgb import RGB
+from torch_radbp.vec import Vec2, Vec3
+
+
+class BankBuilder:
+    """Collects textures; each is stored once however often it is used."""
+
+    def __init__(self) -> None:
+        self.textures: list[Texture] = []
+        self.index: dict[int, int] = {}
+
+    def add(self, texture: Texture) -> int:
+        """The index of `texture` in the bank."""
+        if id(texture) not in self.index:
+            self.index[id(texture)] = len(self.textures)
+            self.textures.append(texture)
+        return self.index[id(texture)]
+
+    @property
+    def has_bitmaps(self) -> bool:
+        return any(not isinstance(texture, RGB) for texture in self.textures)
+
+    def build(self, dtype: torch.dtype, device: torch.device) -> TextureBank:
+        textures = self.textures or [RGB(value=0.0)]
+        images = [texture.texels().to(dtype=dtype, device=device) for texture in textures]
+        sizes = [tuple(image.shape[:2]) for image in images]
+        texels = torch.cat([image.reshape(-1, 3) for image in images])
+        counts = torch.tensor([0] + [height * width for height, width in sizes]).cumsum(0)[:-1]
+        matrices = torch.stack([getattr(texture, "to_uv", torch.eye(4)).to(dtype=dtype, device=device)
+                                for texture in textures])
+
+        def integers(values) -> Tensor:
+            return torch.as_tensor(values, dtype=torch.int32, device=device)
+
+        def row(k: int) -> Vec3:
+            return Vec3(matrices[:, k, 0].contiguous(), matrices[:, k, 1].contiguous(), matrices[:, k, 3].contiguous())
+
+        return TextureBank(
+            texels=Vec3.of(texels), offset=integers(counts), width=integers([width for _, width in sizes]),
+            height=integers([height for height, _ in sizes]),
+            wrap=integers([WRAP_MODES.index(getattr(texture, "wrap_mode", "repeat")) for texture in textures]),
+            nearest=torch.tensor([getattr(texture, "filter_type", "nearest") == "nearest" for texture in textures],
+                                 device=device), to_u=row(0), to_v=row(1))
+
+
+def pack(scene: Scene) -> SceneTensors:
+    """The tensors of a scene, attached to its parameters.
+
+    Raises:
+        ValueError: if a parameter has become NaN or infinite; the message names it.
+    """
+    check_finite(scene)
+    dtype, device = scene.dtype, scene.device
+    reflectance, radiance = BankBuilder(), BankBuilder()
+    bsdfs = list(scene.bsdfs())
+    materials = MaterialTable(*(torch.tensor(column, dtype=torch.int32, device=device) for column in zip(
+        *(sides(bsdf, reflectance) for bsdf in bsdfs))))
+    surfaces = [shape.oriented() for shape in scene.shapes]
+    counts = [len(surface.faces) for surface in surfaces]
+    row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
+    material = [row[id(shape.bsdf)] for shape in scene.shapes]
+    emitted = [-1 if shape.emitter is None else radiance.add(shape.emitter.radiance) for shape in scene.shapes]
+    environment = [emitter for emitter in scene.emitters if emitter.type == "constant"]
+    points = [emitter for emitter in scene.emitters if emitter.type == "point"]
+    for emitter in environment + points:
+        radiance.add(emitter.radiance if emitter.type == "constant" else emitter.intensity)
+    layout = Layout(
+        shading_normals=any(surface.normals is not None for surface in surfaces),
+        back_sides=bool((materials.back >= 0).any()) if bsdfs else False,
+        reflectance_bitmaps=reflectance.has_bitmaps, radiance_bitmaps=radiance.has_bitmaps,
+        area_lights=any(texture >= 0 for texture in emitted), constant_light=bool(environment),
+        point_lights=bool(points))
+    needs_uv = layout.reflectance_bitmaps or layout.radiance_bitmaps
+    triangles = triangle_table(surfaces, layout.shading_normals, needs_uv, dtype, device)
+    repeats = torch.tensor(counts, device=device)
+    triangles = triangles._replace(
+        material=torch.tensor(material, dtype=torch.int32, device=device).repeat_interleave(repeats),
+        radiance=torch.tensor(emitted, dtype=torch.int32, device=device).repeat_interleave(repeats))
+    lights, light_pdf = light_table(scene, triangles, counts, environment, points, radiance)
+    return SceneTensors(triangles._replace(light_pdf=light_pdf), materials, reflectance.build(dtype, device), lights,
+                        radiance.build(dtype, device), layout)
+
+
+def check_finite(scene: Scene) -> None:
+    """Raises ValueError naming the first parameter that is NaN or infinite."""
+    for name, parameter in scene.named_parameters():
+        bad = parameter.numel() - int(torch.isfinite(parameter.detach()).sum())
+        if bad:
+            raise ValueError(f"parameter {name!r} has {bad} of {parameter.numel()} values that are NaN or infinite; "
+                             f"a smaller learning rate or bounds may keep it finite")
+
+
+def sides(bsdf: BSDF, bank: BankBuilder) -> tuple[int, int]:
+    """The reflectance textures in front of and behind a material; -1 is black."""
+    if bsdf.type == "twosided":
+        return tuple(bank.add(side.reflectance) for side in bsdf.sides())
+    return bank.add(bsdf.reflectance), -1
+
+
+def geometry(scene: Scene) -> tuple[Tensor, Tensor]:
+    """All vertices (V, 3), detached, and faces (F, 3) int32 of a scene, in the order of its triangle table."""
+    vertices, faces, first = [], [], 0
+    for shape in scene.shapes:
+        surface = shape.oriented()
+        vertices.append(surface.vertices.detach())
+        faces.append(surface.faces + first)
+        first += len(surface.vertices)
+    if not vertices:
+        return torch.zeros(0, 3, dtype=scene.dtype), torch.zeros(0, 3, dtype=torch.int32)
+    return torch.cat(vertices), torch.cat(faces).to(torch.int32)
+
+
+def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, dtype: torch.dtype,
+                   device: torch.device) -> TriangleTable:
+    """Vertices, normals and coordinates of all triangles; materials and lights are filled in by the caller."""
+    corners, shading, coordinates = [], [], []
+    for surface in surfaces:
+        corner = surface.vertices.to(dtype)[surface.faces]
+        corners.append(corner)
+        if normals:
+            if surface.normals is None:
+                face = torch.linalg.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+                shading.append(torch.nn.functional.normalize(face, dim=-1)[:, None].expand(-1, 3, -1))
+            else:
+                shading.append(surface.normals.to(dtype)[surface.faces])
+        if uv:
+            coordinates.append(corner.new_zeros(len(corner), 3, 2) if surface.uv is None
+                               else surface.uv.to(dtype)[surface.faces])
+    corner = torch.cat(corners) if corners else torch.zeros(0, 3, 3, dtype=dtype, device=device)
+    n = [Vec3.of(torch.cat(shading)[:, k]) for k in range(3)] if shading else [None] * 3
+    st = [Vec2.of(torch.cat(coordinates)[:, k]) for k in range(3)] if coordinates else [None] * 3
+    none = torch.zeros(0, device=device)
+    return TriangleTable(Vec3.of(corner[:, 0]), Vec3.of(corner[:, 1] - corner[:, 0]),
+                         Vec3.of(corner[:, 2] - corner[:, 0]), *n, *st, none, none, none)
+
+
+def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], environment: list[Emitter],
+                points: list[Emitter], bank: BankBuilder) -> tuple[LightTable, Tensor]:
+    """The elements that next-event estimation picks from, and the density per area of every triangle, detached."""
+    p0 = triangles.p0.x
+    e1, e2 = triangles.e1.detach().stack(), triangles.e2.detach().stack()
+    area = 0.5 * torch.linalg.cross(e1, e2).norm(dim=-1)
+    total = sum(emitter.sampling_weight for emitter in scene.emitters)
+    light_pdf = torch.zeros_like(area)
+    weights, kind, prim, texture, position = [], [], [], [], []
+    first = 0
+    for shape, count in zip(scene.shapes, counts):
+        if shape.emitter is not None:
+            own = area[first:first + count]
+            light_pdf[first:first + count] = shape.emitter.sampling_weight / total / own.sum()
+            weights.append(own / own.sum() * shape.emitter.sampling_weight)
+            kind += [AREA] * count
+            prim += range(first, first + count)
+            texture += [bank.add(shape.emitter.radiance)] * count
+            position.append(e1.new_zeros(count, 3))
+        first += count
+    for emitter, light_kind in [(e, CONSTANT) for e in environment] + [(e, POINT) for e in points]:
+        weights.append(e1.new_full((1,), emitter.sampling_weight))
+        kind.append(light_kind)
+        prim.append(0)
+        texture.append(bank.add(emitter.radiance if light_kind == CONSTANT else emitter.intensity))
+        position.append(emitter.position.to(e1)[None] if light_kind == POINT else e1.new_zeros(1, 3))
+
+    def integers(values) -> Tensor:
+        return torch.tensor(values, dtype=torch.int32, device=p0.device)
+
+    surround = bank.add(environment[0].radiance) if environment else 0
+    surround_pmf = environment[0].sampling_weight / total if environment else 0.0
+    return LightTable(alias_table(torch.cat(weights)), integers(kind), integers(prim), integers(texture),
+                      Vec3.of(torch.cat(position).detach()), integers([surround]), e1.new_tensor([surround_pmf])), light_pdf

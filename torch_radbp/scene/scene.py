@@ -1,0 +1,114 @@
+"""`Scene`: the modules that a user sees, names and differentiates."""
+
+from __future__ import annotations
+
+from typing import Iterator
+
+import torch
+from torch import Tensor, nn
+
+from torch_radbp.plugin import BSDF, Emitter, Integrator, Plugin, SceneError, Sensor, Shape, nearest
+from torch_radbp.scene.integrator import Path
+
+
+class Scene(nn.Module):
+    """Shapes, materials, emitters and sensors, each a submodule under its name in the scene description.
+
+    Parameter names follow Mitsuba's `mi.traverse`: a material with an id of its own is named by it
+    (`white.reflectance.value`), one that is written inside its shape by the shape (`wall.bsdf.reflectance.data`).
+    All parameters have `requires_grad=False` until the user picks.
+
+    Args:
+        children: name to plugin: shapes, bsdfs, textures, emitters, sensors. Materials and textures that several shapes
+            use are registered once.
+        integrator: defaults for the renderer.
+
+    Raises:
+        SceneError: if a name cannot be used, or nothing emits light, or no sensor looks at the scene.
+    """
+
+    def __init__(self, children: dict[str, Plugin], integrator: Integrator | None = None):
+        super().__init__()
+        self.integrator_defaults = [Path() if integrator is None else integrator]
+        for name, child in children.items():
+            self._add(name, child)
+        for child in list(self._modules.values()):
+            self._name_once(child)
+        if not self.sensors:
+            raise SceneError("the scene has no sensor: add <sensor type=\"perspective\">")
+        if not self.emitters:
+            raise SceneError("the scene has no emitter, so that every image is black: add an emitter of type area, "
+                             "constant or point")
+
+    def _add(self, name: str, child: Plugin) -> None:
+        name = name.replace(".", "_")
+        if name in self._modules or not name:
+            raise SceneError(f"two objects of the scene have the id {name!r}")
+        if hasattr(self, name):
+            name += "_"
+        self._modules[name] = child
+
+    def _name_once(self, parent: Plugin) -> None:
+        """Registers what has an id of its own at top level, and only there."""
+        top_level = {id(module): name for name, module in self._modules.items()}
+        for name, child in list(parent._modules.items()):
+            if not isinstance(child, Plugin):
+                continue
+            if id(child) not in top_level and child.id is not None and isinstance(child, (BSDF,)):
+                self._add(child.id, child)
+                self._name_once(child)
+                top_level[id(child)] = child.id
+            if id(child) in top_level:
+                parent.share(name)
+            else:
+                self._name_once(child)
+
+    @property
+    def integrator(self) -> Integrator:
+        """Defaults of the renderer."""
+        return self.integrator_defaults[0]
+
+    @property
+    def shapes(self) -> list[Shape]:
+        return [child for child in self._modules.values() if isinstance(child, Shape)]
+
+    @property
+    def sensors(self) -> list[Sensor]:
+        return [child for child in self._modules.values() if isinstance(child, Sensor)]
+
+    @property
+    def emitters(self) -> list[Emitter]:
+        """All emitters: those of the scene, then those of its shapes."""
+        own = [child for child in self._modules.values() if isinstance(child, Emitter)]
+        return own + [shape.emitter for shape in self.shapes if shape.emitter is not None]
+
+    @property
+    def dtype(self) -> torch.dtype:
+        return next(iter(self.parameters())).dtype
+
+    @property
+    def device(self) -> torch.device:
+        return next(iter(self.parameters())).device
+
+    def get_parameter(self, target: str) -> Tensor:
+        """The parameter called `target`.
+
+        Raises:
+            AttributeError: if there is none; the message lists the nearest names.
+        """
+        try:
+            return super().get_parameter(target)
+        except AttributeError as error:
+            names = dict(self.named_parameters())
+            raise AttributeError(f"the scene has no parameter {target!r}; {nearest(target, names)}") from error
+
+    def name_of(self, plugin: nn.Module) -> str:
+        """The full name of a submodule, or its type if it is not part of the scene."""
+        return next((name for name, module in self.named_modules() if module is plugin), type(plugin).__name__)
+
+    def bsdfs(self) -> Iterator[BSDF]:
+        """The materials of the shapes, each once, in order of first use."""
+        seen: dict[int, BSDF] = {}
+        for shape in self.shapes:
+            seen.setdefault(id(shape.bsdf), shape.bsdf)
+        return iter(seen.values())

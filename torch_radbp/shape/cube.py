@@ -1,0 +1,37 @@
+"""The cube [-1, 1]^3."""
+
+from __future__ import annotations
+
+import torch
+
+from torch_radbp.plugin import BSDF, Emitter, Matrix4, register
+from torch_radbp.shape.mesh import Mesh
+
+# For each face: its outward normal and the directions of u and v.
+FACES = (
+    ((0, -1, 0), (0, 0, 1), (1, 0, 0)),
+    ((0, 1, 0), (-1, 0, 0), (0, 0, -1)),
+    ((1, 0, 0), (0, 1, 0), (0, 0, -1)),
+    ((0, 0, 1), (0, 1, 0), (1, 0, 0)),
+    ((-1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    ((0, 0, -1), (0, -1, 0), (1, 0, 0)),
+)
+
+
+@register("shape", "cube")
+class Cube(Mesh):
+    """A cube of six faces with their own vertices, normals and uv, numbered as in Mitsuba. Parameters: see `Mesh`."""
+
+    def __init__(self, *, to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
+                 emitter: Emitter | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+        square = torch.tensor([[0.0, 1], [1, 1], [1, 0], [0, 0]])
+        positions, normals = [], []
+        for face in FACES:
+            n, u, v = torch.tensor(face, dtype=torch.get_default_dtype())
+            positions.append(n + (2 * square[:, :1] - 1) * u + (2 * square[:, 1:] - 1) * v)
+            normals.append(n.expand(4, 3))
+        corner = 4 * torch.arange(6)[:, None]
+        faces = torch.cat([corner + torch.tensor([0, 1, 2]), corner + torch.tensor([3, 0, 2])])
+        self.to_world = to_world
+        self.hold(torch.cat(positions), faces, torch.cat(normals), square.repeat(6, 1), to_world)

@@ -1,0 +1,111 @@
+"""What every shape shares: placement, material, emission, and its triangles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.diffuse import Diffuse
+from torch_radbp.plugin import BSDF, Emitter, Shape, finite
+
+
+class Triangles(NamedTuple):
+    """World-space triangles of one shape, attached to its parameters."""
+
+    vertices: Tensor  # (V, 3)
+    faces: Tensor  # (F, 3) int64
+    normals: Tensor | None  # (V, 3) unit shading normals, or None for flat faces
+    uv: Tensor | None  # (V, 2)
+
+
+def affine(name: str, matrix: Tensor | None) -> Tensor:
+    """A (4, 4) transform from an attribute, identity for None.
+
+    Raises:
+        ValueError: if it has another shape, is not finite, not affine, or cannot be inverted.
+    """
+    dtype = torch.get_default_dtype()
+    if matrix is None:
+        return torch.eye(4, dtype=dtype)
+    matrix = finite(name, matrix, (4, 4))
+    if (matrix[3] - torch.tensor([0.0, 0, 0, 1], dtype=matrix.dtype)).abs().max() > 1e-6:
+        raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {matrix[3].tolist()}")
+    if torch.linalg.det(matrix[:3, :3].double()).abs() < 1e-30:
+        raise ValueError(f"{name} must be invertible, got a matrix with determinant 0")
+    return matrix.to(dtype)
+
+
+def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
+    """(V, 3) points under an affine (4, 4) matrix."""
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
+    """(V, 3) normals under an affine (4, 4) matrix, normalised."""
+    return torch.nn.functional.normalize(normals @ torch.linalg.inv(matrix[:3, :3]), dim=-1)
+
+
+class Surface(Shape):
+    """A shape with a material and possibly an area emitter.
+
+    A mirroring transform turns the faces inside out; Mitsuba keeps the normal of the untransformed surface there, and so
+    do the analytic shapes here.
+    """
+
+    def __init__(self, *, bsdf: BSDF | None = None, emitter: Emitter | None = None, flip_normals: bool = False):
+        super().__init__()
+        self.bsdf = Diffuse() if bsdf is None else bsdf
+        if emitter is not None and emitter.type != "area":
+            raise ValueError(f"a shape can carry an emitter of type area, got {emitter.type!r}")
+        self.add_module("emitter", emitter)
+        self.flip_normals = flip_normals
+
+    def triangles(self) -> Triangles:
+        """The shape as triangles in world space."""
+        raise TypeError(f"{type(self).__name__} does not define its triangles")
+
+    def oriented(self) -> Triangles:
+        """`triangles()`, turned inside out if `flip_normals` asks for it."""
+        surface = self.triangles()
+        if not self.flip_normals:
+            return surface
+        normals = None if surface.normals is None else -surface.normals
+        return surface._replace(faces=surface.faces[:, [0, 2, 1]], normals=normals)
+
+
+class Tessellated(Surface):
+    """An analytic shape: a fixed tessellation of its canonical form under `to_world`.
+
+    Parameters: `to_world` (4, 4).
+    """
+
+    def place(self, to_world: Tensor | None, surface: Triangles) -> None:
+        """Stores the canonical tessellation and the transform."""
+        dtype = torch.get_default_dtype()
+        self.freeze("to_world", affine("to_world", to_world))
+        self.register_buffer("canonical_vertices", surface.vertices.to(dtype), persistent=False)
+        self.register_buffer("canonical_normals", None if surface.normals is None else surface.normals.to(dtype),
+                             persistent=False)
+        self.register_buffer("canonical_uv", surface.uv.to(dtype), persistent=False)
+        self.register_buffer("faces", surface.faces, persistent=False)
+
+    def triangles(self) -> Triangles:
+        vertices = transform_points(self.to_world, self.canonical_vertices)
+        normals = self.canonical_normals
+        if normals is not None:
+            normals = transform_normals(self.to_world, normals)
+        mirrored = bool(torch.linalg.det(self.to_world.detach()[:3, :3]) < 0)
+        faces = self.faces[:, [0, 2, 1]] if mirrored else self.faces
+        return Triangles(vertices, faces, normals, self.canonical_uv)
+
+
+def grid(columns: int, rows: int) -> tuple[Tensor, Tensor]:
+    """A (rows+1) x (columns+1) grid over the unit square: (V, 2) coordinates, (F, 3) faces counter-clockwise in (u, v)."""
+    v, u = torch.meshgrid(torch.linspace(0, 1, rows + 1, dtype=torch.float64),
+                          torch.linspace(0, 1, columns + 1, dtype=torch.float64), indexing="ij")
+    corner = (torch.arange(rows)[:, None] * (columns + 1) + torch.arange(columns)).reshape(-1)
+    right, up = corner + 1, corner + columns + 1
+    faces = torch.cat([torch.stack([corner, right, up + 1], 1), torch.stack([corner, up + 1, up], 1)])
+    return torch.stack([u.reshape(-1), v.reshape(-1)], 1), faces

@@ -1,0 +1,56 @@
+"""An image mapped onto a surface."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
+
+WRAP_MODES = ("repeat", "mirror", "clamp")
+FILTERS = ("bilinear", "nearest")
+
+
+@register("texture", "bitmap")
+class Bitmap(Texture):
+    """An image; row 0 lies at v = 0, as in Mitsuba.
+
+    Parameters: `data`, (H, W, 3) linear RGB. Derivatives: with respect to `data`.
+
+    Args:
+        filename: PNG, JPEG or EXR. Either this or `data`.
+        data: (H, W), (H, W, 1) or (H, W, 3) linear values.
+        filter_type: bilinear or nearest.
+        wrap_mode: repeat, mirror or clamp.
+        raw: do not decode sRGB when reading an 8- or 16-bit file.
+        to_uv: transform of the surface coordinates before the lookup (its 2D affine part).
+
+    Raises:
+        ValueError: on unknown modes, a wrong shape, or values that are not finite.
+    """
+
+    def __init__(self, *, filename: Filename | None = None, data: Tensor | None = None, filter_type: str = "bilinear",
+                 wrap_mode: str = "repeat", raw: bool = False, to_uv: Matrix4 | None = None):
+        super().__init__()
+        if (filename is None) == (data is None):
+            raise ValueError("a bitmap needs either filename or data, and not both")
+        if filter_type not in FILTERS:
+            raise ValueError(f"filter_type {filter_type!r} is not known; {nearest(filter_type, FILTERS)}")
+        if wrap_mode not in WRAP_MODES:
+            raise ValueError(f"wrap_mode {wrap_mode!r} is not known; {nearest(wrap_mode, WRAP_MODES)}")
+        if data is None:
+            from torch_radbp.io.image import read_image  # io reads files for every layer above `vec`
+
+            data = read_image(filename, raw=raw)
+        data = finite("data", data).to(torch.get_default_dtype())
+        data = data[..., None] if data.ndim == 2 else data
+        if data.ndim != 3 or data.shape[2] not in (1, 3) or data.numel() == 0:
+            raise ValueError(f"data must have shape (H, W), (H, W, 1) or (H, W, 3), got {tuple(data.shape)}")
+        self.filename, self.filter_type, self.wrap_mode, self.raw = filename, filter_type, wrap_mode, raw
+        self.freeze("data", data.expand(-1, -1, 3).contiguous())
+        matrix = torch.eye(4) if to_uv is None else finite("to_uv", to_uv, (4, 4))
+        self.register_buffer("to_uv", matrix.to(torch.get_default_dtype()))
+
+    def texels(self) -> Tensor:
+        """(H, W, 3) linear RGB, attached."""
+        return self.data

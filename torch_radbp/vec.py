@@ -1,0 +1,144 @@
+"""Vectors as records of flat tensors, rays, and the local shading frame.
+
+Everything per lane is a struct of arrays: a `Vec3` holds three tensors of one shape, so that a compiler sees independent
+streams and fuses them. At the borders (parameters, images) tensors keep the shapes users expect; `Vec3.of` and `Vec3.stack`
+go between the two.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Vec2(NamedTuple):
+    """A 2-vector per lane."""
+
+    x: Tensor
+    y: Tensor
+
+    def __add__(self, other: Vec2) -> Vec2:
+        return Vec2(self.x + other.x, self.y + other.y)
+
+    def map(self, function) -> Vec2:
+        """Applies `function` to each component."""
+        return Vec2(function(self.x), function(self.y))
+
+    def __mul__(self, scale: Tensor | float) -> Vec2:
+        return Vec2(self.x * scale, self.y * scale)
+
+    @staticmethod
+    def of(tensor: Tensor) -> Vec2:
+        """Splits the last axis of a (..., 2) tensor."""
+        return Vec2(*(component.contiguous() for component in tensor.unbind(-1)))
+
+
+class Vec3(NamedTuple):
+    """A 3-vector or an RGB colour per lane. `*` and `/` are component-wise."""
+
+    x: Tensor
+    y: Tensor
+    z: Tensor
+
+    def __add__(self, other: Vec3) -> Vec3:
+        return Vec3(self.x + other.x, self.y + other.y, self.z + other.z)
+
+    def __sub__(self, other: Vec3) -> Vec3:
+        return Vec3(self.x - other.x, self.y - other.y, self.z - other.z)
+
+    def __mul__(self, other: Vec3 | Tensor | float) -> Vec3:
+        if isinstance(other, Vec3):
+            return Vec3(self.x * other.x, self.y * other.y, self.z * other.z)
+        return Vec3(self.x * other, self.y * other, self.z * other)
+
+    def __truediv__(self, scale: Tensor | float) -> Vec3:
+        return self * (1.0 / scale)
+
+    def __neg__(self) -> Vec3:
+        return Vec3(-self.x, -self.y, -self.z)
+
+    def map(self, function) -> Vec3:
+        """Applies `function` to each component."""
+        return Vec3(function(self.x), function(self.y), function(self.z))
+
+    def detach(self) -> Vec3:
+        return self.map(torch.Tensor.detach)
+
+    def stack(self, dim: int = -1) -> Tensor:
+        """The components as one tensor, (..., 3) by default."""
+        return torch.stack(tuple(self), dim)
+
+    @staticmethod
+    def of(tensor: Tensor, dim: int = -1) -> Vec3:
+        """Splits the axis `dim`, of length 3, into contiguous components."""
+        return Vec3(*(component.contiguous() for component in tensor.unbind(dim)))
+
+    @staticmethod
+    def full(like: Tensor, value: float) -> Vec3:
+        """The same constant in every component of every lane."""
+        component = torch.full_like(like, value)
+        return Vec3(component, component, component)
+
+
+def dot(a: Vec3, b: Vec3) -> Tensor:
+    return a.x * b.x + a.y * b.y + a.z * b.z
+
+
+def cross(a: Vec3, b: Vec3) -> Vec3:
+    return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+
+
+def normalize(a: Vec3) -> Vec3:
+    """The unit vector along `a`; a vector of length zero stays zero, with a zero derivative."""
+    squared = dot(a, a)
+    length = torch.sqrt(torch.where(squared > 0, squared, torch.ones_like(squared)))
+    return a * (1.0 / length)
+
+
+def where(condition: Tensor, a: Vec3, b: Vec3) -> Vec3:
+    return Vec3(torch.where(condition, a.x, b.x), torch.where(condition, a.y, b.y), torch.where(condition, a.z, b.z))
+
+
+def masked(condition: Tensor, a: Vec3) -> Vec3:
+    """`a` where the condition holds, else zero."""
+    return a.map(lambda component: torch.where(condition, component, torch.zeros_like(component)))
+
+
+def max_component(a: Vec3) -> Tensor:
+    return torch.maximum(a.x, torch.maximum(a.y, a.z))
+
+
+class Ray(NamedTuple):
+    """Half lines o + t d with t > 0, world space."""
+
+    o: Vec3  # origin
+    d: Vec3  # direction; unit length in the tracer
+
+
+class Frame(NamedTuple):
+    """An orthonormal basis; `n` is the normal, local directions have z along it."""
+
+    s: Vec3
+    t: Vec3
+    n: Vec3
+
+    def to_local(self, v: Vec3) -> Vec3:
+        return Vec3(dot(v, self.s), dot(v, self.t), dot(v, self.n))
+
+    def to_world(self, v: Vec3) -> Vec3:
+        return self.s * v.x + self.t * v.y + self.n * v.z
+
+    @staticmethod
+    def of(n: Vec3) -> Frame:
+        """A basis around the unit vector `n`.
+
+        Reference: Duff et al. 2017, "Building an Orthonormal Basis, Revisited", listing 3.
+        """
+        sign = torch.where(n.z >= 0, 1.0, -1.0).to(n.z.dtype)
+        a = -1.0 / (sign + n.z)
+        b = n.x * n.y * a
+        s = Vec3(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x)
+        t = Vec3(b, sign + n.y * n.y * a, -n.y)
+        return Frame(s, t, n)
