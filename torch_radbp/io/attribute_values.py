@@ -1,0 +1,154 @@
+"""Checks the plain values of a scene description against the annotations of a plugin's constructor."""
+
+from __future__ import annotations
+
+import os
+import types
+import typing
+from collections.abc import Callable
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Filename, Matrix4, Plugin, Point3, Texture
+
+
+def options(annotation: Any) -> tuple[Any, ...]:
+    """The members of a union, or the annotation alone."""
+    is_union = typing.get_origin(annotation) in (types.UnionType, typing.Union)
+    return typing.get_args(annotation) if is_union else (annotation,)
+
+
+def is_list(annotation: Any) -> bool:
+    """Whether an attribute takes several plugins, list[BSDF]."""
+    return any(typing.get_origin(option) is list for option in options(annotation))
+
+
+def plugin_categories(annotation: Any) -> list[str]:
+    """The categories of plugins that an attribute accepts; empty if it takes plain values only."""
+    members = [(typing.get_args(option) or (option,))[0] for option in options(annotation)]
+    return [member.category for member in members if isinstance(member, type) and issubclass(member, Plugin)]
+
+
+def convert(name: str, value: Any, annotation: Any) -> Any:
+    """`value` as one of the plain types that `annotation` allows.
+
+    Returns:
+        An int, bool, str or float; a list of three floats for Point3 and colours; a (4, 4) float64 tensor for Matrix4.
+
+    Raises:
+        TypeError: if it is of another type or shape.
+        ValueError: if a number is not finite, or a matrix is not affine and invertible.
+    """
+    members = options(annotation)
+    if value is None and type(None) in members:
+        return None
+    rules = [RULES[member] for member in members if member in RULES]
+    for _, rule in rules:
+        try:
+            return rule(name, value)
+        except TypeError:
+            continue
+    plugins = [f"a {category}" for category in plugin_categories(annotation) if category != "texture"]
+    expected = " or ".join(dict.fromkeys([*(expected for expected, _ in rules), *plugins]))
+    raise TypeError(f"{name} must be {expected}, got {_shown(value)}")
+
+
+def _shown(value: Any) -> str:
+    if hasattr(value, "shape") and len(value.shape) > 0:
+        return f"{type(value).__name__} of shape {tuple(value.shape)}"
+    return repr(value) if len(repr(value)) < 80 else f"{type(value).__name__} {repr(value)[:60]}..."
+
+
+def _array(value: Any) -> np.ndarray:
+    """A float64 array of what may be a list, a numpy array, a torch tensor or a Mitsuba type."""
+    if isinstance(value, (str, bytes, dict)) or value is None:
+        raise TypeError
+    try:
+        return np.asarray(value.detach().cpu() if isinstance(value, Tensor) else value, dtype=np.float64)
+    except (ValueError, RuntimeError) as error:
+        raise TypeError from error
+
+
+def _finite(name: str, array: np.ndarray) -> np.ndarray:
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} must be finite, got {array.tolist()}")
+    return array
+
+
+def _scalar(value: Any) -> Any:
+    return value.item() if getattr(value, "shape", None) == () else value
+
+
+def _integer(name: str, value: Any) -> int:
+    value = _scalar(value)
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise TypeError
+    return int(value)
+
+
+def _number(name: str, value: Any) -> float:
+    value = _scalar(value)
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError
+    return float(_finite(name, np.float64(value)))
+
+
+def _boolean(name: str, value: Any) -> bool:
+    value = _scalar(value)
+    if not isinstance(value, bool):
+        raise TypeError
+    return value
+
+
+def _string(name: str, value: Any) -> str:
+    if not isinstance(value, (str, os.PathLike)):
+        raise TypeError
+    return os.fspath(value)
+
+
+def _triple(name: str, value: Any) -> list[float]:
+    array = _array(value)
+    if array.shape != (3,):
+        raise TypeError
+    return _finite(name, array).tolist()
+
+
+def _colour(name: str, value: Any) -> float | list[float]:
+    array = _array(value)
+    if array.dtype == bool or array.shape not in ((), (1,), (3,)):
+        raise TypeError
+    return _finite(name, array.squeeze()).tolist()
+
+
+def _matrix(name: str, value: Any) -> Tensor:
+    array = _array(getattr(value, "matrix", value))
+    if array.shape == (3, 3):  # of the plane, as Mitsuba's to_uv
+        plane, array = array, np.eye(4)
+        array[np.ix_((0, 1, 3), (0, 1, 3))] = plane
+    if array.shape != (4, 4):
+        raise TypeError
+    _finite(name, array)
+    if not np.allclose(array[3], (0, 0, 0, 1)):
+        raise ValueError(f"{name} must be affine, its last row 0, 0, 0, 1, got {array[3].tolist()}")
+    return torch.from_numpy(array)
+
+
+def _tensor(name: str, value: Any) -> Tensor:
+    return value if isinstance(value, Tensor) else torch.from_numpy(_array(value))
+
+
+RULES: dict[Any, tuple[str, Callable[[str, Any], Any]]] = {
+    int: ("an integer", _integer),
+    bool: ("true or false", _boolean),
+    float: ("a number", _number),
+    str: ("a string", _string),
+    Filename: ("a file name", _string),
+    Point3: ("three numbers", _triple),
+    Matrix4: ("a 4 x 4 matrix", _matrix),
+    Texture: ("a number, three numbers or a texture", _colour),
+    Tensor: ("an array of numbers", _tensor),
+}

@@ -1,0 +1,255 @@
+"""Builds the scene from Mitsuba's dict vocabulary, for XML and dicts alike.
+
+Nothing here knows a plugin: types come from the registry, attributes from the constructors' signatures.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+import torch_radbp.bsdf
+import torch_radbp.emitter
+import torch_radbp.film
+import torch_radbp.scene
+import torch_radbp.sensor
+import torch_radbp.shape
+import torch_radbp.texture  # noqa: F401 (each of these imports fills the registry)
+from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories
+from torch_radbp.io.xml_scene import XMLObject, find_file
+from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, Texture, attributes, nearest
+from torch_radbp.scene.scene import Scene
+
+TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "sensor", "integrator")
+COLOURS = ("rgb", "spectrum")
+
+# A spectrum of constant power is not neutral in linear sRGB: Mitsuba 3.9 gives this colour to <spectrum value="1"/> of
+# an emitter in its RGB modes, and to no other use of a spectrum (measured with mi.traverse).
+EQUAL_ENERGY = (1.204793930, 0.948291004, 0.908916056)
+
+
+def build_scene(description: dict[str, Any], base_dir: str | os.PathLike | None = None) -> Scene:
+    """The scene that a dict of Mitsuba's vocabulary describes.
+
+    Args:
+        description: {"type": "scene", name: object, ...}; an object is a dict with "type", or a plugin already made.
+        base_dir: folder of relative file names in dicts; the current one if None.
+
+    Raises:
+        SceneError: names the place (XML: file, line and element; dict: path of keys) and what is supported.
+    """
+    return _Builder(description, Path(base_dir or ".")).scene()
+
+
+class _Builder:
+    def __init__(self, description: dict[str, Any], base_dir: Path):
+        self.description = description
+        self.base_dir = base_dir
+        self.ids: dict[str, tuple[tuple[str, ...], Any]] = {}  # id -> key path and object
+        self.built: dict[tuple[str, ...], Plugin] = {}  # by key path
+        self.open: list[str] = []  # ids of the references being followed
+
+    def scene(self) -> Scene:
+        """All objects of the top level, handed to `Scene`."""
+        root = self.description
+        if not isinstance(root, dict) or root.get("type") != "scene":
+            found = repr(root.get("type")) if isinstance(root, dict) else type(root).__name__
+            raise SceneError(f"a scene dict must have \"type\": \"scene\" and contain its objects by name, got {found}")
+        self.collect_ids((), root)
+        children: dict[str, Plugin] = {}
+        integrators: list[str] = []
+        for name, value in root.items():
+            if name == "type":
+                continue
+            if not _is_object(value):
+                raise self.error((name,), value, f"a scene takes only objects, dicts with a \"type\", got {value!r}")
+            if isinstance(value, dict) and value.get("type") == "ref":
+                raise self.error((name,), value, "a reference cannot stand directly in the scene; put it inside the "
+                                 "object that uses it")
+            children[name] = self.plugin((name,), value, TOP_LEVEL)
+            if children[name].category == "integrator":
+                integrators.append(name)
+        if len(integrators) > 1:
+            raise self.error((integrators[1],), root[integrators[1]], "the scene already has an integrator; keep one")
+        integrator = children.pop(integrators[0]) if integrators else None
+        try:
+            return Scene(children, integrator=integrator)
+        except ValueError as error:
+            raise self.error((), root, str(error)) from error
+
+    def collect_ids(self, path: tuple[str, ...], node: dict[str, Any]) -> None:
+        """Notes every object that a reference may name: those of the top level by key, others by "id"."""
+        for key, value in node.items():
+            if not isinstance(key, str):
+                raise self.error(path, node, f"keys must be strings, got {key!r}")
+            if not _is_object(value) or (isinstance(value, dict) and value.get("type") == "ref"):
+                continue
+            name = _given_id(value) or (key if not path else None)
+            if name in self.ids:
+                other = self.place(self.ids[name][0], self.ids[name][1])
+                raise self.error((*path, key), value, f"the id {name!r} is already taken by {other}; use another")
+            if name is not None:
+                self.ids[name] = ((*path, key), value)
+            if isinstance(value, dict):
+                self.collect_ids((*path, key), value)
+
+    def plugin(self, path: tuple[str, ...], value: Any, expected: Iterable[str]) -> Plugin:
+        """The object at `path`, of one of the categories `expected`; built once however often it is used."""
+        if isinstance(value, dict) and value.get("type") == "ref":
+            return self.referenced(path, value, expected)
+        if isinstance(value, dict) and path not in self.built:
+            cls = self.plugin_class(path, value, expected)
+            arguments = self.arguments(path, value, cls)
+            try:
+                self.built[path] = cls(**arguments)
+            except (ValueError, TypeError, RuntimeError, OSError) as error:
+                raise self.error(path, value, str(error)) from error
+            self.built[path].id = _given_id(value)
+        plugin = self.built[path] if isinstance(value, dict) else value
+        if isinstance(plugin, Plugin) and plugin.category not in expected:
+            raise self.error(path, value, f"a {plugin.category} cannot stand here; supported: {', '.join(expected)}")
+        return plugin
+
+    def referenced(self, path: tuple[str, ...], value: dict[str, Any], expected: Iterable[str]) -> Plugin:
+        """The object that a reference names."""
+        name = value.get("id")
+        if name not in self.ids:
+            raise self.error(path, value, f"no object has the id {name!r}; {nearest(str(name), self.ids)}")
+        if name in self.open:
+            raise self.error(path, value, f"references in a circle: {' -> '.join([*self.open, name])}")
+        target_path, target = self.ids[name]
+        self.open.append(name)
+        plugin = self.plugin(target_path, target, REGISTRY)
+        self.open.pop()
+        if plugin.category not in expected:
+            raise self.error(path, value, f"{name!r} is a {plugin.category}, which cannot stand here; supported: "
+                             f"{', '.join(expected)}")
+        return plugin
+
+    def plugin_class(self, path: tuple[str, ...], node: dict[str, Any], expected: Iterable[str]) -> type[Plugin]:
+        """The class of an object, by its type and, in XML, its tag."""
+        name = node["type"]
+        tag = node.category if isinstance(node, XMLObject) else None
+        if tag is not None and tag not in expected:
+            raise self.error(path, node, f"a {tag} cannot stand here; supported: {', '.join(expected)}")
+        possible = [tag] if tag else list(expected)
+        found = next((REGISTRY[category][name] for category in possible if name in REGISTRY[category]), None)
+        if found is not None:
+            return found
+        elsewhere = next((category for category in REGISTRY if name in REGISTRY[category]), None)
+        if elsewhere and tag:
+            raise self.error(path, node, f"{name!r} is a {elsewhere}, not a {tag}; write <{elsewhere} type=\"{name}\">")
+        if elsewhere:
+            raise self.error(path, node, f"{name!r} is a {elsewhere}, which cannot stand here; supported: "
+                             f"{', '.join(expected)}")
+        known = [known for category in possible for known in REGISTRY[category]]
+        raise self.error(path, node, f"the {'/'.join(possible)} type {name!r} is not supported; "
+                         f"{nearest(str(name), known)}")
+
+    def arguments(self, path: tuple[str, ...], node: dict[str, Any], cls: type[Plugin]) -> dict[str, Any]:
+        """The constructor's arguments of an object, every value checked against the schema of its class."""
+        schema = attributes(cls)
+        arguments: dict[str, Any] = {}
+        for key, value in node.items():
+            if key in ("type", "id"):
+                continue
+            if _is_object(value) and not _is_colour(value):
+                name, nested = self.nested((*path, key), key, value, node, schema)
+                if is_list(schema[name].annotation):
+                    arguments.setdefault(name, []).append(nested)
+                    continue
+                if name in arguments:
+                    raise self.error((*path, key), value, f"{node['type']} takes one {name}, and has one already")
+                arguments[name] = nested
+            elif key not in schema:
+                message = f"{node['type']} has no attribute {key!r}; {nearest(key, schema)}"
+                raise self.error((*path, key), node, message, key)
+            else:
+                arguments[key] = self.value(path, key, value, node, cls)
+        for name, attribute in schema.items():
+            if attribute.required and name not in arguments:
+                raise self.error(path, node, f"{node['type']} needs {name!r}, which is missing; it has the attributes "
+                                 f"{', '.join(schema)}")
+        return arguments
+
+    def nested(self, path: tuple[str, ...], key: str, value: Any, parent: dict[str, Any],
+               schema: dict[str, Attribute]) -> tuple[str, Plugin]:
+        """A nested object and the attribute that it is for: the one it is named after, or the one of its category."""
+        accepted = {name: plugin_categories(attribute.annotation) for name, attribute in schema.items()}
+        if accepted.get(key):
+            return key, self.plugin(path, value, accepted[key])
+        # Textures are told apart by their names, so that only the other categories are found without one.
+        expected = [category for name in accepted for category in accepted[name] if category != "texture"]
+        is_texture = isinstance(value, XMLObject) and value.category == "texture"
+        if key in schema or is_texture or not expected:
+            takes = f"{key!r} is a plain value" if key in schema else nearest(key, schema)
+            raise self.error(path, value, f"{parent['type']} does not take an object called {key!r}; {takes}")
+        plugin = self.plugin(path, value, list(dict.fromkeys(expected)))
+        return next(name for name in accepted if plugin.category in accepted[name]), plugin
+
+    def value(self, path: tuple[str, ...], key: str, value: Any, node: dict[str, Any], cls: type[Plugin]) -> Any:
+        """The attribute `key` of the object `node` at `path`: a plain value or a colour, as its annotation wants it."""
+        annotation = attributes(cls)[key].annotation
+        try:
+            if _is_colour(value):
+                value = colour_value(key, value, of_emitter=cls.category == "emitter")
+            converted = convert(key, value, annotation)
+        except (ValueError, TypeError) as error:
+            raise self.error((*path, key), node, str(error), key) from error
+        if Filename not in options(annotation) or converted is None:
+            return converted
+        folders = node.folders if isinstance(node, XMLObject) else [self.base_dir]
+        found = find_file(converted, folders)
+        if found is None:
+            looked = ", ".join(str(folder.resolve()) for folder in folders)
+            raise self.error((*path, key), node, f"{key} {converted!r} not found; looked in {looked}", key)
+        return str(found)
+
+    def place(self, path: tuple[str, ...], node: Any, key: str | None = None) -> str:
+        """Where something is, for people: the line of the XML file, or the path of keys in the dict."""
+        if isinstance(node, XMLObject):
+            if key in node.places:
+                kind = "".join(f' {name}="{node[name]}"' for name in ("type", "id") if name in node)
+                return f"{node.places[key]} of <{node.element.tag}{kind}>"
+            return str(node.element)
+        kind = f" (type {node['type']!r})" if isinstance(node, dict) and "type" in node and path and key is None else ""
+        return (".".join(path) or "scene dict") + kind
+
+    def error(self, path: tuple[str, ...], node: Any, message: str, key: str | None = None) -> SceneError:
+        """The error to raise about an object, or about its attribute `key`."""
+        return SceneError(f"{self.place(path, node, key)}: {message}")
+
+
+def _is_object(value: Any) -> bool:
+    return isinstance(value, nn.Module) or (isinstance(value, dict) and "type" in value)
+
+
+def _given_id(value: Any) -> str | None:
+    return value.get("id") if isinstance(value, dict) else getattr(value, "id", None)
+
+
+def _is_colour(value: Any) -> bool:
+    return isinstance(value, dict) and value.get("type") in COLOURS
+
+
+def colour_value(name: str, node: dict[str, Any], of_emitter: bool) -> float | list[float]:
+    """One number or three (linear RGB) of {"type": "rgb" or "spectrum", "value": ...}; an rgb always has three.
+
+    Raises:
+        ValueError: on other entries, and on spectra given by wavelengths.
+    """
+    if set(node) != {"type", "value"}:
+        raise ValueError(f"{name}: a {node['type']} has the entries type and value, got {', '.join(map(str, node))}")
+    try:
+        value = convert(name, node["value"], Texture)
+    except TypeError as error:
+        raise ValueError(f"{error}; spectra over wavelengths are not supported, rendering is in linear RGB") from error
+    if isinstance(value, list):
+        return value
+    if node["type"] == "rgb":
+        return [value] * 3
+    return [value * weight for weight in EQUAL_ENERGY] if of_emitter else value

@@ -1,0 +1,145 @@
+"""Images: EXR through OpenEXR, PNG and JPEG through Pillow. In memory they are linear float32."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import torch
+from PIL import Image
+from torch import Tensor
+
+from torch_radbp.io.atomic import replacing
+
+READABLE, WRITABLE = (".exr", ".png", ".jpg", ".jpeg"), (".exr", ".png")
+BEAUTY_LAYERS = ("", "rgb", "rgba", "color", "colour", "beauty", "combined", "image")
+
+
+def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
+    """Reads an image.
+
+    EXR: half and float, all compressions; channels R, G, B or Y, also inside a layer (`beauty.R`). PNG and JPEG: grey,
+    colour and palette, 8 or 16 bits. Alpha is dropped in every format, without multiplying by it.
+
+    Args:
+        path: the file; its extension says what it is.
+        raw: take PNG and JPEG values as linear instead of decoding sRGB. EXR is always linear.
+
+    Returns:
+        (H, W, C) float32, C = 1 for grey images and 3 otherwise; row 0 is at the top.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: on unknown extensions, unreadable or damaged files, and EXR files without a colour.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in READABLE:
+        raise ValueError(f"{path}: unknown kind of image {suffix!r}; supported: {', '.join(READABLE)}")
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"{path}: file not found")
+    try:
+        pixels = _read_exr(path) if suffix == ".exr" else _read_with_pillow(path)
+    except (OSError, RuntimeError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(f"{path}: cannot be read as {suffix[1:].upper()}: {error}") from error
+    image = torch.from_numpy(np.ascontiguousarray(pixels, dtype=np.float32))
+    return image if raw or suffix == ".exr" else srgb_to_linear(image)
+
+
+def write_image(path: str | os.PathLike, image: Tensor) -> None:
+    """Writes an image, completely or not at all.
+
+    Args:
+        path: .exr (float32, linear) or .png (8 bits, sRGB, values cut to [0, 1]).
+        image: (3, H, W) linear RGB of any floating dtype and device.
+
+    Raises:
+        ValueError: on unknown extensions, other shapes, and values that are NaN or infinite.
+        FileNotFoundError: if the folder does not exist.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in WRITABLE:
+        raise ValueError(f"{path}: unknown kind of image {suffix!r}; supported: {', '.join(WRITABLE)}")
+    if image.ndim != 3 or image.shape[0] != 3 or image.numel() == 0:
+        raise ValueError(f"{path}: an image must have shape (3, H, W), got {tuple(image.shape)}")
+    bad = int((~torch.isfinite(image)).any(dim=0).sum())
+    if bad:
+        raise ValueError(f"{path}: not written, {bad} of {image[0].numel()} pixels are NaN or infinite")
+    pixels = image.detach().to("cpu", torch.float32).permute(1, 2, 0).contiguous()
+    with replacing(path) as temporary:
+        if suffix == ".exr":
+            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+            OpenEXR.File(header, {"RGB": pixels.numpy()}).write(str(temporary))
+        else:
+            bytes8 = (linear_to_srgb(pixels.clamp(0.0, 1.0)) * 255.0).round().to(torch.uint8)
+            Image.fromarray(bytes8.numpy()).save(temporary)
+
+
+def srgb_to_linear(values: Tensor) -> Tensor:
+    """Decodes sRGB. Reference: IEC 61966-2-1."""
+    return torch.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055).clamp_min(0.0) ** 2.4)
+
+
+def linear_to_srgb(values: Tensor) -> Tensor:
+    """Encodes sRGB. Reference: IEC 61966-2-1."""
+    return torch.where(values <= 0.0031308, values * 12.92, 1.055 * values.clamp_min(0.0) ** (1 / 2.4) - 0.055)
+
+
+def _read_with_pillow(path: str | os.PathLike) -> np.ndarray:
+    """(H, W, C) values in [0, 1]."""
+    high = _decode(path)
+    if high.dtype == np.uint16:
+        return high[:, :, None] / np.float32(65535)
+    low = _decode(path, low_bytes=True)
+    if low is not None:
+        return (high * np.float32(256) + low) / np.float32(65535)
+    return high / np.float32(255)
+
+
+def _decode(path: str | os.PathLike, low_bytes: bool = False) -> np.ndarray | None:
+    """(H, W) 16-bit grey, or (H, W, 1 or 3) bytes: of 16-bit colour the high ones, or the low ones if asked.
+
+    Pillow keeps 8 bits of 16-bit colour, the first of each pair of bytes. Told that the pairs are little-endian, it
+    keeps the second. Returns None if low bytes are asked of an image that has none.
+    """
+    with Image.open(path, formats=("PNG", "JPEG")) as file:
+        wide = bool(file.tile) and file.tile[0].args in ("RGB;16B", "RGBA;16B")
+        if low_bytes and not wide:
+            return None
+        if low_bytes:
+            file.tile = [tile._replace(args=tile.args.replace("16B", "16L")) for tile in file.tile]
+        if file.mode.startswith("I"):
+            return np.asarray(file).astype(np.uint16)
+        grey = file.mode in ("1", "L", "LA")
+        pixels = np.asarray(file.convert("L" if grey else "RGB"))
+    return pixels[:, :, None] if grey else pixels
+
+
+def _read_exr(path: str | os.PathLike) -> np.ndarray:
+    """(H, W, C) linear values of the layer that holds the colour."""
+    parts = OpenEXR.File(str(path), separate_channels=True).parts
+    found: dict[str, np.ndarray] = {}  # layer -> its colour, of the first part that has it
+    for channels in (part.channels for part in parts):
+        for layer in sorted({name.rpartition(".")[0] for name in channels}):
+            colour = _layer_colour(channels, f"{layer}." if layer else "")
+            if colour is not None:
+                found.setdefault(layer, colour)
+    if not found:
+        names = ", ".join(name for part in parts for name in part.channels)
+        raise ValueError(f"{path}: no colour among its channels {names}; supported: R, G, B or Y, alone or in a layer")
+    chosen = [layer for layer in found if layer.rpartition(".")[2].lower() in BEAUTY_LAYERS] or list(found)
+    if len(chosen) > 1 and "" not in chosen:
+        raise ValueError(f"{path}: several layers have colours, {', '.join(chosen)}; keep one or call it beauty")
+    return found["" if "" in chosen else chosen[0]]
+
+
+def _layer_colour(channels: dict[str, OpenEXR.Channel], prefix: str) -> np.ndarray | None:
+    """(H, W, 3) from R, G, B, or (H, W, 1) from Y, of the layer with this prefix; None if it has none."""
+    if f"{prefix}RY" in channels:  # luminance and chroma at reduced resolution
+        return None
+    for letters in ("RGB", "rgb", "Y"):
+        names = [f"{prefix}{letter}" for letter in letters]
+        if all(name in channels for name in names):
+            return np.stack([channels[name].pixels for name in names], axis=2)
+    return None

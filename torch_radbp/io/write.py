@@ -1,0 +1,206 @@
+"""Writes a scene back out as Mitsuba 3 XML, with the parameters' current values."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from torch_radbp.io.atomic import check_target
+from torch_radbp.io.attribute_values import is_list, options
+from torch_radbp.io.image import write_image
+from torch_radbp.io.mesh import MeshArrays, write_ply
+from torch_radbp.plugin import REGISTRY, Filename, Matrix4, Plugin, Point3, SceneError, attributes
+from torch_radbp.scene.scene import Scene
+
+VERSION = "3.0.0"
+ORDER = ("texture", "bsdf", "sensor", "emitter", "shape")  # so that what is referred to comes first
+MESH_PARAMETERS = ("vertex_positions", "vertex_normals", "vertex_texcoords")
+
+
+def save(scene: Scene, path: str | os.PathLike) -> None:
+    """Writes a scene as XML that this package and Mitsuba 3 load to the same image.
+
+    Bitmaps are written beside it as EXR, and meshes as PLY in world space, both named after the scene and the object
+    and both float32 (PLY: of the parameter's dtype). The saved scene needs no file of the original one. Nothing is left
+    half-written: files appear when all of them are complete, the XML last.
+
+    Args:
+        scene: as it is now; parameters that are outputs of other modules are evaluated.
+        path: the .xml file; its folder must exist.
+
+    Raises:
+        SceneError: if something has no counterpart in Mitsuba (a network in the place of a texture), or is not finite.
+        ValueError: if `path` does not end in .xml.
+        FileNotFoundError: if the folder does not exist.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".xml":
+        raise ValueError(f"{path}: a scene is written as .xml, got {path.suffix!r}")
+    check_target(path)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+        writer = _Writer(scene, path.stem, Path(folder))
+        with torch.no_grad():
+            root = writer.scene_element()
+        ElementTree.indent(root, "    ")
+        xml = Path(folder) / path.name
+        xml.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+        for file in [*writer.files, xml]:
+            os.replace(file, path.parent / file.name)
+
+
+class _Writer:
+    def __init__(self, scene: Scene, stem: str, folder: Path):
+        self.scene, self.stem, self.folder = scene, stem, folder
+        self.ids = {id(child): name for name, child in scene.named_children()}
+        self.files: list[Path] = []
+
+    def scene_element(self) -> ElementTree.Element:
+        """The whole scene."""
+        root = ElementTree.Element("scene", version=VERSION)
+        root.append(self.plugin_element(self.scene.integrator, "integrator"))
+        children = [(name, child) for name, child in self.scene.named_children() if self.check(name, child)]
+        for name, child in sorted(children, key=lambda item: ORDER.index(item[1].category)):
+            element = self.plugin_element(child, name)
+            element.set("id", _text(name))
+            root.append(element)
+        return root
+
+    def check(self, name: str, module: nn.Module) -> bool:
+        """True for a plugin, for which there is an element."""
+        if not isinstance(module, Plugin):
+            raise SceneError(f"{name}: a {type(module).__name__} cannot be written as XML, only Mitsuba's plugins can; "
+                             "save it with torch.save or safetensors, or put a bitmap in its place")
+        return True
+
+    def plugin_element(self, plugin: Plugin, name: str) -> ElementTree.Element:
+        """One plugin, called `name` in the scene, with the attributes that differ from their defaults."""
+        if hasattr(plugin, "vertex_positions") and not _is_as_constructed(plugin):
+            return self.mesh_element(plugin, name)
+        element = ElementTree.Element(plugin.category, type=plugin.type)
+        for attribute in attributes(type(plugin)):
+            if attribute == "data" and hasattr(plugin, "data"):
+                continue
+            self.add(element, plugin, attribute, name)
+        if hasattr(plugin, "data"):
+            file = self.file(name, ".exr")
+            write_image(file, plugin.data.movedim(-1, 0))
+            ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
+        return element
+
+    def mesh_element(self, plugin: Plugin, name: str) -> ElementTree.Element:
+        """A mesh as a PLY file. Without vertex normals it says so, or Mitsuba would make smooth ones."""
+        arrays = [getattr(plugin, parameter, None) for parameter in MESH_PARAMETERS]
+        for parameter, values in zip(MESH_PARAMETERS, arrays, strict=True):
+            if values is not None and not torch.isfinite(values).all():
+                raise SceneError(f"{name}.{parameter}: not written, it has values that are NaN or infinite")
+        positions, normals, uv = (None if values is None else values.detach().cpu().numpy() for values in arrays)
+        file = self.file(name, ".ply")
+        write_ply(file, MeshArrays(positions, plugin.faces.cpu().numpy(), normals, uv))
+        element = ElementTree.Element("shape", type="ply")
+        ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
+        if normals is None:
+            ElementTree.SubElement(element, "boolean", name="face_normals", value="true")
+        for attribute in ("flip_normals", "bsdf", "emitter"):
+            self.add(element, plugin, attribute, name)
+        return element
+
+    def add(self, element: ElementTree.Element, plugin: Plugin, attribute: str, name: str) -> None:
+        """Appends one attribute of `plugin`, called `name`, unless it has its default value."""
+        annotation, default, _ = attributes(type(plugin))[attribute]
+        value = getattr(plugin, attribute)
+        if is_list(annotation):
+            for number, item in enumerate(value):
+                element.append(self.nested(item, attribute, f"{name}.{attribute}_{number}"))
+        elif isinstance(value, nn.Module):
+            element.append(self.nested(value, attribute, f"{name}.{attribute}"))
+        elif value is not None and Filename not in options(annotation) and not _is_default(value, annotation, default):
+            element.append(_value_element(attribute, value, annotation, f"{name}.{attribute}"))
+
+    def nested(self, plugin: nn.Module, attribute: str, name: str) -> ElementTree.Element:
+        """A plugin inside another one: a reference, a plain colour or an element of its own."""
+        if id(plugin) in self.ids:
+            element = ElementTree.Element("ref", id=_text(self.ids[id(plugin)]))
+        elif self.check(name, plugin) and (plugin.category, plugin.type) == ("texture", "rgb"):
+            return _colour_element(attribute, plugin.value, name)
+        else:
+            element = self.plugin_element(plugin, name)
+        if isinstance(plugin, Plugin) and plugin.category == "texture":
+            element.set("name", attribute)
+        return element
+
+    def file(self, name: str, suffix: str) -> Path:
+        """A path for one more file of the scene."""
+        taken = {file.name for file in self.files}
+        stem = f"{self.stem}_{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}"
+        while f"{stem}{suffix}" in taken:
+            stem += "_"
+        self.files.append(self.folder / f"{stem}{suffix}")
+        return self.files[-1]
+
+
+def _is_as_constructed(plugin: Plugin) -> bool:
+    """Whether a mesh is what its constructor makes of its plain attributes: an unchanged cube, never a file's mesh."""
+    schema = attributes(type(plugin))
+    if any(attribute.required for attribute in schema.values()):
+        return False
+    plain = {name: getattr(plugin, name) for name in schema if not isinstance(getattr(plugin, name), nn.Module)}
+    fresh = REGISTRY[plugin.category][plugin.type](**plain)
+    return all(_equal(getattr(plugin, name, None), getattr(fresh, name, None)) for name in (*MESH_PARAMETERS, "faces"))
+
+
+def _is_default(value: Any, annotation: Any, default: Any) -> bool:
+    if default is None and Matrix4 in options(annotation):
+        default = torch.eye(4)
+    return _equal(value, default)
+
+
+def _equal(value: Any, other: Any) -> bool:
+    if isinstance(value, Tensor) and isinstance(other, Tensor | int | float):
+        other = torch.as_tensor(other).to(value)
+        return value.shape == other.shape and bool((value == other).all())
+    return not isinstance(value, Tensor) and not isinstance(other, Tensor) and value == other
+
+
+def _value_element(name: str, value: Any, annotation: Any, place: str) -> ElementTree.Element:
+    """A plain value as the element of its type."""
+    kinds = options(annotation)
+    if Matrix4 in kinds:
+        element = ElementTree.Element("transform", name=name)
+        ElementTree.SubElement(element, "matrix", value=_numbers(value, place, " "))
+        return element
+    if Point3 in kinds:
+        return ElementTree.Element("point", name=name, value=_numbers(value, place))
+    if bool in kinds:
+        return ElementTree.Element("boolean", name=name, value="true" if value else "false")
+    if int in kinds:
+        return ElementTree.Element("integer", name=name, value=str(int(value)))
+    if float in kinds:
+        return ElementTree.Element("float", name=name, value=_numbers(value, place))
+    if str in kinds:
+        return ElementTree.Element("string", name=name, value=_text(value))
+    raise SceneError(f"{place}: a {type(value).__name__} cannot be written as XML")
+
+
+def _colour_element(name: str, value: Tensor, place: str) -> ElementTree.Element:
+    return ElementTree.Element("float" if value.ndim == 0 else "rgb", name=name, value=_numbers(value, place))
+
+
+def _numbers(values: Any, place: str, separator: str = ", ") -> str:
+    """Numbers with as many digits as it takes to read back the same value of their dtype."""
+    array = np.ravel(values.detach().cpu().numpy() if isinstance(values, Tensor) else np.float64(values))
+    if not np.isfinite(array).all():
+        raise SceneError(f"{place}: not written, it is NaN or infinite: {array.tolist()}")
+    return separator.join(str(number) for number in array)
+
+
+def _text(text: str) -> str:
+    """Text that is not to be read as a variable."""
+    return str(text).replace("$", "\\$")

@@ -1,0 +1,94 @@
+"""Reads an XML file into a tree of elements that know their line, and nothing else of XML.
+
+A scene file may come from anywhere, so that document type declarations, and with them entities of every kind, are
+refused before they are read, and nesting is limited.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+from xml.parsers import expat
+
+from torch_radbp.plugin import SceneError
+
+MAX_DEPTH = 100
+
+
+class Element(NamedTuple):
+    """One element of an XML file."""
+
+    tag: str
+    attributes: dict[str, str]
+    children: list[Element]
+    file: str
+    line: int
+
+    def __str__(self) -> str:
+        """Where it is and how it begins, as error messages print it."""
+        named = "".join(f' {key}="{self.attributes[key]}"' for key in ("type", "id", "name") if key in self.attributes)
+        return f"{self.file}, line {self.line}: <{self.tag}{named}>"
+
+    def fail(self, message: str) -> SceneError:
+        """An error about this element, for the caller to raise."""
+        return SceneError(f"{self}: {message}")
+
+
+def read_xml(path: str | os.PathLike) -> Element:
+    """The root element of a file.
+
+    Raises:
+        SceneError: if the file cannot be read, is not well-formed XML, declares a document type or entities, nests
+            deeper than `MAX_DEPTH`, or has text between its elements.
+    """
+    file = os.fspath(path)
+    if not Path(path).is_file():
+        raise SceneError(f"{file}: {'is a folder, not a file' if Path(path).is_dir() else 'file not found'}")
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise SceneError(f"{file}: cannot be read: {error.strerror}") from error
+    return parse_xml(content, file)
+
+
+def parse_xml(content: bytes, file: str) -> Element:
+    """The root element of an XML document in memory; `file` is the name for messages. Raises as `read_xml`."""
+    parser = expat.ParserCreate()
+    document = Element("", {}, [], file, 0)
+    open_elements = [document]
+
+    def fail(message: str) -> SceneError:
+        return SceneError(f"{file}, line {parser.CurrentLineNumber}: {message}")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if len(open_elements) > MAX_DEPTH:
+            raise fail(f"elements are nested more than {MAX_DEPTH} deep")
+        element = Element(tag, attributes, [], file, parser.CurrentLineNumber)
+        open_elements[-1].children.append(element)
+        open_elements.append(element)
+
+    def text(data: str) -> None:
+        if data.strip():
+            raise fail(f"unexpected text {data.strip()[:40]!r}; values are written as attributes, value=\"...\"")
+
+    def refuse_doctype(*_) -> None:
+        raise fail("a document type declaration (<!DOCTYPE ...>) or entity is not allowed in a scene; "
+                   "use <default name= value=> and $name for values and <include filename=> for files")
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: open_elements.pop()
+    parser.CharacterDataHandler = text
+    parser.StartDoctypeDeclHandler = refuse_doctype
+    parser.EntityDeclHandler = refuse_doctype
+    parser.ExternalEntityRefHandler = refuse_doctype
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        reason = expat.ErrorString(error.code)
+        raise SceneError(f"{file}, line {error.lineno}: not well-formed XML: {reason}") from error
+    except (LookupError, ValueError) as error:
+        if isinstance(error, SceneError):
+            raise
+        raise SceneError(f"{file}: its XML encoding is not supported ({error}); save it as UTF-8") from error
+    return document.children[0]

@@ -1,0 +1,265 @@
+"""Mitsuba 3 scene XML as the dict vocabulary, with the place of every value kept beside it.
+
+    <scene version="3.0.0">                      {"type": "scene",
+        <default name="spp" value="16"/>
+        <bsdf type="diffuse" id="white">          "white": {"type": "diffuse", "id": "white",
+            <rgb name="reflectance"                         "reflectance": {"type": "rgb",
+                 value="0.8, 0.7, 0.6"/>                                    "value": [0.8, 0.7, 0.6]}},
+        </bsdf>
+        <shape type="sphere">                     "sphere": {"type": "sphere",
+            <ref id="white"/>                                "ref": {"type": "ref", "id": "white"}}}
+        </shape>
+    </scene>
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from torch_radbp.io.xml import Element, read_xml
+from torch_radbp.io.xml_values import PROPERTIES, check_attributes, property_value
+from torch_radbp.plugin import REGISTRY, nearest
+
+DIRECTIVES = ("default", "include", "path", "alias")
+UNSUPPORTED_OBJECTS = ("medium", "phase", "volume", "field")
+VERSION = re.compile(r"(\d+)(\.\d+){0,2}")
+
+
+class XMLObject(dict):
+    """An object of a scene as a dict, with the element it came from and those of its attributes."""
+
+    def __init__(self, element: Element, folders: list[Path]):
+        super().__init__()
+        self.element = element
+        self.folders = folders  # where relative file names are looked for, first match wins
+        self.places: dict[str, Element] = {}  # attribute name -> its own element
+
+    @property
+    def category(self) -> str:
+        """Category of plugins that the element's tag stands for."""
+        return "texture" if self.element.tag == "spectrum" else self.element.tag
+
+
+def read_scene(path: str | os.PathLike, variables: dict[str, Any]) -> XMLObject:
+    """Reads a scene file, with all that it includes.
+
+    Args:
+        path: the file.
+        variables: values for `$name` in attributes; they win over <default>.
+
+    Raises:
+        SceneError: on anything that is not Mitsuba 3 scene XML, and on variables that no attribute uses.
+    """
+    reader = _Reader({name: _as_text(value) for name, value in variables.items()})
+    root = reader.open(Path(path))
+    if root.tag != "scene":
+        raise root.fail("the root of a scene file must be <scene version=\"3.0.0\">")
+    scene = reader.scene(root)
+    for name in variables:
+        if name not in reader.used:
+            raise root.fail(f"the value given for {name!r} is not used: no attribute of the scene contains ${name}; "
+                            f"{nearest(name, reader.used)}")
+    return scene
+
+
+def _as_text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+class _Reader:
+    """The state of reading one scene: variables, ids and files seen so far."""
+
+    def __init__(self, variables: dict[str, str]):
+        self.variables = variables
+        self.used: set[str] = set()
+        self.open_files: list[Path] = []  # the file being read and those that include it
+        self.folders: list[Path] = []
+        self.ids: dict[str, Element] = {}
+        self.aliases: dict[str, str] = {}
+        self.references: list[XMLObject] = []
+
+    def open(self, path: Path) -> Element:
+        """The root of a scene file, its version checked; relative names are looked for beside it from here on."""
+        root = self.substitute(read_xml(path))
+        _check_version(root)
+        self.open_files.append(path.resolve())
+        self.folders = [path.parent, *self.folders]
+        return root
+
+    def scene(self, root: Element) -> XMLObject:
+        """The whole scene; children without an id are called by their type: rectangle, rectangle_1, ..."""
+        check_attributes(root, ("version",), ("type", "id", "name"))
+        scene = XMLObject(root, self.folders)
+        scene["type"] = "scene"
+        children = []
+        for element in self.expand(root.children):
+            if element.tag in PROPERTIES and "type" not in element.attributes:
+                raise element.fail(f"<scene> takes no values; supported inside it: {_supported()}")
+            children.append(self.child(element))
+        taken = {child["id"] for child in children if "id" in child and child["type"] != "ref"}
+        for child in children:
+            name = child.get("id") if child["type"] != "ref" else None
+            scene[name or _free_name(child["type"], taken)] = child
+        for reference in self.references:
+            reference["id"] = self.aliases.get(reference["id"], reference["id"])
+        return scene
+
+    def child(self, element: Element) -> XMLObject:
+        """A plugin or a reference to one."""
+        if element.tag == "ref":
+            check_attributes(element, ("id",), ("name",))
+            reference = XMLObject(element, self.folders)
+            reference.update(type="ref", id=element.attributes["id"])
+            self.references.append(reference)
+            return reference
+        return self.plugin(element)
+
+    def plugin(self, element: Element) -> XMLObject:
+        """One object with its attributes and nested objects."""
+        if element.tag in UNSUPPORTED_OBJECTS or element.tag not in (*REGISTRY, "spectrum"):
+            raise element.fail(f"this element is not supported; supported here: {_supported()}, "
+                               f"{', '.join(PROPERTIES)}")
+        check_attributes(element, ("type",), ("id", "name", "version"))
+        node = XMLObject(element, self.folders)
+        node["type"] = element.attributes["type"]
+        if element.attributes.get("id"):
+            node["id"] = self.register(element)
+        taken = {child.attributes["name"] for child in element.children if "name" in child.attributes}
+        for child in self.expand(element.children):
+            is_value = child.tag in PROPERTIES and not (child.tag == "spectrum" and "type" in child.attributes)
+            value = property_value(child) if is_value else self.child(child)
+            name = child.attributes.get("name") or _free_name(child.tag, taken)
+            if name in node.places or name in ("type", "id"):
+                first = f"first in line {node.places[name].line}" if name in node.places else "it is reserved"
+                raise child.fail(f"the name {name!r} is given twice in <{element.tag}> ({first})")
+            node[name], node.places[name] = value, child
+        return node
+
+    def register(self, element: Element) -> str:
+        """The id of an element, checked to be new."""
+        name = element.attributes["id"]
+        if name in self.ids or name in self.aliases:
+            first = self.ids[self.aliases.get(name, name)]
+            raise element.fail(f"the id {name!r} is already taken by {first}; every id must be unique")
+        self.ids[name] = element
+        return name
+
+    def expand(self, children: list[Element]) -> Iterator[Element]:
+        """The elements in order, variables replaced, directives obeyed, included files in the place of <include>."""
+        for child in children:
+            element = self.substitute(child)
+            if element.tag == "include":
+                yield from self.include(element)
+            elif element.tag in DIRECTIVES:
+                getattr(self, element.tag)(element)
+            else:
+                yield element
+
+    def include(self, element: Element) -> Iterator[Element]:
+        """What a file contains: the children of its <scene>, or its only object."""
+        check_attributes(element, ("filename",), ("name",))
+        filename = element.attributes["filename"]
+        path = find_file(filename, self.folders)
+        if path is None:
+            raise element.fail(f"file {filename!r} not found; looked in {_listed(self.folders)}")
+        if path.resolve() in self.open_files:
+            raise element.fail(f"{filename!r} includes itself")
+        outer = self.folders
+        root = self.open(path)
+        if root.tag == "scene":
+            yield from self.expand(root.children)
+        else:
+            name = element.attributes.get("name")
+            yield root._replace(attributes={**root.attributes, **({"name": name} if name else {})})
+        self.open_files.pop()
+        self.folders = outer
+
+    def default(self, element: Element) -> None:
+        """A value for a variable that has none yet."""
+        check_attributes(element, ("name", "value"))
+        self.variables.setdefault(element.attributes["name"], element.attributes["value"])
+
+    def path(self, element: Element) -> None:
+        """One more folder in which files are looked for."""
+        check_attributes(element, ("value",))
+        folder = find_file(element.attributes["value"], self.folders, Path.is_dir)
+        if folder is None:
+            raise element.fail(f"folder {element.attributes['value']!r} not found; looked in {_listed(self.folders)}")
+        self.folders = [folder, *self.folders]
+
+    def alias(self, element: Element) -> None:
+        """A second id for an object that came before."""
+        check_attributes(element, ("id", "as"))
+        source, alias = element.attributes["id"], element.attributes["as"]
+        if source not in self.ids and source not in self.aliases:
+            raise element.fail(f"no object with the id {source!r} comes before; {nearest(source, self.ids)}")
+        if alias in self.ids or alias in self.aliases:
+            raise element.fail(f"the id {alias!r} is already taken; every id must be unique")
+        self.aliases[alias] = self.aliases.get(source, source)
+
+    def substitute(self, element: Element) -> Element:
+        """The element with `$name` replaced in its attributes, and in the operations of a transform."""
+        attributes = {key: self.replace(value, element) for key, value in element.attributes.items()}
+        if element.tag == "transform":
+            element = element._replace(children=[self.substitute(child) for child in element.children])
+        return element._replace(attributes=attributes)
+
+    def replace(self, text: str, element: Element) -> str:
+        """`text` with variables replaced, the longest name that fits first; a backslash before $ keeps it."""
+        result, *pieces = text.split("$")
+        for piece in pieces:
+            if result.endswith("\\"):
+                result = f"{result[:-1]}${piece}"
+                continue
+            name = max((name for name in self.variables if piece.startswith(name)), key=len, default="")
+            if not name:
+                wanted = re.match(r"\w*", piece)[0]
+                raise element.fail(f"${wanted} has no value; give one, load(path, {wanted or 'name'}=...), or declare "
+                                   f"<default name=\"{wanted}\" value=\"...\"/> before it; "
+                                   f"{nearest(wanted, self.variables)}")
+            self.used.add(name)
+            result += self.variables[name] + piece[len(name):]
+        return result
+
+
+def find_file(name: str, folders: list[Path], exists: Callable[[Path], bool] = Path.is_file) -> Path | None:
+    """The first of `folders` that has `name`, or None; an absolute name stands for itself."""
+    return next((folder / name for folder in folders if exists(folder / name)), None)
+
+
+def _check_version(root: Element) -> None:
+    version = root.attributes.get("version")
+    if version is None:
+        raise root.fail("the attribute 'version' is missing; scenes of Mitsuba 3 begin with <scene version=\"3.0.0\">")
+    match = VERSION.fullmatch(version)
+    if not match:
+        raise root.fail(f"version must read like \"3.0.0\", got {version!r}")
+    if int(match[1]) < 2:
+        raise root.fail(f"version {version} is a scene of Mitsuba 0.x, whose names differ; rename its attributes from "
+                        "camelCase to snake_case (toWorld -> to_world, maxDepth -> max_depth), write <bsdf>, <emitter> "
+                        "and <sensor> as in Mitsuba 3, and set version=\"3.0.0\"")
+    if int(match[1]) > 3:
+        raise root.fail(f"version {version} is newer than what is supported, which is 2.0.0 to 3.x")
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """`name`, or name_1, name_2, ...; the result is added to `taken`."""
+    number, free = 0, name
+    while free in taken:
+        number += 1
+        free = f"{name}_{number}"
+    taken.add(free)
+    return free
+
+
+def _listed(folders: list[Path]) -> str:
+    return ", ".join(str(folder.resolve()) for folder in folders)
+
+
+def _supported() -> str:
+    return ", ".join([*REGISTRY, "ref", *DIRECTIVES])
+

@@ -1,0 +1,157 @@
+"""Values written in scene XML: numbers, vectors, colours and transforms, in all of Mitsuba's spellings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from torch_radbp.io import transform
+from torch_radbp.io.xml import Element
+from torch_radbp.plugin import SceneError, nearest
+
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+INTEGER = re.compile(r"[+-]?\d+")
+
+
+def check_attributes(element: Element, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:
+    """Raises SceneError unless the element has all `required` attributes and no others than those and `optional`."""
+    required = list(required)
+    known = [*required, *optional]
+    for name in element.attributes:
+        if name not in known:
+            raise element.fail(f"unknown attribute {name!r}; {nearest(name, known)}")
+    for name in required:
+        if name not in element.attributes:
+            raise element.fail(f"the attribute {name!r} is missing; expected {', '.join(known)}")
+
+
+def numbers(element: Element, attribute: str, counts: tuple[int, ...]) -> list[float]:
+    """The numbers in an attribute, separated by commas or blanks.
+
+    Raises:
+        SceneError: if one cannot be read, or there are not as many as one of `counts`.
+    """
+    text = element.attributes[attribute]
+    tokens = text.replace(",", " ").split()
+    for token in tokens:
+        if not NUMBER.fullmatch(token):
+            raise element.fail(f"{attribute} must be made of finite numbers, got {token!r} in {text!r}")
+    if len(tokens) not in counts:
+        wanted = " or ".join(map(str, counts))
+        raise element.fail(f"{attribute} must have {wanted} numbers, got {len(tokens)} in {text!r}")
+    return [float(token) for token in tokens]
+
+
+def vector(element: Element, default: float | None = None, extra: tuple[str, ...] = ()) -> list[float]:
+    """Three numbers from value="1, 2, 3", value="1" or x= y= z=; `default` stands for a component not given."""
+    check_attributes(element, extra, ("value", "x", "y", "z"))
+    axes = [axis for axis in "xyz" if axis in element.attributes]
+    if "value" in element.attributes:
+        if axes:
+            raise element.fail("give either value or x, y, z, not both")
+        values = numbers(element, "value", (1, 3))
+        return values * 3 if len(values) == 1 else values
+    if default is None and len(axes) < 3:
+        raise element.fail("needs value=\"x, y, z\" or all of x, y and z")
+    return [numbers(element, axis, (1,))[0] if axis in axes else default for axis in "xyz"]
+
+
+def _integer(element: Element) -> int:
+    text = element.attributes["value"].strip()
+    if not INTEGER.fullmatch(text):
+        raise element.fail(f"value must be an integer, got {text!r}")
+    return int(text)
+
+
+def _boolean(element: Element) -> bool:
+    text = element.attributes["value"].strip().lower()
+    if text not in ("true", "false"):
+        raise element.fail(f"value must be true or false, got {text!r}")
+    return text == "true"
+
+
+def _rgb(element: Element) -> dict[str, Any]:
+    if element.attributes["value"].strip().startswith("#"):
+        raise element.fail("hexadecimal colours are not part of Mitsuba 3; write three linear RGB numbers, "
+                           "value=\"0.8, 0.2, 0.1\"")
+    values = numbers(element, "value", (1, 3))
+    return {"type": "rgb", "value": values * 3 if len(values) == 1 else values}
+
+
+def _spectrum(element: Element) -> dict[str, Any]:
+    if ":" in element.attributes["value"]:
+        raise element.fail("wavelength:value lists are not supported, rendering is in linear RGB; "
+                           "write <rgb value=\"r, g, b\"/> or a single number")
+    values = numbers(element, "value", (1, 3))
+    return {"type": "spectrum", "value": values[0]} if len(values) == 1 else {"type": "rgb", "value": values}
+
+
+SCALARS: dict[str, Callable[[Element], Any]] = {
+    "integer": _integer,
+    "float": lambda element: numbers(element, "value", (1,))[0],
+    "boolean": _boolean,
+    "string": lambda element: element.attributes["value"],
+    "rgb": _rgb,
+    "spectrum": _spectrum,
+}
+PROPERTIES = (*SCALARS, "point", "vector", "transform")
+
+
+def property_value(element: Element) -> Any:
+    """The value of a property element: int, float, bool, str, [x, y, z], {"type": "rgb", ...}, or a 4 x 4 array."""
+    if element.tag == "transform":
+        check_attributes(element, ("name",))
+        return transform_value(element)
+    if element.children:
+        raise element.children[0].fail(f"cannot stand inside <{element.tag}>, which is a plain value")
+    if element.tag in ("point", "vector"):
+        return vector(element, extra=("name",))
+    if element.tag == "spectrum" and "filename" in element.attributes:
+        raise element.fail("spectra from files are not supported; write <rgb value=\"r, g, b\"/> or a single number")
+    check_attributes(element, ("name", "value"))
+    return SCALARS[element.tag](element)
+
+
+def _rotation(element: Element) -> np.ndarray:
+    axis = vector(element, 0.0, extra=("angle",))
+    return transform.rotate(axis, numbers(element, "angle", (1,))[0])
+
+
+def _look_at(element: Element) -> np.ndarray:
+    check_attributes(element, ("origin", "target"), ("up",))
+    points = (numbers(element, name, (3,)) for name in ("origin", "target", "up") if name in element.attributes)
+    return transform.look_at(*points)
+
+
+def _matrix(element: Element) -> np.ndarray:
+    check_attributes(element, ("value",))
+    return transform.affine(numbers(element, "value", (9, 16)))
+
+
+OPERATIONS: dict[str, Callable[[Element], np.ndarray]] = {
+    "translate": lambda element: transform.translate(vector(element, 0.0)),
+    "rotate": _rotation,
+    "scale": lambda element: transform.scale(vector(element, 1.0)),
+    "lookat": _look_at,
+    "matrix": _matrix,
+}
+
+
+def transform_value(element: Element) -> np.ndarray:
+    """The product of the operations inside <transform>; the first one listed is applied to the object first."""
+    matrix = np.eye(4)
+    for operation in element.children:
+        if operation.tag not in OPERATIONS:
+            raise operation.fail(f"not a transform operation; {nearest(operation.tag, OPERATIONS)}")
+        if operation.children:
+            raise operation.children[0].fail(f"cannot stand inside <{operation.tag}>")
+        try:
+            matrix = OPERATIONS[operation.tag](operation) @ matrix
+        except SceneError:
+            raise
+        except ValueError as error:
+            raise operation.fail(str(error)) from error
+    return matrix
