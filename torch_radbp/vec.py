@@ -77,9 +77,14 @@ class Vec3(NamedTuple):
 
     @staticmethod
     def full(like: Tensor, value: float) -> Vec3:
-        """The same constant in every component of every lane."""
+        """The same constant in every component of every lane; the components share one tensor: do not write into it."""
         component = torch.full_like(like, value)
         return Vec3(component, component, component)
+
+    @staticmethod
+    def buffer(like: Tensor) -> Vec3:
+        """Zeros to be written into."""
+        return Vec3(torch.zeros_like(like), torch.zeros_like(like), torch.zeros_like(like))
 
 
 def dot(a: Vec3, b: Vec3) -> Tensor:

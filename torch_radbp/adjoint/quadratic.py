@@ -37,7 +37,7 @@ class QuadraticAdjoint:
 
 def incident_radiance(sweep: Sweep, state: PathState, depth: int) -> Vec3:
     """L of the paths that have reached `depth`, by lane; 0 where none has."""
-    L = [component.clone() for component in Vec3.full(sweep.adj_L.x, 0.0)]
+    L = Vec3.buffer(sweep.adj_L.x)
     weight = Vec3.full(state.beta.x, 1.0)
     for depth in range(depth, sweep.record.bounces):
         if len(state.lane) == 0:
@@ -48,4 +48,4 @@ def incident_radiance(sweep: Sweep, state: PathState, depth: int) -> Vec3:
         alive = vertex.alive.nonzero().squeeze(1)
         weight = (weight * vertex.F).map(lambda component: component[alive])
         state = survivors(vertex)
-    return Vec3(*L)
+    return L

@@ -72,7 +72,7 @@ class Sweep:
                  wanted: tuple[int, ...], gradients: list[Tensor]):
         self.integrand, self.adjoint_of_bounce, self.record = integrand, adjoint_of_bounce, record
         self.adj_L, self.wanted, self.gradients = adj_L, wanted, gradients
-        self.memo = Vec3.full(adj_L.x, 0.0)  # L_{k+1} of each lane; 0 until a deeper bounce has written it
+        self.memo = Vec3.buffer(adj_L.x)  # L_{k+1} of each lane; 0 until a deeper bounce has written it
 
     def advance(self, state: PathState, depth: int) -> PathState:
         """Replays one bounce."""

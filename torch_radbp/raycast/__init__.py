@@ -1,0 +1,35 @@
+"""Ray casting behind one protocol: detached queries (`Ray` -> `Hit`), chosen by name."""
+
+from __future__ import annotations
+
+import importlib
+
+from torch import Tensor
+
+from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
+
+__all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
+
+# Imported when asked for: each has dependencies that the others do not need.
+CASTERS = {"embree": "Embree", "brute": "Brute"}
+
+
+def make_caster(name: str | None, vertices: Tensor, faces: Tensor) -> RayCaster:
+    """Builds the ray caster called `name` over a triangle mesh.
+
+    Args:
+        name: "embree" (CPU) or "brute" (any device and dtype, tiny meshes); None picks by the vertices' device.
+        vertices: (V, 3) float32 or float64, finite.
+        faces: (F, 3) int32, counted from 0.
+
+    Raises:
+        ValueError: unknown name, or a mesh that cannot be used.
+    """
+    if name is None:
+        name = "embree" if vertices.device.type == "cpu" else "warp"
+    if name == "warp":
+        raise ValueError("ray caster 'warp' (CUDA) is not yet available; move the scene to the CPU, or use 'brute'")
+    if name not in CASTERS:
+        raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))} ('warp': not yet available)")
+    module = importlib.import_module(f"torch_radbp.raycast.{name}")
+    return getattr(module, CASTERS[name])(vertices, faces)

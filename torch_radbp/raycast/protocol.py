@@ -1,0 +1,41 @@
+"""What a ray caster is: a detached query that answers with a triangle and a place on it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from torch import Tensor
+
+from torch_radbp.vec import Ray
+
+
+class Hit(NamedTuple):
+    """The closest triangle of each lane; its point is (1-u-v) p0 + u p1 + v p2."""
+
+    prim: Tensor  # int32, index into faces; -1 on a miss
+    u: Tensor  # barycentric weight of the second vertex, the ray's dtype; 0 on a miss
+    v: Tensor  # barycentric weight of the third vertex
+
+
+class RayCaster(Protocol):
+    """Detached queries against one triangle mesh: no result carries a derivative.
+
+    A lane whose ray is not finite, or whose direction is zero, is no query: it misses, and disturbs no other lane.
+    """
+
+    vertices: Tensor  # (V, 3), in the dtype that they were given in
+    faces: Tensor  # (F, 3) int32
+    rays_cast: int  # lanes handed to `intersect` and `occluded` so far
+
+    def intersect(self, ray: Ray) -> Hit:
+        """The closest hit of each lane at t > 0, from either side of a triangle."""
+
+    def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
+        """Whether any triangle lies at 0 < t < tmax; bool per lane.
+
+        Args:
+            tmax: per lane, in units of the length of d. A value <= 0 (or NaN) is no query and gives False.
+        """
+
+    def update(self, vertices: Tensor) -> None:
+        """Moves the vertices, (V, 3) with V as before; faces stay."""
