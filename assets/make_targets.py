@@ -1,0 +1,49 @@
+"""Renders the target images of the asset scenes with Mitsuba, which this project did not write.
+
+    python assets/make_targets.py            # needs mitsuba==3.9.1; LLVM for speed, else minutes in scalar_rgb
+
+Each target is the scene file as it stands, true reflectances included, averaged over independent passes.
+"""
+
+import argparse
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+ASSETS = Path(__file__).parent
+# file -> (scene, resolution, samples per pixel); the noise is far below the 0.01 that a recovery may be off.
+TARGETS = {
+    "cornell_box/target.exr": ("cornell_box/scene.xml", 256, 2048),
+    "cornell_box/target_128.exr": ("cornell_box/scene.xml", 128, 4096),
+    "textured_room/target.exr": ("textured_room/scene.xml", 128, 4096),
+}
+PASS_SPP = 128
+
+
+def render(scene_file: str, resolution: int, spp: int) -> np.ndarray:
+    """Mean of ``spp / PASS_SPP`` renders with different seeds, linear RGB of shape (H, W, 3)."""
+    scene = mi.load_file(str(ASSETS / scene_file), resolution=resolution)
+    passes = spp // PASS_SPP
+    total = np.zeros((resolution, resolution, 3))
+    for seed in range(passes):
+        total += np.asarray(mi.render(scene, spp=PASS_SPP, seed=seed))
+    return (total / passes).astype(np.float32)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba variant (llvm_ad_rgb, scalar_rgb)")
+    parser.add_argument("--only", choices=sorted(TARGETS), help="make this file only")
+    options = parser.parse_args()
+    mi.set_variant(options.variant)
+    for name, (scene_file, resolution, spp) in TARGETS.items():
+        if options.only in (None, name):
+            image = mi.Bitmap(render(scene_file, resolution, spp))
+            # Half floats: the rounding of at most 0.05% is below the noise, the file half as large.
+            image.convert(component_format=mi.Struct.Type.Float16).write(str(ASSETS / name))
+            print(f"{name}: {resolution} x {resolution}, {spp} spp", flush=True)
+
+
+if __name__ == "__main__":
+    main()
