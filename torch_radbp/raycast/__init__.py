@@ -30,6 +30,7 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor) -> RayCaster:
     if name == "warp":
         raise ValueError("ray caster 'warp' (CUDA) is not yet available; move the scene to the CPU, or use 'brute'")
     if name not in CASTERS:
-        raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))} ('warp': not yet available)")
+        known = ", ".join(map(repr, CASTERS))
+        raise ValueError(f"unknown ray caster {name!r}; known are {known}, and 'warp', which is not yet available")
     module = importlib.import_module(f"torch_radbp.raycast.{name}")
     return getattr(module, CASTERS[name])(vertices, faces)

@@ -1,4 +1,4 @@
-"""The border of ray casting: what a caster accepts as mesh and as ray."""
+"""The border of ray casting: what a caster accepts as a mesh and as rays."""
 
 from __future__ import annotations
 
@@ -10,54 +10,64 @@ from torch_radbp.raycast.protocol import Ray
 DTYPES = (torch.float32, torch.float64)
 
 
-def checked_vertices(vertices: Tensor, count: int | None = None) -> Tensor:
-    """A detached, contiguous copy of the vertices, in their own dtype.
+def checked_vertices(vertices: Tensor, device: torch.device | None = None, count: int | None = None) -> Tensor:
+    """A detached, contiguous copy of the vertices in their own dtype.
+
+    Args:
+        vertices: (V, 3).
+        device: where they must be; None allows any.
+        count: how many there must be; None allows any number but 0.
 
     Raises:
-        ValueError: not (V, 3) float32 or float64, none at all, not finite in float32, or not `count` of them.
+        ValueError: not (V, 3) float32 or float64, none at all, not finite in float32, or not as demanded.
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise ValueError(f"vertices must have shape (V, 3), got {tuple(vertices.shape)}")
     if vertices.dtype not in DTYPES:
         raise ValueError(f"vertices must be float32 or float64, got {vertices.dtype}")
-    if len(vertices) == 0:
-        raise ValueError("a ray caster needs a mesh with at least one triangle, got no vertices")
+    if device is not None and vertices.device != device:
+        raise ValueError(f"this ray caster works on {device}, got vertices on {vertices.device}; use another one")
     if count is not None and len(vertices) != count:
         raise ValueError(f"update moves the {count} vertices there are, got {len(vertices)}; make a new ray caster")
+    if len(vertices) == 0:
+        raise ValueError("a ray caster needs a mesh with at least one triangle, got no vertices")
     broken = ~torch.isfinite(vertices.detach().float()).all(dim=1)
     if broken.any():
+        first = int(broken.nonzero()[0])
         raise ValueError(
-            f"vertices must be finite in float32, got {int(broken.sum())} that are not; "
-            f"the first is vertex {int(broken.nonzero()[0])}"
+            f"vertices must be finite in float32, got {int(broken.sum())} that are not, "
+            f"the first of them vertex {first}: {vertices[first].tolist()}"
         )
     return vertices.detach().clone(memory_format=torch.contiguous_format)
 
 
-def checked_faces(faces: Tensor, vertex_count: int) -> Tensor:
+def checked_faces(faces: Tensor, vertex_count: int, device: torch.device | None = None) -> Tensor:
     """A contiguous int32 copy of the faces.
 
     Raises:
-        ValueError: not (F, 3) integers, none at all, or an index outside of [0, vertex_count).
+        ValueError: not (F, 3) integers, none at all, not on `device`, or an index outside of [0, vertex_count).
     """
     if faces.ndim != 2 or faces.shape[1] != 3:
         raise ValueError(f"faces must have shape (F, 3), got {tuple(faces.shape)}")
     if faces.is_floating_point() or faces.is_complex() or faces.dtype == torch.bool:
         raise ValueError(f"faces must be integers (int32), got {faces.dtype}")
+    if device is not None and faces.device != device:
+        raise ValueError(f"this ray caster works on {device}, got faces on {faces.device}; use another one")
     if len(faces) == 0:
         raise ValueError("a ray caster needs a mesh with at least one triangle, got no faces")
     lowest, highest = int(faces.min()), int(faces.max())
     if lowest < 0 or highest >= vertex_count:
         raise ValueError(f"faces must index {vertex_count} vertices, got indices from {lowest} to {highest}")
-    return faces.detach().to(torch.int32, copy=True).contiguous()
+    return faces.to(torch.int32, copy=True).contiguous()
 
 
 def check_lanes(ray: Ray, tmax: Tensor | None, device: torch.device) -> None:
-    """Raises ValueError unless all components are float32, or all float64, on `device`, and of one shape."""
+    """Raises ValueError unless all components have one shape, one dtype of float32 and float64, and this device."""
     first = ray.o.x
-    named = dict(zip(("o.x", "o.y", "o.z", "d.x", "d.y", "d.z"), (*ray.o, *ray.d), strict=True))
+    components = dict(zip(("o.x", "o.y", "o.z", "d.x", "d.y", "d.z"), (*ray.o, *ray.d), strict=True))
     if tmax is not None:
-        named["tmax"] = tmax
-    for name, lanes in named.items():
+        components["tmax"] = tmax
+    for name, lanes in components.items():
         if lanes.shape != first.shape:
             raise ValueError(
                 f"components of rays must have one shape: o.x has {tuple(first.shape)}, {name} has {tuple(lanes.shape)}"
@@ -67,4 +77,4 @@ def check_lanes(ray: Ray, tmax: Tensor | None, device: torch.device) -> None:
                 f"components of rays must be all float32 or all float64: o.x is {first.dtype}, {name} is {lanes.dtype}"
             )
         if lanes.device != device:
-            raise ValueError(f"rays must be on the caster's device {device}: {name} is on {lanes.device}")
+            raise ValueError(f"rays must be where their caster is, on {device}: {name} is on {lanes.device}")

@@ -1,9 +1,10 @@
 """Runs one compiled loop on all of torch's threads.
 
-torch's OpenMP threads spin for a while after each parallel operation, and a second pool of threads would compete with them
-for the cores: measured, it costs a query up to half of its speed. So the loop runs on those very threads: GOMP_parallel is
-what a compiler emits for `#pragma omp parallel`, and it is looked up in the OpenMP runtime that torch itself is linked to.
-Where torch's runtime does not have it (Windows, perhaps macOS) the loop runs on a pool of Python threads.
+torch's OpenMP threads spin for a while after each parallel operation, and a second pool of threads would compete with
+them for the cores: measured, that costs a query up to half of its speed. So the loop runs on those very threads.
+GOMP_parallel is what a compiler makes of `#pragma omp parallel`, and it is looked up in the OpenMP runtime that torch
+itself is linked to. Where that runtime does not have it (Windows, perhaps macOS) the loop runs on a pool of Python
+threads.
 """
 
 import ctypes
@@ -17,7 +18,7 @@ LoopBody = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 @functools.cache
 def openmp_parallel():
-    """GOMP_parallel(body, data, number of threads, flags) of torch's own OpenMP runtime, or None."""
+    """GOMP_parallel(body, argument, number of threads, flags) of torch's own OpenMP runtime, or None."""
     # A symbol is looked up in a library and in all it depends on, hence in the runtime that torch loaded.
     function = getattr(ctypes.CDLL(torch._C.__file__), "GOMP_parallel", None)
     if function is not None:
@@ -31,19 +32,20 @@ def thread_pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="raycast")
 
 
-def run(body: int, job: int, threads: int) -> None:
-    """Runs the C function `void body(void *job)` on `threads` threads at once and waits for all of them.
+def run(body: int, argument: int, threads: int) -> None:
+    """Runs the C function `void body(void *argument)` on several threads at once and waits for all of them.
 
     Args:
-        body: address of the function; it divides the work itself and must be right on any number of threads.
-        job: address of its argument.
-        threads: 1 runs it on the calling thread alone.
+        body: its address. It divides the work itself, and must be right on fewer threads than asked for, too: inside of
+            another parallel region OpenMP gives one.
+        argument: the address that every thread gets.
+        threads: 1 is the calling thread alone.
     """
     if threads == 1:
-        LoopBody(body)(job)
+        LoopBody(body)(argument)
     elif parallel := openmp_parallel():
-        parallel(body, job, threads, 0)
+        parallel(body, argument, threads, 0)
     else:
-        tasks = [thread_pool(threads).submit(LoopBody(body), job) for _ in range(threads)]
-        for task in tasks:
-            task.result()
+        calls = [thread_pool(threads).submit(LoopBody(body), argument) for _ in range(threads)]
+        for call in calls:
+            call.result()
