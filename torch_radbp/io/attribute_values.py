@@ -33,6 +33,11 @@ def plugin_categories(annotation: Any) -> list[str]:
     return [member.category for member in members if isinstance(member, type) and issubclass(member, Plugin)]
 
 
+def with_article(noun: str) -> str:
+    """"an emitter", "a bsdf"."""
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
 def convert(name: str, value: Any, annotation: Any) -> Any:
     """`value` as one of the plain types that `annotation` allows.
 
@@ -52,7 +57,7 @@ def convert(name: str, value: Any, annotation: Any) -> Any:
             return rule(name, value)
         except TypeError:
             continue
-    plugins = [f"a {category}" for category in plugin_categories(annotation) if category != "texture"]
+    plugins = [with_article(category) for category in plugin_categories(annotation) if category != "texture"]
     expected = " or ".join(dict.fromkeys([*(expected for expected, _ in rules), *plugins]))
     raise TypeError(f"{name} must be {expected}, got {_shown(value)}")
 

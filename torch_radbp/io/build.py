@@ -19,7 +19,7 @@ import torch_radbp.scene
 import torch_radbp.sensor
 import torch_radbp.shape
 import torch_radbp.texture  # noqa: F401 (each of these imports fills the registry)
-from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories
+from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories, with_article
 from torch_radbp.io.xml_scene import XMLObject, find_file
 from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, Texture, attributes, nearest
 from torch_radbp.scene.scene import Scene
@@ -111,14 +111,15 @@ class _Builder:
             self.built[path].id = _given_id(value)
         plugin = self.built[path] if isinstance(value, dict) else value
         if isinstance(plugin, Plugin) and plugin.category not in expected:
-            raise self.error(path, value, f"a {plugin.category} cannot stand here; supported: {', '.join(expected)}")
+            found = with_article(plugin.category)
+            raise self.error(path, value, f"{found} cannot stand here; supported: {', '.join(expected)}")
         return plugin
 
     def referenced(self, path: tuple[str, ...], value: dict[str, Any], expected: Iterable[str]) -> Plugin:
         """The object that a reference names."""
-        name = value.get("id")
+        name = str(value.get("id"))
         if name not in self.ids:
-            raise self.error(path, value, f"no object has the id {name!r}; {nearest(str(name), self.ids)}")
+            raise self.error(path, value, f"no object has the id {name!r}; {nearest(name, self.ids)}")
         if name in self.open:
             raise self.error(path, value, f"references in a circle: {' -> '.join([*self.open, name])}")
         target_path, target = self.ids[name]
@@ -126,29 +127,30 @@ class _Builder:
         plugin = self.plugin(target_path, target, REGISTRY)
         self.open.pop()
         if plugin.category not in expected:
-            raise self.error(path, value, f"{name!r} is a {plugin.category}, which cannot stand here; supported: "
-                             f"{', '.join(expected)}")
+            raise self.error(path, value, f"{name!r} is {with_article(plugin.category)}, which cannot stand here; "
+                             f"supported: {', '.join(expected)}")
         return plugin
 
     def plugin_class(self, path: tuple[str, ...], node: dict[str, Any], expected: Iterable[str]) -> type[Plugin]:
         """The class of an object, by its type and, in XML, its tag."""
-        name = node["type"]
+        name = str(node["type"])
         tag = node.category if isinstance(node, XMLObject) else None
         if tag is not None and tag not in expected:
-            raise self.error(path, node, f"a {tag} cannot stand here; supported: {', '.join(expected)}")
+            raise self.error(path, node, f"{with_article(tag)} cannot stand here; supported: {', '.join(expected)}")
         possible = [tag] if tag else list(expected)
         found = next((REGISTRY[category][name] for category in possible if name in REGISTRY[category]), None)
         if found is not None:
             return found
         elsewhere = next((category for category in REGISTRY if name in REGISTRY[category]), None)
         if elsewhere and tag:
-            raise self.error(path, node, f"{name!r} is a {elsewhere}, not a {tag}; write <{elsewhere} type=\"{name}\">")
+            raise self.error(path, node, f"{name!r} is {with_article(elsewhere)}, not {with_article(tag)}; "
+                             f"write <{elsewhere} type=\"{name}\">")
         if elsewhere:
-            raise self.error(path, node, f"{name!r} is a {elsewhere}, which cannot stand here; supported: "
+            raise self.error(path, node, f"{name!r} is {with_article(elsewhere)}, which cannot stand here; supported: "
                              f"{', '.join(expected)}")
         known = [known for category in possible for known in REGISTRY[category]]
         raise self.error(path, node, f"the {'/'.join(possible)} type {name!r} is not supported; "
-                         f"{nearest(str(name), known)}")
+                         f"{nearest(name, known)}")
 
     def arguments(self, path: tuple[str, ...], node: dict[str, Any], cls: type[Plugin]) -> dict[str, Any]:
         """The constructor's arguments of an object, every value checked against the schema of its class."""

@@ -1,0 +1,383 @@
+"""Bad scenes get one message that names the place and what is supported."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.io.documents import LAMP, SENSOR, TRIANGLE_OBJ, scene_dict, scene_text, write_scene
+from torch_radbp.io.load import load, load_dict
+from torch_radbp.plugin import SceneError
+
+
+def shape(content, kind="rectangle"):
+    return f'<shape type="{kind}" id="wall">{content}</shape>'
+
+
+def diffuse(content):
+    return shape(f'\n<bsdf type="diffuse" id="white">{content}</bsdf>')
+
+
+# What stands in lines 2 and following of scene.xml; what the message must contain, in this order.
+XML = {
+    "unknown plugin": (
+        shape("", "rectangel"),
+        [
+            'line 2: <shape type="rectangel" id="wall">',
+            "'rectangel' is not supported",
+            "did you mean 'rectangle'",
+            "known: cube, disk",
+        ],
+    ),
+    "plugin of another category": (
+        '<bsdf type="sphere"/>',
+        ['line 2: <bsdf type="sphere">', "'sphere' is a shape, not a bsdf"],
+    ),
+    "unknown element": ("<material/>", ["line 2: <material>", "not supported", "shape, bsdf"]),
+    "unsupported element": ('<medium type="homogeneous"/>', ["line 2: <medium", "not supported", "shape, bsdf"]),
+    "unknown attribute": (
+        diffuse('\n<rgb name="reflectence" value="1"/>'),
+        [
+            'line 4: <rgb name="reflectence"> of <bsdf type="diffuse" id="white">',
+            "no attribute 'reflectence'",
+            "did you mean 'reflectance'",
+        ],
+    ),
+    "reflectance above one": (
+        diffuse('<rgb name="reflectance" value="0.2, 1.3, 0"/>'),
+        ['line 3: <bsdf type="diffuse" id="white">', "reflectance must be in [0, 1], got 1.3"],
+    ),
+    "negative reflectance": (diffuse('<rgb name="reflectance" value="-0.1"/>'), ["line 3", "in [0, 1], got -0.1"]),
+    "nan": (
+        diffuse('<rgb name="reflectance" value="nan"/>'),
+        ['line 3: <rgb name="reflectance">', "finite numbers", "'nan'"],
+    ),
+    "infinity": (
+        shape('<transform name="to_world"><scale value="inf"/></transform>'),
+        ["line 2: <scale>", "finite", "'inf'"],
+    ),
+    "wrong number of components": (
+        diffuse('<rgb name="reflectance" value="1, 2"/>'),
+        ["<rgb", "1 or 3 numbers, got 2"],
+    ),
+    "hexadecimal colour": (
+        diffuse('<rgb name="reflectance" value="#ff8000"/>'),
+        ["line 3: <rgb", "three linear RGB numbers"],
+    ),
+    "wavelengths": (
+        diffuse('<spectrum name="reflectance" value="400:0.1, 700:0.2"/>'),
+        ["<spectrum", "linear RGB", "<rgb"],
+    ),
+    "spectrum from a file": (
+        diffuse('<spectrum name="reflectance" filename="a.spd"/>'),
+        ["from files are not supported", "<rgb"],
+    ),
+    "string for an integer": (
+        '<sensor type="perspective"><film type="hdrfilm">\n<string name="width" value="abc"/></film></sensor>',
+        ['line 3: <string name="width"> of <film type="hdrfilm">', "width must be an integer, got 'abc'"],
+    ),
+    "text in an integer": (
+        '<integrator type="path"><integer name="max_depth" value="4.5"/></integrator>',
+        ['<integer name="max_depth">', "must be an integer, got '4.5'"],
+    ),
+    "no boolean": (
+        '<integrator type="path"><boolean name="hide_emitters" value="yes"/></integrator>',
+        ["true or false, got 'yes'"],
+    ),
+    "number for a matrix": (shape('<float name="to_world" value="1"/>'), ["to_world must be a 4 x 4 matrix, got 1.0"]),
+    "colour for a radius": (
+        shape('<rgb name="radius" value="1"/>', "sphere"),
+        ["radius must be a number, got [1.0, 1.0, 1.0]"],
+    ),
+    "negative radius": (
+        shape('<float name="radius" value="-1"/>', "sphere"),
+        ["line 2: <shape", "radius must be greater than 0"],
+    ),
+    "missing value": (shape('<float name="radius"/>', "sphere"), ['<float name="radius">', "'value' is missing"]),
+    "missing name": (shape('<float value="1"/>', "sphere"), ["line 2: <float>", "'name' is missing"]),
+    "missing type": ("<shape/>", ["line 2: <shape>", "'type' is missing"]),
+    "unknown xml attribute": (
+        '<bsdf type="diffuse" colour="red"/>',
+        ["line 2: <bsdf", "unknown attribute 'colour'", "known: id"],
+    ),
+    "missing file name": (shape("", "obj"), ['line 2: <shape type="obj"', "obj needs 'filename'"]),
+    "missing mesh": (
+        shape('\n<string name="filename" value="gone.obj"/>', "obj"),
+        ['line 3: <string name="filename"> of <shape', "'gone.obj' not found; looked in"],
+    ),
+    "missing texture": (
+        diffuse('<texture type="bitmap" name="reflectance"><string name="filename" value="gone.png"/></texture>'),
+        ['line 3: <string name="filename"> of <texture', "'gone.png' not found"],
+    ),
+    "empty mesh": (
+        shape('<string name="filename" value="empty.obj"/>', "obj"),
+        ["line 2: <shape", "empty.obj", "no faces"],
+    ),
+    "degenerate mesh": (
+        shape('<string name="filename" value="line.obj"/>', "obj"),
+        ["line 2: <shape", "line.obj", "degenerate"],
+    ),
+    "mesh that is not finite": (
+        shape('<string name="filename" value="nan.obj"/>', "obj"),
+        ["nan.obj", "vertices must be finite"],
+    ),
+    "damaged image": (
+        diffuse('<texture type="bitmap" name="reflectance"><string name="filename" value="bad.exr"/></texture>'),
+        ["line 3: <texture", "bad.exr: cannot be read as EXR"],
+    ),
+    "kind of image": (
+        diffuse('<texture type="bitmap" name="reflectance"><string name="filename" value="line.obj"/></texture>'),
+        ["line 3: <texture", "unknown kind of image '.obj'; supported: .exr, .png"],
+    ),
+    "reference to nothing": (
+        diffuse("") + '<shape type="disk"><ref id="withe"/></shape>',
+        ['line 3: <ref id="withe">', "no object has the id 'withe'", "did you mean 'white'"],
+    ),
+    "reference to the wrong kind": (
+        shape('<ref id="lid"/>') + '<shape type="disk" id="lid"/>',
+        ['<ref id="lid">', "'lid' is a shape, which cannot stand here", "supported: bsdf"],
+    ),
+    "reference in a circle": (
+        '<bsdf type="twosided" id="a"><ref id="b"/></bsdf>\n<bsdf type="twosided" id="b"><ref id="a"/></bsdf>',
+        ['<ref id="', "references in a circle"],
+    ),
+    "reference at the top": (
+        '<bsdf type="diffuse" id="a"/><ref id="a"/>',
+        ['line 2: <ref id="a">', "cannot stand directly in"],
+    ),
+    "duplicate id": (
+        '<bsdf type="diffuse" id="a"/>\n<shape type="cube" id="a"/>',
+        ['line 3: <shape type="cube" id="a">', "'a' is already taken by", "line 2: <bsdf"],
+    ),
+    "duplicate attribute": (
+        shape('\n<float name="radius" value="1"/>\n<float name="radius" value="2"/>', "sphere"),
+        ['line 4: <float name="radius">', "given twice", "first in line 3"],
+    ),
+    "two films": (
+        '<sensor type="perspective"><film type="hdrfilm"/>\n<film type="hdrfilm"/></sensor>',
+        ["line 3: <film", "perspective takes one film"],
+    ),
+    "two bsdfs": (
+        shape('<bsdf type="diffuse"/>\n<bsdf type="diffuse"/>'),
+        ["line 3: <bsdf", "rectangle takes one bsdf"],
+    ),
+    "two integrators": (
+        '<integrator type="path"/>\n<integrator type="path"/>',
+        ["line 3: <integrator", "already has an integrator"],
+    ),
+    "film in the scene": (
+        '<film type="hdrfilm"/>',
+        ["line 2: <film", "a film cannot stand here", "supported: shape, bsdf"],
+    ),
+    "emitter in a bsdf": (
+        diffuse('\n<emitter type="area"/>'),
+        ["line 4: <emitter", "diffuse does not take", "known: reflectance"],
+    ),
+    "texture without a name": (
+        diffuse('<texture type="bitmap"/>'),
+        ["<texture", "diffuse does not take", "known: reflectance"],
+    ),
+    "value in the scene": ('<float name="x" value="1"/>', ["line 2: <float", "<scene> takes no values"]),
+    "element in a value": (
+        shape('<float name="x" value="1"><bsdf type="diffuse"/></float>'),
+        ["<bsdf", "inside <float>"],
+    ),
+    "unknown operation": (
+        shape('<transform name="to_world"><shear x="1"/></transform>'),
+        ["<shear>", "known: lookat, matrix"],
+    ),
+    "numbers of a matrix": (
+        shape('<transform name="to_world"><matrix value="1 2 3"/></transform>'),
+        ["<matrix>", "9 or 16", "got 3"],
+    ),
+    "singular matrix": (
+        shape('<transform name="to_world"><scale x="0"/></transform>'),
+        ["line 2: <shape", "to_world must be invertible"],
+    ),
+    "rotation about nothing": (
+        shape('<transform name="to_world"><rotate angle="3"/></transform>'),
+        ["<rotate>", "axis must not be zero"],
+    ),
+    "look at oneself": (
+        shape('<transform name="to_world"><lookat origin="1,1,1" target="1,1,1"/></transform>'),
+        ["<lookat>", "origin and target must differ"],
+    ),
+    "up along the view": (
+        shape('<transform name="to_world"><lookat origin="0,0,1" target="0,0,0" up="0,0,1"/></transform>'),
+        ["<lookat>", "up must not be parallel"],
+    ),
+    "undeclared variable": (
+        shape('<float name="radius" value="$r"/>', "sphere"),
+        ['<float name="radius">', "$r has no value", "<default"],
+    ),
+    "missing include": ('<include filename="gone.xml"/>', ["line 2: <include>", "'gone.xml' not found; looked in"]),
+    "include in a circle": ('<include filename="scene.xml"/>', ["line 2: <include>", "'scene.xml' includes itself"]),
+    "alias of nothing": ('<alias id="x" as="y"/>', ["line 2: <alias", "no object with the id 'x'"]),
+    "field of view": (
+        '<sensor type="perspective"><float name="fov" value="180"/></sensor>',
+        ["line 2: <sensor", "fov must be between"],
+    ),
+    "crop outside": (
+        '<sensor type="perspective"><film type="hdrfilm"><integer name="crop_width" value="9999"/></film></sensor>',
+        ["line 2: <film", "crop window", "must lie inside"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", XML)
+def test_bad_xml_names_file_line_and_what_is_supported(tmp_path, case):
+    body, fragments = XML[case]
+    (tmp_path / "empty.obj").write_text("")
+    (tmp_path / "line.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    (tmp_path / "nan.obj").write_text(TRIANGLE_OBJ.replace("v 1 0 0", "v 1 nan 0"))
+    (tmp_path / "bad.exr").write_bytes(b"v/1\x01")
+    with pytest.raises(SceneError) as caught:
+        load(write_scene(tmp_path, body))
+    assert_contains(str(caught.value), [str(tmp_path / "scene.xml"), *fragments])
+
+
+DISK = {"type": "disk"}
+DICTS = {
+    "no scene": (DISK, ['"type": "scene"', "'disk'"]),
+    "no dict": ([DISK], ['"type": "scene"', "list"]),
+    "unknown plugin": (
+        scene_dict(wall={"type": "rectangel"}),
+        ["wall", "'rectangel' is not supported", "did you mean 'rectangle'"],
+    ),
+    "unknown attribute": (scene_dict(ball={"type": "sphere", "radios": 1}), ["ball.radios", "did you mean 'radius'"]),
+    "nested value": (
+        scene_dict(light={"type": "disk", "emitter": {"type": "area", "radiance": "bright"}}),
+        ["light.emitter.radiance", "a number, three numbers or a texture", "'bright'"],
+    ),
+    "nested range": (
+        scene_dict(light={"type": "disk", "emitter": {"type": "area", "radiance": -1.0}}),
+        ["light.emitter (type 'area')", "radiance must be at least 0, got -1"],
+    ),
+    "top level value": (scene_dict(size=3), ["size", "takes only objects", "got 3"]),
+    "no type": (scene_dict(wall={"bsdf": {}}), ["wall", "takes only objects"]),
+    "nested without type": (
+        scene_dict(wall={"type": "disk", "bsdf": {"reflectance": 1}}),
+        ["wall.bsdf", "must be a bsdf", "got {"],
+    ),
+    "matrix shape": (
+        scene_dict(wall={"type": "disk", "to_world": np.eye(4)[:3]}),
+        ["wall.to_world", "4 x 4 matrix, got ndarray of shape (3, 4)"],
+    ),
+    "matrix nan": (
+        scene_dict(wall={"type": "disk", "to_world": torch.full((4, 4), torch.nan)}),
+        ["wall.to_world", "finite"],
+    ),
+    "matrix not affine": (
+        scene_dict(wall={"type": "disk", "to_world": np.ones((4, 4))}),
+        ["wall.to_world", "last row 0, 0, 0, 1"],
+    ),
+    "point of two": (
+        scene_dict(lamp={"type": "point", "position": [1, 2]}),
+        ["lamp.position", "three numbers, got [1, 2]"],
+    ),
+    "infinite float": (scene_dict(ball={"type": "sphere", "radius": float("inf")}), ["ball.radius", "finite"]),
+    "bool for int": (
+        scene_dict(path={"type": "path", "max_depth": True}),
+        ["path.max_depth", "must be an integer, got True"],
+    ),
+    "float for int": (
+        scene_dict(path={"type": "path", "max_depth": 3.0}),
+        ["path.max_depth", "must be an integer, got 3.0"],
+    ),
+    "int for bool": (
+        scene_dict(path={"type": "path", "hide_emitters": 1}),
+        ["path.hide_emitters", "must be true or false, got 1"],
+    ),
+    "missing file": (
+        scene_dict(mesh={"type": "ply", "filename": "gone.ply"}),
+        ["mesh.filename", "'gone.ply' not found; looked in"],
+    ),
+    "wrong place": (
+        scene_dict(wall={"type": "disk", "film": {"type": "hdrfilm"}}),
+        ["wall.film", "'hdrfilm' is a film", "bsdf, emitter"],
+    ),
+    "reference": (
+        scene_dict(wall={"type": "disk", "bsdf": {"type": "ref", "id": "whit"}}, white={"type": "diffuse"}),
+        ["wall.bsdf", "no object has the id 'whit'", "'white'"],
+    ),
+    "duplicate id": (
+        scene_dict(a={"type": "diffuse", "id": "x"}, b={"type": "diffuse", "id": "x"}),
+        ["b", "'x' is already taken by a"],
+    ),
+    "rgb": (
+        scene_dict(white={"type": "diffuse", "reflectance": {"type": "rgb", "value": [1, 2]}}),
+        ["white.reflectance", "three numbers"],
+    ),
+    "rgb entries": (
+        scene_dict(white={"type": "diffuse", "reflectance": {"type": "rgb", "values": 1}}),
+        ["white.reflectance", "type and value, got type, values"],
+    ),
+    "wavelengths": (
+        scene_dict(white={"type": "diffuse", "reflectance": {"type": "spectrum", "value": [(400, 0.1), (700, 0.2)]}}),
+        ["white.reflectance", "wavelengths are not supported"],
+    ),
+    "bitmap values": (
+        scene_dict(white={"type": "diffuse", "reflectance": {"type": "bitmap", "data": np.full((2, 2, 3), np.nan)}}),
+        ["white.reflectance (type 'bitmap')", "data must be finite"],
+    ),
+    "key": ({**scene_dict(), 3: DISK}, ["scene dict", "keys must be strings, got 3"]),
+}
+
+
+@pytest.mark.parametrize("case", DICTS)
+def test_bad_dicts_name_the_path_of_keys(case):
+    description, fragments = DICTS[case]
+    with pytest.raises(SceneError) as caught:
+        load_dict(description)
+    assert_contains(str(caught.value), fragments)
+
+
+FILES = {
+    "no version": ("<scene/>", ["line 1: <scene>", "'version' is missing", "3.0.0"]),
+    "old version": (
+        scene_text("", version="0.6.0"),
+        ["line 1: <scene>", "Mitsuba 0.x", "max_depth", 'set version="3.0.0"'],
+    ),
+    "newer version": (scene_text("", version="4.1.0"), ["line 1: <scene>", "newer than what is supported"]),
+    "odd version": (scene_text("", version="three"), ["line 1: <scene>", "must read like", "'three'"]),
+    "another root": ('<bsdf version="3.0.0" type="diffuse"/>', ["line 1: <bsdf", "must be <scene"]),
+    "cut off": (scene_text("")[:-9], ["line 3", "not well-formed XML"]),
+    "doctype": ("<!DOCTYPE scene>" + scene_text(""), ["line 1", "not allowed"]),
+    "no sensor": (scene_text(LAMP, complete=False), ["line 1: <scene>", "no sensor", "perspective"]),
+    "no emitter": (scene_text(SENSOR, complete=False), ["line 1: <scene>", "no emitter", "area, constant or point"]),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_bad_files_are_named(tmp_path, case):
+    text, fragments = FILES[case]
+    (tmp_path / "scene.xml").write_text(text)
+    with pytest.raises(SceneError) as caught:
+        load(tmp_path / "scene.xml")
+    assert_contains(str(caught.value), [str(tmp_path / "scene.xml"), *fragments])
+
+
+def test_errors_inside_an_included_file_name_that_file(tmp_path):
+    write_scene(tmp_path, "\n" + shape("", "rectangel"), name="part.xml", complete=False)
+    with pytest.raises(SceneError, match=r"part\.xml, line 3: <shape"):
+        load(write_scene(tmp_path, '<include filename="part.xml"/>'))
+
+
+def test_variables_that_nothing_uses_are_refused(tmp_path):
+    path = write_scene(tmp_path, '<default name="spp" value="4"/><bsdf type="diffuse" id="$spp"/>')
+    with pytest.raises(SceneError, match=r"'ssp' is not used.*did you mean 'spp'"):
+        load(path, ssp=64)
+
+
+@pytest.mark.parametrize("name, message", [("gone.xml", "file not found"), ("scene.blend", r"supported: \.xml")])
+def test_scenes_that_are_not_there_are_named(tmp_path, name, message):
+    with pytest.raises(SceneError, match=f"{name}: .*{message}"):
+        load(tmp_path / name)
+
+
+def assert_contains(message, fragments):
+    position = 0
+    for fragment in fragments:
+        found = message.find(fragment, position)
+        assert found >= 0, f"{fragment!r} is not in order in: {message}"
+        position = found
+    assert "\n" not in message

@@ -1,0 +1,149 @@
+"""Images in and out, against Mitsuba's reader and the formats' definitions."""
+
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+from PIL import Image
+
+from torch_radbp.io.image import linear_to_srgb, read_image, srgb_to_linear, write_image
+
+COMPRESSIONS = ["NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB"]
+
+
+@pytest.fixture
+def pixels():
+    return np.random.default_rng(0).uniform(0, 2, (9, 7, 3)).astype("f4")
+
+
+def write_exr(path, channels, compression="ZIP"):
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}).write(str(path))
+
+
+@pytest.mark.parametrize("dtype", ["f4", "f2"])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_exr_of_every_compression(tmp_path, pixels, compression, dtype):
+    write_exr(tmp_path / "a.exr", {"RGB": pixels.astype(dtype)}, compression)
+    image = read_image(tmp_path / "a.exr")
+    # Half has 11 significant bits; B44 is lossy by design (about 1/16 of a block's range) and so is PXR24 for float.
+    tolerance = 0.15 if compression.startswith("B44") and dtype == "f2" else 1e-3 if dtype == "f2" else 2e-5
+    assert image.dtype == torch.float32 and image.shape == (9, 7, 3)
+    np.testing.assert_allclose(image.numpy(), pixels, atol=tolerance)
+
+
+@pytest.mark.parametrize("names, shape", [
+    (["Y"], (9, 7, 1)),
+    (["R", "G", "B", "A"], (9, 7, 3)),
+    (["A", "Y"], (9, 7, 1)),
+    (["R", "G", "B", "Z", "normal.X"], (9, 7, 3)),
+    (["beauty.R", "beauty.G", "beauty.B", "other.R", "other.G", "other.B"], (9, 7, 3)),
+    (["ViewLayer.Combined.R", "ViewLayer.Combined.G", "ViewLayer.Combined.B", "ViewLayer.Depth.Z"], (9, 7, 3)),
+    (["only.R", "only.G", "only.B"], (9, 7, 3)),
+])
+def test_exr_colour_is_found_among_channels(tmp_path, names, shape):
+    values = {name: np.full((9, 7), number, "f4") for number, name in enumerate(names)}
+    write_exr(tmp_path / "a.exr", values)
+    image = read_image(tmp_path / "a.exr")
+    assert image.shape == shape
+    letters = ["R", "G", "B"] if shape[2] == 3 else ["Y"]
+    assert image[0, 0].tolist() == [next(i for i, n in enumerate(names) if n.endswith(letter)) for letter in letters]
+
+
+@pytest.mark.parametrize("channels, message", [
+    (["Z"], "no colour among its channels Z"),
+    (["Y", "RY", "BY"], "no colour"),
+    (["a.R", "a.G", "a.B", "b.R", "b.G", "b.B"], "several layers have colours, a, b"),
+])
+def test_exr_without_one_clear_colour_is_refused(tmp_path, channels, message):
+    write_exr(tmp_path / "a.exr", {name: np.zeros((2, 2), "f4") for name in channels})
+    with pytest.raises(ValueError, match=rf"a\.exr: {message}"):
+        read_image(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_png_agrees_with_mitsuba(tmp_path, bits, channels):
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    top = 2**bits - 1
+    stored = np.random.default_rng(1).integers(0, top + 1, (6, 5, channels)).astype(f"u{bits // 8}")
+    mi.Bitmap(stored).write(str(tmp_path / "a.png"))
+    colours = stored[:, :, :3] / top
+    np.testing.assert_allclose(read_image(tmp_path / "a.png", raw=True).numpy(), colours, atol=1e-7)
+    if channels != 4:  # Mitsuba has no option to drop alpha here
+        bitmap = mi.Bitmap(str(tmp_path / "a.png"))
+        theirs = np.array(bitmap.convert(component_format=mi.Struct.Type.Float32, srgb_gamma=False))
+        np.testing.assert_allclose(read_image(tmp_path / "a.png").numpy(), theirs.reshape(colours.shape), atol=1e-6)
+
+
+@pytest.mark.parametrize("mode, channels", [("P", 3), ("1", 1), ("L", 1), ("LA", 1), ("RGBA", 3)])
+def test_png_of_every_mode(tmp_path, mode, channels):
+    Image.new("RGB", (3, 2), (255, 255, 255)).convert(mode).save(tmp_path / "a.png")
+    assert torch.equal(read_image(tmp_path / "a.png"), torch.ones(2, 3, channels))
+
+
+def test_jpeg_is_decoded(tmp_path):
+    Image.new("RGB", (8, 8), (128, 128, 128)).save(tmp_path / "a.jpg", quality=95)
+    torch.testing.assert_close(read_image(tmp_path / "a.jpg"), torch.full((8, 8, 3), 0.21586), atol=4e-3, rtol=0)
+
+
+def test_srgb_follows_its_definition():
+    torch.testing.assert_close(srgb_to_linear(torch.tensor([0.0, 0.04045, 0.5, 1.0])),
+                               torch.tensor([0.0, 0.0031308, 0.21404114, 1.0]), atol=1e-7, rtol=1e-6)
+    values = torch.linspace(0, 1, 1001, dtype=torch.float64)
+    torch.testing.assert_close(srgb_to_linear(linear_to_srgb(values)), values, atol=1e-7, rtol=0)
+
+
+def test_written_images_are_read_back(tmp_path, pixels):
+    image = torch.from_numpy(pixels).permute(2, 0, 1)
+    write_image(tmp_path / "a.exr", image.double())
+    assert torch.equal(read_image(tmp_path / "a.exr"), image.permute(1, 2, 0))
+    write_image(tmp_path / "a.png", image)
+    encoded = np.asarray(Image.open(tmp_path / "a.png"))
+    expected = (linear_to_srgb(image.clamp(0, 1)) * 255).round().permute(1, 2, 0)
+    np.testing.assert_array_equal(encoded, expected.numpy())
+
+
+@pytest.mark.parametrize("extension", ["exr", "png"])
+def test_an_image_that_is_not_finite_leaves_the_old_file_alone(tmp_path, extension):
+    path = tmp_path / f"a.{extension}"
+    write_image(path, torch.zeros(3, 2, 2))
+    before = path.read_bytes()
+    broken = torch.zeros(3, 2, 2)
+    broken[1, 0, 0], broken[2, 1, 1] = torch.nan, torch.inf
+    with pytest.raises(ValueError, match=rf"a\.{extension}: not written, 2 of 4 pixels are NaN or infinite"):
+        write_image(path, broken)
+    assert path.read_bytes() == before and [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("name, image, error, message", [
+    ("a.tga", torch.zeros(3, 2, 2), ValueError, r"unknown kind of image '\.tga'; supported: \.exr, \.png"),
+    ("a.png", torch.zeros(2, 2, 3), ValueError, r"must have shape \(3, H, W\), got \(2, 2, 3\)"),
+    ("no/a.png", torch.zeros(3, 2, 2), FileNotFoundError, "folder .* does not exist"),
+])
+def test_what_cannot_be_written_is_named(tmp_path, name, image, error, message):
+    with pytest.raises(error, match=message):
+        write_image(tmp_path / name, image)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name, content, error, message", [
+    ("a.tga", b"", ValueError, r"supported: \.exr, \.png, \.jpg, \.jpeg"),
+    ("a.exr", b"not an image", ValueError, r"a\.exr: cannot be read as EXR"),
+    ("a.png", b"\x89PNG\r\n\x1a\n", ValueError, r"a\.png: cannot be read as PNG"),
+    ("a.jpg", b"", ValueError, r"a\.jpg: cannot be read as JPG"),
+    ("a.png", None, FileNotFoundError, r"a\.png: file not found"),
+])
+def test_what_cannot_be_read_is_named(tmp_path, name, content, error, message):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(error, match=message):
+        read_image(tmp_path / name)
+
+
+def test_a_truncated_png_is_named(tmp_path, pixels):
+    write_image(tmp_path / "whole.png", torch.rand(3, 64, 64))
+    (tmp_path / "half.png").write_bytes((tmp_path / "whole.png").read_bytes()[:5000])
+    with pytest.raises(ValueError, match=r"half\.png: cannot be read as PNG: .*truncated"):
+        read_image(tmp_path / "half.png")
