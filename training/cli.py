@@ -1,0 +1,59 @@
+"""The console script `radbp`."""
+
+from typing import Annotated
+
+import typer
+
+from torch_radbp.training.info_command import EPILOG as INFO_EPILOG
+from torch_radbp.training.info_command import info
+from torch_radbp.training.optimize_command import EPILOG as OPTIMIZE_EPILOG
+from torch_radbp.training.optimize_command import optimize
+from torch_radbp.training.render_command import EPILOG as RENDER_EPILOG
+from torch_radbp.training.render_command import render
+
+EPILOG = (
+    "Examples:\n\n"
+    "radbp info scene.xml  (what is in a scene, and what its parameters are called)\n\n"
+    "radbp render scene.xml -o image.png --spp 64\n\n"
+    "radbp optimize recipe.toml --out runs/first  (recover parameters from images)\n\n"
+    "Every command explains itself: radbp render --help"
+)
+
+app = typer.Typer(
+    help="torch_radbp: render Mitsuba 3 scenes, and recover materials and lights from images by differentiation.",
+    epilog=EPILOG,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command(epilog=RENDER_EPILOG)(render)
+app.command(epilog=INFO_EPILOG)(info)
+app.command(epilog=OPTIMIZE_EPILOG)(optimize)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"torch_radbp {version('torch_radbp')}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""`radbp info`: what is in a scene, what its parameters are called, and which of them have derivatives."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from torch_radbp.training.clear_errors import Debug, clear_errors
+from torch_radbp.training.scene_variables import Define, parse_variables
+
+EPILOG = (
+    "Examples:\n\n"
+    "radbp info scene.xml\n\n"
+    "radbp info scene.xml -D resolution=64\n\n"
+    "The names under PARAMETERS are those of scene.get_parameter(name) and of a recipe's [[[parameters]] tables."
+)
+
+
+def info(
+    scene: Annotated[Path, typer.Argument(help="Mitsuba 3 scene, .xml")],
+    define: Define = None,
+    debug: Debug = False,
+) -> None:
+    """Show shapes, emitters, sensors and parameters of a scene, and what is not supported."""
+    with clear_errors(debug):
+        import torch_radbp as rb
+
+        loaded = rb.load(scene, **parse_variables(define))
+        console = Console()
+        console.print(f"[bold]{scene}[/]", soft_wrap=True)
+        for table in (_shapes(loaded), _emitters(loaded), _sensors(loaded), _integrator(loaded), _parameters(loaded)):
+            console.print(table)
+        console.print(_supported(), style="dim")
+
+
+def _table(title: str, *headings: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for heading in headings:
+        table.add_column(heading, overflow="fold")
+    return table
+
+
+def _shapes(scene) -> Table:
+    table = _table("SHAPES", "name", "type", "triangles", "bsdf", "emits")
+    total = 0
+    for shape in scene.shapes:
+        triangles = len(shape.faces)
+        total += triangles
+        bsdf = f"{scene.name_of(shape.bsdf)} ({shape.bsdf.type})"
+        table.add_row(scene.name_of(shape), shape.type, f"{triangles:,}", bsdf, "" if shape.emitter is None else "yes")
+    table.caption = f"{len(scene.shapes)} shapes, {total:,} triangles"
+    return table
+
+
+def _emitters(scene) -> Table:
+    table = _table("EMITTERS", "name", "type")
+    for emitter in scene.emitters:
+        table.add_row(scene.name_of(emitter), emitter.type)
+    return table
+
+
+def _sensors(scene) -> Table:
+    table = _table("SENSORS", "name", "type", "image", "crop", "horizontal fov", "filter", "spp")
+    for sensor in scene.sensors:
+        film = sensor.film
+        is_whole = (film.crop_width, film.crop_height) == (film.width, film.height)
+        crop = f"{film.crop_width} x {film.crop_height} at ({film.crop_offset_x}, {film.crop_offset_y})"
+        table.add_row(
+            scene.name_of(sensor), sensor.type, f"{film.width} x {film.height}", "" if is_whole else crop,
+            f"{sensor.x_fov.item():.2f} deg", film.rfilter.type, str(sensor.sampler.sample_count),
+        )  # fmt: skip
+    return table
+
+
+def _integrator(scene) -> Table:
+    table = _table("RENDERER DEFAULTS", "setting", "value", "meaning")
+    defaults = scene.integrator
+    depth = "unlimited" if defaults.max_depth == -1 else str(defaults.max_depth)
+    table.add_row("max_depth", depth, "1 = emission only, 2 = direct light")
+    table.add_row("rr_depth", str(defaults.rr_depth), "scattering events before Russian roulette")
+    table.add_row("hide_emitters", str(defaults.hide_emitters), "emitters seen directly are left out")
+    return table
+
+
+def _parameters(scene) -> Table:
+    table = _table("PARAMETERS", "name", "shape", "mean", "derivative")
+    differentiable = _Differentiable(scene)
+    for name, parameter in scene.named_parameters():
+        shape = " x ".join(map(str, parameter.shape)) or "number"
+        table.add_row(name, shape, f"{parameter.mean().item():.4g}", "yes" if differentiable(name) else "not yet")
+    table.caption = "names as in scene.get_parameter(name) and in recipes"
+    return table
+
+
+class _Differentiable:
+    """Asks the renderer whether a parameter has a derivative; once per kind, since asking packs the scene."""
+
+    def __init__(self, scene):
+        import torch_radbp as rb
+
+        self.scene = scene
+        self.renderer = rb.Renderer(scene)
+        self.known: dict[tuple, bool] = {}
+
+    def __call__(self, name: str) -> bool:
+        from torch_radbp.scene.pack import pack
+
+        owner, _, attribute = name.rpartition(".")
+        holder, _, _ = owner.rpartition(".")
+        kind = (type(self.scene.get_submodule(holder)), type(self.scene.get_submodule(owner)), attribute)
+        if kind not in self.known:
+            parameter = self.scene.get_parameter(name).requires_grad_()
+            try:
+                self.renderer.check_differentiable(pack(self.scene))
+                self.known[kind] = True
+            except ValueError:
+                self.known[kind] = False
+            finally:
+                parameter.requires_grad_(False)
+        return self.known[kind]
+
+
+def _supported() -> str:
+    """Returns one line per category: everything else is refused by name when a scene is read."""
+    from torch_radbp.plugin import REGISTRY
+
+    lines = [f"  {category}: {', '.join(sorted(types))}" for category, types in REGISTRY.items() if types]
+    return "Supported here; any other plugin or attribute is not, and is refused by name:\n" + "\n".join(lines)

@@ -1,0 +1,180 @@
+"""The training loop of `radbp optimize`.
+
+Seeds are functions of the recipe's seed and the step, the random numbers functions of the seed. With parameters,
+optimiser and scheduler saved, a resumed run therefore computes bit for bit what the uninterrupted run would have
+(on CPU; scatter-adds on CUDA are not deterministic).
+"""
+
+import time
+import warnings
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+import torch_radbp as rb
+from torch_radbp.training import recipe as schema
+from torch_radbp.training.interrupt import deferred_interrupt
+from torch_radbp.training.losses import Objective
+from torch_radbp.training.parameters import RecoveredParameter, choose_parameters
+from torch_radbp.training.run_folder import RunFolder
+from torch_radbp.training.schedule import make_scheduler
+from torch_radbp.training.targets import read_targets, sensor_films
+
+# Steps in a row without a usable gradient after which a run gives up.
+MAX_SKIPPED_IN_A_ROW = 20
+
+
+class Recovery:
+    """An inverse-rendering problem and the state of its solution. Building it checks everything and writes nothing.
+
+    Args:
+        recipe: a checked recipe.
+
+    Raises:
+        ValueError: the scene, the parameters or the targets do not fit the recipe.
+    """
+
+    def __init__(self, recipe: schema.Recipe):
+        self.recipe = recipe
+        self.scene = rb.load(recipe.scene, **recipe.variables)
+        self.targets = read_targets(recipe.targets, sensor_films(self.scene))
+        self.parameters = choose_parameters(self.scene, recipe.parameters)
+        self.renderer = make_renderer(self.scene, recipe.render)
+        self.objective = Objective(recipe.loss)
+        self.optimizer = make_optimizer(self.parameters, recipe.optimizer)
+        self.scheduler = make_scheduler(self.optimizer, recipe.schedule, recipe.steps)
+        self.step = 0
+        self.skipped = 0
+        self.seconds = 0.0
+
+    def state_dict(self) -> dict:
+        """Returns all that the next step depends on."""
+        return {
+            "step": self.step,
+            "skipped": self.skipped,
+            "seconds": self.seconds,
+            "parameters": {each.name: each.raw.detach() for each in self.parameters},
+            "optimizer": self.optimizer.state_dict(),
+            "scheduler": self.scheduler.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict) -> None:
+        self.step, self.skipped, self.seconds = state["step"], state["skipped"], state["seconds"]
+        with torch.no_grad():
+            for each in self.parameters:
+                each.raw.copy_(state["parameters"][each.name])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.scheduler.load_state_dict(state["scheduler"])
+
+
+def make_renderer(scene, spec: schema.Render) -> rb.Renderer:
+    """Returns the renderer that a recipe's `[render]` describes."""
+    match spec.adjoint.strategy:
+        case "memoized":
+            adjoint = rb.MemoizedAdjoint(stride=spec.adjoint.stride, keep_hits=spec.adjoint.keep_hits)
+        case "replay":
+            adjoint = rb.ReplayAdjoint()
+        case "quadratic":
+            adjoint = rb.QuadraticAdjoint()
+        case "tape":
+            adjoint = rb.TapeAdjoint()
+    return rb.Renderer(
+        scene,
+        spp=spec.spp,
+        max_depth=spec.max_depth,
+        rr_depth=spec.rr_depth,
+        adjoint=adjoint,
+        sampling=spec.sampling,
+        chunk=spec.chunk,
+        compile=spec.compile,
+        caster=spec.caster,
+    )
+
+
+def make_optimizer(parameters: list[RecoveredParameter], spec: schema.AnyOptimizer) -> torch.optim.Optimizer:
+    """Returns the torch optimiser of a recipe's `[optimizer]`, one group per parameter."""
+    groups = [{"params": [each.raw], "lr": each.spec.learning_rate or spec.learning_rate} for each in parameters]
+    options = spec.model_dump(exclude={"name", "learning_rate"})
+    cls = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD, "rmsprop": torch.optim.RMSprop}[spec.name]
+    return cls(groups, lr=spec.learning_rate, **options)
+
+
+def step_seed(seed: int, step: int, stream: int) -> int:
+    """Returns the render seed of one of a step's four streams (two buffers; two backward passes), in [0, 2^31)."""
+    return (seed * 0x9E3779B1 + 4 * step + stream) % 2**31
+
+
+def render_buffers(recovery: Recovery, step: int) -> list[Tensor]:
+    """Returns the step's independent renderings, each (B, 3, H, W)."""
+    spec = recovery.recipe.render
+    return [
+        recovery.renderer(
+            seed=step_seed(spec.seed, step, buffer),
+            sensors=recovery.targets.sensors,
+            seed_grad=step_seed(spec.seed, step, 2 + buffer) if spec.decorrelate else None,
+        )
+        for buffer in range(recovery.objective.buffers_needed)
+    ]
+
+
+def train(recovery: Recovery, folder: RunFolder, on_step: Callable[[dict[str, float]], None]) -> None:
+    """Runs the steps that are left.
+
+    Args:
+        recovery: the problem, at any step.
+        folder: gets a metrics row per step and a checkpoint now and then.
+        on_step: called after each step with its metrics row.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; `recovery` is then whole, at the last finished step.
+        RuntimeError: too many steps in a row whose gradient is not finite.
+    """
+    recipe, targets = recovery.recipe, recovery.targets.images
+    skipped_in_a_row = 0
+    for step in range(recovery.step, recipe.steps):
+        started = time.perf_counter()
+        buffers = render_buffers(recovery, step)
+        loss, terms = recovery.objective(buffers, targets)
+        rendered = time.perf_counter()
+        recovery.optimizer.zero_grad()
+        loss.backward()
+        finished = time.perf_counter()
+
+        usable = loss.isfinite().item() and all(_is_finite(each.raw.grad) for each in recovery.parameters)
+        with deferred_interrupt():
+            row = {"step": step, "loss": loss.item()} | {f"loss.{name}": term.item() for name, term in terms.items()}
+            row["learning_rate_factor"] = recovery.scheduler.get_last_lr()[0] / recovery.scheduler.base_lrs[0]
+            if usable:
+                recovery.optimizer.step()
+                for parameter in recovery.parameters:
+                    parameter.project_()
+            else:
+                recovery.skipped += 1
+            recovery.scheduler.step()
+            recovery.step = step + 1
+            recovery.seconds += time.perf_counter() - started
+            row |= {"skipped": recovery.skipped, "forward_seconds": rendered - started}
+            row |= {"backward_seconds": finished - rendered, "seconds": recovery.seconds}
+            for parameter in recovery.parameters:
+                row |= parameter.metrics()
+            folder.log(row)
+            if recovery.step % recipe.report.checkpoint_every == 0:
+                folder.save_checkpoint(recovery.state_dict())
+        on_step(row)
+
+        skipped_in_a_row = 0 if usable else skipped_in_a_row + 1
+        if not usable:
+            warnings.warn(
+                f"step {step}: the loss or a gradient is not finite; the step is skipped ({recovery.skipped} so far)",
+                stacklevel=2,
+            )
+        if skipped_in_a_row == MAX_SKIPPED_IN_A_ROW:
+            raise RuntimeError(
+                f"{skipped_in_a_row} steps in a row had a loss or gradient that is not finite; check the bounds of the "
+                "parameters and the tone mapping of the losses"
+            )
+
+
+def _is_finite(gradient: Tensor | None) -> bool:
+    return gradient is None or bool(gradient.isfinite().all())

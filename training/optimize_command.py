@@ -1,0 +1,93 @@
+"""`radbp optimize`: a recipe in, recovered parameters and a report out."""
+
+import warnings
+from pathlib import Path
+from typing import Annotated
+
+import rich.box
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from torch_radbp.training.clear_errors import INTERRUPTED, Debug, clear_errors
+
+EPILOG = (
+    "Examples:\n\n"
+    "radbp optimize training/recipes/cornell_reflectance.toml\n\n"
+    "radbp optimize recipe.toml --out runs/bright --set render.spp=32 --set optimizer.learning_rate=0.05\n\n"
+    "radbp optimize recipe.toml --steps 20  (a quick look)\n\n"
+    "radbp optimize recipe.toml --out runs/bright --resume  (after Ctrl-C, or with more --steps)\n\n"
+    "Ctrl-C saves the state reached and writes its report; exit code 130."
+)
+
+
+def optimize(
+    recipe: Annotated[Path, typer.Argument(help="Recipe, .toml: scene, targets, parameters, losses, optimiser")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the run.  [default: runs/NAME, numbered if it exists]")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out, or the last one.")] = False,
+    steps: Annotated[int | None, typer.Option(help="Number of steps instead of the recipe's.")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the recipe, dotted: render.spp=32"),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Recover scene parameters from images, as a recipe says."""
+    console = Console()
+    with clear_errors(debug):
+        from torch_radbp.training.run import run
+
+        overrides = [*(set_ or []), *([f"steps={steps}"] if steps is not None else [])]
+        folder_path = choose_folder(recipe, out, resume)
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_, **__: console.print(f"[yellow]warning:[/] {message}")
+            summary, report = run(recipe, overrides, folder_path, resume, console)
+    console.print(recovered_table(summary))
+    console.print("report:", str(report), style="bold", soft_wrap=True)
+    if summary["status"] == "interrupted":
+        console.print(f"stopped at step {summary['step']}; to continue: --resume --out {folder_path}", soft_wrap=True)
+        raise typer.Exit(INTERRUPTED)
+
+
+def choose_folder(recipe: Path, out: Path | None, resume: bool) -> Path:
+    """Returns --out, or runs/NAME: the last such folder to resume, else the first that is free.
+
+    Raises:
+        ValueError: there is no run to resume.
+    """
+    if out is not None:
+        return out
+    candidate, number = Path("runs") / recipe.stem, 1
+    last = None
+    while candidate.exists():
+        last = candidate
+        number += 1
+        candidate = Path("runs") / f"{recipe.stem}-{number}"
+    if not resume:
+        return candidate
+    if last is None:
+        raise ValueError(f"--resume: there is no run of {recipe.stem!r} under runs/; name its folder with --out")
+    return last
+
+
+def recovered_table(summary: dict) -> Table:
+    """Returns recovered against true values as a rich table, one row per parameter."""
+    title = f"{summary['title']}: step {summary['step']} of {summary['steps']}"
+    table = Table(title=title, title_justify="left", box=rich.box.SIMPLE_HEAD, padding=(0, 1))
+    for heading in ("parameter", "recovered", "true", "error"):
+        table.add_column(heading, overflow="fold")
+    for each in summary["parameters"]:
+        recovered = _numbers(each["recovered"]) if "recovered" in each else f"mean {each['mean']:.4f}"
+        truth = _numbers(each["truth"]) if "truth" in each else "not known"
+        error = "" if "largest_error" not in each else f"{each['largest_error']:.4f}"
+        if "largest_error" in each and "truth" not in each:
+            truth = f"mean {each['mean_truth']:.4f}"
+            error = f"{error} (RMSE {each['rmse']:.4f}, was {each['rmse_before']:.4f})"
+        table.add_row(each["name"], recovered, truth, error)
+    return table
+
+
+def _numbers(values: list[float]) -> str:
+    return " ".join(f"{value:.4f}" for value in values)

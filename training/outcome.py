@@ -1,0 +1,117 @@
+"""What a run shows at its beginning and its end: images, recovered values, summary."""
+
+import platform
+import resource
+import statistics
+import sys
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_radbp.training.false_colour import absolute_error, error_scale, false_colour
+from torch_radbp.training.optimize import Recovery, step_seed
+from torch_radbp.training.parameters import RecoveredParameter
+from torch_radbp.training.run_folder import RunFolder
+
+
+def render_for_report(recovery: Recovery) -> Tensor:
+    """Renders the targets' sensors with the current parameters at the report's spp, (B, 3, H, W)."""
+    recipe = recovery.recipe
+    with torch.no_grad():
+        # Streams of step -1: samples that no step of the optimisation has used.
+        seed = step_seed(recipe.render.seed, -1, 0)
+        return recovery.renderer(seed=seed, sensors=recovery.targets.sensors, spp=recipe.report.spp)
+
+
+def save_before(recovery: Recovery, folder: RunFolder) -> None:
+    """Writes the target and before images and textures; call it with the parameters at their initial values."""
+    for name, target, before in zip(recovery.targets.names, recovery.targets.images, render_for_report(recovery)):
+        folder.save_image(name, "target", target)
+        folder.save_image(name, "before", before)
+    for parameter in recovery.parameters:
+        if parameter.is_picture:
+            folder.save_texture(parameter.name, "before", parameter.before)
+            if parameter.truth is not None:
+                folder.save_texture(parameter.name, "true", parameter.truth)
+
+
+def finish(recovery: Recovery, folder: RunFolder, status: str) -> dict[str, Any]:
+    """Writes images, recovered parameters, scene and summary of the state reached; returns the summary.
+
+    Ends parametrisations: the recovery cannot be trained further.
+
+    Args:
+        recovery: the problem at the step reached.
+        folder: its run folder, with the before images.
+        status: "finished" or "interrupted".
+    """
+    images = [_save_after(recovery, folder, index, after) for index, after in enumerate(render_for_report(recovery))]
+    for parameter in recovery.parameters:
+        if parameter.is_picture:
+            folder.save_texture(parameter.name, "recovered", parameter.value)
+    folder.save_parameters({each.name: each.value for each in recovery.parameters})
+    summary = {
+        "title": recovery.recipe.title or folder.path.name,
+        "status": status,
+        "step": recovery.step,
+        "steps": recovery.recipe.steps,
+        "skipped": recovery.skipped,
+        "images": images,
+        "parameters": [_parameter_summary(each) for each in recovery.parameters],
+        "cost": _cost(recovery, folder),
+        "machine": {
+            "python": platform.python_version(),
+            "torch": torch.__version__,
+            "device": str(recovery.parameters[0].raw.device),
+            "threads": torch.get_num_threads(),
+        },
+    }
+    for parameter in recovery.parameters:
+        parameter.settle()
+    folder.save_scene(recovery.scene)
+    folder.save_summary(summary)
+    return summary
+
+
+def _save_after(recovery: Recovery, folder: RunFolder, index: int, after: Tensor) -> dict[str, Any]:
+    name, target = recovery.targets.names[index], recovery.targets.images[index]
+    error = absolute_error(after, target)
+    scale = error_scale(error)
+    folder.save_image(name, "after", after)
+    folder.save_image(name, "error", error, png=false_colour(error, scale))
+    return {"sensor": name, "mean_error": error.mean().item(), "error_scale": scale}
+
+
+def _parameter_summary(parameter: RecoveredParameter) -> dict[str, Any]:
+    value, truth = parameter.value, parameter.truth
+    summary = {"name": parameter.name, "shape": list(value.shape), "picture": parameter.is_picture}
+    summary |= {"mean_before": parameter.before.mean().item(), "mean": value.mean().item()}
+    if parameter.is_small:
+        summary |= {"before": parameter.before.flatten().tolist(), "recovered": value.flatten().tolist()}
+    if truth is not None:
+        difference = (value - truth).abs()
+        summary |= {"mean_truth": truth.mean().item(), "largest_error": difference.max().item()}
+        summary |= {"rmse": difference.square().mean().sqrt().item()}
+        summary |= {"rmse_before": (parameter.before - truth).square().mean().sqrt().item()}
+        if parameter.is_small:
+            summary["truth"] = truth.flatten().tolist()
+    return summary
+
+
+def _cost(recovery: Recovery, folder: RunFolder) -> dict[str, float]:
+    """Seconds and bytes; medians, because the first step may compile."""
+    rows = folder.metrics.rows()
+    cost = {"seconds": recovery.seconds, "peak_memory_bytes": peak_memory()}
+    for key in ("forward_seconds", "backward_seconds"):
+        if rows:
+            cost[f"median_{key}"] = statistics.median(row[key] for row in rows)
+    return cost
+
+
+def peak_memory() -> int:
+    """Returns the most bytes this process has held: resident, or on the GPU where torch has used one."""
+    if torch.cuda.is_available() and torch.cuda.max_memory_allocated() > 0:
+        return torch.cuda.max_memory_allocated()
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

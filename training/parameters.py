@@ -1,0 +1,184 @@
+"""The scene parameters that a recipe recovers: finding them by name, initial values, bounds."""
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parametrize
+
+from torch_radbp.io.image import read_image
+from torch_radbp.plugin import nearest
+from torch_radbp.training import recipe
+
+
+class Sigmoid(nn.Module):
+    """Maps an unconstrained tensor into the open interval (lower, upper)."""
+
+    def __init__(self, lower: float, upper: float):
+        super().__init__()
+        self.lower, self.upper = lower, upper
+
+    def forward(self, raw: Tensor) -> Tensor:
+        return self.lower + (self.upper - self.lower) * torch.sigmoid(raw)
+
+    def right_inverse(self, value: Tensor) -> Tensor:
+        # A value on a bound has an infinite logit and no gradient; start a thousandth inside.
+        return torch.logit((value - self.lower) / (self.upper - self.lower), eps=1e-3)
+
+
+class Exponential(nn.Module):
+    """Maps an unconstrained tensor to positive values."""
+
+    def forward(self, raw: Tensor) -> Tensor:
+        return raw.exp()
+
+    def right_inverse(self, value: Tensor) -> Tensor:
+        return value.log()
+
+
+@dataclass
+class RecoveredParameter:
+    """One tensor of the scene that the optimiser changes.
+
+    Attributes:
+        name: as in `scene.named_parameters()`.
+        module: the plugin that holds it.
+        attribute: its name there.
+        spec: the recipe's table.
+        before: its initial value, detached.
+        truth: its true value where one is known; only reports look at it.
+    """
+
+    name: str
+    module: nn.Module
+    attribute: str
+    spec: recipe.Parameter
+    before: Tensor
+    truth: Tensor | None
+
+    @property
+    def value(self) -> Tensor:
+        """The current value as the renderer sees it, detached."""
+        with torch.no_grad():
+            return getattr(self.module, self.attribute).detach().clone()
+
+    @property
+    def raw(self) -> nn.Parameter:
+        """The leaf that the optimiser changes."""
+        if parametrize.is_parametrized(self.module, self.attribute):
+            return self.module.parametrizations[self.attribute].original
+        return getattr(self.module, self.attribute)
+
+    @property
+    def is_small(self) -> bool:
+        """Whether it is a colour, a number or a matrix, shown entry by entry, and not a picture or a mesh."""
+        return self.before.numel() <= 16
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether it is a bitmap, (H, W, 1 or 3)."""
+        return not self.is_small and self.before.dim() == 3 and self.before.shape[-1] in (1, 3)
+
+    def metrics(self) -> dict[str, float]:
+        """Returns columns of metrics.csv: every entry of a small parameter, the mean of a large one, the error."""
+        value = self.value
+        if value.dim() == 0:
+            columns = {self.name: value.item()}
+        elif self.is_small:
+            columns = {f"{self.name}[{index}]": entry for index, entry in enumerate(value.flatten().tolist())}
+        else:
+            columns = {f"{self.name}:mean": value.mean().item()}
+        if self.truth is not None:
+            columns[f"{self.name}:rmse"] = (value - self.truth).square().mean().sqrt().item()
+        return columns
+
+    @torch.no_grad()
+    def project_(self) -> None:
+        """Puts the value back between its bounds, where no parametrisation does."""
+        if self.spec.bounds is not None and self.spec.parametrisation == "clamp":
+            self.raw.clamp_(*self.spec.bounds)
+
+    def settle(self) -> None:
+        """Ends the parametrisation: the scene holds the plain value again."""
+        if parametrize.is_parametrized(self.module, self.attribute):
+            parametrize.remove_parametrizations(self.module, self.attribute)
+        self.raw.requires_grad_(False)
+
+
+def choose_parameters(scene: nn.Module, specs: list[recipe.Parameter]) -> list[RecoveredParameter]:
+    """Finds the recipe's parameters in the scene and sets them to their initial values.
+
+    Nothing is changed unless everything is right.
+
+    Raises:
+        ValueError: a name that does not exist (with the nearest), a wrong shape, a value that is not finite or out of
+            bounds.
+    """
+    known = dict(scene.named_parameters())
+    chosen: dict[str, RecoveredParameter] = {}
+    for spec in specs:
+        names = [name for name in known if fnmatchcase(name, spec.name)]
+        if not names:
+            raise ValueError(f"parameter {spec.name!r} does not exist in the scene; {nearest(spec.name, known)}")
+        for name in names:
+            if name in chosen:
+                raise ValueError(f"parameter {name!r} is named twice, by {chosen[name].spec.name!r} and {spec.name!r}")
+            chosen[name] = _choose(scene, name, known[name], spec)
+    for parameter in chosen.values():
+        _start(parameter)
+    return list(chosen.values())
+
+
+def _choose(scene: nn.Module, name: str, held: Tensor, spec: recipe.Parameter) -> RecoveredParameter:
+    path, _, attribute = name.rpartition(".")
+    before = held.detach().clone() if spec.initial is None else _tensor_like(held, spec.initial, name, "initial")
+    if spec.truth is None or spec.truth == "scene":
+        truth = None if spec.truth is None else held.detach().clone()
+    else:
+        truth = _tensor_like(held, spec.truth, name, "truth")
+    if spec.bounds is not None:
+        lower, upper = spec.bounds
+        outside = (before < lower) | (before > upper)
+        if outside.any():
+            raise ValueError(
+                f"parameter {name!r}: initial values must be within bounds [{lower:g}, {upper:g}], "
+                f"got {before[outside].flatten()[0].item():g}"
+            )
+    if spec.parametrisation == "log" and not (before > 0).all():
+        raise ValueError(f'parameter {name!r}: parametrisation = "log" needs positive initial values')
+    return RecoveredParameter(name, scene.get_submodule(path), attribute, spec, before, truth)
+
+
+def _tensor_like(held: Tensor, value: recipe.Value, name: str, role: str) -> Tensor:
+    """Returns a recipe's value as a tensor of the parameter's shape, dtype and device."""
+    if isinstance(value, Path):
+        tensor = read_image(value)
+        source = f"the image {value} of shape"
+    else:
+        tensor = torch.tensor(value, dtype=held.dtype)
+        source = "shape"
+    tensor = tensor.to(device=held.device, dtype=held.dtype)
+    if tensor.dim() == 0:
+        tensor = tensor.expand(held.shape)
+    if tensor.shape != held.shape:
+        raise ValueError(
+            f"parameter {name!r}: {role} must be one number or have shape {tuple(held.shape)}, "
+            f"got {source} {tuple(tensor.shape)}"
+        )
+    if not tensor.isfinite().all():
+        raise ValueError(f"parameter {name!r}: {role} must be finite, got NaN or infinity")
+    return tensor.clone()
+
+
+def _start(parameter: RecoveredParameter) -> None:
+    spec = parameter.spec
+    leaf = parameter.raw
+    with torch.no_grad():
+        leaf.copy_(parameter.before)
+    leaf.requires_grad_()
+    if spec.parametrisation == "sigmoid":
+        parametrize.register_parametrization(parameter.module, parameter.attribute, Sigmoid(*spec.bounds))
+    elif spec.parametrisation == "log":
+        parametrize.register_parametrization(parameter.module, parameter.attribute, Exponential())

@@ -1,0 +1,241 @@
+"""What a recipe may say: one pydantic model per TOML table. Reading and writing is in `recipe_file`."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
+
+from torch_radbp.plugin import nearest
+
+
+class Table(BaseModel):
+    """A TOML table whose unknown keys are refused with the nearest known one."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_unknown_keys(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            raise ValueError(f"expected a table, got {data!r}")
+        for key in data:
+            if key not in cls.model_fields:
+                raise ValueError(f"unknown key {key!r}; {nearest(key, cls.model_fields)}")
+        return data
+
+
+def _resolve(path: Path, info) -> Path:
+    path = Path(os.path.abspath(info.context["base_dir"] / path))
+    if not path.is_file():
+        raise ValueError(f"no such file: {path}")
+    return path
+
+
+def _relative(path: Path, info) -> str:
+    base_dir = (info.context or {}).get("base_dir")
+    return Path(os.path.relpath(path, base_dir) if base_dir else path).as_posix()
+
+
+# A file named by a recipe: relative to the recipe when read, relative to the copy when written.
+RecipePath = Annotated[Path, AfterValidator(_resolve), PlainSerializer(_relative)]
+
+
+def _check_value(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, (int, float, list, str, Path)):
+        raise ValueError(f"expected a number, a list of numbers or the path of an image, got {value!r}")
+    return value
+
+
+# The value of a parameter: one number for all entries, nested lists, or an image file.
+Value = Annotated[float | list[float] | list[list[float]] | RecipePath, BeforeValidator(_check_value)]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class Target(Table):
+    """One photograph, and the sensor that took it (may be left out if the scene has one sensor)."""
+
+    image: RecipePath
+    sensor: str | None = None
+
+
+class Parameter(Table):
+    """Parameters to recover: a name as `radbp info` prints it, or a glob such as `*.reflectance.value`."""
+
+    name: str
+    initial: Value | None = None  # None: the value in the scene file
+    bounds: tuple[float, float] | None = None
+    learning_rate: Positive | None = None  # None: the optimiser's
+    # How the bounds are kept: projected back after every step, or never left because a sigmoid (log) of the
+    # parameter is what the optimiser sees.
+    parametrisation: Literal["clamp", "sigmoid", "log"] = "clamp"
+    truth: Literal["scene"] | Value | None = None  # for reports only; "scene": the value in the scene file
+
+    @model_validator(mode="after")
+    def _check_bounds(self):
+        if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
+            raise ValueError(f"bounds must be [lower, upper] with lower < upper, got {list(self.bounds)}")
+        if self.parametrisation == "sigmoid" and self.bounds is None:
+            raise ValueError('parametrisation = "sigmoid" needs bounds = [lower, upper]')
+        if self.parametrisation == "log" and self.bounds is not None:
+            raise ValueError('parametrisation = "log" keeps a value positive and takes no bounds')
+        return self
+
+
+class Adjoint(Table):
+    """How the backward pass gets at incident radiance; see the README's table of strategies."""
+
+    strategy: Literal["memoized", "replay", "quadratic", "tape"] = "memoized"
+    stride: Count | Literal["sqrt", "log"] = 1
+    keep_hits: bool = True
+
+    @model_validator(mode="after")
+    def _check_options(self):
+        if self.strategy != "memoized" and self.model_fields_set & {"stride", "keep_hits"}:
+            raise ValueError(f'stride and keep_hits belong to strategy = "memoized", not to {self.strategy!r}')
+        return self
+
+
+class Render(Table):
+    """Arguments of `torch_radbp.Renderer`; what is left out is taken from the scene file."""
+
+    spp: Count = 16  # samples per pixel of each rendered buffer; two_buffer_l2 renders two
+    max_depth: int | None = Field(None, ge=-1)
+    rr_depth: Count | None = None
+    adjoint: Adjoint = Adjoint()
+    sampling: str = "detached"
+    chunk: Count | None = None
+    compile: bool = False
+    caster: str | None = None
+    seed: int = Field(0, ge=0)
+    # Independent samples for the backward pass: unbiased gradients of non-linear losses, at the price of a second
+    # forward pass.
+    decorrelate: bool = False
+
+
+class Loss(Table):
+    weight: Positive = 1.0
+
+
+class TwoBufferL2(Loss):
+    """mean((I_a - T)(I_b - T)) of two independent renderings: unbiased at any spp, so it takes no tone mapping."""
+
+    name: Literal["two_buffer_l2"]
+
+
+class ImageLoss(Loss):
+    tone_mapping: Literal["none", "log1p", "srgb"] = "none"
+
+
+class L1(ImageLoss):
+    name: Literal["l1"]
+
+
+class L2(ImageLoss):
+    name: Literal["l2"]
+
+
+class SSIM(ImageLoss):
+    """kornia's (1 - SSIM) / 2."""
+
+    name: Literal["ssim"]
+    window: Count = 11
+    max_value: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _check_window(self):
+        if self.window % 2 == 0:
+            raise ValueError(f"window must be odd, got {self.window}")
+        return self
+
+
+class MultiScaleSSIM(ImageLoss):
+    """kornia's MS_SSIMLoss: alpha * (1 - MS-SSIM) + (1 - alpha) * L1 under the coarsest Gaussian."""
+
+    name: Literal["ms_ssim"]
+    alpha: float = Field(0.84, ge=0, le=1)
+    max_value: Positive = 1.0
+    sigmas: list[Positive] = Field([0.5, 1.0, 2.0, 4.0, 8.0], min_length=1)
+
+
+AnyLoss = Annotated[TwoBufferL2 | L1 | L2 | SSIM | MultiScaleSSIM, Field(discriminator="name")]
+
+
+class Optimizer(Table):
+    learning_rate: Positive = 0.01
+
+
+class Adam(Optimizer):
+    name: Literal["adam"] = "adam"
+    betas: tuple[float, float] = (0.9, 0.999)
+    eps: Positive = 1e-8
+
+
+class SGD(Optimizer):
+    name: Literal["sgd"]
+    momentum: float = Field(0.0, ge=0, lt=1)
+    nesterov: bool = False
+
+
+class RMSprop(Optimizer):
+    name: Literal["rmsprop"]
+    alpha: float = Field(0.99, gt=0, lt=1)
+    momentum: float = Field(0.0, ge=0, lt=1)
+    eps: Positive = 1e-8
+
+
+AnyOptimizer = Annotated[Adam | SGD | RMSprop, Field(discriminator="name")]
+
+
+class Constant(Table):
+    name: Literal["constant"] = "constant"
+
+
+class Cosine(Table):
+    """From 1 down to `final` over all steps."""
+
+    name: Literal["cosine"]
+    final: float = Field(0.0, ge=0, le=1)
+
+
+class Step(Table):
+    """Times `factor` every `every` steps."""
+
+    name: Literal["step"]
+    every: Count
+    factor: Positive = 0.5
+
+
+class Exponential(Table):
+    """From 1 down to `final` over all steps, by the same factor each step."""
+
+    name: Literal["exponential"]
+    final: Positive = 0.1
+
+
+AnySchedule = Annotated[Constant | Cosine | Step | Exponential, Field(discriminator="name")]
+
+
+class Report(Table):
+    spp: Count = 64  # samples per pixel of the before and after images
+    checkpoint_every: Count = 50
+
+
+class Recipe(Table):
+    """A whole recipe. Paths are absolute once read."""
+
+    FILE_NAME: ClassVar[str] = "recipe.toml"
+
+    title: str = ""
+    description: str = ""
+    scene: RecipePath
+    variables: dict[str, str | int | float] = {}  # of the scene file, as in rb.load(path, resolution=128)
+    steps: Count
+    targets: list[Target] = Field(min_length=1)
+    parameters: list[Parameter] = Field(min_length=1)
+    render: Render = Render()
+    loss: list[AnyLoss] = Field(default_factory=lambda: [TwoBufferL2(name="two_buffer_l2")], min_length=1)
+    optimizer: AnyOptimizer = Adam()
+    schedule: AnySchedule = Constant()
+    report: Report = Report()

@@ -1,0 +1,97 @@
+"""`radbp render`: a scene file in, an image file out."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from torch_radbp.training.clear_errors import Debug, clear_errors
+from torch_radbp.training.scene_variables import Define, parse_variables
+
+# Passes of a long rendering, so that the progress bar moves; few enough that packing the scene costs nothing.
+MOST_PASSES = 16
+
+EPILOG = (
+    "Examples:\n\n"
+    "radbp render scene.xml -o image.exr  (linear, float32)\n\n"
+    "radbp render scene.xml -o image.png --spp 256 --max-depth 8  (sRGB, values above 1 are cut off)\n\n"
+    "radbp render scene.xml -o small.png -D resolution=64  (sets $resolution of the scene file)\n\n"
+    "With several sensors and no --sensor, each image gets the sensor's name: image_left.png, image_right.png"
+)
+
+
+def render(
+    scene: Annotated[Path, typer.Argument(help="Mitsuba 3 scene, .xml")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Image to write, .exr or .png")],
+    spp: Annotated[int | None, typer.Option(help="Samples per pixel.  [default: the scene's]")] = None,
+    max_depth: Annotated[
+        int | None, typer.Option(help="1 = emission, 2 = direct light, -1 = unlimited.  [default: the scene's]")
+    ] = None,
+    rr_depth: Annotated[int | None, typer.Option(help="Where roulette begins.  [default: the scene's]")] = None,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same image.", min=0)] = 0,
+    sensor: Annotated[list[str] | None, typer.Option(help="Name of a sensor; may be repeated.  [default: all]")] = None,
+    chunk: Annotated[int | None, typer.Option(help="Paths traced at a time; less needs less memory.")] = None,
+    compile: Annotated[
+        bool, typer.Option("--compile", help="Compile first: minutes once, then faster. For many samples.")
+    ] = False,
+    define: Define = None,
+    debug: Debug = False,
+) -> None:
+    """Render a scene to an EXR (linear) or PNG (sRGB) image."""
+    with clear_errors(debug):
+        import torch
+
+        import torch_radbp as rb
+        from torch_radbp.io.image import WRITABLE, write_image
+        from torch_radbp.training.targets import sensor_films
+
+        if output.suffix.lower() not in WRITABLE:
+            raise ValueError(f"{output}: the image must end in {' or '.join(WRITABLE)}, got {output.suffix!r}")
+        if not output.parent.is_dir():
+            raise ValueError(f"{output}: no such folder: {output.parent}")
+        loaded = rb.load(scene, **parse_variables(define))
+        indices = _chosen_sensors(sensor, list(sensor_films(loaded)))
+        renderer = rb.Renderer(
+            loaded, spp=spp, max_depth=max_depth, rr_depth=rr_depth, chunk=chunk, compile=compile
+        )
+        paths = {
+            name: output if len(indices) == 1 else output.with_name(f"{output.stem}_{name}{output.suffix}")
+            for name in indices
+        }
+        passes = _passes(renderer.spp)
+        console = Console(stderr=True)
+        started = time.perf_counter()
+        with Progress(
+            TextColumn("rendering"), BarColumn(), TextColumn("{task.percentage:3.0f}%"), TimeElapsedColumn(),
+            TextColumn("left"), TimeRemainingColumn(), console=console, transient=True,
+        ) as progress, torch.no_grad():  # fmt: skip
+            task = progress.add_task("", total=len(indices) * renderer.spp)
+            for name, index in indices.items():
+                image = 0.0
+                for number, count in enumerate(passes):
+                    pass_seed = seed + number * 0x1000193
+                    image = image + renderer(seed=pass_seed, sensors=[index], spp=count)[0] * (count / renderer.spp)
+                    progress.advance(task, count)
+                write_image(paths[name], image)
+        width, height = image.shape[2], image.shape[1]
+        for path in paths.values():
+            console.print(f"{path}  {width} x {height}, {renderer.spp} spp, {time.perf_counter() - started:.1f} s")
+
+
+def _passes(spp: int) -> list[int]:
+    """Splits the samples of a pixel into passes of nearly equal size."""
+    count = min(MOST_PASSES, max(1, spp // 16))
+    return [spp // count + (index < spp % count) for index in range(count)]
+
+
+def _chosen_sensors(wanted: list[str] | None, known: list[str]) -> dict[str, int]:
+    """Returns the wanted sensors' indices by name, all of them if none is named."""
+    from torch_radbp.plugin import nearest
+
+    for name in wanted or []:
+        if name not in known:
+            raise ValueError(f"no sensor {name!r}; {nearest(name, known)}")
+    return {name: known.index(name) for name in wanted or known}

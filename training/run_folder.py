@@ -1,0 +1,129 @@
+"""What a run leaves behind, and the names of its files.
+
+    recipe.toml              the recipe as used; can be run again from here
+    metrics.csv              loss, its terms, learning rate, seconds and parameters of every step
+    images/SENSOR_*.png|exr  before, target, after, error
+    textures/NAME_*.png      before, recovered, true, for parameters that are pictures
+    parameters.safetensors   recovered values by parameter name
+    scene/scene.xml          the scene with the recovered values
+    tensorboard/             event files
+    checkpoint.pt            what `--resume` continues from
+    summary.json             result, timing and memory, for programs
+    report.html              all of it on one page, for people
+
+Every file but the event files is written atomically.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+import torch
+from torch import Tensor, nn
+
+import torch_radbp as rb
+from torch_radbp.io.atomic import replacing
+from torch_radbp.io.image import write_image
+from torch_radbp.training.metrics import MetricsFile
+from torch_radbp.training.recipe import Recipe
+from torch_radbp.training.recipe_file import read_recipe, write_recipe
+
+
+class RunFolder:
+    """A folder of one run; creating the object touches nothing."""
+
+    def __init__(self, path: Path):
+        self.path = Path(path)
+        self.metrics = MetricsFile(self.path / "metrics.csv")
+        self.report = self.path / "report.html"
+        self._events = None
+
+    def start(self, recipe: Recipe) -> None:
+        """Makes the folder with the recipe as used.
+
+        Raises:
+            FileExistsError: the folder is not empty.
+        """
+        if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+            raise FileExistsError(f"{self.path} is not empty; choose another --out, or continue that run with --resume")
+        self.path.mkdir(parents=True, exist_ok=True)
+        self.save_recipe(recipe)
+
+    def save_recipe(self, recipe: Recipe) -> None:
+        with replacing(self.path / Recipe.FILE_NAME) as partial:
+            write_recipe(recipe, partial)
+
+    def check_same_recipe(self, recipe: Recipe) -> None:
+        """Raises ValueError if the run was made with a recipe that differs in more than the number of steps."""
+        used = read_recipe(self.path / Recipe.FILE_NAME)
+        changed = [
+            key for key in Recipe.model_fields if key != "steps" and getattr(used, key) != getattr(recipe, key)
+        ]
+        if changed:
+            raise ValueError(
+                f"{self.path} was run with another recipe: {', '.join(changed)} differ; a resumed run may only change "
+                "steps. Use the recipe.toml in that folder, or start anew with another --out"
+            )
+
+    def has_checkpoint(self) -> bool:
+        return (self.path / "checkpoint.pt").is_file()
+
+    def save_checkpoint(self, state: dict[str, Any]) -> None:
+        with replacing(self.path / "checkpoint.pt") as partial:
+            torch.save(state, partial)
+
+    def load_checkpoint(self) -> dict[str, Any]:
+        return torch.load(self.path / "checkpoint.pt", weights_only=True)
+
+    def log(self, row: dict[str, float]) -> None:
+        """Appends a step to metrics.csv and to the event files."""
+        self.metrics.append(row)
+        if self._events is None:
+            # TensorBoard takes seconds to import; a run that fails its checks should not pay for it.
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._events = SummaryWriter(str(self.path / "tensorboard"), purge_step=int(row["step"]))
+        for key, value in row.items():
+            if key != "step":
+                self._events.add_scalar(key, value, int(row["step"]))
+
+    def close(self) -> None:
+        """Flushes the event files."""
+        if self._events is not None:
+            self._events.close()
+            self._events = None
+
+    def image_path(self, sensor: str, role: str, suffix: str = ".png") -> Path:
+        return self.path / "images" / f"{sensor}_{role}{suffix}"
+
+    def save_image(self, sensor: str, role: str, image: Tensor, png: Tensor | None = None) -> None:
+        """Writes a linear (3, H, W) image as EXR and as PNG; `png` is shown instead of it where given."""
+        self._write_picture(self.image_path(sensor, role, ".exr"), image)
+        self._write_picture(self.image_path(sensor, role), image if png is None else png)
+
+    def texture_path(self, name: str, role: str) -> Path:
+        return self.path / "textures" / f"{name}_{role}.png"
+
+    def save_texture(self, name: str, role: str, texture: Tensor) -> None:
+        """Writes a texture (H, W, 1 or 3) as a picture."""
+        self._write_picture(self.texture_path(name, role), texture.expand(-1, -1, 3).permute(2, 0, 1))
+
+    def _write_picture(self, path: Path, image: Tensor) -> None:
+        path.parent.mkdir(exist_ok=True)
+        write_image(path, image)
+
+    def save_parameters(self, values: dict[str, Tensor]) -> None:
+        with replacing(self.path / "parameters.safetensors") as partial:
+            safetensors.torch.save_file({name: value.cpu().contiguous() for name, value in values.items()}, partial)
+
+    def save_scene(self, scene: nn.Module) -> None:
+        (self.path / "scene").mkdir(exist_ok=True)
+        rb.save(scene, self.path / "scene" / "scene.xml")
+
+    def save_summary(self, summary: dict[str, Any]) -> None:
+        with replacing(self.path / "summary.json") as partial:
+            partial.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+    def load_summary(self) -> dict[str, Any]:
+        return json.loads((self.path / "summary.json").read_text(encoding="utf-8"))

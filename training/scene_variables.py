@@ -1,0 +1,24 @@
+"""`-D name=value`: values for the `$name` of a scene file."""
+
+from typing import Annotated
+
+import typer
+
+Define = Annotated[
+    list[str] | None, typer.Option("-D", "--define", metavar="NAME=VALUE", help="Set $NAME of the scene file.")
+]
+
+
+def parse_variables(definitions: list[str] | None) -> dict[str, str]:
+    """Returns {name: value} of `name=value` strings.
+
+    Raises:
+        ValueError: a string without a name or an equals sign.
+    """
+    variables = {}
+    for definition in definitions or []:
+        name, equals, value = definition.partition("=")
+        if not equals or not name:
+            raise ValueError(f"-D {definition!r}: expected NAME=VALUE, for instance -D resolution=64")
+        variables[name] = value
+    return variables

@@ -1,0 +1,78 @@
+"""The images that a recipe's renderings are compared with."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.io.image import read_image
+from torch_radbp.plugin import Sensor, nearest
+from torch_radbp.scene import Scene
+from torch_radbp.training import recipe
+
+
+class Targets(NamedTuple):
+    """Target images and the sensors that see them.
+
+    Attributes:
+        names: sensor names, one per image.
+        sensors: their indices for `renderer(sensors=...)`.
+        images: (B, 3, H, W), linear RGB.
+    """
+
+    names: list[str]
+    sensors: list[int]
+    images: Tensor
+
+
+def sensor_films(scene: Scene) -> dict[str, tuple[int, int]]:
+    """Returns (height, width) of every sensor's image by name, in the order `renderer(sensors=)` counts."""
+    sensors = {name: child for name, child in scene.named_children() if isinstance(child, Sensor)}
+    return {name: (sensor.film.crop_height, sensor.film.crop_width) for name, sensor in sensors.items()}
+
+
+def read_targets(specs: list[recipe.Target], films: dict[str, tuple[int, int]]) -> Targets:
+    """Reads the target images and checks each against the film of its sensor.
+
+    Args:
+        specs: the recipe's `[[targets]]`.
+        films: (height, width) of the film of every sensor of the scene, by sensor name, in the scene's order.
+
+    Raises:
+        ValueError: unknown or repeated sensor, wrong size, NaN or infinity.
+    """
+    known = list(films)
+    names = [_sensor_name(spec, known) for spec in specs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"sensor {name!r} has {names.count(name)} targets; each sensor takes one")
+    images = [_read_target(spec, name, films[name]) for spec, name in zip(specs, names)]
+    if len({image.shape for image in images}) > 1:
+        sizes = ", ".join(f"{name} {image.shape[2]}x{image.shape[1]}" for name, image in zip(names, images))
+        raise ValueError(f"the sensors of one run must have films of one size, got {sizes}")
+    return Targets(names, [known.index(name) for name in names], torch.stack(images))
+
+
+def _sensor_name(spec: recipe.Target, known: list[str]) -> str:
+    if spec.sensor is None:
+        if len(known) != 1:
+            raise ValueError(f"target {spec.image}: the scene has {len(known)} sensors ({', '.join(known)}); name one")
+        return known[0]
+    if spec.sensor not in known:
+        raise ValueError(f"target {spec.image}: no sensor {spec.sensor!r}; {nearest(spec.sensor, known)}")
+    return spec.sensor
+
+
+def _read_target(spec: recipe.Target, sensor: str, film: tuple[int, int]) -> Tensor:
+    image = read_image(spec.image)  # (H, W, 1 or 3)
+    height, width = image.shape[:2]
+    if (height, width) != tuple(film):
+        raise ValueError(
+            f"target {spec.image} is {width} x {height} pixels, but the film of sensor {sensor!r} is "
+            f"{film[1]} x {film[0]}"
+        )
+    image = image.expand(-1, -1, 3)  # grey becomes colour
+    bad = int((~image.isfinite()).sum())
+    if bad:
+        raise ValueError(f"target {spec.image} has {bad} values that are NaN or infinite; mend the image first")
+    return image.permute(2, 0, 1).contiguous()
