@@ -51,13 +51,16 @@ def convert(name: str, value: Any, annotation: Any) -> Any:
     members = options(annotation)
     if value is None and type(None) in members:
         return None
+    if Texture in members:  # which takes plain numbers, too
+        members = (Texture,)
     rules = [RULES[member] for member in members if member in RULES]
     for _, rule in rules:
         try:
             return rule(name, value)
         except TypeError:
             continue
-    plugins = [with_article(category) for category in plugin_categories(annotation) if category != "texture"]
+    plugins = [f"{with_article(category)}, a dict with a \"type\"" for category in plugin_categories(annotation)
+               if category != "texture"]
     expected = " or ".join(dict.fromkeys([*(expected for expected, _ in rules), *plugins]))
     raise TypeError(f"{name} must be {expected}, got {_shown(value)}")
 
