@@ -22,6 +22,7 @@ PROTOTYPES = {
     "rtcReleaseDevice": (None, [c_void_p]),
     "rtcGetDeviceProperty": (c_ssize_t, [c_void_p, c_int]),
     "rtcGetDeviceError": (c_int, [c_void_p]),
+    "rtcGetDeviceLastErrorMessage": (c_char_p, [c_void_p]),
     "rtcNewScene": (c_void_p, [c_void_p]),
     "rtcReleaseScene": (None, [c_void_p]),
     "rtcSetSceneFlags": (None, [c_void_p, c_int]),
@@ -48,7 +49,7 @@ def library_path() -> Path:
     """
     spec = importlib.util.find_spec("embreex")
     if spec is None:
-        raise RuntimeError("the embree ray caster needs the embreex package: pip install 'embreex>=4'")
+        raise RuntimeError("the embree ray caster needs the embreex package: pip install 'embreex>=4.4'")
     package = Path(spec.submodule_search_locations[0])
     places = (
         (package.parent / "embreex.libs", "libembree4*.so*"),  # Linux
@@ -60,7 +61,7 @@ def library_path() -> Path:
             return path
     raise RuntimeError(
         f"found no Embree 4 library in {', '.join(str(folder / pattern) for folder, pattern in places)}; "
-        "install a wheel of version 4: pip install 'embreex>=4'"
+        "install a wheel of version 4: pip install 'embreex>=4.4'"
     )
 
 
@@ -80,11 +81,17 @@ def address(function) -> int:
 
 
 def check(device: int | None, doing: str) -> None:
-    """Raises RuntimeError if the last calls on this device, by this thread, left an error (None: making the device)."""
+    """Raises RuntimeError if calls of this thread on this device left an error, and clears it.
+
+    Args:
+        device: None for an error of making the device.
+        doing: what to say in the message: "Embree failed while ..."
+    """
     error = load().rtcGetDeviceError(device)
     if error:
         name = ERRORS[error] if error < len(ERRORS) else f"error {error}"
-        raise RuntimeError(f"Embree failed while {doing}: {name}")
+        detail = (load().rtcGetDeviceLastErrorMessage(device) or b"no details").decode()
+        raise RuntimeError(f"Embree failed while {doing}: {name} ({detail})")
 
 
 def new_device() -> int:

@@ -1,0 +1,170 @@
+"""The caster as an object: what it accepts, counts, copies, and how its vertices move."""
+
+import copy
+import gc
+import pickle
+
+import pytest
+import torch
+
+from tests.raycast.meshes import mesh, random_rays, single_ray
+from tests.raycast.test_hits import CASTERS
+from torch_radbp.raycast import Ray, library, make_caster
+from torch_radbp.raycast.brute import Brute
+from torch_radbp.raycast.embree import Embree
+from torch_radbp.vec import Vec3
+
+TRIANGLE = torch.tensor([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+FACE = torch.tensor([[0, 1, 2]])
+DOWN = single_ray((0.0, 0.0, 3.0), (0.0, 0.0, -1.0))
+
+
+def test_casters_are_chosen_by_name():
+    assert isinstance(make_caster("embree", TRIANGLE, FACE), Embree)
+    assert isinstance(make_caster("brute", TRIANGLE, FACE), Brute)
+    assert isinstance(make_caster(None, TRIANGLE, FACE), Embree)
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(ValueError, match="unknown ray caster 'optix'; known are 'embree', 'brute'"):
+        make_caster("optix", TRIANGLE, FACE)
+    with pytest.raises(ValueError, match="'warp'.*not yet available"):
+        make_caster("warp", TRIANGLE, FACE)
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+def test_rays_are_counted_by_lanes(caster):
+    tracer = make_caster(caster, TRIANGLE, FACE)
+    assert tracer.rays_cast == 0
+    tracer.intersect(random_rays(10))
+    tracer.occluded(random_rays(5), torch.ones(5))
+    assert tracer.rays_cast == 15
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_update_moves_the_hits(caster, dtype):
+    tracer = make_caster(caster, TRIANGLE.to(dtype), FACE)
+    ray = single_ray((0.0, 0.0, 3.0), (0.0, 0.0, -1.0), dtype)
+    assert tracer.occluded(ray, torch.tensor([3.5], dtype=dtype)).item()
+    tracer.update(TRIANGLE.to(dtype) - torch.tensor([0.25, 0.0, 1.0], dtype=dtype))
+    assert not tracer.occluded(ray, torch.tensor([3.5], dtype=dtype)).item()
+    hit = tracer.intersect(ray)
+    assert (hit.prim.item(), hit.u.item(), hit.v.item()) == pytest.approx((0, 0.375, 0.5), abs=1e-6)
+    tracer.update(TRIANGLE.to(dtype) + 10)
+    assert tracer.intersect(ray).prim.item() == -1
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+def test_vertices_are_copied(caster):
+    vertices, faces = TRIANGLE.clone(), FACE.clone()
+    tracer = make_caster(caster, vertices, faces)
+    vertices += 10
+    faces.fill_(0)
+    assert tracer.intersect(DOWN).prim.item() == 0
+
+
+def test_embree_follows_a_moving_mesh_as_brute_force_does():
+    vertices, faces = mesh("sphere")
+    ours, reference = Embree(vertices, faces), Brute(vertices, faces)
+    ray = random_rays(2000)
+    for step in range(4):
+        moved = vertices * (1 + 0.3 * torch.sin(3 * vertices.roll(1, dims=1) + step))
+        ours.update(moved)
+        reference.update(moved)
+        prim = reference.intersect(ray).prim
+        assert 0.2 < (prim >= 0).float().mean() < 0.99
+        assert (ours.intersect(ray).prim == prim).float().mean() > 0.999  # the rest are edges
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+def test_a_refused_update_leaves_the_caster_as_it_was(caster):
+    tracer = make_caster(caster, TRIANGLE, FACE)
+    with pytest.raises(ValueError, match=r"update moves the 3 vertices there are, got 4"):
+        tracer.update(torch.zeros(4, 3))
+    with pytest.raises(ValueError, match="vertices must be finite"):
+        tracer.update(TRIANGLE * torch.nan)
+    assert tracer.intersect(DOWN).prim.item() == 0
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+@pytest.mark.parametrize("copied", [copy.deepcopy, copy.copy, lambda tracer: pickle.loads(pickle.dumps(tracer))])
+def test_a_copy_is_independent(caster, copied):
+    tracer = make_caster(caster, TRIANGLE, FACE)
+    tracer.update(TRIANGLE + torch.tensor([0.0, 0.0, 1.0]))
+    other = copied(tracer)
+    tracer.update(TRIANGLE + 10)
+    del tracer
+    gc.collect()
+    assert other.intersect(DOWN).prim.item() == 0
+    assert not other.occluded(DOWN, torch.tensor([1.9])).item() and other.occluded(DOWN, torch.tensor([2.1])).item()
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        (torch.zeros(3, 8), FACE, r"vertices must have shape \(V, 3\), got \(3, 8\)"),
+        (TRIANGLE.int(), FACE, "vertices must be float32 or float64, got torch.int32"),
+        (TRIANGLE.half(), FACE, "vertices must be float32 or float64, got torch.float16"),
+        (torch.zeros(0, 3), FACE, "got no vertices"),
+        (TRIANGLE, torch.zeros(0, 3, dtype=torch.int32), "got no faces"),
+        (TRIANGLE, FACE[0], r"faces must have shape \(F, 3\), got \(3,\)"),
+        (TRIANGLE, FACE.float(), "faces must be integers"),
+        (TRIANGLE, FACE + 1, "faces must index 3 vertices, got indices from 1 to 3"),
+        (TRIANGLE, FACE - 1, "faces must index 3 vertices, got indices from -1 to 1"),
+        (TRIANGLE.index_fill(0, torch.tensor([1]), torch.nan), FACE, "vertices must be finite.*vertex 1"),
+        (TRIANGLE.double() * 1e300, FACE, "vertices must be finite in float32"),
+    ],
+)
+def test_a_mesh_that_cannot_be_used_is_refused(caster, vertices, faces, message):
+    with pytest.raises(ValueError, match=message):
+        make_caster(caster, vertices, faces)
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+def test_rays_that_do_not_fit_together_are_refused(caster):
+    tracer = make_caster(caster, TRIANGLE, FACE)
+    o, d = random_rays(4)
+    with pytest.raises(ValueError, match=r"one shape: o.x has \(4,\), d.z has \(1,\)"):
+        tracer.intersect(Ray(o, Vec3(d.x, d.y, d.z[:1])))
+    with pytest.raises(ValueError, match="o.x is torch.float32, d.x is torch.float64"):
+        tracer.intersect(Ray(o, d.map(torch.Tensor.double)))
+    with pytest.raises(ValueError, match=r"tmax has \(3,\)"):
+        tracer.occluded(Ray(o, d), torch.ones(3))
+    with pytest.raises(ValueError, match="is torch.float16"):
+        tracer.intersect(Ray(o.map(torch.Tensor.half), d.map(torch.Tensor.half)))
+    assert tracer.rays_cast == 0
+
+
+def test_embree_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(library.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(RuntimeError, match="pip install 'embreex>=4.4'"):
+        library.library_path()
+
+
+def test_an_error_of_embree_is_raised_with_its_name():
+    embree, device = library.load(), library.new_device()
+    geometry = embree.rtcNewGeometry(device, library.GEOMETRY_TYPE_TRIANGLE)
+    three_bytes = 3  # a stride must be a multiple of 4 bytes
+    embree.rtcSetSharedGeometryBuffer(
+        geometry, library.BUFFER_TYPE_VERTEX, 0, library.FORMAT_FLOAT3, TRIANGLE.data_ptr(), 0, three_bytes, 3
+    )
+    with pytest.raises(RuntimeError, match="Embree failed while testing: invalid operation .*aligned"):
+        library.check(device, "testing")
+    library.check(device, "testing")  # reading an error clears it
+    embree.rtcReleaseGeometry(geometry)
+    embree.rtcReleaseDevice(device)
+
+
+def test_many_casters_come_and_go():
+    """Scenes and devices are released with their casters: the process does not grow."""
+    resource = pytest.importorskip("resource")
+    vertices, faces = mesh("fine sphere")
+    for _ in range(20):
+        Embree(vertices, faces)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(100):
+        Embree(vertices, faces)
+    growth = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert growth < 8 << 10  # KiB; measured 0.1 MiB, and 37 MiB if nothing is released

@@ -1,0 +1,123 @@
+"""Lanes: how many, how laid out, broken ones among them, on how many threads."""
+
+import pytest
+import torch
+
+from tests.raycast.meshes import mesh, random_rays, take
+from tests.raycast.test_hits import CASTERS
+from torch_radbp.raycast import Ray, make_caster, team
+from torch_radbp.vec import Vec3
+
+
+@pytest.fixture
+def one_thread_after():
+    """Puts torch's number of threads back."""
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("lanes", [0, 1, 7, 8, 9, 1023, 1024, 1025, 3000])
+@pytest.mark.parametrize("caster", CASTERS)
+def test_every_lane_is_answered_whatever_their_number(caster, lanes):
+    ray = random_rays(3000)
+    tracer = make_caster(caster, *mesh("sphere in a box"))
+    whole = tracer.intersect(ray)
+    part = tracer.intersect(take(ray, slice(lanes)))
+    assert [column.shape for column in part] == [(lanes,)] * 3
+    assert all(torch.equal(a, b[:lanes]) for a, b in zip(part, whole))
+    assert torch.equal(
+        tracer.occluded(take(ray, slice(lanes)), torch.full((lanes,), torch.inf)), whole.prim[:lanes] >= 0
+    )
+
+
+def test_a_million_and_three_lanes():
+    """All hit the inside of a closed box, so no lane may be left over at the end of blocks and packets."""
+    tracer = make_caster("embree", *mesh("box"))
+    ray = random_rays(1_000_003)
+    assert bool((tracer.intersect(ray).prim >= 0).all())
+    assert bool(tracer.occluded(ray, torch.full((1_000_003,), torch.inf)).all())
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+@pytest.mark.parametrize("poison", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.parametrize("component", range(6))
+def test_a_lane_that_is_not_finite_misses_and_disturbs_no_other(caster, poison, component):
+    tracer = make_caster(caster, *mesh("sphere in a box"))
+    ray = random_rays(500)
+    clean = tracer.intersect(ray)
+    broken = torch.arange(500) % 7 == 3
+    columns = [*ray.o, *ray.d]
+    columns[component] = torch.where(broken, poison, columns[component])
+    poisoned = Ray(Vec3(*columns[:3]), Vec3(*columns[3:]))
+    hit = tracer.intersect(poisoned)
+    assert bool((hit.prim[broken] == -1).all()) and bool((hit.u[broken] == 0).all())
+    assert all(torch.equal(a[~broken], b[~broken]) for a, b in zip(hit, clean))
+    assert torch.equal(tracer.occluded(poisoned, torch.full((500,), torch.inf)), ~broken)
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+def test_a_lane_without_direction_misses(caster):
+    tracer = make_caster(caster, *mesh("box"))
+    ray = random_rays(100)
+    still = torch.arange(100) % 2 == 0
+    ray = Ray(ray.o, ray.d.map(lambda lanes: torch.where(still, 0.0, lanes)))
+    assert torch.equal(tracer.intersect(ray).prim == -1, still)
+    assert torch.equal(tracer.occluded(ray, torch.full((100,), torch.inf)), ~still)
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+def test_lanes_that_are_strided_expanded_or_attached_are_accepted(caster):
+    tracer = make_caster(caster, *mesh("sphere in a box"))
+    ray = random_rays(1000)
+    stacked = torch.stack([*ray.o, *ray.d], 1).requires_grad_()
+    strided = Ray(Vec3(*stacked.unbind(1)[:3]), Vec3(*stacked.unbind(1)[3:]))
+    assert not strided.o.x.is_contiguous()
+    hit = tracer.intersect(strided)
+    assert torch.equal(hit.prim, tracer.intersect(ray).prim) and not hit.u.requires_grad
+    centre = torch.zeros(()).expand(1000)
+    assert bool((tracer.intersect(Ray(Vec3(centre, centre, centre), ray.d)).prim >= 0).all())
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+def test_float64_attached_rays_give_detached_hits(caster):
+    tracer = make_caster(caster, *mesh("box", torch.float64))
+    ray = random_rays(100, torch.float64)
+    hit = tracer.intersect(Ray(*(vector.map(lambda lanes: lanes.clone().requires_grad_()) for vector in ray)))
+    assert hit.u.dtype == torch.float64 and not hit.u.requires_grad and not hit.v.requires_grad
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+def test_answers_have_the_shape_of_the_rays(caster):
+    tracer = make_caster(caster, *mesh("box"))
+    ray = random_rays(24)
+    image = Ray(*(vector.map(lambda lanes: lanes.view(4, 6)) for vector in ray))
+    assert tracer.intersect(image).u.shape == (4, 6)
+    assert torch.equal(tracer.intersect(image).prim.flatten(), tracer.intersect(ray).prim)
+    assert tracer.occluded(image, torch.ones(4, 6)).shape == (4, 6)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("pool", ["torch's OpenMP team", "Python threads"])
+def test_the_number_of_threads_changes_nothing(threads, pool, monkeypatch, one_thread_after):
+    if pool == "Python threads":
+        monkeypatch.setattr(team, "openmp_parallel", lambda: None)
+    elif team.openmp_parallel() is None:
+        pytest.skip("this torch has no OpenMP runtime with GOMP_parallel")
+    tracer = make_caster("embree", *mesh("sphere in a box"))
+    ray, tmax = random_rays(50_001), torch.full((50_001,), 0.7)
+    torch.set_num_threads(1)
+    expected, hidden = tracer.intersect(ray), tracer.occluded(ray, tmax)
+    assert 0.1 < hidden.float().mean() < 0.9
+    torch.set_num_threads(threads)
+    assert all(torch.equal(a, b) for a, b in zip(tracer.intersect(ray), expected))
+    assert torch.equal(tracer.occluded(ray, tmax), hidden)
+
+
+def test_brute_force_is_right_across_its_chunks(monkeypatch):
+    tracer = make_caster("brute", *mesh("sphere in a box"))
+    ray, tmax = random_rays(1000), torch.rand(1000)
+    expected, hidden = tracer.intersect(ray), tracer.occluded(ray, tmax)
+    monkeypatch.setattr("torch_radbp.raycast.brute.TABLE_BYTES", 7 * 4 * len(tracer.faces))  # 7 lanes a chunk
+    assert all(torch.equal(a, b) for a, b in zip(tracer.intersect(ray), expected))
+    assert torch.equal(tracer.occluded(ray, tmax), hidden)
