@@ -41,15 +41,16 @@ class Settings(NamedTuple):
     """What the integrand is: static, compiled in."""
 
     nee: bool = True
-    hide_emitters: bool = False
+    hide_emitters: bool = False  # at this bounce
+    last: bool = False  # the path ends here: only emission counts
 
 
-class Depths(NamedTuple):
-    """Where on the path a bounce lies: () int32 tensors, so that one compiled function serves every bounce."""
+class Position(NamedTuple):
+    """Where on the path a bounce lies: () tensors, so that one compiled function serves every bounce."""
 
-    depth: Tensor  # 0 at the first surface
-    max_depth: Tensor
-    rr_depth: Tensor
+    depth: Tensor  # int32, 0 at the first surface
+    least_survival: Tensor  # bounds of the probability of surviving roulette; both 1 before `rr_depth`
+    most_survival: Tensor
 
 
 class PathState(NamedTuple):
@@ -77,16 +78,15 @@ class Vertex(NamedTuple):
     F: Vec3  # bsdf * cos / pdf / survival probability
     shadow: Ray
     shadow_distance: Tensor  # 0: nothing to connect to
-    next: PathState
-    alive: Tensor  # bool: the path goes on
+    next: PathState  # its `pdf` is 0 where the path ends
 
 
-def camera_path(camera: PinholeTensors, width: int, pixel: Tensor, sample: Tensor, seed: Tensor) -> PathState:
-    """Starts one path per lane.
+def sample_camera(camera: PinholeTensors, width: Tensor, pixel: Tensor, sample: Tensor, seed: Tensor) -> tuple[Ray, Tensor]:
+    """One camera ray per lane, and the lane's key of random numbers.
 
     Args:
         camera: the sensor.
-        width: of the crop window, pixels.
+        width: () int32, of the crop window, pixels.
         pixel, sample: (N,) int32, row-major pixel of the crop window and number of the sample in it.
         seed: () int32.
     """
@@ -95,12 +95,17 @@ def camera_path(camera: PinholeTensors, width: int, pixel: Tensor, sample: Tenso
     dtype = camera.tan_x.dtype
     row = torch.div(pixel, width, rounding_mode="floor")
     column = pixel - row * width
-    ray = camera_ray(camera, column, row, uniform(key, depth, 0, dtype), uniform(key, depth, 1, dtype))
-    lane = torch.arange(pixel.shape[0], dtype=torch.int32, device=pixel.device)
-    return PathState(ray, Vec3.full(ray.d.x, 1.0), torch.zeros_like(ray.d.x), key, lane)
+    return camera_ray(camera, column, row, uniform(key, depth, 0, dtype), uniform(key, depth, 1, dtype)), key
 
 
-def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Depths,
+def start_path(ray: Ray, key: Tensor) -> PathState:
+    """The state before the first bounce: throughput 1, every lane in its place."""
+    beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
+    lane = torch.arange(len(key), dtype=torch.int32, device=key.device)
+    return PathState(ray, beta, torch.zeros_like(ray.d.x), key, lane)
+
+
+def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
            settings: Settings) -> Vertex:
     """One step of the recursion L_k = E_k + F_k L_{k+1}.
 
@@ -119,45 +124,50 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
 
     # Find the surface that the ray meets.
     si = surface_interaction(proposal, state.ray, hit)
-    scatters = si.valid & (at.depth + 1 < at.max_depth)
 
     # Add the light that it emits, weighted against the chance that next-event estimation finds it.
-    Le = emitted(scene, si)
+    Le = Vec3.full(state.pdf, 0.0) if settings.hide_emitters else emitted(scene, si)
     if settings.nee:
         by_chance = power_heuristic(state.pdf, emitted_pdf(proposal, state.ray, si))
         Le = Le * torch.where(state.pdf > 0, by_chance, 1.0)
-    if settings.hide_emitters:
-        Le = masked(at.depth > 0, Le)
+    if settings.last:
+        return ended(state, Le)
 
     # Look up the material.
     reflectance = material_reflectance(scene, si)
 
     # Connect to a point on a light.
-    numbers = [uniform(state.key, at.depth, dimension, dtype) for dimension in range(6)]
+    numbers = [uniform(state.key, at.depth, dimension, state.pdf.dtype) for dimension in range(6)]
     if settings.nee:
         light = sample_light(scene, proposal, si, *numbers[LIGHT_CHOICE:LIGHT_V + 1])
-        connected, Ld = next_event(reflectance, si, light, scatters)
-        shadow, shadow_distance = light.shadow, torch.where(connected, light.distance, 0.0)
+        Ld, shadow_distance = next_event(reflectance, si, light)
+        shadow = light.shadow
     else:
         Ld, shadow, shadow_distance = Vec3.full(state.pdf, 0.0), state.ray, torch.zeros_like(state.pdf)
 
     # Sample the BSDF for the next direction.
     wo = Diffuse.sample(numbers[BSDF_U], numbers[BSDF_V])
     pdf = Diffuse.pdf(si.wi, wo)
-    scatters = scatters & (pdf > 0)
+    scatters = si.valid & (pdf > 0)
     F = Diffuse.eval(reflectance, si.wi, wo) * torch.where(scatters, 1.0 / torch.where(scatters, pdf, 1.0), 0.0)
 
     # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
-    roulette = at.depth + 1 >= at.rr_depth
-    promise = max_component((state.beta * F).detach()).clamp(SURVIVE_AT_LEAST, SURVIVE_AT_MOST)
-    survival = torch.where(roulette, promise, 1.0)
+    promise = max_component((state.beta * F).detach())
+    survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
     alive = scatters & (numbers[ROULETTE] < survival)
     F = masked(alive, F * (1.0 / survival))
 
     # Leave along the sampled direction.
     d = normalize(si.frame.to_world(wo))
-    ray = Ray(si.offset(d), d)
-    return Vertex(Le, Ld, F, shadow, shadow_distance, PathState(ray, state.beta * F, pdf, state.key, state.lane), alive)
+    onward = PathState(Ray(si.offset(d), d), state.beta * F, torch.where(alive, pdf, 0.0), state.key, state.lane)
+    return Vertex(Le, Ld, F, shadow, shadow_distance, onward)
+
+
+def ended(state: PathState, Le: Vec3) -> Vertex:
+    """The last vertex of a path: nothing but emission."""
+    zero = torch.zeros_like(state.pdf)
+    none = Vec3(zero, zero, zero)
+    return Vertex(Le, none, none, state.ray, zero, state._replace(pdf=zero))
 
 
 def material_reflectance(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
@@ -170,14 +180,14 @@ def material_reflectance(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
     return masked(texture >= 0, sample_texture(scene.reflectance, texture.clamp_min(0), uv))
 
 
-def next_event(reflectance: Vec3, si: SurfaceInteraction, light: LightSample, scatters: Tensor) -> tuple[Tensor, Vec3]:
-    """Which lanes can connect to their light sample, and the light that arrives if nothing is in between."""
+def next_event(reflectance: Vec3, si: SurfaceInteraction, light: LightSample) -> tuple[Vec3, Tensor]:
+    """The light that arrives from a light sample if nothing is in between, and how far that is to be checked."""
     wo = si.frame.to_local(light.d)
-    connected = scatters & (light.pdf > 0) & (wo.z > 0) & (si.wi.z > 0)
-    pdf = Diffuse.pdf(si.wi, wo)
-    weight = torch.where(light.is_delta, 1.0, power_heuristic(light.pdf, pdf))
-    density = torch.where(connected, weight / torch.where(connected, light.pdf, 1.0), 0.0)
-    return connected, masked(connected, Diffuse.eval(reflectance, si.wi, wo) * light.radiance * density)
+    connects = si.valid & (light.pdf > 0) & (wo.z > 0) & (si.wi.z > 0)
+    weight = torch.where(light.is_delta, 1.0, power_heuristic(light.pdf, Diffuse.pdf(si.wi, wo)))
+    density = torch.where(connects, weight / torch.where(connects, light.pdf, 1.0), 0.0)
+    Ld = masked(connects, Diffuse.eval(reflectance, si.wi, wo) * light.radiance * density)
+    return Ld, torch.where(connects, light.distance, 0.0)
 
 
 class Integrand(NamedTuple):
@@ -191,30 +201,43 @@ class Integrand(NamedTuple):
     rr_depth: int
     bounce: Callable[..., Vertex]  # `bounce`, eager or compiled
 
-    def at(self, depth: int) -> Depths:
+    def at(self, depth: int) -> Position:
         """The position on the path as tensors."""
-        where = torch.tensor([depth, self.max_depth, self.rr_depth], dtype=torch.int32,
-                             device=self.scene.triangles.material.device)
-        return Depths(*where.unbind())
+        like = self.scene.lights.choice.pmf
+        roulette = depth + 1 >= self.rr_depth
+        return Position(torch.tensor(depth, dtype=torch.int32, device=like.device),
+                        like.new_tensor(SURVIVE_AT_LEAST if roulette else 1.0),
+                        like.new_tensor(SURVIVE_AT_MOST if roulette else 1.0))
+
+    def settings_at(self, depth: int) -> Settings:
+        """The settings with what is special at the first and the last bounce."""
+        return self.settings._replace(hide_emitters=self.settings.hide_emitters and depth == 0,
+                                      last=depth + 1 >= self.max_depth)
 
 
 def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None) -> tuple[Vertex, Step]:
     """One bounce of every lane; rays are cast only if `step` does not hold their answers."""
     hit = first_hit(integrand, state.ray, depth) if step is None else step.hit
-    vertex = integrand.bounce(integrand.scene, integrand.proposal, state, hit, integrand.at(depth), integrand.settings)
+    settings = integrand.settings_at(depth)
+    vertex = integrand.bounce(integrand.scene, integrand.proposal, state, hit, integrand.at(depth), settings)
     if step is None:
-        connects = integrand.settings.nee and depth + 1 < integrand.max_depth
-        shadowed = integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else ~vertex.alive
-        step = Step(hit, ~shadowed)
+        connects = settings.nee and not settings.last
+        step = Step(hit, ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects
+                    else torch.zeros_like(hit.prim, dtype=torch.bool))
     return vertex, step
 
 
 def survivors(vertex: Vertex) -> PathState:
     """The lanes that go on, packed together."""
-    index = vertex.alive.nonzero().squeeze(1)
-    if len(index) == len(vertex.alive):
+    alive = surviving(vertex)
+    if len(alive) == len(vertex.next.pdf):
         return vertex.next
-    return tree_map(lambda tensor: tensor.index_select(0, index), vertex.next)
+    return tree_map(lambda tensor: tensor.index_select(0, alive), vertex.next)
+
+
+def surviving(vertex: Vertex) -> Tensor:
+    """Indices of the lanes that go on, int64."""
+    return vertex.next.pdf.nonzero().squeeze(1)
 
 
 def trace(integrand: Integrand, state: PathState, visit: Callable[[int, PathState, Step], None] | None = None) -> Vec3:
@@ -222,7 +245,7 @@ def trace(integrand: Integrand, state: PathState, visit: Callable[[int, PathStat
 
     Args:
         integrand: the scene and how to step.
-        state: from `camera_path`.
+        state: from `start_path`.
         visit: called at every depth with the state that reached it and what was decided there.
 
     Returns:

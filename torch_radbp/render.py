@@ -123,7 +123,7 @@ class Renderer(nn.Module):
             return Integrand(tensors, proposal, caster, settings, max_depth, self.rr_depth, stages.bounce)
 
         lanes = self.chunk or (LANES_COMPILED if self.compile_stages else LANES_EAGER)
-        return RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.camera_path, self.adjoint, views,
+        return RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
                           plan_chunks(views, spp, lanes), spp, seed_grad is not None)
 
     def current_caster(self):

@@ -12,24 +12,26 @@ from typing import Callable, NamedTuple
 import torch
 
 from torch_radbp.adjoint.sweep import bounce_adjoint
-from torch_radbp.path import bounce, camera_path
+from torch_radbp.path import bounce, sample_camera
 
 # Below this many lanes a compiled function gains nothing, and one or zero lanes would compile a special case.
 FEWEST_LANES = 64
 
-# Inductor inlines the history of every output by default; cutting it at shared values compiles three times faster.
-INDUCTOR_OPTIONS = {"realize_reads_threshold": 2, "realize_opcount_threshold": 16}
+# Indices into tables are right by construction.
+INDUCTOR_OPTIONS = {"assert_indirect_indexing": False}
+# Derivatives are taken inside a compiled function; Python numbers are constants of the integrand, not inputs.
+DYNAMO_OPTIONS = {"trace_autograd_ops": True, "specialize_float": True}
 
 
 class Stages(NamedTuple):
     """The three functions that run per chunk or per bounce."""
 
-    camera_path: Callable
+    sample_camera: Callable
     bounce: Callable
     bounce_adjoint: Callable
 
 
-EAGER = Stages(camera_path, bounce, bounce_adjoint)
+EAGER = Stages(sample_camera, bounce, bounce_adjoint)
 
 
 @functools.cache
@@ -46,7 +48,7 @@ def compile_stage(stage: Callable) -> Callable:
         lanes = next(a for a in arguments if hasattr(a, "lane") or isinstance(a, torch.Tensor) and a.ndim == 1)
         if len(getattr(lanes, "lane", lanes)) < FEWEST_LANES:
             return stage(*arguments)
-        with torch._dynamo.config.patch(trace_autograd_ops=True):
+        with torch._dynamo.config.patch(DYNAMO_OPTIONS):
             return fast(*arguments)
 
     return call

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_map_only
 
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
-from torch_radbp.path import Integrand, PathState, Step, trace
+from torch_radbp.path import Integrand, PathState, Step, start_path, trace
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors
 from torch_radbp.vec import Vec3
@@ -40,7 +40,7 @@ class RenderCall(NamedTuple):
     scene: SceneTensors
     make_integrand: Callable[[SceneTensors], Integrand]
     adjoint_of_bounce: Callable
-    camera_path: Callable[..., PathState]
+    sample_camera: Callable
     adjoint: object  # the strategy
     views: list[View]
     chunks: list[Chunk]
@@ -67,8 +67,8 @@ def start_paths(call: RenderCall, chunk: Chunk, seed_key: int) -> PathState:
     view = call.views[chunk.sensor]
     seed = torch.tensor(seed_key, dtype=torch.int32, device=device)
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    return call.camera_path(view.camera, width, offset + chunk.first_pixel,
-                            lane - offset * chunk.samples + chunk.first_sample, seed)
+    return start_path(*call.sample_camera(view.camera, width, offset + chunk.first_pixel,
+                                          lane - offset * chunk.samples + chunk.first_sample, seed))
 
 
 def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: int, record: bool) -> tuple[Vec3, PathRecord]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.path import PathState, survivors, take_step
+from torch_radbp.path import PathState, survivors, surviving, take_step
 from torch_radbp.vec import Vec3, masked
 
 
@@ -45,7 +45,7 @@ def incident_radiance(sweep: Sweep, state: PathState, depth: int) -> Vec3:
         vertex, step = take_step(sweep.integrand, state, depth, sweep.record.steps.get(depth))
         for total, part in zip(L, weight * (vertex.Le + masked(step.visible, vertex.Ld))):
             total.index_add_(0, state.lane, part)
-        alive = vertex.alive.nonzero().squeeze(1)
+        alive = surviving(vertex)
         weight = (weight * vertex.F).map(lambda component: component[alive])
         state = survivors(vertex)
     return L

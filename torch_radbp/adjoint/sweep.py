@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
-from torch_radbp.path import Depths, Integrand, PathState, Settings, Step, bounce, survivors, take_step
+from torch_radbp.path import Position, Integrand, PathState, Settings, Step, bounce, survivors, take_step
 from torch_radbp.scene.lookup import Tap
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, masked
@@ -36,7 +36,7 @@ class PathRecord(NamedTuple):
 
 
 def bounce_adjoint(scene: SceneTensors, wanted: tuple[int, ...], state: PathState, step: Step, adj_L: Vec3,
-                   L_next: Vec3, at: Depths, settings: Settings) -> tuple[Vec3, list[list[tuple[Tensor, Tensor]]]]:
+                   L_next: Vec3, at: Position, settings: Settings) -> tuple[Vec3, list[list[tuple[Tensor, Tensor]]]]:
     """The local vector-Jacobian product of one bounce.
 
     Args:
@@ -59,8 +59,8 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[int, ...], state: PathStat
         E, F = vertex.Le + masked(step.visible, vertex.Ld), vertex.F
         outputs = [(value, adjoint) for value, adjoint in zip((*E, *F), (*adj_L, *(adj_L * L_next))) if value.requires_grad]
         reads = [leaf for tap in taps for _, leaf in tap.reads]
-        adjoints = iter(torch.autograd.grad([value for value, _ in outputs], reads,
-                                            [adjoint for _, adjoint in outputs], allow_unused=True))
+        adjoints = iter(torch.autograd.grad([value for value, _ in outputs], reads, [adjoint for _, adjoint in outputs],
+                                            allow_unused=True) if outputs else ())
     scattered = [[(index, next(adjoints)) for index, _ in tap.reads] for tap in taps]
     return (E + F * L_next).detach(), scattered
 
@@ -87,7 +87,8 @@ class Sweep:
         lane = None if len(state.lane) == len(self.memo.x) else state.lane
         adj_L = at_lane(self.adj_L, lane) * state.beta
         L, scattered = self.adjoint_of_bounce(self.integrand.scene, self.wanted, state, step, adj_L,
-                                              at_lane(self.memo, lane), self.integrand.at(depth), self.integrand.settings)
+                                              at_lane(self.memo, lane), self.integrand.at(depth),
+                                              self.integrand.settings_at(depth))
         for gradient, reads in zip(self.gradients, scattered):
             for index, adjoint in reads:
                 if adjoint is not None:
