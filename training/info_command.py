@@ -14,7 +14,7 @@ EPILOG = (
     "Examples:\n\n"
     "radbp info scene.xml\n\n"
     "radbp info scene.xml -D resolution=64\n\n"
-    "The names under PARAMETERS are those of scene.get_parameter(name) and of a recipe's [[[parameters]] tables."
+    "The names under PARAMETERS are those of scene.get_parameter(name) and of the parameters in a recipe."
 )
 
 

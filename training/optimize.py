@@ -41,6 +41,8 @@ class Recovery:
         self.targets = read_targets(recipe.targets, sensor_films(self.scene))
         self.parameters = choose_parameters(self.scene, recipe.parameters)
         self.renderer = make_renderer(self.scene, recipe.render)
+        # The renderer checks parameters and caster when it first renders: make it do so now, before files are written.
+        self.renderer.prepare(seed=0, sensors=self.targets.sensors, spp=1, seed_grad=None)
         self.objective = Objective(recipe.loss)
         self.optimizer = make_optimizer(self.parameters, recipe.optimizer)
         self.scheduler = make_scheduler(self.optimizer, recipe.schedule, recipe.steps)

@@ -6,6 +6,7 @@ from pathlib import Path
 import tomli_w
 from pydantic import ValidationError
 
+from torch_radbp.io.atomic import replacing
 from torch_radbp.training.recipe import Recipe
 
 try:
@@ -50,13 +51,14 @@ def read_recipe(path, overrides: list[str] = ()) -> Recipe:
 
 
 def write_recipe(recipe: Recipe, path: Path) -> None:
-    """Writes the recipe with paths relative to its new place, so that it can be run from there."""
+    """Writes the recipe, wholly or not at all; its paths become relative to the new file, so that it can be run."""
     context = {"base_dir": path.resolve().parent}
     text = tomli_w.dumps(recipe.model_dump(mode="json", exclude_none=True, context=context))
     # tomli_w puts every number of an array on a line of its own; bounds and colours read better on one.
     text = NUMBERS.sub(lambda array: f"[{array[1].strip().rstrip(',')}]", text)
     text = re.sub(r"(?<=[\d.]),\n\s+(?=[-+\d])", ", ", text)
-    path.write_text(text, encoding="utf-8")
+    with replacing(path) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def _override(data: dict, override: str) -> None:

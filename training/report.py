@@ -147,7 +147,8 @@ def _curves(summary: dict[str, Any], rows: list[dict[str, float]]) -> str:
 def _loss_chart(steps: list[float], rows: list[dict[str, float]]) -> str:
     terms = [key for key in rows[0] if key.startswith("loss.")]
     values = [row["loss"] for row in rows]
-    lines = [Line("loss", "#c3c9d6", steps, values), Line("running mean", OTHER_COLOURS[0], steps, running_mean(values))]
+    mean = Line("running mean", OTHER_COLOURS[0], steps, running_mean(values))
+    lines = [Line("loss", "#c3c9d6", steps, values), mean]
     if len(terms) > 1:
         lines += [
             Line(f"{key.removeprefix('loss.')}, running mean", colour, steps, running_mean([row[key] for row in rows]))

@@ -51,8 +51,7 @@ class RunFolder:
         self.save_recipe(recipe)
 
     def save_recipe(self, recipe: Recipe) -> None:
-        with replacing(self.path / Recipe.FILE_NAME) as partial:
-            write_recipe(recipe, partial)
+        write_recipe(recipe, self.path / Recipe.FILE_NAME)
 
     def check_same_recipe(self, recipe: Recipe) -> None:
         """Raises ValueError if the run was made with a recipe that differs in more than the number of steps."""

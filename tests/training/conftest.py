@@ -1,0 +1,95 @@
+"""A scene of a few triangles and 8 x 6 pixels, and recipes for it: a whole run takes about a second."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from torch_radbp.io.image import write_image
+
+SCENE = """<scene version="3.0.0">
+    <default name="width" value="8"/>
+    <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+    <sensor type="perspective" id="camera">
+        <float name="fov" value="60"/>
+        <transform name="to_world"><lookat origin="0, 1, 3" target="0, 0.6, 0" up="0, 1, 0"/></transform>
+        <sampler type="independent"><integer name="sample_count" value="4"/></sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="$width"/><integer name="height" value="6"/><rfilter type="box"/>
+        </film>
+    </sensor>
+    <bsdf type="diffuse" id="paint"><rgb name="reflectance" value="0.2, 0.5, 0.7"/></bsdf>
+    <bsdf type="diffuse" id="picture">
+        <texture name="reflectance" type="bitmap"><string name="filename" value="picture.png"/></texture>
+    </bsdf>
+    <shape type="rectangle" id="floor">
+        <transform name="to_world"><scale value="2"/><rotate x="1" angle="-90"/></transform>
+        <ref id="paint"/>
+    </shape>
+    <shape type="rectangle" id="wall">
+        <transform name="to_world"><translate y="1" z="-1"/></transform>
+        <ref id="picture"/>
+    </shape>
+    <shape type="rectangle" id="lamp">
+        <transform name="to_world"><rotate x="1" angle="90"/><translate y="2.5"/></transform>
+        <emitter type="area"><rgb name="radiance" value="6"/></emitter>
+    </shape>
+</scene>
+"""
+
+RECIPE = """scene = "scene.xml"
+steps = 6
+
+[[targets]]
+image = "target.exr"
+
+[[parameters]]
+name = "paint.reflectance.value"
+initial = 0.5
+bounds = [0.0, 1.0]
+truth = "scene"
+
+[render]
+spp = 4
+max_depth = 3
+caster = "brute"
+
+[[loss]]
+name = "two_buffer_l2"
+
+[optimizer]
+name = "adam"
+learning_rate = 0.05
+
+[schedule]
+name = "cosine"
+
+[report]
+spp = 4
+checkpoint_every = 2
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with scene.xml, picture.png (4 x 4), target.exr and recipe.toml."""
+    generator = torch.Generator().manual_seed(1)
+    write_image(tmp_path / "picture.png", torch.rand(3, 4, 4, generator=generator))
+    write_image(tmp_path / "target.exr", torch.rand(3, 6, 8, generator=generator))
+    (tmp_path / "scene.xml").write_text(SCENE)
+    (tmp_path / "recipe.toml").write_text(RECIPE)
+    return tmp_path
+
+
+@pytest.fixture
+def edit_recipe(folder: Path):
+    """Returns a function that replaces text of the recipe and returns the recipe's path."""
+
+    def edit(old: str, new: str) -> Path:
+        path = folder / "recipe.toml"
+        text = path.read_text()
+        assert text.count(old) == 1, f"{old!r} must occur once in the recipe"
+        path.write_text(text.replace(old, new))
+        return path
+
+    return edit

@@ -1,0 +1,145 @@
+"""Recipes: what is wrong is named by file, key and nearest name, before anything is written."""
+
+import pytest
+import torch
+
+from torch_radbp.io.image import write_image
+from torch_radbp.training.optimize import Recovery
+from torch_radbp.training.recipe_file import RecipeError, read_recipe, write_recipe
+
+BAD_RECIPES = {
+    "unknown key at the top": ("steps = 6", "step = 6", ["unknown key 'step'", "'steps'"]),
+    "unknown key in a table": ("max_depth = 3", "max_dept = 3", ["render", "unknown key 'max_dept'", "'max_depth'"]),
+    "unknown key of a parameter": ("bounds = ", "bound = ", ["parameters[0] ('paint.reflectance.value')", "'bounds'"]),
+    "not TOML": ("steps = 6", "steps = = 6", ["not valid TOML", "line 2"]),
+    "missing key": ("steps = 6\n", "", ["steps: this key is required"]),
+    "no scene file": ('"scene.xml"', '"scenes.xml"', ["scene: no such file", "scenes.xml"]),
+    "no target file": ('"target.exr"', '"photo.exr"', ["targets[0].image: no such file", "photo.exr"]),
+    "steps not positive": ("steps = 6", "steps = 0", ["steps", "greater than or equal to 1", "got 0"]),
+    "spp not an integer": ("spp = 4\nmax", 'spp = "many"\nmax', ["render.spp", "integer", "got 'many'"]),
+    "bounds upside down": ("[0.0, 1.0]", "[1.0, 0.0]", ["parameters[0]", "lower < upper", "[1.0, 0.0]"]),
+    "bounds not finite": ("[0.0, 1.0]", "[0.0, inf]", ["bounds", "finite"]),
+    "initial NaN": ("initial = 0.5", "initial = nan", ["parameters[0]", "initial", "finite"]),
+    "initial a boolean": ("initial = 0.5", "initial = true", ["initial", "expected a number", "True"]),
+    "sigmoid without bounds": ("bounds = [0.0, 1.0]", 'parametrisation = "sigmoid"', ["sigmoid", "needs bounds"]),
+    "unknown loss": ('"two_buffer_l2"', '"l3"', ["loss[0]", "'l1'", "got 'l3'"]),
+    "tone mapping of two buffers": (
+        'name = "two_buffer_l2"', 'name = "two_buffer_l2"\ntone_mapping = "srgb"', ["loss[0]", "'tone_mapping'"],
+    ),
+    "weight not positive": ('name = "two_buffer_l2"', 'name = "l1"\nweight = -1', ["loss[0]", "weight", "got -1"]),
+    "unknown optimiser": ('name = "adam"', 'name = "lbfgs"', ["optimizer", "'adam'", "got 'lbfgs'"]),
+    "option of another optimiser": ('name = "adam"', 'name = "adam"\nmomentum = 0.9', ["optimizer", "'momentum'"]),
+    "unknown schedule": ('name = "cosine"', 'name = "cosin"', ["schedule", "'cosine'", "got 'cosin'"]),
+    "stride without memo": (
+        'caster = "brute"', 'adjoint = { strategy = "replay", stride = 2 }', ["adjoint", "stride", "memoized"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_RECIPES)
+def test_bad_recipe_is_named(case, edit_recipe):
+    old, new, expected = BAD_RECIPES[case]
+    path = edit_recipe(old, new)
+    with pytest.raises(RecipeError) as caught:
+        read_recipe(path)
+    message = str(caught.value)
+    assert message.startswith(str(path)) and len(message.splitlines()) == 1
+    for fragment in expected:
+        assert fragment in message
+
+
+MISFITS = {
+    "no such parameter": ("paint.reflectance.value", "pant.reflectance.value", ["'paint.reflectance.value'"]),
+    "glob without a match": ("paint.reflectance.value", "*.transmittance", ["'*.transmittance'", "does not exist"]),
+    "initial outside bounds": ("initial = 0.5", "initial = [0.5, 1.5, 0.5]", ["within bounds [0, 1]", "1.5"]),
+    "initial of another shape": ("initial = 0.5", "initial = [0.5, 0.5]", ["initial", "shape (3,)", "(2,)"]),
+    "scene value outside bounds": ("initial = 0.5\nbounds = [0.0, 1.0]", "bounds = [0.3, 1.0]", ["0.2"]),
+    "truth of another shape": ('truth = "scene"', "truth = [[0.5]]", ["truth", "shape (3,)", "(1, 1)"]),
+    "unknown sensor": ('image = "target.exr"', 'image = "target.exr"\nsensor = "camra"', ["'camra'", "'camera'"]),
+    "parameter named twice": (
+        "[render]", '[[parameters]]\nname = "paint.*"\n[render]', ["named twice", "'paint.*'"],
+    ),
+    "log of a value that is not positive": (
+        "initial = 0.5\nbounds = [0.0, 1.0]", 'initial = 0\nparametrisation = "log"', ["log", "positive"],
+    ),
+    "no such caster": ('caster = "brute"', 'caster = "brutal"', ["brutal"]),
+    "parameter without a derivative": (
+        'name = "paint.reflectance.value"\ninitial = 0.5\nbounds = [0.0, 1.0]', 'name = "floor.to_world"',
+        ["floor.to_world", "not available yet"],
+    ),
+    "no such sampling": ('caster = "brute"', 'sampling = "atached"', ["atached"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MISFITS)
+def test_recipe_that_does_not_fit_its_scene_is_named(case, edit_recipe):
+    old, new, expected = MISFITS[case]
+    recipe = read_recipe(edit_recipe(old, new))
+    with pytest.raises(ValueError) as caught:
+        Recovery(recipe)
+    for fragment in expected:
+        assert fragment in str(caught.value)
+
+
+def test_target_of_wrong_size_names_both_sizes(folder):
+    write_image(folder / "target.exr", torch.zeros(3, 8, 6))
+    with pytest.raises(ValueError, match=r"target.exr is 6 x 8 pixels, but the film of sensor 'camera' is 8 x 6"):
+        Recovery(read_recipe(folder / "recipe.toml"))
+
+
+def test_target_with_nan_is_refused(folder):
+    # write_image refuses NaN, other programs do not.
+    import numpy as np
+    import OpenEXR
+
+    pixels = np.zeros((6, 8, 3), np.float32)
+    pixels[2, 3, 1] = np.nan
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": pixels}).write(str(folder / "target.exr"))
+    with pytest.raises(ValueError, match=r"target.exr has 1 values that are NaN or infinite"):
+        Recovery(read_recipe(folder / "recipe.toml"))
+
+
+def test_missing_recipe_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such recipe: .*nothing.toml"):
+        read_recipe(tmp_path / "nothing.toml")
+
+
+def test_overrides_reach_tables_and_arrays(folder):
+    overrides = ["steps=9", "render.spp=32", "parameters.0.bounds=[0.1, 0.9]", "optimizer.name=sgd"]
+    recipe = read_recipe(folder / "recipe.toml", overrides)
+    assert (recipe.steps, recipe.render.spp, recipe.optimizer.name) == (9, 32, "sgd")
+    assert recipe.parameters[0].bounds == (0.1, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("steps", "expected key=value"),
+        ("parameters.3.initial=1", "index from 0 to 0"),
+        ("steps.x=1", "'steps' is a value, not a table"),
+        ("render.ssp=1", "unknown key 'ssp'; did you mean 'spp'"),
+    ],
+)
+def test_bad_override_is_named(override, expected, folder):
+    with pytest.raises(RecipeError) as caught:
+        read_recipe(folder / "recipe.toml", [override])
+    assert expected in str(caught.value)
+
+
+def test_written_recipe_reads_back_the_same_from_another_folder(folder):
+    recipe = read_recipe(folder / "recipe.toml", ["parameters.0.initial=[0.1, 2e-3, 0.5]"])
+    (folder / "runs" / "one").mkdir(parents=True)
+    copy = folder / "runs" / "one" / "recipe.toml"
+    write_recipe(recipe, copy)
+    assert read_recipe(copy) == recipe
+    assert str(folder) not in copy.read_text(), "paths in a written recipe are relative"
+
+
+@pytest.mark.parametrize("name", ["cornell_reflectance", "textured_room"])
+def test_recipes_that_come_with_the_package_fit_their_scenes(name):
+    from pathlib import Path
+
+    path = Path(__file__).parents[2] / "training" / "recipes" / f"{name}.toml"
+    recovery = Recovery(read_recipe(path, ["render.caster=brute"]))
+    assert all(parameter.truth is not None for parameter in recovery.parameters)
+    assert all((parameter.before == 0.5).all() for parameter in recovery.parameters)

@@ -1,0 +1,145 @@
+"""report.html and the other files of a run."""
+
+import base64
+import re
+from html.parser import HTMLParser
+
+import pytest
+import safetensors.torch
+import torch
+from rich.console import Console
+
+from torch_radbp.io.image import read_image
+from torch_radbp.training.chart import Line, line_chart
+from torch_radbp.training.false_colour import error_scale, false_colour
+from torch_radbp.training.report import duration, running_mean
+from torch_radbp.training.run import run
+
+
+@pytest.fixture
+def run_folder(folder):
+    overrides = ["title='Paint & <picture>'", "parameters.0.name='p*.reflectance.*'", "parameters.0.truth=0.25"]
+    run(folder / "recipe.toml", overrides, folder / "run", False, Console(quiet=True))
+    return folder / "run"
+
+
+class Page(HTMLParser):
+    """Collects references, pictures and text, and checks that elements are closed in order."""
+
+    VOID = {"meta", "img", "br", "link"}
+
+    def __init__(self, text):
+        super().__init__()
+        self.references, self.pictures, self.tags, self.text, self.open = [], [], [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        for name, value in attributes:
+            if name in ("src", "href", "xlink:href", "srcset", "data"):
+                (self.pictures if value.startswith("data:image/png;base64,") else self.references).append(value)
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_report_is_self_contained(run_folder):
+    text = (run_folder / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.references == []
+    assert not re.search(r"https?:|//[a-z]|@import|url\(|<script|<link", re.sub(r"base64,[^\"]*", "", text))
+    # before, after, target, error; before, recovered, true of the picture.
+    assert len(page.pictures) == 7
+    for picture in page.pictures:
+        assert base64.b64decode(picture.split(",")[1]).startswith(b"\x89PNG")
+
+
+def test_report_says_what_was_recovered(run_folder):
+    page = Page((run_folder / "report.html").read_text(encoding="utf-8"))
+    text = " ".join(page.text)
+    assert "Paint & <picture>" in text, "the title is escaped"
+    assert "paint.reflectance.value" in text and "0.2500" in text
+    assert "4 × 4 × 3" in text
+    assert "peak memory" in text and "MiB" in text
+    assert "two_buffer_l2" in text, "the recipe is part of the report"
+    assert page.tags.count("svg") == 3  # loss, distance from the truth, the colour's channels
+    assert page.tags.count("polyline") >= 2 + 2 + 6
+
+
+def test_run_folder_is_complete(run_folder):
+    expected = {"recipe.toml", "metrics.csv", "parameters.safetensors", "checkpoint.pt", "summary.json", "report.html"}
+    expected |= {"images", "textures", "tensorboard", "scene"}
+    assert {path.name for path in run_folder.iterdir()} == expected
+    for role in ("before", "target", "after", "error"):
+        assert read_image(run_folder / "images" / f"camera_{role}.exr").shape == (6, 8, 3)
+        assert read_image(run_folder / "images" / f"camera_{role}.png").shape == (6, 8, 3)
+    values = safetensors.torch.load_file(run_folder / "parameters.safetensors")
+    assert {name: tuple(value.shape) for name, value in values.items()} == {
+        "paint.reflectance.value": (3,),
+        "picture.reflectance.data": (4, 4, 3),
+    }
+    assert not [path for path in run_folder.rglob("*") if path.name.startswith(".")], "no temporary file is left"
+    assert next((run_folder / "tensorboard").iterdir()).stat().st_size > 0
+
+
+def test_error_image_is_the_difference(run_folder):
+    images = {role: read_image(run_folder / "images" / f"camera_{role}.exr") for role in ("after", "target", "error")}
+    torch.testing.assert_close(images["error"], (images["after"] - images["target"]).abs(), atol=1e-6, rtol=0)
+
+
+def test_chart_leaves_out_what_cannot_be_drawn():
+    chart = line_chart("a < b", [Line("x", "red", [0, 1, 2, 3], [1.0, float("nan"), -1.0, 0.1])], log=True)
+    points = re.search(r'<polyline points="([^"]*)" stroke="red" class="curve"', chart)[1].split()
+    assert len(points) == 2
+    assert "a &lt; b" in chart and "nan" not in chart
+    assert line_chart("empty", [Line("x", "red", [0], [float("nan")])]) == ""
+
+
+def test_chart_goes_up_where_values_do():
+    chart = line_chart("rising", [Line("x", "red", [0, 1, 2], [1.0, 2.0, 5.0], goal=4.0)])
+    curve = re.search(r'<polyline points="([^"]*)" stroke="red" class="curve"', chart)[1]
+    heights = [float(point.split(",")[1]) for point in curve.split()]
+    assert heights[0] > heights[1] > heights[2], "the y axis of SVG points down"
+    goal = float(re.search(r'<polyline points="[^,]*,([0-9.]+)', chart)[1])
+    assert heights[2] < goal < heights[1]
+
+
+def test_long_curve_keeps_its_last_point():
+    chart = line_chart("long", [Line("x", "red", list(range(5000)), [1.0] * 4999 + [9.0])])
+    points = re.search(r'<polyline points="([^"]*)" stroke="red" class="curve"', chart)[1].split()
+    assert len(points) < 500
+    heights = [float(point.split(",")[1]) for point in points]
+    assert heights[-1] < min(heights[:-1])
+
+
+def test_false_colour_gets_lighter_with_the_error():
+    levels = torch.linspace(0, 1.2, 25).expand(3, 1, 25)
+    colours = false_colour(levels, scale=1.0)
+    luminance = (colours * torch.tensor([0.2126, 0.7152, 0.0722])[:, None, None]).sum(0)[0]
+    assert (luminance.diff()[:20] > 0).all()
+    assert torch.equal(colours[..., -1], colours[..., -2]), "beyond the scale it stays at its brightest"
+
+
+def test_one_firefly_does_not_set_the_error_scale():
+    error = torch.full((3, 20, 20), 0.01)
+    error[:, 3, 3] = 100.0
+    assert error_scale(error) == pytest.approx(0.01)
+
+
+def test_running_mean_of_a_short_and_a_long_series():
+    assert running_mean([1.0, 2.0]) == [1.0, 2.0]
+    assert running_mean([float(value) for value in range(40)])[-1] == pytest.approx(37.5)
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(4.26, "4.3 s"), (362, "6 min 02 s"), (7500, "2 h 05 min")])
+def test_duration(seconds, text):
+    assert duration(seconds) == text
