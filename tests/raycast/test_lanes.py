@@ -1,16 +1,18 @@
 """Lanes: how many, how laid out, broken ones among them, on how many threads."""
 
+import sys
+
 import pytest
 import torch
 
 from tests.raycast.meshes import mesh, random_rays, take
 from tests.raycast.test_hits import CASTERS
-from torch_radbp.raycast import Ray, make_caster, team
+from torch_radbp.raycast import Ray, make_caster, packets, team
 from torch_radbp.vec import Vec3
 
 
 @pytest.fixture
-def one_thread_after():
+def threads_restored():
     """Puts torch's number of threads back."""
     threads = torch.get_num_threads()
     yield
@@ -99,7 +101,7 @@ def test_answers_have_the_shape_of_the_rays(caster):
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("pool", ["torch's OpenMP team", "Python threads"])
-def test_the_number_of_threads_changes_nothing(threads, pool, monkeypatch, one_thread_after):
+def test_the_number_of_threads_changes_nothing(threads, pool, monkeypatch, threads_restored):
     if pool == "Python threads":
         monkeypatch.setattr(team, "openmp_parallel", lambda: None)
     elif team.openmp_parallel() is None:
@@ -112,6 +114,21 @@ def test_the_number_of_threads_changes_nothing(threads, pool, monkeypatch, one_t
     torch.set_num_threads(threads)
     assert all(torch.equal(a, b) for a, b in zip(tracer.intersect(ray), expected))
     assert torch.equal(tracer.occluded(ray, tmax), hidden)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a pool of Python threads may stand in")
+def test_torch_lends_its_threads():
+    """Without them queries are right but slower: nothing else would tell."""
+    assert team.openmp_parallel() is not None
+
+
+def test_loops_compile_where_nothing_can_be_cached(monkeypatch):
+    """A read-only installation without a writable user cache: numba then has no place for machine code."""
+    numba_caching = pytest.importorskip("numba.core.caching")
+    monkeypatch.setattr(numba_caching.CacheImpl, "_locator_classes", [])
+    monkeypatch.setattr(packets, "any_hit", packets.compiled(packets.any_hit.__wrapped__))
+    tracer = make_caster("embree", *mesh("box"))
+    assert bool(tracer.occluded(random_rays(20), torch.full((20,), torch.inf)).all())
 
 
 def test_brute_force_is_right_across_its_chunks(monkeypatch):
