@@ -26,7 +26,7 @@ from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import CAMERA_DEPTH, lane_key, uniform
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light
-from torch_radbp.scene.lookup import sample_texture
+from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, camera_ray
 from torch_radbp.vec import Ray, Vec3, masked, max_component, normalize
@@ -173,10 +173,10 @@ def ended(state: PathState, Le: Vec3) -> Vertex:
 def material_reflectance(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
     """Reflectance of the side that the ray meets; zero behind a one-sided material."""
     uv = si.uv if scene.layout.reflectance_bitmaps else None
-    front = scene.materials.front[si.material]
+    front = lookup(scene.materials.front, si.material)
     if not scene.layout.back_sides:
         return sample_texture(scene.reflectance, front, uv)
-    texture = torch.where(si.front, front, scene.materials.back[si.material])
+    texture = torch.where(si.front, front, lookup(scene.materials.back, si.material))
     return masked(texture >= 0, sample_texture(scene.reflectance, texture.clamp_min(0), uv))
 
 

@@ -21,8 +21,8 @@ class AliasTable(NamedTuple):
         count = self.pmf.shape[0]
         scaled = u * count
         entry = scaled.to(torch.int32).clamp_max(count - 1)
-        keep = scaled - entry < self.threshold[entry]
-        return torch.where(keep, entry, self.other[entry])
+        keep = scaled - entry < self.threshold.index_select(0, entry)
+        return torch.where(keep, entry, self.other.index_select(0, entry))
 
 
 def alias_table(weights: Tensor) -> AliasTable:

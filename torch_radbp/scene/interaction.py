@@ -56,9 +56,9 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteractio
         w = 1.0 - hit.u - hit.v
         uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * hit.u + lookup(triangles.uv2, prim) * hit.v
     front = dot(shading, ray.d) < 0
-    material = triangles.material[prim]
+    material = lookup(triangles.material, prim)
     if scene.layout.back_sides:
-        turned = ~front & (scene.materials.back[material] >= 0)
+        turned = ~front & (lookup(scene.materials.back, material) >= 0)
         shading = where(turned, -shading, shading)
     frame = Frame.of(shading)
     # Relative to the size of the coordinates, since that is the scale of their rounding errors.

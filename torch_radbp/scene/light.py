@@ -33,7 +33,7 @@ def emitted(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
     layout = scene.layout
     radiance = Vec3.full(si.epsilon, 0.0)
     if layout.area_lights:
-        texture = scene.triangles.radiance[si.prim]
+        texture = lookup(scene.triangles.radiance, si.prim)
         emits = si.valid & si.front & (texture >= 0)
         uv = si.uv if layout.radiance_bitmaps else None
         radiance = masked(emits, sample_texture(scene.radiance, texture.clamp_min(0), uv))
@@ -48,7 +48,7 @@ def emitted_pdf(proposal: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Ten
     """Density over solid angle with which next-event estimation at the ray's origin would have found this point."""
     offset = si.p - ray.o
     cosine = dot(si.n, ray.d).abs()
-    pdf = proposal.triangles.light_pdf[si.prim] * dot(offset, offset) / cosine.clamp_min(1e-12)
+    pdf = lookup(proposal.triangles.light_pdf, si.prim) * dot(offset, offset) / cosine.clamp_min(1e-12)
     return torch.where(si.valid, pdf, proposal.lights.surround_pmf * UNIFORM_SPHERE_PDF)
 
 
@@ -64,14 +64,14 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     """
     layout, lights = scene.layout, proposal.lights
     element = lights.choice.sample(choice)
-    pmf = lights.choice.pmf[element]
-    kind = lights.kind[element]
-    texture = lights.radiance[element]
+    pmf = lookup(lights.choice.pmf, element)
+    kind = lookup(lights.kind, element)
+    texture = lookup(lights.radiance, element)
     uv = None
 
     target, pdf, scale = si.p, torch.zeros_like(pmf), torch.ones_like(pmf)
     if layout.area_lights:
-        prim = lights.prim[element]
+        prim = lookup(lights.prim, element)
         triangles = proposal.triangles
         b = square_to_uniform_triangle(u, v)
         e1, e2 = lookup(triangles.e1, prim), lookup(triangles.e2, prim)
@@ -116,5 +116,5 @@ def area_density(proposal: SceneTensors, p: Vec3, target: Vec3, n: Vec3, prim: T
     reach = target - p
     squared = dot(reach, reach)
     cosine = -dot(reach, n) / torch.sqrt(torch.where(squared > 0, squared, 1.0))
-    density = proposal.triangles.light_pdf[prim] * squared / cosine.abs().clamp_min(1e-12)
+    density = lookup(proposal.triangles.light_pdf, prim) * squared / cosine.abs().clamp_min(1e-12)
     return cosine > 0, torch.where(cosine.abs() > 1e-9, density, 0.0)

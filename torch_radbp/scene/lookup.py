@@ -23,7 +23,7 @@ class Tap:
         self.reads: list[tuple[Tensor, Tensor]] = []
 
     def read(self, index: Tensor) -> Tensor:
-        leaf = self.table[index].detach().requires_grad_()
+        leaf = self.table.index_select(0, index).detach().requires_grad_()
         self.reads.append((index, leaf))
         return leaf
 
@@ -32,7 +32,7 @@ def lookup(table, index: Tensor):
     """Entries of a table, or of each component of a `Vec2` / `Vec3` of tables, at int32 `index` (N,)."""
     if isinstance(table, (Vec2, Vec3)):
         return table.map(lambda component: lookup(component, index))
-    return table.read(index) if isinstance(table, Tap) else table[index]
+    return table.read(index) if isinstance(table, Tap) else table.index_select(0, index)
 
 
 class TextureBank(NamedTuple):
@@ -65,12 +65,12 @@ def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
         texture: (N,) int32, which texture each lane reads.
         uv: (N,) surface coordinates, or None if every texture of the bank is one texel.
     """
-    first = bank.offset[texture]
+    first = lookup(bank.offset, texture)
     if uv is None:
         return lookup(bank.texels, first)
-    width, height, wrap = bank.width[texture], bank.height[texture], bank.wrap[texture]
+    width, height, wrap = lookup(bank.width, texture), lookup(bank.height, texture), lookup(bank.wrap, texture)
     to_u, to_v = lookup(bank.to_u, texture), lookup(bank.to_v, texture)
-    half = torch.where(bank.nearest[texture], 0.0, 0.5).to(uv.x.dtype)
+    half = torch.where(lookup(bank.nearest, texture), 0.0, 0.5).to(uv.x.dtype)
     x = (to_u.x * uv.x + to_u.y * uv.y + to_u.z) * width - half
     y = (to_v.x * uv.x + to_v.y * uv.y + to_v.z) * height - half
     left, top = torch.floor(x.detach()), torch.floor(y.detach())

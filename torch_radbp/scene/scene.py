@@ -14,8 +14,8 @@ from torch_radbp.scene.integrator import Path
 class Scene(nn.Module):
     """Shapes, materials, emitters and sensors, each a submodule under its name in the scene description.
 
-    Parameter names follow Mitsuba's `mi.traverse`: a material with an id of its own is named by it
-    (`white.reflectance.value`), one that is written inside its shape by the shape (`wall.bsdf.reflectance.data`).
+    Parameter names follow Mitsuba's `mi.traverse`: a material of its own is named by its id (`white.reflectance.value`),
+    one that is written inside its shape by the shape (`wall.bsdf.reflectance.data`).
     All parameters have `requires_grad=False` until the user picks.
 
     Args:
@@ -32,36 +32,39 @@ class Scene(nn.Module):
         self.integrator_defaults = [Path() if integrator is None else integrator]
         for name, child in children.items():
             self._add(name, child)
+        named = {id(child) for child in self._modules.values()}
         for child in list(self._modules.values()):
-            self._name_once(child)
+            self._name_once(child, named)
         if not self.sensors:
             raise SceneError("the scene has no sensor: add <sensor type=\"perspective\">")
         if not self.emitters:
             raise SceneError("the scene has no emitter, so that every image is black: add an emitter of type area, "
                              "constant or point")
+        if sum(emitter.type == "constant" for emitter in self.emitters) > 1:
+            raise SceneError("the scene has more than one constant emitter: add up their radiances in one")
+        if not self.shapes:
+            raise SceneError("the scene has no shape: add one (rectangle, cube, sphere, disk, obj, ply)")
 
     def _add(self, name: str, child: Plugin) -> None:
         name = name.replace(".", "_")
-        if name in self._modules or not name:
+        if not name:
+            raise SceneError("an object of the scene has an empty name")
+        if name in self._modules:
             raise SceneError(f"two objects of the scene have the id {name!r}")
         if hasattr(self, name):
             name += "_"
         self._modules[name] = child
 
-    def _name_once(self, parent: Plugin) -> None:
-        """Registers what has an id of its own at top level, and only there."""
-        top_level = {id(module): name for name, module in self._modules.items()}
+    def _name_once(self, parent: Plugin, named: set[int]) -> None:
+        """Leaves a child that several parents use registered where it was named first, and only there."""
         for name, child in list(parent._modules.items()):
             if not isinstance(child, Plugin):
                 continue
-            if id(child) not in top_level and child.id is not None and isinstance(child, (BSDF,)):
-                self._add(child.id, child)
-                self._name_once(child)
-                top_level[id(child)] = child.id
-            if id(child) in top_level:
+            if id(child) in named:
                 parent.share(name)
             else:
-                self._name_once(child)
+                named.add(id(child))
+                self._name_once(child, named)
 
     @property
     def integrator(self) -> Integrator:

@@ -151,4 +151,4 @@ def quantile(table: Tensor, u: Tensor) -> Tensor:
     position = u * (table.shape[0] - 1)
     left = position.to(torch.int32)
     fraction = position - left
-    return table[left] * (1.0 - fraction) + table[left + 1] * fraction
+    return table.index_select(0, left) * (1.0 - fraction) + table.index_select(0, left + 1) * fraction

@@ -58,12 +58,12 @@ class FileMesh(Mesh):
 
     Args:
         filename: the file.
-        face_normals: ignore vertex normals and shade flat.
+        face_normals: shade flat; else the file's vertex normals are used, or smooth ones if it has none, as in Mitsuba.
         flip_tex_coords: use 1 - v, as Mitsuba does.
     """
 
     def read(self, filename: str, face_normals: bool, flip_tex_coords: bool, to_world: Tensor | None) -> None:
-        from torch_radbp.io.mesh import read_mesh  # io reads files for every layer above `vec`
+        from torch_radbp.io.mesh import angle_weighted_normals, read_mesh  # io reads files for every layer above `vec`
 
         self.filename, self.face_normals, self.flip_tex_coords, self.to_world = (
             filename, face_normals, flip_tex_coords, to_world)
@@ -71,9 +71,15 @@ class FileMesh(Mesh):
         if flip_tex_coords and uv is not None:
             uv = uv.copy()
             uv[:, 1] = 1.0 - uv[:, 1]
-        self.hold(torch.from_numpy(vertices), torch.from_numpy(faces),
-                  None if normals is None or face_normals else torch.from_numpy(normals),
-                  None if uv is None else torch.from_numpy(uv), to_world)
+        matrix = affine("to_world", to_world).double()
+        vertices = transform_points(matrix, torch.from_numpy(vertices))
+        if face_normals:
+            normals = None
+        elif normals is None:
+            normals = torch.from_numpy(angle_weighted_normals(vertices.numpy(), faces))
+        else:
+            normals = transform_normals(matrix, torch.from_numpy(normals))
+        self.hold(vertices, torch.from_numpy(faces), normals, None if uv is None else torch.from_numpy(uv), None)
 
 
 @register("shape", "obj")
