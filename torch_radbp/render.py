@@ -53,6 +53,8 @@ class Renderer(nn.Module):
         super().__init__()
         if not isinstance(scene, Scene):
             raise TypeError(f"scene must be a torch_radbp.Scene (from load or load_dict), got {type(scene).__name__}")
+        if not scene.shapes:
+            raise ValueError("the scene has no shape to render: add a rectangle, cube, sphere, disk, obj, ply or mesh")
         self.scene = scene
         defaults = scene.integrator
         self.spp = scene.sensors[0].sampler.sample_count if spp is None else spp

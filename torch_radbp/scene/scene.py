@@ -42,8 +42,6 @@ class Scene(nn.Module):
                              "constant or point")
         if sum(emitter.type == "constant" for emitter in self.emitters) > 1:
             raise SceneError("the scene has more than one constant emitter: add up their radiances in one")
-        if not self.shapes:
-            raise SceneError("the scene has no shape: add one (rectangle, cube, sphere, disk, obj, ply)")
 
     def _add(self, name: str, child: Plugin) -> None:
         name = name.replace(".", "_")
