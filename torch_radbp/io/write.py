@@ -132,6 +132,9 @@ class _Writer:
             return _colour_element(attribute, plugin.value, name)
         else:
             element = self.plugin_element(plugin, name)
+            if plugin.id is not None:  # others may refer to it
+                element.set("id", _text(plugin.id))
+                self.ids[id(plugin)] = plugin.id
         if isinstance(plugin, Plugin) and plugin.category == "texture":
             element.set("name", attribute)
         return element
