@@ -29,7 +29,7 @@ from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_li
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, camera_ray
-from torch_radbp.vec import Ray, Vec3, masked, max_component, normalize
+from torch_radbp.vec import TINY, Ray, Vec3, masked, max_component, normalize
 
 # The random numbers of one bounce.
 LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE = range(6)
@@ -58,7 +58,7 @@ class PathState(NamedTuple):
 
     ray: Ray
     beta: Vec3  # throughput
-    pdf: Tensor  # density over solid angle with which the ray's direction was sampled; 0: not by chance (camera)
+    pdf: Tensor  # density over solid angle of the ray's direction; infinite: not left to chance; 0: the path has ended
     key: Tensor  # int32, of the lane's random numbers
     lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
 
@@ -102,7 +102,7 @@ def start_path(ray: Ray, key: Tensor) -> PathState:
     """The state before the first bounce: throughput 1, every lane in its place."""
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
     lane = torch.arange(len(key), dtype=torch.int32, device=key.device)
-    return PathState(ray, beta, torch.zeros_like(ray.d.x), key, lane)
+    return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane)
 
 
 def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
@@ -128,8 +128,7 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
     # Add the light that it emits, weighted against the chance that next-event estimation finds it.
     Le = Vec3.full(state.pdf, 0.0) if settings.hide_emitters else emitted(scene, si)
     if settings.nee:
-        by_chance = power_heuristic(state.pdf, emitted_pdf(proposal, state.ray, si))
-        Le = Le * torch.where(state.pdf > 0, by_chance, 1.0)
+        Le = Le * power_heuristic(state.pdf, emitted_pdf(proposal, state.ray, si))
     if settings.last:
         return ended(state, Le)
 
@@ -148,18 +147,17 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
     # Sample the BSDF for the next direction.
     wo = Diffuse.sample(numbers[BSDF_U], numbers[BSDF_V])
     pdf = Diffuse.pdf(si.wi, wo)
-    scatters = si.valid & (pdf > 0)
-    F = Diffuse.eval(reflectance, si.wi, wo) * torch.where(scatters, 1.0 / torch.where(scatters, pdf, 1.0), 0.0)
+    F = Diffuse.eval(reflectance, si.wi, wo) * (1.0 / pdf.clamp_min(TINY))
 
     # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
     promise = max_component((state.beta * F).detach())
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
-    alive = scatters & (numbers[ROULETTE] < survival)
-    F = masked(alive, F * (1.0 / survival))
+    alive = (si.valid & (pdf > 0) & (numbers[ROULETTE] < survival)).to(pdf.dtype)
+    F = F * (alive / survival)
 
     # Leave along the sampled direction.
     d = normalize(si.frame.to_world(wo))
-    onward = PathState(Ray(si.offset(d), d), state.beta * F, torch.where(alive, pdf, 0.0), state.key, state.lane)
+    onward = PathState(Ray(si.offset(d), d), state.beta * F, pdf * alive, state.key, state.lane)
     return Vertex(Le, Ld, F, shadow, shadow_distance, onward)
 
 
@@ -183,11 +181,11 @@ def material_reflectance(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
 def next_event(reflectance: Vec3, si: SurfaceInteraction, light: LightSample) -> tuple[Vec3, Tensor]:
     """The light that arrives from a light sample if nothing is in between, and how far that is to be checked."""
     wo = si.frame.to_local(light.d)
-    connects = si.valid & (light.pdf > 0) & (wo.z > 0) & (si.wi.z > 0)
-    weight = torch.where(light.is_delta, 1.0, power_heuristic(light.pdf, Diffuse.pdf(si.wi, wo)))
-    density = torch.where(connects, weight / torch.where(connects, light.pdf, 1.0), 0.0)
-    Ld = masked(connects, Diffuse.eval(reflectance, si.wi, wo) * light.radiance * density)
-    return Ld, torch.where(connects, light.distance, 0.0)
+    connects = (si.valid & (light.pdf > 0) & (wo.z > 0) & (si.wi.z > 0)).to(light.pdf.dtype)
+    density = light.pdf.clamp_min(TINY)
+    weight = power_heuristic(density, Diffuse.pdf(si.wi, wo) * light.findable)
+    Ld = Diffuse.eval(reflectance, si.wi, wo) * light.radiance * (connects * weight / density)
+    return Ld, light.distance * connects
 
 
 class Integrand(NamedTuple):

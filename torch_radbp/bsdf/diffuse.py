@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
-import torch
 from torch import Tensor
 
 from torch_radbp.plugin import BSDF, Texture, register
@@ -27,13 +24,12 @@ class Diffuse(BSDF):
     @staticmethod
     def eval(reflectance: Vec3, wi: Vec3, wo: Vec3) -> Vec3:
         """bsdf * cos, local frame; zero unless both directions lie above the surface."""
-        cosine = torch.where((wi.z > 0) & (wo.z > 0), wo.z, 0.0)
-        return reflectance * (cosine * (1.0 / math.pi))
+        return reflectance * Diffuse.pdf(wi, wo)
 
     @staticmethod
     def pdf(wi: Vec3, wo: Vec3) -> Tensor:
         """Density of `sample` over solid angle."""
-        return torch.where(wi.z > 0, cosine_hemisphere_pdf(wo), 0.0)
+        return cosine_hemisphere_pdf(wo) * (wi.z > 0).to(wo.z.dtype)
 
     @staticmethod
     def sample(u: Tensor, v: Tensor) -> Vec3:

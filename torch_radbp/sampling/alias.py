@@ -21,8 +21,9 @@ class AliasTable(NamedTuple):
         count = self.pmf.shape[0]
         scaled = u * count
         entry = scaled.to(torch.int32).clamp_max(count - 1)
-        keep = scaled - entry < self.threshold.index_select(0, entry)
-        return torch.where(keep, entry, self.other.index_select(0, entry))
+        keep = (scaled - entry < self.threshold.index_select(0, entry)).to(torch.int32)
+        other = self.other.index_select(0, entry)
+        return other + keep * (entry - other)
 
 
 def alias_table(weights: Tensor) -> AliasTable:

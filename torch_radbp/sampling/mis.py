@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 
 def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
-    """Weight of a sample drawn with density `pdf` where the other technique has density `other`.
+    """Weight of a sample drawn with density `pdf` > 0 where the other technique has density `other`.
+
+    An infinite `pdf` (a direction that was not left to chance) has weight 1.
 
     Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", section 9.2.4, exponent 2.
     """
-    ratio = other / torch.where(pdf > 0, pdf, 1.0)
-    return torch.where(pdf > 0, 1.0 / (1.0 + ratio * ratio), 0.0)
+    ratio = other / pdf
+    return 1.0 / (1.0 + ratio * ratio)

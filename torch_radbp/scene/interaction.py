@@ -28,8 +28,7 @@ class SurfaceInteraction(NamedTuple):
 
     def offset(self, d: Vec3) -> Vec3:
         """Where a ray with direction `d` starts: off the surface, on the side that it leaves to."""
-        side = torch.where(dot(self.n, d) >= 0, self.epsilon, -self.epsilon)
-        return self.p + self.n * side
+        return self.p + self.n * torch.copysign(self.epsilon, dot(self.n, d))
 
 
 def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteraction:

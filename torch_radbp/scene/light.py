@@ -11,7 +11,7 @@ from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphe
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.tensors import CONSTANT, POINT, SceneTensors
-from torch_radbp.vec import Ray, Vec2, Vec3, cross, dot, masked, normalize, where
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, where
 
 SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends before the light that it aims at
 FAR = 1e10  # the distance of the surround
@@ -23,7 +23,7 @@ class LightSample(NamedTuple):
     d: Vec3  # unit direction towards it
     radiance: Vec3  # that it sends back (for a point light: intensity / distance^2); attached
     pdf: Tensor  # density over solid angle; probability for a point light; 0: cannot be used
-    is_delta: Tensor  # bool: BSDF sampling cannot find it
+    findable: Tensor | float  # 1: BSDF sampling finds it too; 0: it cannot (a point light)
     shadow: Ray
     distance: Tensor  # along the shadow ray
 
@@ -48,7 +48,9 @@ def emitted_pdf(proposal: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Ten
     """Density over solid angle with which next-event estimation at the ray's origin would have found this point."""
     offset = si.p - ray.o
     cosine = dot(si.n, ray.d).abs()
-    pdf = lookup(proposal.triangles.light_pdf, si.prim) * dot(offset, offset) / cosine.clamp_min(1e-12)
+    pdf = lookup(proposal.triangles.light_pdf, si.prim) * dot(offset, offset) / cosine.clamp_min(1e-9)
+    if not proposal.layout.constant_light:
+        return pdf
     return torch.where(si.valid, pdf, proposal.lights.surround_pmf * UNIFORM_SPHERE_PDF)
 
 
@@ -69,7 +71,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     texture = lookup(lights.radiance, element)
     uv = None
 
-    target, pdf, scale = si.p, torch.zeros_like(pmf), torch.ones_like(pmf)
+    target, pdf, findable, scale = si.p, torch.zeros_like(pmf), 1.0, 1.0
     if layout.area_lights:
         prim = lookup(lights.prim, element)
         triangles = proposal.triangles
@@ -82,21 +84,23 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
             shading = (lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * b.x
                        + lookup(triangles.n2, prim) * b.y)
             facing = dot(shading, target - si.p) < 0
-        pdf = torch.where(facing, pdf, 0.0)
+        pdf = pdf * facing.to(pdf.dtype)
         if layout.radiance_bitmaps:
             w = 1.0 - b.x - b.y
             uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * b.x + lookup(triangles.uv2, prim) * b.y
     elif layout.radiance_bitmaps:
         uv = Vec2(u, v)
-    is_point, is_constant = kind == POINT, kind == CONSTANT
     if layout.point_lights:
+        is_point = kind == POINT
         position = lookup(lights.position, element)
         target = where(is_point, position, target)
         reach = position - si.p
-        scale = torch.where(is_point, 1.0 / dot(reach, reach), scale)
+        scale = torch.where(is_point, 1.0 / dot(reach, reach).clamp_min(TINY), 1.0)
         pdf = torch.where(is_point, pmf, pdf)
+        findable = (~is_point).to(pdf.dtype)
     d = normalize(target - si.p)
     if layout.constant_light:
+        is_constant = kind == CONSTANT
         d = where(is_constant, square_to_uniform_sphere(u, v), d)
         pdf = torch.where(is_constant, pmf * UNIFORM_SPHERE_PDF, pdf)
 
@@ -108,13 +112,12 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     if layout.constant_light:
         aim, length = where(is_constant, d, aim), torch.where(is_constant, FAR, length)
     radiance = sample_texture(scene.radiance, texture, uv) * scale
-    return LightSample(d, radiance, pdf, is_point, Ray(start, aim), length)
+    return LightSample(d, radiance, pdf, findable, Ray(start, aim), length)
 
 
 def area_density(proposal: SceneTensors, p: Vec3, target: Vec3, n: Vec3, prim: Tensor) -> tuple[Tensor, Tensor]:
     """Whether a light's point faces `p`, and the density over solid angle of choosing it."""
     reach = target - p
     squared = dot(reach, reach)
-    cosine = -dot(reach, n) / torch.sqrt(torch.where(squared > 0, squared, 1.0))
-    density = lookup(proposal.triangles.light_pdf, prim) * squared / cosine.abs().clamp_min(1e-12)
-    return cosine > 0, torch.where(cosine.abs() > 1e-9, density, 0.0)
+    cosine = -dot(reach, n) * torch.rsqrt(squared.clamp_min(TINY))
+    return cosine > 0, lookup(proposal.triangles.light_pdf, prim) * squared / cosine.abs().clamp_min(1e-9)
