@@ -56,6 +56,7 @@ def line_chart(title: str, lines: list[Line], log: bool = False) -> str:
         x = place(tick, low).split(",")[0]
         parts.append(f'<text x="{x}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{tick:.6g}</text>')
     parts.append(f'<line class="axis" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{HEIGHT - BOTTOM}" y2="{HEIGHT - BOTTOM}"/>')
+    parts.append(f'<text x="{WIDTH - RIGHT}" y="{HEIGHT - BOTTOM + 30}" text-anchor="end">step</text>')
     for line in lines:
         if line.goal is not None and _drawable(line.goal, log):
             ends = f"{place(first, line.goal)} {place(last, line.goal)}"

@@ -4,7 +4,6 @@ import warnings
 from pathlib import Path
 from typing import Annotated
 
-import rich.box
 import typer
 from rich.console import Console
 from rich.table import Table
@@ -75,7 +74,7 @@ def choose_folder(recipe: Path, out: Path | None, resume: bool) -> Path:
 def recovered_table(summary: dict) -> Table:
     """Returns recovered against true values as a rich table, one row per parameter."""
     title = f"{summary['title']}: step {summary['step']} of {summary['steps']}"
-    table = Table(title=title, title_justify="left", box=rich.box.SIMPLE_HEAD, padding=(0, 1))
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))  # fits 80 columns
     for heading in ("parameter", "recovered", "true", "error"):
         table.add_column(heading, overflow="fold")
     for each in summary["parameters"]:
@@ -84,7 +83,7 @@ def recovered_table(summary: dict) -> Table:
         error = "" if "largest_error" not in each else f"{each['largest_error']:.4f}"
         if "largest_error" in each and "truth" not in each:
             truth = f"mean {each['mean_truth']:.4f}"
-            error = f"{error} (RMSE {each['rmse']:.4f}, was {each['rmse_before']:.4f})"
+            error = f"RMSE {each['rmse']:.4f}"
         table.add_row(each["name"], recovered, truth, error)
     return table
 
