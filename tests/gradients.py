@@ -1,0 +1,51 @@
+"""Gradients of renderings, and how far two of them are apart."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+import torch_radbp as rb
+from tests.scenes import parameters
+
+STRIDES = (1, 2, 3, 7, "sqrt", "log")
+MEMOIZED = tuple(rb.MemoizedAdjoint(stride, keep_hits) for stride in STRIDES for keep_hits in (True, False))
+QUADRATIC = (rb.QuadraticAdjoint(), rb.QuadraticAdjoint(keep_hits=False))
+REPLAY = (rb.ReplayAdjoint(), rb.ReplayAdjoint(keep_hits=False))
+EXACT = (*MEMOIZED, *QUADRATIC, rb.TapeAdjoint())
+
+
+def cotangent(image: Tensor, seed: int = 0) -> Tensor:
+    """Normal numbers in the shape of an image: no symmetry in which a wrong gradient could cancel."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randn(image.shape, generator=generator, dtype=torch.float64).to(image)
+
+
+def image_and_gradients(scene: rb.Scene, names, *, seed: int = 3, sensors=None, adj_image: Tensor | None = None,
+                        **settings) -> tuple[Tensor, list[Tensor]]:
+    """An image, and the gradients of <adj_image, image> for the parameters called `names`."""
+    wanted = parameters(scene, names)
+    image = rb.Renderer(scene, **settings)(seed=seed, sensors=sensors)
+    adj_image = cotangent(image.detach()) if adj_image is None else adj_image
+    return image.detach(), list(torch.autograd.grad(image, wanted, adj_image))
+
+
+def assert_informative(image: Tensor, gradients: list[Tensor]) -> None:
+    """A reference must be finite, and must not be zero."""
+    for value in (image, *gradients):
+        assert torch.isfinite(value).all()
+        assert value.abs().max() > 0
+
+
+def relative_error(value: Tensor, reference: Tensor) -> float:
+    """The greatest difference, in units of the greatest reference value."""
+    return float((value - reference).abs().max() / reference.abs().max())
+
+
+def z_score(samples: Tensor, expected: Tensor | float) -> float:
+    """How many standard errors the mean of independent `samples` (R, ...) lies from `expected`, at worst."""
+    standard_error = samples.std(0) / math.sqrt(len(samples))
+    assert (standard_error > 0).all()
+    return float(((samples.mean(0) - expected) / standard_error).abs().max())
