@@ -14,7 +14,8 @@ Reference: Li 2020, "Deriving Radiative Backpropagation using the Recursive Form
 
 from __future__ import annotations
 
-from typing import Callable, NamedTuple
+from typing import NamedTuple
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -120,8 +121,6 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
     Returns:
         The vertex. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
     """
-    dtype = state.beta.x.dtype
-
     # Find the surface that the ray meets.
     si = surface_interaction(proposal, state.ray, hit)
 
@@ -277,7 +276,7 @@ def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
         hidden = ((hit.prim >= 0) & (triangles.radiance[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)
         if len(hidden) == 0:
             return hit
-        behind = tree_map(lambda tensor: tensor[hidden], ray)
-        si = surface_interaction(integrand.proposal, behind, tree_map(lambda tensor: tensor[hidden], hit))
-        beyond = integrand.caster.intersect(Ray(si.offset(behind.d), behind.d))
-        hit = tree_map(lambda old, new: old.index_copy(0, hidden, new), hit, beyond)
+        seen = Ray(*(Vec3(*(component[hidden] for component in vector)) for vector in ray))
+        si = surface_interaction(integrand.proposal, seen, Hit(*(part[hidden] for part in hit)))
+        beyond = integrand.caster.intersect(Ray(si.offset(seen.d), seen.d))
+        hit = Hit(*(old.index_copy(0, hidden, new) for old, new in zip(hit, beyond)))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 from torch.utils._pytree import tree_flatten, tree_map_only
 
 from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
-from torch_radbp.adjoint.function import RenderCall, View, plan_chunks, render_images, render_with_derivative
+from torch_radbp.adjoint.function import RenderCall, View, pilot_paths, plan_chunks, render_images, render_with_derivative
+from torch_radbp.adjoint.memory import MemoryPlan, parse_budget, plan_memory, predict, reaching
 from torch_radbp.path import Integrand, Settings
 from torch_radbp.raycast import make_caster
 from torch_radbp.sampling.sampler import seed_key
@@ -21,6 +22,7 @@ from torch_radbp.stages import EAGER, compiled
 
 STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 UNLIMITED = 1024  # bounces; roulette ends a path long before
+PILOT_LANES = 4096  # paths that predict the memory of a call
 LANES_EAGER, LANES_COMPILED = 1 << 16, 1 << 18  # lanes a chunk, measured with benchmarks/versus_mitsuba.py
 
 
@@ -37,6 +39,8 @@ class Renderer(nn.Module):
         sampling: "detached": directions, densities, weights and survival carry no derivative.
         nee: next-event estimation with multiple importance sampling.
         chunk: lanes (paths) traced together; None picks.
+        memory_budget: bytes, or a string such as "2GiB": picks chunk and, unless `adjoint` is given, the stride, so that the
+            predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
         compile: compile the functions of a bounce; worth it from some dozen renderings on.
         caster: "embree" or "brute"; None picks by device.
 
@@ -62,6 +66,8 @@ class Renderer(nn.Module):
         self.rr_depth = defaults.rr_depth if rr_depth is None else rr_depth
         self.hide_emitters = defaults.hide_emitters if hide_emitters is None else hide_emitters
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
+        self.adjoint_is_chosen = adjoint is not None
+        self.memory_budget = None if memory_budget is None else parse_budget(memory_budget)
         self.sampling, self.nee, self.chunk, self.compile_stages, self.caster_name = sampling, nee, chunk, compile, caster
         check_count("spp", self.spp)
         check_depths(self.max_depth, self.rr_depth)
@@ -94,7 +100,7 @@ class Renderer(nn.Module):
         spp = self.spp if spp is None else spp
         check_count("spp", spp)
         call = self.prepare(seed, sensors, spp, seed_grad)
-        if isinstance(self.adjoint, TapeAdjoint):
+        if isinstance(call.adjoint, TapeAdjoint):
             return render_images(call, call.make_integrand(call.scene), record=False)[0]
         return render_with_derivative(call)
 
@@ -114,7 +120,8 @@ class Renderer(nn.Module):
         caster = self.current_caster()
         width, height = sizes.pop()
         views = [View(tree_map_only(Tensor, Tensor.detach, available[index].tensors()), width, height,
-                      tuple(seed_key(s + available[index].sampler.seed, index) for s in (seed, seed_grad or 0)))
+                      tuple(seed_key(s + available[index].sampler.seed, index)
+                            for s in (seed, seed if seed_grad is None else seed_grad)))
                  for index in indices]
         stages = compiled() if self.compile_stages else EAGER
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
@@ -125,8 +132,29 @@ class Renderer(nn.Module):
             return Integrand(tensors, proposal, caster, settings, max_depth, self.rr_depth, stages.bounce)
 
         lanes = self.chunk or (LANES_COMPILED if self.compile_stages else LANES_EAGER)
-        return RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
-                          plan_chunks(views, spp, lanes), spp, seed_grad is not None)
+        call = RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
+                          plan_chunks(views, spp, lanes), spp, retrace=seed_grad is not None)
+        if self.memory_budget is None:
+            return call
+        plan = self.plan(call)
+        return call._replace(adjoint=plan.adjoint, chunks=plan_chunks(views, spp, plan.chunk),
+                             retrace=call.retrace or plan.retrace)
+
+    def memory_plan(self, sensors: Sequence[int] | None = None, spp: int | None = None) -> MemoryPlan:
+        """Chunk and strategy that a call would use, and the bytes that it is predicted to need with its backward pass."""
+        return self.plan(self.prepare(0, sensors, self.spp if spp is None else spp, None))
+
+    def plan(self, call: RenderCall) -> MemoryPlan:
+        """Predicts the memory of a call from a pilot of its paths; within the budget, if there is one."""
+        scene = tree_map_only(Tensor, Tensor.detach, call.scene)
+        integrand = call.make_integrand(scene)._replace(bounce=EAGER.bounce)
+        lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
+        chunk = max(part.pixels * part.samples for part in call.chunks)
+        situation = {"fractions": reaching(integrand, pilot_paths(call, PILOT_LANES)), "lanes": lanes, "chunk": chunk,
+                     "max_depth": integrand.max_depth, "dtype": scene.triangles.p0.x.dtype, "compiled": self.compile_stages}
+        if self.memory_budget is None:
+            return predict(adjoint=call.adjoint, retrace=call.retrace, **situation)
+        return plan_memory(self.memory_budget, adjoint=self.adjoint if self.adjoint_is_chosen else None, **situation)
 
     def current_caster(self):
         """The ray caster for the vertices as they are now; rebuilt or refitted only when they have changed."""

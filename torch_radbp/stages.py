@@ -7,7 +7,8 @@ bounces, chunks and iterations share one compiled function.
 from __future__ import annotations
 
 import functools
-from typing import Callable, NamedTuple
+from typing import NamedTuple
+from collections.abc import Callable
 
 import torch
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Callable, NamedTuple
+from typing import NamedTuple
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -45,7 +46,7 @@ class RenderCall(NamedTuple):
     views: list[View]
     chunks: list[Chunk]
     spp: int
-    independent_backward: bool  # seed_grad was given
+    retrace: bool  # the backward pass traces its paths anew instead of keeping those of the forward pass
 
 
 def plan_chunks(views: list[View], spp: int, lanes: int) -> list[Chunk]:
@@ -71,7 +72,17 @@ def start_paths(call: RenderCall, chunk: Chunk, seed_key: int) -> PathState:
                                           lane - offset * chunk.samples + chunk.first_sample, seed))
 
 
-def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: int, record: bool) -> tuple[Vec3, PathRecord]:
+def pilot_paths(call: RenderCall, lanes: int) -> PathState:
+    """Some camera paths of the first sensor, spread over its image."""
+    view, device = call.views[0], call.scene.triangles.material.device
+    pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
+    sample, (width, seed) = torch.arange(lanes, dtype=torch.int32, device=device), torch.tensor(
+        [view.width, view.seed_keys[0]], dtype=torch.int32, device=device).unbind()
+    return start_path(*call.sample_camera(view.camera, width, pixel, sample, seed))
+
+
+def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: int,
+                record: bool) -> tuple[Vec3, PathRecord]:
     """Radiance of each lane, and what the backward pass will need of it."""
     strategy = call.adjoint
     kept = frozenset(strategy.kept(integrand.max_depth)) if record else frozenset()
@@ -82,7 +93,7 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: 
     def visit(depth: int, state: PathState, step: Step) -> None:
         nonlocal bounces
         bounces = depth + 1
-        if depth in kept:
+        if depth in kept and depth > 0:  # camera paths are made again
             states[depth] = state
         if record and strategy.keep_hits:
             steps[depth] = step
@@ -126,7 +137,7 @@ class RenderFunction(torch.autograd.Function):
     def forward(ctx, call: RenderCall, *leaves: Tensor) -> Tensor:
         ctx.call = call
         ctx.integrand = call.make_integrand(tree_map_only(Tensor, Tensor.detach, call.scene))
-        record = any(ctx.needs_input_grad) and not call.independent_backward
+        record = any(ctx.needs_input_grad) and not call.retrace
         images, ctx.records = render_images(call, ctx.integrand, record)
         return images
 
@@ -140,7 +151,7 @@ class RenderFunction(torch.autograd.Function):
         wanted = tuple(positions[k] for k in needed)
         gradients = [torch.zeros_like(leaves[position]) for position in wanted]
         for index, chunk in enumerate(call.chunks):
-            if call.independent_backward:
+            if call.retrace:
                 _, record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[1], record=True)
             else:
                 record = ctx.records[index]

@@ -51,7 +51,7 @@ class MemoizedAdjoint:
     def backward(self, sweep: Sweep) -> None:
         """Runs the plan of the schedule."""
         record = sweep.record
-        states = dict(record.states)
+        states = {0: record.start(), **record.states}
         current = None
         for kind, depth in backward_plan(record.bounces, tuple(sorted(states)), self.stride):
             if kind == LOAD:

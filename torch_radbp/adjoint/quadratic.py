@@ -39,13 +39,11 @@ def incident_radiance(sweep: Sweep, state: PathState, depth: int) -> Vec3:
     """L of the paths that have reached `depth`, by lane; 0 where none has."""
     L = Vec3.buffer(sweep.adj_L.x)
     weight = Vec3.full(state.beta.x, 1.0)
-    for depth in range(depth, sweep.record.bounces):
-        if len(state.lane) == 0:
-            break
+    while depth < sweep.record.bounces and len(state.lane):
         vertex, step = take_step(sweep.integrand, state, depth, sweep.record.steps.get(depth))
         for total, part in zip(L, weight * (vertex.Le + masked(step.visible, vertex.Ld))):
             total.index_add_(0, state.lane, part)
         alive = surviving(vertex)
-        weight = (weight * vertex.F).map(lambda component: component[alive])
-        state = survivors(vertex)
+        weight = Vec3(*(component[alive] for component in weight * vertex.F))
+        state, depth = survivors(vertex), depth + 1
     return L

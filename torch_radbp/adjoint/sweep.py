@@ -13,7 +13,8 @@ Reference: Li 2020, section 2 (`d_Li_cached`, where the memo is called `cache`).
 
 from __future__ import annotations
 
-from typing import Callable, NamedTuple
+from typing import NamedTuple
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -30,7 +31,7 @@ class PathRecord(NamedTuple):
 
     start: Callable[[], PathState]  # makes the camera paths again
     radiance: Vec3 | None  # L_1 of each lane, kept for path replay only
-    states: dict[int, PathState]  # by depth, where the schedule keeps them
+    states: dict[int, PathState]  # by depth, where the schedule keeps them; depth 0 is `start`
     steps: dict[int, Step]  # by depth, empty with keep_hits=False
     bounces: int
 

@@ -1,0 +1,148 @@
+"""How much memory a rendering with its backward pass will need, and which chunk and stride fit a budget.
+
+Dead lanes leave the wavefront, so that the need depends on the scene: a pilot of a few thousand paths tells how many lanes
+reach each depth. What is counted: the states and hits that the forward pass keeps for the backward pass, and the working
+memory of the bounce that is being computed. What is not: the scene itself, compiled code, and the allocator's waste.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+
+from torch_radbp.adjoint.memoized import MemoizedAdjoint
+from torch_radbp.adjoint.schedule import DROP, KEEP, backward_plan
+from torch_radbp.adjoint.tape import TapeAdjoint
+from torch_radbp.path import Integrand, PathState, trace
+
+# Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
+STATE = (10, 8)  # `PathState`: ray, throughput, density; key and lane
+STEP = (2, 5)  # `Step`: barycentrics; triangle and visibility
+RADIANCE = (3, 0)  # a `Vec3`
+
+# Numbers per lane that are alive at the worst moment of one bounce, measured with torch's memory profiler on the Cornell
+# box (benchmarks/memory.py --working-set prints them).
+BOUNCE = {False: 74, True: 36}  # eager, compiled
+BOUNCE_ADJOINT = {False: 91, True: 50}
+TAPE = 28  # that autograd saves per lane and bounce
+
+SMALLEST_CHUNK = 1 << 12
+UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40}
+
+
+class MemoryPlan(NamedTuple):
+    """A choice of chunk and strategy, with the bytes that it is predicted to need at its peak."""
+
+    chunk: int  # lanes
+    adjoint: object
+    retrace: bool  # the backward pass traces its paths anew, so that nothing is kept between the passes
+    kept: int  # bytes between forward and backward pass
+    working: int  # bytes on top of that while a chunk is processed
+
+    @property
+    def peak(self) -> int:
+        """Predicted bytes at the worst moment."""
+        return self.kept + self.working
+
+
+def parse_budget(budget: str | int) -> int:
+    """Bytes from a number or a string such as "2GiB".
+
+    Raises:
+        ValueError: if it cannot be read or is not positive.
+    """
+    text = str(budget).strip()
+    unit = next((unit for unit in UNITS if text.endswith(unit)), None)
+    try:
+        size = float(text.removesuffix(unit)) * UNITS[unit] if unit else float(text)
+    except ValueError:
+        size = -1.0
+    if not 0 < size < float("inf"):
+        raise ValueError(f"memory_budget must be a number of bytes or a string such as '2GiB' ({', '.join(UNITS)}), "
+                         f"got {budget!r}")
+    return int(size)
+
+
+def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
+    """The fraction of camera paths that reach each depth, from a pilot of some paths."""
+    counts: list[int] = []
+    with torch.no_grad():
+        trace(integrand, pilot, lambda depth, state, step: counts.append(len(state.lane)))
+    return [count / max(1, len(pilot.lane)) for count in counts] or [0.0]
+
+
+def predict(fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: int, dtype: torch.dtype,
+            compiled: bool, retrace: bool = False) -> MemoryPlan:
+    """Bytes that a forward and backward pass will need.
+
+    Args:
+        fractions: from `reaching`.
+        lanes: of the whole call: sensors x pixels x samples.
+        chunk: lanes traced together.
+        adjoint: the strategy.
+        max_depth: greatest number of bounces.
+        dtype: of the scene.
+        compiled: whether the bounce is compiled.
+        retrace: see `MemoryPlan`.
+    """
+
+    def size(record: tuple[int, int]) -> int:
+        return record[0] * dtype.itemsize + record[1]
+
+    chunk = min(chunk, lanes)
+    bounces = len(fractions)
+    if isinstance(adjoint, TapeAdjoint):
+        kept = int(lanes * sum(fractions) * TAPE * dtype.itemsize)
+        return MemoryPlan(chunk, adjoint, False, kept, chunk * BOUNCE[False] * dtype.itemsize)
+    depths = [depth for depth in adjoint.kept(max_depth) if depth < bounces]
+    per_lane = sum(fractions[depth] for depth in depths if depth > 0) * size(STATE)
+    per_lane += sum(fractions) * size(STEP) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
+    replayed = most = 0.0
+    if isinstance(adjoint, MemoizedAdjoint):
+        for action in backward_plan(bounces, tuple(depths), adjoint.stride):
+            if action.depth not in depths:
+                replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE)
+                most = max(most, replayed)
+    working = (BOUNCE_ADJOINT[compiled] * dtype.itemsize + 2 * size(RADIANCE) + size(STATE)) * max(fractions) + most
+    kept = int((chunk if retrace else lanes) * per_lane)
+    return MemoryPlan(chunk, adjoint, retrace, kept, int(chunk * working))
+
+
+def candidates(chunk: int, adjoint) -> Iterator[tuple[int, object, bool]]:
+    """Chunk, strategy and whether to trace again, from the fastest to the most frugal.
+
+    Smaller chunks cost little, replayed bounces more, and tracing all paths again most.
+    """
+    strategies = [MemoizedAdjoint(stride) for stride in (1, 2, 4, 8, "sqrt", "log")] if adjoint is None else [adjoint]
+    for retrace in (False, True):
+        for strategy in strategies:
+            if retrace and isinstance(strategy, TapeAdjoint):
+                continue
+            lanes = chunk
+            while lanes >= SMALLEST_CHUNK:
+                yield lanes, strategy, retrace
+                lanes //= 2
+
+
+def plan_memory(budget: int, fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: int, dtype: torch.dtype,
+                compiled: bool) -> MemoryPlan:
+    """The fastest chunk and strategy that fit `budget` bytes.
+
+    Args:
+        budget: bytes.
+        adjoint: the strategy if the user chose one: then only the chunk is planned; else None.
+        fractions, lanes, chunk, max_depth, dtype, compiled: as for `predict`; `chunk` is the largest to try.
+
+    Raises:
+        ValueError: if nothing fits; the message says how much the most frugal plan needs.
+    """
+    plans = [predict(fractions, lanes, size, strategy, max_depth, dtype, compiled, retrace)
+             for size, strategy, retrace in candidates(max(chunk, SMALLEST_CHUNK), adjoint)]
+    fitting = next((plan for plan in plans if plan.peak <= budget), None)
+    if fitting is None:
+        least = min(plans, key=lambda plan: plan.peak)
+        raise ValueError(f"memory_budget of {budget / UNITS['MiB']:.0f} MiB is too small: the most frugal plan "
+                         f"({least.adjoint}, chunk={least.chunk}) needs {least.peak / UNITS['MiB']:.0f} MiB")
+    return fitting
