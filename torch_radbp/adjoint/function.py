@@ -7,13 +7,15 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_map_only
+from torch.utils._pytree import tree_flatten, tree_map_only, tree_unflatten
 
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.path import Integrand, PathState, Step, start_path, trace
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors
 from torch_radbp.vec import Vec3
+
+SAVED = object()  # stands for a tensor that autograd keeps
 
 
 class Chunk(NamedTuple):
@@ -138,13 +140,21 @@ class RenderFunction(torch.autograd.Function):
         ctx.call = call
         ctx.integrand = call.make_integrand(tree_map_only(Tensor, Tensor.detach, call.scene))
         record = any(ctx.needs_input_grad) and not call.retrace
-        images, ctx.records = render_images(call, ctx.integrand, record)
+        images, records = render_images(call, ctx.integrand, record)
+        # Saved as tensors, so that autograd frees them after the backward pass and refuses a second one.
+        ctx.recorded, ctx.structure = tree_flatten(records)
+        saved = [position for position, item in enumerate(ctx.recorded) if isinstance(item, Tensor)]
+        ctx.save_for_backward(*leaves, *(ctx.recorded[position] for position in saved))
+        for position in saved:
+            ctx.recorded[position] = SAVED
         return images
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, grad_images: Tensor):
         call, integrand = ctx.call, ctx.integrand
+        saved = iter(ctx.saved_tensors[len(ctx.needs_input_grad) - 1:])
+        records = tree_unflatten([next(saved) if item is SAVED else item for item in ctx.recorded], ctx.structure)
         leaves = [leaf for leaf in tree_flatten(call.scene)[0]]
         positions = [position for position, leaf in enumerate(leaves) if isinstance(leaf, Tensor) and leaf.requires_grad]
         needed = [k for k, need in enumerate(ctx.needs_input_grad[1:]) if need]
@@ -154,7 +164,7 @@ class RenderFunction(torch.autograd.Function):
             if call.retrace:
                 _, record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[1], record=True)
             else:
-                record = ctx.records[index]
+                record = records[index]
             adj_L = lane_adjoint(call, chunk, grad_images)
             call.adjoint.backward(Sweep(integrand, call.adjoint_of_bounce, record, adj_L, wanted, gradients))
         result: list[Tensor | None] = [None] * len(positions)
