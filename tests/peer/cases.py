@@ -1,0 +1,81 @@
+"""The scenes that are compared, and the cameras: every case by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from .scene_files import Case, Folder, bitmap, diffuse, picture, scene_xml, shape, size
+from .scenes import SKY, bitmaps, cornell_box, hidden_emitters, points, shapes, sky
+
+BOX = '<rfilter type="box"/>'
+FOV = '<float name="fov" value="40"/>'
+BORDER = '<boolean name="sample_border" value="true"/>'
+LOOK = '<transform name="to_world"><lookat origin="0.3, -0.2, 3" target="0, 0, 0" up="0.1, 1, 0"/></transform>'
+
+
+class Camera(NamedTuple):
+    sensor: str
+    film: str = size(24, 16)
+    rfilter: str = BOX
+    place: str = LOOK
+
+
+def fov(axis: str, film: str = size(24, 16)) -> Camera:
+    return Camera(f'<string name="fov_axis" value="{axis}"/>{FOV}', film)
+
+
+def crop(x: int, y: int, width: int, height: int) -> str:
+    values = {"crop_offset_x": x, "crop_offset_y": y, "crop_width": width, "crop_height": height}
+    return size(36, 24) + "".join(f'<integer name="{name}" value="{value}"/>' for name, value in values.items())
+
+
+CAMERAS = {
+    **{f"fov_{axis}": fov(axis) for axis in ("x", "y", "diagonal", "smaller", "larger")},
+    "fov_smaller_upright": fov("smaller", size(16, 24)),
+    "fov_larger_upright": fov("larger", size(16, 24)),
+    "focal_length": Camera('<string name="focal_length" value="50mm"/>'),
+    "focal_length_upright": Camera('<string name="focal_length" value="35mm"/>', size(16, 24)),
+    "principal_point": Camera(FOV + '<float name="principal_point_offset_x" value="0.15"/>'
+                                    '<float name="principal_point_offset_y" value="-0.22"/>'),
+    "crop": Camera(FOV, crop(5, 9, 20, 11)),
+    "tent": Camera(FOV, size(24, 16) + BORDER, '<rfilter type="tent"/>'),
+    "gaussian": Camera(FOV, size(24, 16) + BORDER, '<rfilter type="gaussian"/>'),
+    "gaussian_wide_crop": Camera(FOV, crop(7, 3, 20, 16) + BORDER,
+                                 '<rfilter type="gaussian"><float name="stddev" value="0.8"/></rfilter>'),
+    "gaussian_no_border": Camera(FOV, rfilter='<rfilter type="gaussian"/>'),
+    "default_filter": Camera(FOV, size(24, 16) + BORDER, ""),
+    "transform_chain": Camera(FOV, place='<transform name="to_world"><rotate z="1" angle="12"/><rotate y="1" angle="176"/>'
+                                         '<translate x="0.2" y="-0.1" z="3"/></transform>'),
+    "matrix": Camera(FOV, place='<transform name="to_world"><rotate y="1" angle="180"/>'
+                                '<matrix value="1 0 0 0.1  0 1 0 0.2  0 0 1 3  0 0 0 1"/></transform>'),
+}
+
+
+def poster(name: str) -> Callable[[Folder], Path]:
+    """An emissive poster before one of `CAMERAS`: nothing but the sensor and the film decides these images."""
+    camera = CAMERAS[name]
+
+    def build(folder: Folder) -> Path:
+        folder.pixels("poster.exr", 2 * picture(12, 12, seed=21))
+        emitter = f'<emitter type="area">{bitmap("radiance", "poster.exr")}</emitter>'
+        return folder.text("scene.xml", scene_xml(
+            camera.film, camera.sensor + camera.place,
+            shape("rectangle", "poster", diffuse("0"), emitter) + SKY.format("0.1, 0.2, 0.3"),
+            '<integer name="max_depth" value="2"/>', camera.rfilter))
+
+    return build
+
+
+CASES = {
+    **{f"cornell_depth_{depth}": Case(cornell_box, {"resolution": 32, "max_depth": depth}) for depth in (1, 2, 3, 8)},
+    "cornell_roulette": Case(cornell_box, {"resolution": 32, "max_depth": -1, "rr_depth": 1}),
+    "shapes": Case(shapes),
+    "bitmaps": Case(bitmaps),
+    "sky": Case(sky, thin=3),
+    "hidden_emitters": Case(hidden_emitters, peer_integrator="volpath"),
+    "points": Case(points),
+    **{f"camera_{name}": Case(poster(name), peer_spp=256, peer_batches=32, thin=1 if camera.rfilter == BOX else 5)
+       for name, camera in CAMERAS.items()},
+}
