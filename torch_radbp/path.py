@@ -14,8 +14,8 @@ Reference: Li 2020, "Deriving Radiative Backpropagation using the Recursive Form
 
 from __future__ import annotations
 
-from typing import NamedTuple
 from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -248,22 +248,20 @@ def trace(integrand: Integrand, state: PathState, visit: Callable[[int, PathStat
     Returns:
         (N,) linear RGB, in the order of `state`; attached if `integrand.scene` is.
     """
-    L, depth = Vec3.full(state.beta.x, 0.0), 0
+    L, depth = Vec3.buffer(state.beta.x), 0
     while depth < integrand.max_depth and len(state.lane):
         vertex, step = take_step(integrand, state, depth)
         if visit is not None:
             visit(depth, state, step)
-        E = vertex.Le + masked(step.visible, vertex.Ld)
-        L = add_at(L, state.lane, state.beta * E)
+        add_at(L, state.lane, state.beta * (vertex.Le + masked(step.visible, vertex.Ld)))
         state, depth = survivors(vertex), depth + 1
     return L
 
 
-def add_at(L: Vec3, lane: Tensor, value: Vec3) -> Vec3:
-    """`L` with `value` added at `lane`."""
-    if len(lane) == len(L.x):
-        return L + value
-    return Vec3(*(total.index_add(0, lane, part) for total, part in zip(L, value)))
+def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:
+    """Adds `value` to `L` at `lane`, in place."""
+    for total, part in zip(L, value):
+        total.index_add_(0, lane, part) if len(lane) < len(total) else total.add_(part)
 
 
 def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:

@@ -102,7 +102,7 @@ class Renderer(nn.Module):
         call = self.prepare(seed, sensors, spp, seed_grad)
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
-                raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another adjoint")
+                raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
             return render_images(call, call.make_integrand(call.scene), record=False)[0]
         return render_with_derivative(call)
 

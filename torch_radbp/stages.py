@@ -7,13 +7,16 @@ bounces, chunks and iterations share one compiled function.
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+import sys
+import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
+from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint.sweep import bounce_adjoint
-from torch_radbp.path import bounce, sample_camera
+from torch_radbp.path import PathState, bounce, sample_camera
 
 # Below this many lanes a compiled function gains nothing, and one or zero lanes would compile a special case.
 FEWEST_LANES = 64
@@ -38,18 +41,41 @@ EAGER = Stages(sample_camera, bounce, bounce_adjoint)
 @functools.cache
 def compiled() -> Stages:
     """The stages under `torch.compile`; one set for the whole process, specialised by what a scene contains."""
-    return Stages(*(compile_stage(stage) for stage in EAGER))
+    return Stages(*(CompiledStage(stage) for stage in EAGER))
 
 
-def compile_stage(stage: Callable) -> Callable:
-    fast = torch.compile(stage, dynamic=True, fullgraph=True, options=INDUCTOR_OPTIONS)
+class CompiledStage:
+    """A stage under `torch.compile`, which says so when it has to compile a special case that it has not met."""
 
-    @functools.wraps(stage)
-    def call(*arguments):
-        lanes = next(a for a in arguments if hasattr(a, "lane") or isinstance(a, torch.Tensor) and a.ndim == 1)
-        if len(getattr(lanes, "lane", lanes)) < FEWEST_LANES:
-            return stage(*arguments)
+    def __init__(self, stage: Callable):
+        self.stage = stage
+        self.fast = torch.compile(stage, dynamic=True, fullgraph=True, options=INDUCTOR_OPTIONS)
+        self.met: set = set()
+
+    def __call__(self, *arguments):
+        if lanes_of(arguments) < FEWEST_LANES:
+            return self.stage(*arguments)
         with torch._dynamo.config.patch(DYNAMO_OPTIONS):
-            return fast(*arguments)
+            case = special_case(arguments)
+            if case in self.met:
+                return self.fast(*arguments)
+            print(f"torch_radbp: compiling {self.stage.__name__} ...", end="", file=sys.stderr, flush=True)
+            began = time.perf_counter()
+            result = self.fast(*arguments)
+            print(f" {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
+            self.met.add(case)
+            return result
 
-    return call
+
+def lanes_of(arguments: tuple) -> int:
+    """The number of lanes that a stage is called with."""
+    state = next((argument for argument in arguments if isinstance(argument, PathState)), None)
+    return len(arguments[2] if state is None else state.lane)
+
+
+def special_case(arguments: tuple) -> tuple:
+    """What a stage is compiled for: all that is not a tensor, and dtype and device."""
+    leaves = tree_flatten(arguments)[0]
+    tensors = [leaf for leaf in leaves if isinstance(leaf, torch.Tensor)]
+    return (*(leaf for leaf in leaves if not isinstance(leaf, torch.Tensor)),
+            *{(tensor.dtype, tensor.device.type) for tensor in tensors if tensor.is_floating_point()})

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-
 TINY = 1e-30  # keeps a division finite where the quotient does not count
 
 

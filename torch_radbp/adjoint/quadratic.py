@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.path import PathState, survivors, surviving, take_step
+from torch_radbp.path import PathState, add_at, surviving, survivors, take_step
 from torch_radbp.vec import Vec3, masked
 
 
@@ -41,8 +41,7 @@ def incident_radiance(sweep: Sweep, state: PathState, depth: int) -> Vec3:
     weight = Vec3.full(state.beta.x, 1.0)
     while depth < sweep.record.bounces and len(state.lane):
         vertex, step = take_step(sweep.integrand, state, depth, sweep.record.steps.get(depth))
-        for total, part in zip(L, weight * (vertex.Le + masked(step.visible, vertex.Ld))):
-            total.index_add_(0, state.lane, part)
+        add_at(L, state.lane, weight * (vertex.Le + masked(step.visible, vertex.Ld)))
         alive = surviving(vertex)
         weight = Vec3(*(component[alive] for component in weight * vertex.F))
         state, depth = survivors(vertex), depth + 1

@@ -13,14 +13,14 @@ Reference: Li 2020, section 2 (`d_Li_cached`, where the memo is called `cache`).
 
 from __future__ import annotations
 
-from typing import NamedTuple
 from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
-from torch_radbp.path import Position, Integrand, PathState, Settings, Step, bounce, survivors, take_step
+from torch_radbp.path import Integrand, PathState, Position, Settings, Step, bounce, survivors, take_step
 from torch_radbp.scene.lookup import Tap
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, masked

@@ -9,8 +9,7 @@ from torch_radbp.plugin import BSDF, Emitter, Texture
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.scene.lookup import TextureBank
 from torch_radbp.scene.scene import Scene
-from torch_radbp.scene.tensors import (AREA, CONSTANT, POINT, Layout, LightTable, MaterialTable, SceneTensors,
-                                       TriangleTable)
+from torch_radbp.scene.tensors import AREA, CONSTANT, POINT, Layout, LightTable, MaterialTable, SceneTensors, TriangleTable
 from torch_radbp.shape.surface import Triangles
 from torch_radbp.texture.bitmap import WRAP_MODES
 from torch_radbp.texture.rgb import RGB

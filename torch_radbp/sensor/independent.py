@@ -7,7 +7,12 @@ from torch_radbp.plugin import Sampler, register
 
 @register("sampler", "independent")
 class Independent(Sampler):
-    """Independent random numbers; `sample_count` is the default number of samples per pixel, `seed` is added to the call's."""
+    """Independent random numbers.
+
+    Args:
+        sample_count: default number of samples per pixel.
+        seed: added to the seed of a call.
+    """
 
     def __init__(self, *, sample_count: int = 4, seed: int = 0):
         super().__init__()

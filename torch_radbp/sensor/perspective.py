@@ -67,8 +67,8 @@ class Perspective(Sensor):
             raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
         if not 0 < near_clip < far_clip:
             raise ValueError(f"near_clip must be positive and less than far_clip, got {near_clip} and {far_clip}")
-        self.near_clip, self.far_clip, self.focus_distance = positive("near_clip", near_clip), float(far_clip), focus_distance
-        self.shutter_open, self.shutter_close = shutter_open, shutter_close
+        self.near_clip, self.far_clip = positive("near_clip", near_clip), float(far_clip)
+        self.focus_distance, self.shutter_open, self.shutter_close = focus_distance, shutter_open, shutter_close
         dtype = torch.get_default_dtype()
         self.freeze("to_world", affine("to_world", to_world))
         aspect = self.film.width / self.film.height
