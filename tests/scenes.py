@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -98,16 +99,18 @@ def textured_lamp(dtype: torch.dtype = torch.float64) -> rb.Scene:
     """A lamp with a bitmap, in view and above a floor, under a dim sky."""
     radiance = {"type": "bitmap", "data": 8 * texels(3, 4, 7)}
     return load(
-        dtype, sensor=sensor(8, (0, 0.5, 3.5), (0, 0, 0), 45), floor=rectangle((0, -0.6, 0), 1.3, angle=-90, bsdf=diffuse(0.5, 0.6, 0.7)),
+        dtype, sensor=sensor(8, (0, 0.5, 3.5), (0, 0, 0), 45),
+        floor=rectangle((0, -0.6, 0), 1.3, angle=-90, bsdf=diffuse(0.5, 0.6, 0.7)),
         lamp=rectangle((0, 0.4, -0.8), 0.7, (1, 0, 0), 30, bsdf=diffuse(0.3, 0.2, 0.4),
                        emitter={"type": "area", "radiance": radiance}),
         sky={"type": "constant", "radiance": rgb(0.2, 0.1, 0.3)})
 
 
 def sky_and_points(dtype: torch.dtype = torch.float64) -> rb.Scene:
-    """A ball-less still life under a sky and two point lights."""
+    """A box on a floor under a sky and two point lights."""
     return load(
-        dtype, sensor=sensor(8, (0, 1, 3.5), (0, 0, 0), 45), floor=rectangle((0, -0.5, 0), 1.5, angle=-90, bsdf=diffuse(0.5, 0.6, 0.7)),
+        dtype, sensor=sensor(8, (0, 1, 3.5), (0, 0, 0), 45),
+        floor=rectangle((0, -0.5, 0), 1.5, angle=-90, bsdf=diffuse(0.5, 0.6, 0.7)),
         box={"type": "cube", "to_world": translate((0, -0.2, 0)) @ rotate((0, 1, 0), 30) @ scale((0.3, 0.3, 0.3)),
              "bsdf": diffuse(0.8, 0.4, 0.2)},
         sky={"type": "constant", "radiance": rgb(0.3, 0.4, 0.6)},
