@@ -113,6 +113,12 @@ class Render(Table):
     # forward pass.
     decorrelate: bool = False
 
+    @model_validator(mode="after")
+    def _check_decorrelate(self):
+        if self.decorrelate and self.adjoint.strategy == "tape":
+            raise ValueError('decorrelate needs a backward pass of its own, which strategy = "tape" does not have')
+        return self
+
 
 class Loss(Table):
     weight: Positive = 1.0

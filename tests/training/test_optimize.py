@@ -116,6 +116,19 @@ def test_strategies_are_chosen_by_name(name, folder):
     assert type(Recovery(recipe).renderer.adjoint).__name__.lower() == f"{name}adjoint"
 
 
+def test_decorrelated_gradient_has_samples_of_its_own(folder):
+    gradients, images = [], []
+    for decorrelate in ("false", "true"):
+        recovery = Recovery(read_recipe(folder / "recipe.toml", [f"render.decorrelate={decorrelate}"]))
+        buffers = optimize.render_buffers(recovery, 0)
+        sum(buffers).sum().backward()
+        images.append(buffers[0].detach())
+        gradients.append(recovery.parameters[0].raw.grad)
+    assert torch.equal(*images)
+    assert not torch.equal(*gradients)
+    torch.testing.assert_close(*gradients, rtol=0.3, atol=0)
+
+
 def test_scene_variables_are_passed_on(folder, edit_recipe):
     recipe = read_recipe(edit_recipe("steps = 6", "steps = 6\nvariables = { width = 5 }"))
     with pytest.raises(ValueError, match="target.exr is 8 x 6 pixels, .* is 5 x 6"):

@@ -33,6 +33,9 @@ BAD_RECIPES = {
     "stride without memo": (
         'caster = "brute"', 'adjoint = { strategy = "replay", stride = 2 }', ["adjoint", "stride", "memoized"],
     ),
+    "tape without a backward pass of its own": (
+        'caster = "brute"', 'decorrelate = true\nadjoint = { strategy = "tape" }', ["render", "decorrelate", "tape"],
+    ),
 }  # fmt: skip
 
 
