@@ -174,10 +174,16 @@ class Renderer(nn.Module):
         missing = [leaf for leaf in tree_flatten(scene)[0]
                    if isinstance(leaf, Tensor) and leaf.requires_grad and id(leaf) not in differentiable]
         moving = [name for name, parameter in self.scene.named_parameters() if parameter.requires_grad
-                  and name.rsplit(".", 1)[-1] not in ("value", "data", "original")]
+                  and what_it_sets(name) not in ("value", "data")]
         if missing or moving:
             raise ValueError(f"derivatives with respect to shapes, poses and positions are not available yet, but "
                              f"{', '.join(moving) or 'a parametrised one'} requires grad; set requires_grad_(False) there")
+
+
+def what_it_sets(name: str) -> str:
+    """The attribute that a parameter stands for, also if it is one of a `torch.nn.utils.parametrize` parametrisation."""
+    parts = name.split(".")
+    return parts[parts.index("parametrizations") + 1] if "parametrizations" in parts else parts[-1]
 
 
 def check_count(name: str, value: int) -> None:
