@@ -1,0 +1,151 @@
+"""Renderer and render: each mistake gets one message that says what was expected and what came."""
+
+import re
+
+import pytest
+import torch
+from torch.func import functional_call
+from torch.nn.utils import parametrize
+
+import torch_radbp as rb
+from tests.scenes import cornell, load, rectangle, sensor, sky_and_points, textured
+
+CONSTRUCTOR = {
+    "spp of zero": ({"spp": 0}, ValueError, "spp must be an integer of at least 1, got 0"),
+    "negative spp": ({"spp": -4}, ValueError, "spp must be an integer of at least 1, got -4"),
+    "half a sample": ({"spp": 1.5}, ValueError, "spp must be an integer of at least 1, got 1.5"),
+    "spp as text": ({"spp": "16"}, ValueError, "spp must be an integer of at least 1, got '16'"),
+    "spp as truth": ({"spp": True}, ValueError, "spp must be an integer of at least 1, got True"),
+    "chunk of zero": ({"chunk": 0}, ValueError, "chunk must be an integer of at least 1, got 0"),
+    "chunk as number": ({"chunk": 1e6}, ValueError, "chunk must be an integer of at least 1, got 1000000.0"),
+    "depth below -1": ({"max_depth": -2}, ValueError, "max_depth must be -1 (unlimited) or at least 0, got -2"),
+    "roulette at zero": ({"rr_depth": 0}, ValueError, "rr_depth must be at least 1, got 0"),
+    "adjoint by name": ({"adjoint": "log"}, TypeError, "adjoint must be one of MemoizedAdjoint, QuadraticAdjoint, "
+                                                       "ReplayAdjoint, TapeAdjoint, got 'log'"),
+    "adjoint as class": ({"adjoint": rb.MemoizedAdjoint}, TypeError, "adjoint must be one of MemoizedAdjoint"),
+    "attached sampling": ({"sampling": "attached"}, ValueError, "sampling='attached' is not available; known: 'detached' "
+                                                               "('attached' and 'hybrid' are planned)"),
+    "unknown sampling": ({"sampling": "both"}, ValueError, "sampling='both' is not available; known: 'detached'"),
+    "memory budget": ({"memory_budget": "plenty"}, ValueError, "memory_budget"),
+    "memory budget of zero": ({"memory_budget": 0}, ValueError, "memory_budget"),
+}
+
+
+@pytest.mark.parametrize("settings, kind, message", CONSTRUCTOR.values(), ids=CONSTRUCTOR)
+def test_a_setting_that_makes_no_sense(settings, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        rb.Renderer(cornell(), **settings)
+    with pytest.raises(kind, match=re.escape(message)):
+        rb.render(cornell(), **settings)
+
+
+CALLS = {
+    "spp of zero": ({"spp": 0}, "spp must be an integer of at least 1, got 0"),
+    "sensor that is not there": ({"sensors": [1]}, "sensors must be indices from 0 to 0, got [1]"),
+    "sensor from the end": ({"sensors": [-1]}, "sensors must be indices from 0 to 0, got [-1]"),
+    "no sensor": ({"sensors": []}, "sensors must be indices from 0 to 0, got []"),
+}
+
+
+@pytest.mark.parametrize("call, message", CALLS.values(), ids=CALLS)
+def test_a_call_that_makes_no_sense(call, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        rb.Renderer(cornell(), spp=1)(**call)
+
+
+def test_something_else_than_a_scene():
+    with pytest.raises(TypeError, match=re.escape("scene must be a torch_radbp.Scene (from load or load_dict), got dict")):
+        rb.Renderer({"type": "scene"})
+
+
+@pytest.mark.parametrize("stride", [0, -1, 1.5, True, "cbrt", None], ids=repr)
+def test_a_stride_that_is_none(stride):
+    message = f"stride must be an integer of at least 1, 'sqrt' or 'log', got {stride!r}"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        rb.MemoizedAdjoint(stride)
+
+
+def test_an_unknown_caster():
+    with pytest.raises(ValueError, match=re.escape("unknown ray caster 'optix'; known are 'embree', 'brute'")):
+        rb.Renderer(cornell(), spp=1, caster="optix")()
+
+
+def test_sensors_of_different_size_in_one_call():
+    scene = cornell(sensors={"small": sensor(4), "large": sensor(6)})
+    message = ("the sensors of one call must have films of one size, got [(4, 4), (6, 6)]; render them in separate calls")
+    renderer = rb.Renderer(scene, spp=1, max_depth=2)
+    with pytest.raises(ValueError, match=re.escape(message)):
+        renderer()
+    assert renderer(sensors=[0]).shape == (1, 3, 4, 4) and renderer(sensors=[1, 1]).shape == (2, 3, 6, 6)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_parameter_that_is_not_finite_is_named(value):
+    scene = cornell()
+    scene.get_parameter("red.reflectance.value").data[1] = value
+    message = "parameter 'red.reflectance.value' has 1 of 3 values that are NaN or infinite"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        rb.render(scene, spp=1)
+
+
+GEOMETRY = {
+    "vertices": (cornell, "box.vertex_positions"), "shape's pose": (cornell, "floor.to_world"),
+    "camera's pose": (cornell, "sensor.to_world"), "field of view": (cornell, "sensor.x_fov"),
+    "point light's position": (sky_and_points, "lamp.position"),
+    "texture coordinates": (sky_and_points, "box.vertex_texcoords"),
+}
+
+
+@pytest.mark.parametrize("adjoint", [None, rb.TapeAdjoint()], ids=repr)
+@pytest.mark.parametrize("build, name", GEOMETRY.values(), ids=GEOMETRY)
+def test_a_derivative_that_would_be_missing_is_refused(build, name, adjoint):
+    scene = build()
+    scene.get_parameter(name).requires_grad_()
+    with pytest.raises(ValueError, match=re.escape(f"not available yet, but {name} requires grad")):
+        rb.render(scene, spp=1, adjoint=adjoint)
+
+
+def test_a_derivative_of_a_pose_that_is_a_function_of_something_else_is_refused():
+    renderer = rb.Renderer(cornell(), spp=1)
+    pose = renderer.get_parameter("scene.floor.to_world").detach().clone().requires_grad_()
+    with pytest.raises(ValueError, match="shapes, poses and positions are not available yet"):
+        functional_call(renderer, {"scene.floor.to_world": pose})
+
+    class Shift(torch.nn.Module):
+        def forward(self, matrix):
+            return matrix + 0
+
+    for name, parameter in (("box", "vertex_positions"), ("sensor", "to_world"), ("sensor", "x_fov"), ("lamp", "position")):
+        scene = sky_and_points()
+        parametrize.register_parametrization(scene.get_submodule(name), parameter, Shift())
+        scene.get_submodule(name).parametrizations[parameter].original.requires_grad_()
+        with pytest.raises(ValueError, match="shapes, poses and positions are not available yet"):
+            rb.render(scene, spp=1)
+
+
+def test_an_unknown_parameter_is_answered_with_the_nearest_names():
+    with pytest.raises(AttributeError, match="no parameter 'gren.reflectance.value'; did you mean 'green"):
+        cornell().get_parameter("gren.reflectance.value")
+    with pytest.raises(AttributeError, match="no parameter 'floor'; .*known: .*floor.bsdf.reflectance.data"):
+        textured().get_parameter("floor")
+
+
+def test_a_scene_without_shapes():
+    scene = load(sensor=sensor(2), sky={"type": "constant"})
+    with pytest.raises(ValueError, match="the scene has no shape to render: add a rectangle, cube"):
+        rb.Renderer(scene)
+
+
+def test_a_scene_without_light_sensor_or_with_two_skies():
+    light, view, shape = {"type": "constant"}, sensor(2), rectangle((0, 0, 0))
+    with pytest.raises(rb.SceneError, match="no sensor: add <sensor type=\"perspective\">"):
+        load(sky=light, shape=shape)
+    with pytest.raises(rb.SceneError, match="no emitter, so that every image is black"):
+        load(sensor=view, shape=shape)
+    with pytest.raises(rb.SceneError, match="more than one constant emitter: add up their radiances in one"):
+        load(sensor=view, shape=shape, sky=light, more={"type": "constant", "radiance": 2.0})
+
+
+def test_a_scene_on_a_device_without_caster():
+    with pytest.raises((ValueError, RuntimeError, NotImplementedError)):
+        rb.render(cornell().to("meta"), spp=1)
