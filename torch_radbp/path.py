@@ -24,16 +24,16 @@ from torch.utils._pytree import tree_map
 from torch_radbp.bsdf.diffuse import Diffuse
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
-from torch_radbp.sampling.sampler import CAMERA_DEPTH, lane_key, uniform
+from torch_radbp.sampling.sampler import CAMERA_DEPTH, counters, lane_key, uniform
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
-from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light
+from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, camera_ray
 from torch_radbp.vec import TINY, Ray, Vec3, masked, max_component, normalize
 
 # The random numbers of one bounce.
-LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE = range(6)
+NUMBERS = LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE = range(6)
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
@@ -49,7 +49,7 @@ class Settings(NamedTuple):
 class Position(NamedTuple):
     """Where on the path a bounce lies: () tensors, so that one compiled function serves every bounce."""
 
-    depth: Tensor  # int32, 0 at the first surface
+    counters: Tensor  # (6,) int32, of the random numbers of this depth
     least_survival: Tensor  # bounds of the probability of surviving roulette; both 1 before `rr_depth`
     most_survival: Tensor
 
@@ -71,12 +71,24 @@ class Step(NamedTuple):
     visible: Tensor  # bool: the shadow ray was free
 
 
-class Vertex(NamedTuple):
-    """One path vertex: the terms of L_k = (Le + visible Ld) + F L_{k+1}, the shadow ray and the continuation."""
+class Scattering(NamedTuple):
+    """What happens at one path vertex: the terms of L_k = (Le + visible Ld) + F L_{k+1}, and the choices behind them."""
 
     Le: Vec3  # emission, weighted against next-event estimation
     Ld: Vec3  # light by next-event estimation if the shadow ray is free
     F: Vec3  # bsdf * cos / pdf / survival probability
+    si: SurfaceInteraction
+    light: LightSample | None  # None without next-event estimation
+    wo: Vec3 | None  # sampled direction, local; None at the last vertex
+    pdf: Tensor  # its density over solid angle; 0 where the path ends
+
+
+class Vertex(NamedTuple):
+    """A path vertex as the loop over bounces sees it: its terms, its shadow ray and its continuation."""
+
+    Le: Vec3
+    Ld: Vec3
+    F: Vec3
     shadow: Ray
     shadow_distance: Tensor  # 0: nothing to connect to
     next: PathState  # its `pdf` is 0 where the path ends
@@ -92,11 +104,11 @@ def sample_camera(camera: PinholeTensors, width: Tensor, pixel: Tensor, sample: 
         seed: () int32.
     """
     key = lane_key(seed, pixel, sample)
-    depth = torch.full_like(seed, CAMERA_DEPTH)
+    across, down = counters(CAMERA_DEPTH, 2, pixel.device).unbind()
     dtype = camera.tan_x.dtype
     row = torch.div(pixel, width, rounding_mode="floor")
     column = pixel - row * width
-    return camera_ray(camera, column, row, uniform(key, depth, 0, dtype), uniform(key, depth, 1, dtype)), key
+    return camera_ray(camera, column, row, uniform(key, across, dtype), uniform(key, down, dtype)), key
 
 
 def start_path(ray: Ray, key: Tensor) -> PathState:
@@ -108,7 +120,7 @@ def start_path(ray: Ray, key: Tensor) -> PathState:
 
 def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
            settings: Settings) -> Vertex:
-    """One step of the recursion L_k = E_k + F_k L_{k+1}.
+    """One step of the recursion L_k = E_k + F_k L_{k+1}: what happens at the vertex, and where the path goes from there.
 
     Args:
         scene: attached; what is integrated.
@@ -121,27 +133,46 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
     Returns:
         The vertex. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
     """
+    Le, Ld, F, si, light, wo, pdf = scattering(scene, proposal, state, hit, at, settings)
+
+    # Aim the shadow ray at the light sample.
+    nothing = state.ray, torch.zeros_like(pdf)
+    shadow, distance = nothing if light is None else shadow_ray(si, light)
+
+    # Leave along the sampled direction.
+    if wo is None:
+        return Vertex(Le, Ld, F, shadow, distance, state._replace(pdf=pdf))
+    d = normalize(si.frame.to_world(wo))
+    return Vertex(Le, Ld, F, shadow, distance, PathState(Ray(si.offset(d), d), state.beta * F, pdf, state.key, state.lane))
+
+
+def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
+               settings: Settings) -> Scattering:
+    """The local map of a bounce, from parameters to E_k and F_k: what the backward sweep differentiates.
+
+    Args and attachment as for `bounce`.
+    """
     # Find the surface that the ray meets.
     si = surface_interaction(proposal, state.ray, hit)
 
     # Add the light that it emits, weighted against the chance that next-event estimation finds it.
-    Le = Vec3.full(state.pdf, 0.0) if settings.hide_emitters else emitted(scene, si)
+    zero = torch.zeros_like(state.pdf)
+    none = Vec3(zero, zero, zero)
+    Le = none if settings.hide_emitters else emitted(scene, si)
     if settings.nee:
         Le = Le * power_heuristic(state.pdf, emitted_pdf(proposal, state.ray, si))
     if settings.last:
-        return ended(state, Le)
+        return Scattering(Le, none, none, si, None, None, zero)
 
     # Look up the material.
     reflectance = material_reflectance(scene, si)
 
     # Connect to a point on a light.
-    numbers = [uniform(state.key, at.depth, dimension, state.pdf.dtype) for dimension in range(6)]
+    numbers = [uniform(state.key, counter, zero.dtype) for counter in at.counters.unbind()]
+    light, Ld = None, none
     if settings.nee:
         light = sample_light(scene, proposal, si, *numbers[LIGHT_CHOICE:LIGHT_V + 1])
-        Ld, shadow_distance = next_event(reflectance, si, light)
-        shadow = light.shadow
-    else:
-        Ld, shadow, shadow_distance = Vec3.full(state.pdf, 0.0), state.ray, torch.zeros_like(state.pdf)
+        light, Ld = next_event(reflectance, si, light)
 
     # Sample the BSDF for the next direction.
     wo = Diffuse.sample(numbers[BSDF_U], numbers[BSDF_V])
@@ -152,19 +183,7 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
     promise = max_component((state.beta * F).detach())
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
     alive = (si.valid & (pdf > 0) & (numbers[ROULETTE] < survival)).to(pdf.dtype)
-    F = F * (alive / survival)
-
-    # Leave along the sampled direction.
-    d = normalize(si.frame.to_world(wo))
-    onward = PathState(Ray(si.offset(d), d), state.beta * F, pdf * alive, state.key, state.lane)
-    return Vertex(Le, Ld, F, shadow, shadow_distance, onward)
-
-
-def ended(state: PathState, Le: Vec3) -> Vertex:
-    """The last vertex of a path: nothing but emission."""
-    zero = torch.zeros_like(state.pdf)
-    none = Vec3(zero, zero, zero)
-    return Vertex(Le, none, none, state.ray, zero, state._replace(pdf=zero))
+    return Scattering(Le, Ld, F * (alive / survival), si, light, wo, pdf * alive)
 
 
 def material_reflectance(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
@@ -177,14 +196,14 @@ def material_reflectance(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
     return masked(texture >= 0, sample_texture(scene.reflectance, texture.clamp_min(0), uv))
 
 
-def next_event(reflectance: Vec3, si: SurfaceInteraction, light: LightSample) -> tuple[Vec3, Tensor]:
-    """The light that arrives from a light sample if nothing is in between, and how far that is to be checked."""
+def next_event(reflectance: Vec3, si: SurfaceInteraction, light: LightSample) -> tuple[LightSample, Vec3]:
+    """The light that arrives from a light sample if nothing is in between; a sample that cannot connect gets density 0."""
     wo = si.frame.to_local(light.d)
     connects = (si.valid & (light.pdf > 0) & (wo.z > 0) & (si.wi.z > 0)).to(light.pdf.dtype)
     density = light.pdf.clamp_min(TINY)
     weight = power_heuristic(density, Diffuse.pdf(si.wi, wo) * light.findable)
     Ld = Diffuse.eval(reflectance, si.wi, wo) * light.radiance * (connects * weight / density)
-    return Ld, light.distance * connects
+    return light._replace(pdf=light.pdf * connects), Ld
 
 
 class Integrand(NamedTuple):
@@ -202,7 +221,7 @@ class Integrand(NamedTuple):
         """The position on the path as tensors."""
         like = self.scene.lights.choice.pmf
         roulette = depth + 1 >= self.rr_depth
-        return Position(torch.tensor(depth, dtype=torch.int32, device=like.device),
+        return Position(counters(depth, len(NUMBERS), like.device),
                         like.new_tensor(SURVIVE_AT_LEAST if roulette else 1.0),
                         like.new_tensor(SURVIVE_AT_MOST if roulette else 1.0))
 

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
-from torch_radbp.path import Integrand, PathState, Position, Settings, Step, bounce, survivors, take_step
+from torch_radbp.path import Integrand, PathState, Position, Settings, Step, scattering, survivors, take_step
 from torch_radbp.scene.lookup import Tap
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, masked
@@ -56,8 +56,8 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[int, ...], state: PathStat
     for position, tap in zip(wanted, taps):
         leaves[position] = tap
     with torch.enable_grad():
-        vertex = bounce(tree_unflatten(leaves, structure), scene, state, step.hit, at, settings)
-        E, F = vertex.Le + masked(step.visible, vertex.Ld), vertex.F
+        local = scattering(tree_unflatten(leaves, structure), scene, state, step.hit, at, settings)
+        E, F = local.Le + masked(step.visible, local.Ld), local.F
         outputs = [(value, adjoint) for value, adjoint in zip((*E, *F), (*adj_L, *(adj_L * L_next))) if value.requires_grad]
         reads = [leaf for tap in taps for _, leaf in tap.reads]
         adjoints = iter(torch.autograd.grad([value for value, _ in outputs], reads, [adjoint for _, adjoint in outputs],

@@ -37,15 +37,19 @@ def lane_key(seed: Tensor, pixel: Tensor, sample: Tensor) -> Tensor:
     return hash32(hash32(pixel + seed) + hash32(sample ^ 0x5BD1E995))
 
 
-def uniform(key: Tensor, depth: Tensor, dimension: int, dtype: torch.dtype) -> Tensor:
+def counters(depth: int, dimensions: int, device: torch.device) -> Tensor:
+    """(dimensions,) int32: the addresses of the random numbers that bounce `depth` draws."""
+    first = (depth + 1) * DIMENSIONS_PER_BOUNCE
+    return hash32(torch.arange(first, first + dimensions, dtype=torch.int32, device=device) ^ 0x3C6EF35F)
+
+
+def uniform(key: Tensor, counter: Tensor, dtype: torch.dtype) -> Tensor:
     """Uniform numbers in [0, 1), one per lane.
 
     Args:
         key: (N,) int32, from `lane_key`.
-        depth: () int32 tensor, the bounce.
-        dimension: which number of that bounce, below `DIMENSIONS_PER_BOUNCE`.
+        counter: () int32, one of `counters`.
         dtype: of the result.
     """
-    counter = hash32(depth * DIMENSIONS_PER_BOUNCE + (dimension + 1) * 0x3C6EF35F)
     bits = (hash32(key + counter) >> 8) & 0xFFFFFF
     return bits.to(dtype) * (1.0 / (1 << 24))

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Frame, Ray, Vec2, Vec3, cross, dot, normalize, where
+from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize, where
 
 
 class SurfaceInteraction(NamedTuple):
@@ -44,7 +44,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteractio
     prim = hit.prim.clamp_min(0)
     p0, e1, e2 = lookup(triangles.p0, prim), lookup(triangles.e1, prim), lookup(triangles.e2, prim)
     p = p0 + e1 * hit.u + e2 * hit.v
-    n = normalize(cross(e1, e2))
+    n = lookup(triangles.n, prim)
     shading = n
     if scene.layout.shading_normals:
         w = 1.0 - hit.u - hit.v

@@ -11,7 +11,7 @@ from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphe
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.tensors import CONSTANT, POINT, SceneTensors
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, where
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, masked, normalize, where
 
 SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends before the light that it aims at
 FAR = 1e10  # the distance of the surround
@@ -24,8 +24,8 @@ class LightSample(NamedTuple):
     radiance: Vec3  # that it sends back (for a point light: intensity / distance^2); attached
     pdf: Tensor  # density over solid angle; probability for a point light; 0: cannot be used
     findable: Tensor | float  # 1: BSDF sampling finds it too; 0: it cannot (a point light)
-    shadow: Ray
-    distance: Tensor  # along the shadow ray
+    target: Vec3  # the point, world space
+    distant: Tensor | None  # bool: it is a direction rather than a point; None: it never is
 
 
 def emitted(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
@@ -71,14 +71,14 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     texture = lookup(lights.radiance, element)
     uv = None
 
-    target, pdf, findable, scale = si.p, torch.zeros_like(pmf), 1.0, 1.0
+    target, pdf, findable, scale, is_constant = si.p, torch.zeros_like(pmf), 1.0, 1.0, None
     if layout.area_lights:
         prim = lookup(lights.prim, element)
         triangles = proposal.triangles
         b = square_to_uniform_triangle(u, v)
         e1, e2 = lookup(triangles.e1, prim), lookup(triangles.e2, prim)
         target = lookup(triangles.p0, prim) + e1 * b.x + e2 * b.y
-        facing, pdf = area_density(proposal, si.p, target, normalize(cross(e1, e2)), prim)
+        facing, pdf = area_density(proposal, si.p, target, lookup(triangles.n, prim), prim)
         if layout.shading_normals:
             w = 1.0 - b.x - b.y
             shading = (lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * b.x
@@ -104,15 +104,23 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
         d = where(is_constant, square_to_uniform_sphere(u, v), d)
         pdf = torch.where(is_constant, pmf * UNIFORM_SPHERE_PDF, pdf)
 
-    # The shadow ray starts off the surface, and aims from there: taken from the surface point, a lamp shadows itself.
-    start = si.offset(d)
-    reach = target - start
-    length = torch.sqrt(dot(reach, reach)) * SHADOW_SHORTENING
-    aim = normalize(reach)
-    if layout.constant_light:
-        aim, length = where(is_constant, d, aim), torch.where(is_constant, FAR, length)
     radiance = sample_texture(scene.radiance, texture, uv) * scale
-    return LightSample(d, radiance, pdf, findable, Ray(start, aim), length)
+    return LightSample(d, radiance, pdf, findable, target, is_constant)
+
+
+def shadow_ray(si: SurfaceInteraction, light: LightSample) -> tuple[Ray, Tensor]:
+    """The ray that checks a connection, and how far; 0 where the sample cannot be used.
+
+    It starts off the surface and aims from there: with the direction taken from the surface point, a lamp shadows itself.
+    """
+    start = si.offset(light.d)
+    reach = light.target - start
+    squared = dot(reach, reach)
+    shorter = torch.rsqrt(squared.clamp_min(TINY))
+    aim, length = reach * shorter, squared * shorter * SHADOW_SHORTENING
+    if light.distant is not None:
+        aim, length = where(light.distant, light.d, aim), torch.where(light.distant, FAR, length)
+    return Ray(start, aim), length * (light.pdf > 0).to(length.dtype)
 
 
 def area_density(proposal: SceneTensors, p: Vec3, target: Vec3, n: Vec3, prim: Tensor) -> tuple[Tensor, Tensor]:

@@ -144,8 +144,9 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, dtype: to
     n = [Vec3.of(torch.cat(shading)[:, k]) for k in range(3)] if shading else [None] * 3
     st = [Vec2.of(torch.cat(coordinates)[:, k]) for k in range(3)] if coordinates else [None] * 3
     none = torch.zeros(0, device=device)
-    return TriangleTable(Vec3.of(corner[:, 0]), Vec3.of(corner[:, 1] - corner[:, 0]),
-                         Vec3.of(corner[:, 2] - corner[:, 0]), *n, *st, none, none, none)
+    p0, e1, e2 = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    normal = torch.nn.functional.normalize(torch.linalg.cross(e1, e2), dim=-1)
+    return TriangleTable(Vec3.of(p0), Vec3.of(e1), Vec3.of(e2), Vec3.of(normal), *n, *st, none, none, none)
 
 
 def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], environment: list[Emitter],
