@@ -1,0 +1,63 @@
+"""Alias tables: what they store is the distribution, exactly, and what they draw follows it."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.sampling.chi_square import SIGNIFICANCE, p_value
+from torch_radbp.sampling.alias import alias_table
+
+RNG = np.random.default_rng(5)
+WEIGHTS = {
+    "one": [3.0], "two": [1.0, 3.0], "equal": [2.0] * 7, "with zeros": [0.0, 1.0, 0.0, 4.0, 0.0],
+    "first zero": [0.0, 1.0], "last zero": [1.0, 0.0], "far apart": [1e-6, 1.0, 1e6, 1.0],
+    "random": list(RNG.uniform(0, 1, 37)),
+    "skewed": list(RNG.uniform(0, 1, 64) ** 8),
+}
+
+
+def implied(table) -> np.ndarray:
+    """The distribution that threshold and other stand for."""
+    threshold, other = table.threshold.double().numpy(), table.other.numpy()
+    pmf = np.zeros(len(threshold))
+    np.add.at(pmf, np.arange(len(threshold)), threshold / len(threshold))
+    np.add.at(pmf, other, (1 - threshold) / len(threshold))
+    return pmf
+
+
+@pytest.mark.parametrize("weights", WEIGHTS.values(), ids=WEIGHTS)
+def test_the_table_stands_for_its_weights(weights):
+    table = alias_table(torch.tensor(weights, dtype=torch.float64))
+    expected = np.array(weights) / np.sum(weights)
+    np.testing.assert_allclose(table.pmf.numpy(), expected, rtol=1e-14)
+    np.testing.assert_allclose(implied(table), expected, rtol=1e-9, atol=1e-15)
+    assert (table.threshold >= 0).all() and (table.threshold <= 1 + 1e-12).all()
+    assert table.other.dtype == torch.int32 and table.other.min() >= 0 and table.other.max() < len(weights)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("weights", WEIGHTS.values(), ids=WEIGHTS)
+def test_draws_follow_the_weights(weights, dtype):
+    table = alias_table(torch.tensor(weights, dtype=dtype))
+    count = 100_000
+    u = torch.rand(count, generator=torch.Generator().manual_seed(2), dtype=dtype)
+    drawn = table.sample(u)
+    assert drawn.dtype == torch.int32 and drawn.shape == (count,)
+    observed = np.bincount(drawn.numpy(), minlength=len(weights))
+    expected = count * np.array(weights) / np.sum(weights)
+    assert observed[np.array(weights) == 0].sum() == 0
+    if np.count_nonzero(weights) > 1:
+        assert p_value(observed, expected) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_every_number_below_one_draws_an_entry_of_positive_weight(dtype):
+    u = torch.cat([torch.arange(4096) / 4096.0, torch.tensor([1 - 2.0**-24])]).to(dtype)
+    for weights in WEIGHTS.values():
+        drawn = alias_table(torch.tensor(weights, dtype=dtype)).sample(u).long()
+        assert (torch.tensor(weights)[drawn] > 0).all()
+
+
+def test_weights_need_no_gradient_and_keep_their_dtype():
+    table = alias_table(torch.tensor([1.0, 2.0], requires_grad=True))
+    assert not table.pmf.requires_grad and table.pmf.dtype == table.threshold.dtype == torch.float32
