@@ -1,0 +1,90 @@
+"""One compiled configuration: the eager image and gradient, from functions that are compiled once.
+
+Compilation takes about a minute where the compiler's cache is empty, seconds where it is not; one scene serves all tests.
+"""
+
+import pytest
+import torch
+from torch._dynamo.utils import counters
+
+import torch_radbp as rb
+from tests.gradients import assert_informative, cotangent, relative_error
+from tests.scenes import CASES, cornell, parameters
+
+SIZE, NAMES = 16, CASES["cornell"].parameters
+SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 3}
+
+
+def view_and_gradients(renderer, seed=1, **call):
+    wanted = [renderer.scene.get_parameter(name) for name in NAMES]
+    image = renderer(seed=seed, **call)
+    return image.detach(), torch.autograd.grad(image, wanted, cotangent(image.detach()))
+
+
+def make(**settings):
+    scene = cornell(torch.float32, SIZE)
+    parameters(scene, NAMES)
+    return rb.Renderer(scene, **SETTINGS | settings)
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    """A renderer that has rendered, and walked back, once."""
+    renderer = make(compile=True)
+    view_and_gradients(renderer)
+    return renderer
+
+
+def test_the_compiled_image_and_gradient_are_the_eager_ones(compiled):
+    """Fusing changes roundings of 6e-8, some thousands of which add up; a lane in ten thousand may decide otherwise."""
+    expected, gradients = view_and_gradients(make())
+    image, found = view_and_gradients(compiled)
+    assert_informative(expected, list(gradients))
+    differs = ((image - expected).abs() > 1e-4 * expected.max()).any(dim=1)
+    assert differs.sum() <= 2  # of 256 pixels
+    for name, gradient, wanted in zip(NAMES, found, gradients):
+        # One lane of 1024 that takes another way changes a gradient by about a thousandth.
+        assert relative_error(gradient, wanted) < (1e-3 if differs.any() else 1e-4), name
+
+
+def graphs() -> int:
+    """How many graphs have been compiled in this process."""
+    return counters["stats"]["unique_graphs"]
+
+
+VARIATIONS = {
+    "another seed": ({}, {"seed": 2**40 + 7}),
+    "an independent backward pass": ({}, {"seed": 3, "seed_grad": 4}),
+    "more samples": ({}, {"spp": 7}),
+    "chunks": ({"chunk": 300}, {}),
+    "chunks of a prime": ({"chunk": 997}, {}),
+    "more bounces": ({"max_depth": 8}, {}),
+    "fewer bounces": ({"max_depth": 3}, {}),
+    "roulette at once": ({"rr_depth": 1}, {}),
+    "another stride": ({"adjoint": rb.MemoizedAdjoint(2)}, {}),
+    "bisection": ({"adjoint": rb.MemoizedAdjoint("log", keep_hits=False)}, {}),
+    "brute force": ({"caster": "brute"}, {}),
+}
+
+
+@pytest.mark.parametrize("settings, call", VARIATIONS.values(), ids=VARIATIONS)
+def test_nothing_is_compiled_again_for(compiled, settings, call):
+    before = graphs()
+    assert before >= 3  # camera, bounce, adjoint of a bounce
+    renderer = make(compile=True, **settings)
+    image, gradients = view_and_gradients(renderer, **call)
+    assert_informative(image, list(gradients))
+    assert graphs() == before
+
+
+def test_nothing_is_compiled_again_over_iterations_of_an_optimisation(compiled):
+    renderer = make(compile=True)
+    wanted = [renderer.scene.get_parameter(name) for name in NAMES]
+    optimizer, before = torch.optim.Adam(wanted, lr=0.01), graphs()
+    first = [parameter.detach().clone() for parameter in wanted]
+    for seed in range(3):
+        optimizer.zero_grad()
+        (renderer(seed=seed, seed_grad=seed + 10) - 0.2).square().mean().backward()
+        optimizer.step()
+    assert graphs() == before
+    assert all((parameter - start).abs().max() > 1e-3 for parameter, start in zip(wanted, first))

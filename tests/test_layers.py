@@ -1,0 +1,138 @@
+"""The order of the package: imports go one way, and what is public is documented."""
+
+import ast
+import importlib
+import inspect
+import pkgutil
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import torch_radbp as rb
+
+PACKAGE = Path(rb.__file__).parent
+TRAINING = PACKAGE.parent / "training"
+
+# Data flows down this list; a module may import from its own layer and from those above it.
+LAYERS = [
+    {"vec", "plugin"}, {"sampling"}, {"shape", "texture", "bsdf", "emitter", "sensor", "film"}, {"scene"}, {"raycast"},
+    {"path"}, {"adjoint"}, {"stages"}, {"render"}, {"training"},
+]
+RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
+# Reads and writes files for every layer: shapes and textures import it inside functions.
+READERS = {"shape", "texture"}
+
+
+class Import(NamedTuple):
+    """An import of one part of the package by another; parts are the first names below `torch_radbp`."""
+
+    file: str
+    line: int
+    importer: str
+    imported: str
+    inside_function: bool
+
+
+def part_of(path: Path) -> str:
+    if path.is_relative_to(TRAINING):
+        return "training"
+    relative = path.relative_to(PACKAGE)
+    return relative.parts[0].removesuffix(".py")
+
+
+def imports(path: Path) -> list[Import]:
+    """All imports of torch_radbp in a file, those inside functions and behind TYPE_CHECKING included."""
+    tree = ast.parse(path.read_text())
+    local = {id(node) for function in ast.walk(tree) if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
+             for node in ast.walk(function)}
+    found = []
+    for node in ast.walk(tree):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}, line {node.lineno}: relative import"
+            whole = node.module == "torch_radbp"
+            names = [f"{node.module}.{alias.name}" for alias in node.names] if whole else [node.module]
+        found += [Import(str(path), node.lineno, part_of(path), name.split(".")[1] if "." in name else "__init__",
+                         id(node) in local) for name in names if name.split(".")[0] == "torch_radbp"]
+    return found
+
+
+FILES = sorted(path for folder in (PACKAGE, TRAINING) for path in folder.rglob("*.py"))
+IMPORTS = [found for path in FILES for found in imports(path)]
+
+
+def say(wrong: list[Import]) -> str:
+    return "\n".join(f"{i.file}:{i.line}: {i.importer} imports {i.imported}" for i in wrong)
+
+
+def test_the_imports_are_found():
+    assert len(IMPORTS) > 100
+    assert {"path", "adjoint", "scene", "vec"} <= {i.imported for i in IMPORTS}
+
+
+def test_every_part_has_its_layer():
+    known = {*RANK, "io", "__init__"}
+    assert {part_of(path) for path in FILES} <= known
+    assert {i.imported for i in IMPORTS} <= known
+
+
+def test_imports_go_one_way():
+    wrong = [i for i in IMPORTS if i.importer in RANK and i.imported in RANK and RANK[i.imported] > RANK[i.importer]]
+    assert not wrong, say(wrong)
+
+
+def test_only_training_imports_the_package_as_a_whole():
+    wrong = [i for i in IMPORTS if i.imported == "__init__" and i.importer != "training"]
+    assert not wrong, say(wrong)
+
+
+def test_io_is_imported_by_the_public_names_and_inside_functions_that_read_files():
+    wrong = [i for i in IMPORTS if i.imported == "io" and i.importer not in ("io", "__init__", "training")
+             and not (i.importer in READERS and i.inside_function)]
+    assert not wrong, say(wrong)
+
+
+def test_io_knows_neither_the_tracer_nor_what_is_above_it():
+    wrong = [i for i in IMPORTS if i.importer == "io" and RANK.get(i.imported, 0) >= RANK["raycast"]]
+    assert not wrong, say(wrong)
+
+
+def modules() -> list[str]:
+    names = [module.name for module in pkgutil.walk_packages(rb.__path__, "torch_radbp.")]
+    return ["torch_radbp", *names]
+
+
+@pytest.mark.parametrize("name", modules())
+def test_a_module_says_what_it_is(name):
+    doc = importlib.import_module(name).__doc__
+    assert doc and doc.strip()[0].isupper() | doc.strip().startswith(("`", "torch_radbp", "[")), name
+
+
+def documented(thing) -> bool:
+    return bool(thing.__doc__) and not thing.__doc__.startswith(f"{thing.__name__}(")  # as dataclasses write it themselves
+
+
+@pytest.mark.parametrize("name", rb.__all__)
+def test_every_public_name_has_a_docstring_and_so_have_its_methods(name):
+    thing = getattr(rb, name)
+    assert documented(thing), name
+    if inspect.isclass(thing):
+        own = {key: value for key, value in vars(thing).items() if not key.startswith("_") and inspect.isfunction(value)}
+        # What every strategy has to offer is said once, where the sweep calls it.
+        missing = [key for key, value in own.items() if not value.__doc__ and key != "kept"]
+        assert not missing, f"{name}: {missing}"
+
+
+def test_public_names_are_sorted_and_there():
+    assert sorted(rb.__all__) == rb.__all__
+    assert all(hasattr(rb, name) for name in rb.__all__)
+
+
+@pytest.mark.parametrize("path", [path for path in FILES if path.name != "__init__.py"],
+                         ids=lambda path: str(path.relative_to(PACKAGE.parent)))
+def test_a_file_has_one_thing_and_a_name_that_says_which(path):
+    assert path.stem not in ("utils", "helpers", "common", "misc")
+    assert len(path.read_text().splitlines()) <= 400, "take a hard look: past 300 lines there is a second thing in it"
