@@ -29,7 +29,7 @@ from torch_radbp.scene.interaction import SurfaceInteraction, surface_interactio
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.perspective import PinholeTensors, camera_ray
+from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane, camera_ray
 from torch_radbp.vec import TINY, Ray, Vec3, masked, max_component, normalize
 
 # The random numbers of one bounce.
@@ -216,6 +216,7 @@ class Integrand(NamedTuple):
     max_depth: int
     rr_depth: int
     bounce: Callable[..., Vertex]  # `bounce`, eager or compiled
+    clipping: PinholeTensors | None = None  # the camera of the paths, if its far plane cuts the scene
 
     def at(self, depth: int) -> Position:
         """The position on the path as tensors."""
@@ -284,10 +285,18 @@ def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:
 
 
 def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
-    """The closest surface; emitters that the camera is not to see directly are passed through."""
+    """The closest surface; of camera rays, the closest that the camera is to see."""
     hit = integrand.caster.intersect(ray)
-    if depth > 0 or not (integrand.settings.hide_emitters and integrand.scene.layout.area_lights):
-        return hit
+    if depth == 0 and integrand.settings.hide_emitters and integrand.scene.layout.area_lights:
+        hit = behind_emitters(integrand, ray, hit)
+    if depth == 0 and integrand.clipping is not None:
+        p = surface_interaction(integrand.proposal, ray, hit).p
+        hit = hit._replace(prim=torch.where(beyond_far_plane(integrand.clipping, p), -1, hit.prim))
+    return hit
+
+
+def behind_emitters(integrand: Integrand, ray: Ray, hit: Hit) -> Hit:
+    """The closest surface that is no emitter."""
     triangles = integrand.proposal.triangles
     while True:
         hidden = ((hit.prim >= 0) & (triangles.radiance[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)

@@ -18,7 +18,9 @@ from torch_radbp.scene import Scene
 from torch_radbp.scene.integrator import check_depths
 from torch_radbp.scene.pack import geometry, pack
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.perspective import beyond_far_plane
 from torch_radbp.stages import EAGER, compiled
+from torch_radbp.vec import Vec3
 
 STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 UNLIMITED = 1024  # bounces; roulette ends a path long before
@@ -121,10 +123,11 @@ class Renderer(nn.Module):
         self.check_differentiable(scene)
         caster = self.current_caster()
         width, height = sizes.pop()
-        views = [View(tree_map_only(Tensor, Tensor.detach, available[index].tensors()), width, height,
-                      tuple(seed_key(s + available[index].sampler.seed, index)
-                            for s in (seed, seed if seed_grad is None else seed_grad)))
-                 for index in indices]
+        cameras = [tree_map_only(Tensor, Tensor.detach, available[index].tensors()) for index in indices]
+        seeds = (seed, seed if seed_grad is None else seed_grad)
+        vertices = Vec3.of(caster.vertices)
+        views = [View(camera, width, height, tuple(seed_key(s + available[index].sampler.seed, index) for s in seeds),
+                      clips=bool(beyond_far_plane(camera, vertices).any())) for index, camera in zip(indices, cameras)]
         stages = compiled() if self.compile_stages else EAGER
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
         settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters)

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.scenes import load, rectangle, rgb, sensor
+from tests.gradients import assert_informative, image_and_gradients, relative_error
+from tests.scenes import CASES, cornell, load, rectangle, rgb, sensor
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import look_at, rotate, scale, translate
@@ -149,6 +150,21 @@ def test_what_is_before_the_near_plane_is_not_seen():
 def test_what_is_behind_the_far_plane_is_not_seen():
     assert poster(2.0, far_clip=2.1) == 1
     assert poster(2.0, far_clip=1.9) == 0
+
+
+@pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(2, keep_hits=False), rb.QuadraticAdjoint(keep_hits=False)], ids=repr)
+def test_the_backward_pass_sees_as_far_as_the_forward_pass(adjoint):
+    def view(adjoint):
+        near, far = sensor(6, far_clip=3.4), sensor(6)  # the first does not see the back of the room
+        return image_and_gradients(cornell(sensors={"near": near, "far": far}), CASES["cornell"].parameters, spp=4,
+                                   max_depth=3, adjoint=adjoint)
+
+    reference, expected = view(rb.TapeAdjoint())
+    assert_informative(reference, expected)
+    assert (reference[0] == 0).sum() > 3 * (reference[1] == 0).sum()
+    image, gradients = view(adjoint)
+    assert torch.equal(image, reference)
+    assert all(relative_error(gradient, wanted) < 1e-10 for gradient, wanted in zip(gradients, expected))
 
 
 BAD = {

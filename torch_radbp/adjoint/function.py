@@ -35,6 +35,7 @@ class View(NamedTuple):
     width: int  # of the crop window, pixels
     height: int
     seed_keys: tuple[int, int]  # of the forward pass, and of the backward pass
+    clips: bool  # whether something lies beyond the far plane
 
 
 class RenderCall(NamedTuple):
@@ -83,6 +84,12 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     return start_path(*call.sample_camera(view.camera, width, pixel, sample, seed))
 
 
+def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:
+    """The integrand as the camera of a chunk sees it."""
+    view = call.views[chunk.sensor]
+    return integrand._replace(clipping=view.camera if view.clips else None)
+
+
 def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: int,
                 record: bool) -> tuple[Vec3, PathRecord]:
     """Radiance of each lane, and what the backward pass will need of it."""
@@ -100,7 +107,7 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: 
         if record and strategy.keep_hits:
             steps[depth] = step
 
-    L = trace(integrand, start_paths(call, chunk, seed_key), visit)
+    L = trace(integrand_of(call, integrand, chunk), start_paths(call, chunk, seed_key), visit)
     radiance = L if record and strategy.keep_radiance else None
     return L, PathRecord(lambda: start_paths(call, chunk, seed_key), radiance, states, steps, bounces)
 
@@ -166,7 +173,8 @@ class RenderFunction(torch.autograd.Function):
             else:
                 record = records[index]
             adj_L = lane_adjoint(call, chunk, grad_images)
-            call.adjoint.backward(Sweep(integrand, call.adjoint_of_bounce, record, adj_L, wanted, gradients))
+            call.adjoint.backward(Sweep(integrand_of(call, integrand, chunk), call.adjoint_of_bounce, record, adj_L, wanted,
+                                        gradients))
         result: list[Tensor | None] = [None] * len(positions)
         for k, gradient in zip(needed, gradients):
             result[k] = gradient

@@ -12,7 +12,7 @@ from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, nearest, positive, register
 from torch_radbp.sensor.independent import Independent
 from torch_radbp.shape.surface import affine
-from torch_radbp.vec import Frame, Ray, Vec3, normalize
+from torch_radbp.vec import Frame, Ray, Vec3, dot, normalize
 
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 
@@ -27,6 +27,7 @@ class PinholeTensors(NamedTuple):
     shift_x: Tensor  # principal point, fraction of the width
     shift_y: Tensor  # fraction of the height
     near: Tensor
+    far: Tensor
     size_x: Tensor  # of the whole image, pixels
     size_y: Tensor
     crop_x: Tensor  # left edge of the crop window, pixels
@@ -95,8 +96,9 @@ class Perspective(Sensor):
         return PinholeTensors(
             axes=Frame(*columns), origin=Vec3.of(matrix[:3, 3]), tan_x=torch.tan(0.5 * torch.deg2rad(self.x_fov)),
             aspect=scalar(film.width / film.height), shift_x=self.principal_point_offset_x,
-            shift_y=self.principal_point_offset_y, near=scalar(self.near_clip), size_x=scalar(film.width),
-            size_y=scalar(film.height), crop_x=scalar(film.crop_offset_x), crop_y=scalar(film.crop_offset_y),
+            shift_y=self.principal_point_offset_y, near=scalar(self.near_clip), far=scalar(self.far_clip),
+            size_x=scalar(film.width), size_y=scalar(film.height),
+            crop_x=scalar(film.crop_offset_x), crop_y=scalar(film.crop_offset_y),
             quantiles=film.rfilter.quantiles().to(matrix))
 
 
@@ -144,6 +146,11 @@ def camera_ray(camera: PinholeTensors, column: Tensor, row: Tensor, u: Tensor, v
     near = d * camera.near
     o = Vec3(camera.origin.x + near.x, camera.origin.y + near.y, camera.origin.z + near.z)
     return Ray(o, normalize(d))
+
+
+def beyond_far_plane(camera: PinholeTensors, p: Vec3) -> Tensor:
+    """Whether points are too far away to be seen, bool."""
+    return dot(p - camera.origin, camera.axes.n) > camera.far
 
 
 def quantile(table: Tensor, u: Tensor) -> Tensor:
