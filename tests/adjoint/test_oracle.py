@@ -15,7 +15,7 @@ SETTINGS = {
     # Light is found by chance here; two bounces off the lamp's own material need more paths.
     "no_nee": {"nee": False, "rr_depth": 100, "spp": 16},
     "no_nee_and_roulette": {"nee": False, "rr_depth": 2, "spp": 64},
-    "hide_emitters": {"nee": True, "rr_depth": 3, "hide_emitters": True},
+    "hide_emitters": {"nee": True, "rr_depth": 3, "hide_emitters": True, "spp": 16},
 }
 FEW = (rb.MemoizedAdjoint(), rb.MemoizedAdjoint(3, keep_hits=False), rb.MemoizedAdjoint("log"), rb.QuadraticAdjoint())
 
