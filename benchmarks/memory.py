@@ -1,0 +1,203 @@
+"""Peak memory and time of every adjoint strategy: ``python -m benchmarks.memory``.
+
+The scene of `versus_mitsuba` at depth 32: Cornell box, no Russian roulette, the same gradients, the renderer's own
+chunks. Each strategy runs in a process of its own: a small pass first, which loads what there is to load; then the peak
+of resident memory during one forward and backward pass, over what was resident before, and what the renderer predicts
+beside it. `checkpoint per bounce` is plain autograd over `torch.utils.checkpoint` at every bounce, which is what torch
+offers without this project. The last column is the relative difference of the gradient to the first strategy's.
+``--working-set`` prints instead how many numbers per lane one bounce holds at its worst moment, for the prediction.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import torch
+from torch.utils._pytree import tree_flatten, tree_map_only
+from torch.utils.checkpoint import checkpoint
+
+import torch_radbp as rb
+from benchmarks import cornell
+from torch_radbp.adjoint.function import accumulate, start_paths
+from torch_radbp.path import add_at, survivors, take_step
+from torch_radbp.vec import Vec3, masked
+
+CHECKPOINT = "checkpoint per bounce"
+STRATEGIES = {
+    "stride 1": rb.MemoizedAdjoint(1),
+    "stride 8": rb.MemoizedAdjoint(8),
+    'stride "sqrt"': rb.MemoizedAdjoint("sqrt"),
+    'stride "log"': rb.MemoizedAdjoint("log"),
+    "stride 1, no hits": rb.MemoizedAdjoint(1, keep_hits=False),
+    'stride "log", no hits': rb.MemoizedAdjoint("log", keep_hits=False),
+    "replay": rb.ReplayAdjoint(),
+    "quadratic": rb.QuadraticAdjoint(),
+    "tape": rb.TapeAdjoint(),
+    CHECKPOINT: rb.TapeAdjoint(),
+}
+MIB = 1 << 20
+
+
+def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
+    """The image by plain autograd that keeps the path state at every bounce and computes the rest again."""
+    call = renderer.prepare(seed, None, renderer.spp, None)
+    integrand, view = call.make_integrand(call.scene), call.views[0]
+    images = [torch.zeros(3, view.height * view.width)]
+
+    def one_bounce(state, depth):
+        vertex, step = take_step(integrand, state, depth)
+        return state.beta * (vertex.Le + masked(step.visible, vertex.Ld)), survivors(vertex)
+
+    for chunk in call.chunks:
+        state, depth = start_paths(call, chunk, view.seed_keys[0]), 0
+        L = Vec3.buffer(state.beta.x)
+        while depth < integrand.max_depth and len(state.lane):
+            lane = state.lane
+            contribution, state = checkpoint(one_bounce, state, depth, use_reentrant=False)
+            add_at(L, lane, contribution)
+            depth += 1
+        accumulate(images, chunk, L, call.spp)
+    return images[0].reshape(1, 3, view.height, view.width)
+
+
+def one_pass(renderer: rb.Renderer, name: str, cotangent: torch.Tensor, seed: int) -> float:
+    """Seconds of a forward and backward pass."""
+    renderer.scene.zero_grad()
+    start = time.perf_counter()
+    image = render_with_checkpoints(renderer, seed) if name == CHECKPOINT else renderer(seed=seed)
+    (image * cotangent).sum().backward()
+    return time.perf_counter() - start
+
+
+def resident(field: str) -> int:
+    """Bytes from /proc/self/status: VmRSS now, VmHWM at the most."""
+    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(field))
+    return int(line.split()[1]) * 1024
+
+
+def measure(name: str, options: argparse.Namespace) -> dict:
+    """Peak and time of one strategy, in this process."""
+    def make(resolution: int) -> tuple[rb.Renderer, torch.Tensor]:
+        scene = cornell.load(resolution, options.depth)
+        renderer = rb.Renderer(scene, spp=options.spp, adjoint=STRATEGIES[name], chunk=options.chunk or None,
+                               compile=options.compile)
+        return renderer, torch.from_numpy(cornell.cotangent(resolution)).permute(2, 0, 1)[None]
+
+    small, small_cotangent = make(16)
+    one_pass(small, name, small_cotangent, 0)
+    renderer, cotangent = make(options.resolution)
+    predicted = 0 if name == CHECKPOINT else renderer.memory_plan().peak
+    Path("/proc/self/clear_refs").write_text("5")  # VmHWM starts anew
+    before = resident("VmRSS")
+    seconds = one_pass(renderer, name, cotangent, 1)
+    return {"name": name, "bytes": resident("VmHWM") - before, "seconds": seconds, "predicted": predicted,
+            "gradient": cornell.gradients(renderer.scene)}
+
+
+def in_own_process(name: str, options: argparse.Namespace) -> dict:
+    """`measure` in a new process."""
+    command = [sys.executable, "-m", "benchmarks.memory", "--only", name]
+    for option in ("resolution", "spp", "depth", "chunk"):
+        command += [f"--{option}", str(getattr(options, option))]
+    command += ["--compile"] if options.compile else []
+    run = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    if run.returncode:
+        return {"name": name, "failed": run.returncode}
+    return json.loads(run.stdout.splitlines()[-1])
+
+
+def disagreement(gradient: dict, reference: dict) -> float:
+    """Greatest relative difference of two gradients, parameter by parameter."""
+    pairs = [(torch.tensor(gradient[name]), torch.tensor(reference[name])) for name in reference]
+    return max(float((a - b).norm() / b.norm()) for a, b in pairs)
+
+
+def report(results: list[dict], options: argparse.Namespace) -> str:
+    """The table as markdown."""
+    lanes = options.resolution**2 * options.spp
+    mode = "compiled" if options.compile else "eager"
+    lines = [f"Cornell box {options.resolution} x {options.resolution}, {options.spp} spp ({lanes} paths), "
+             f"depth {options.depth}, chunk {options.chunk or 'default'}, {mode}", "",
+             "| strategy | peak MiB | predicted MiB | predicted / peak | seconds | gradient off by |",
+             "|---|---|---|---|---|---|"]
+    reference = next((result["gradient"] for result in results if "gradient" in result), None)
+    for result in results:
+        if "failed" in result:
+            lines.append(f"| {result['name']} | failed: exit status {result['failed']} | | | | |")
+            continue
+        peak, predicted = result["bytes"] / MIB, result["predicted"] / MIB
+        prediction = f"{predicted:.0f} | {predicted / peak:.2f}" if predicted else " | "
+        lines.append(f"| {result['name']} | {peak:.0f} | {prediction} | {result['seconds']:.2f} | "
+                     f"{disagreement(result['gradient'], reference):.1e} |")
+    return "\n".join(lines)
+
+
+def peak_of_allocations(function) -> int:
+    """Greatest number of bytes that torch holds during a call, over those before it."""
+    from torch.profiler import ProfilerActivity, profile
+
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
+        function()
+    held = peak = 0
+    for event in profiler.profiler.kineto_results.events():
+        if event.name() == "[memory]":
+            held += event.nbytes()
+            peak = max(peak, held)
+    return peak
+
+
+def working_set(options: argparse.Namespace) -> str:
+    """Numbers per lane, at the worst moment, of one bounce and of its adjoint."""
+    scene = cornell.load(options.resolution, options.depth)
+    renderer = rb.Renderer(scene, spp=options.spp, chunk=options.resolution**2 * options.spp, compile=options.compile)
+    call = renderer.prepare(0, None, options.spp, None)
+    detached = tree_map_only(torch.Tensor, torch.Tensor.detach, call.scene)
+    wanted = tuple(k for k, leaf in enumerate(tree_flatten(call.scene)[0])
+                   if isinstance(leaf, torch.Tensor) and leaf.requires_grad)
+    integrand = call.make_integrand(detached)
+    with torch.no_grad():
+        state = start_paths(call, call.chunks[0], 0)
+        _, step = take_step(integrand, state, 0)
+    adjoint = Vec3.full(state.pdf, 1.0)
+    lanes = len(state.lane)
+
+    def backward():
+        call.adjoint_of_bounce(detached, wanted, state, step, adjoint, adjoint, integrand.at(0), integrand.settings_at(0))
+
+    with torch.no_grad():
+        for _ in range(2 if options.compile else 1):
+            take_step(integrand, state, 0, step), backward()
+        forward_peak = peak_of_allocations(lambda: take_step(integrand, state, 0, step)) / lanes / 4
+        backward_peak = peak_of_allocations(backward) / lanes / 4
+    return f"float32 numbers a lane at the worst moment: bounce {forward_peak:.0f}, its adjoint {backward_peak:.0f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--resolution", type=int, default=256)
+    parser.add_argument("--spp", type=int, default=16)
+    parser.add_argument("--depth", type=int, default=32)
+    parser.add_argument("--chunk", type=int, default=0, help="lanes traced together; 0: the renderer's choice")
+    parser.add_argument("--compile", action="store_true")
+    parser.add_argument("--json", help="also write the figures to this file")
+    parser.add_argument("--working-set", action="store_true", help="print numbers per lane of one bounce instead")
+    parser.add_argument("--only", choices=STRATEGIES, help="measure one strategy in this process and print JSON")
+    options = parser.parse_args()
+    if options.working_set:
+        print(working_set(options))
+    elif options.only:
+        print(json.dumps(measure(options.only, options)))
+    else:
+        results = [in_own_process(name, options) for name in STRATEGIES]
+        print(report(results, options))
+        if options.json:
+            Path(options.json).write_text(json.dumps(results, indent=1))
+
+
+if __name__ == "__main__":
+    main()
