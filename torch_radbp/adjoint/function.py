@@ -166,7 +166,7 @@ class RenderFunction(torch.autograd.Function):
         positions = [position for position, leaf in enumerate(leaves) if isinstance(leaf, Tensor) and leaf.requires_grad]
         needed = [k for k, need in enumerate(ctx.needs_input_grad[1:]) if need]
         wanted = tuple(positions[k] for k in needed)
-        gradients = [torch.zeros_like(leaves[position]) for position in wanted]
+        gradients = [torch.zeros_like(leaves[position], dtype=torch.float64) for position in wanted]
         for index, chunk in enumerate(call.chunks):
             if call.retrace:
                 _, record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[1], record=True)
@@ -177,7 +177,7 @@ class RenderFunction(torch.autograd.Function):
                                         gradients))
         result: list[Tensor | None] = [None] * len(positions)
         for k, gradient in zip(needed, gradients):
-            result[k] = gradient
+            result[k] = gradient.to(leaves[positions[k]].dtype)
         return None, *result
 
 

@@ -26,6 +26,9 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, masked
 
 
+MOST_BLOCKS, MOST_PARTIAL_SUMS = 256, 1 << 16  # of `scatter_add`
+
+
 class PathRecord(NamedTuple):
     """What the forward pass leaves for the backward pass of one chunk of lanes."""
 
@@ -93,8 +96,29 @@ class Sweep:
         for gradient, reads in zip(self.gradients, scattered):
             for index, adjoint in reads:
                 if adjoint is not None:
-                    gradient.index_add_(0, index, adjoint)
+                    scatter_add(gradient, index, adjoint)
         self.memo = L if lane is None else Vec3(*(old.index_copy_(0, lane.long(), new) for old, new in zip(self.memo, L)))
+
+
+def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor) -> None:
+    """Adds each lane's adjoint to its entry of a table's gradient.
+
+    Millions of lanes may add to one entry: one float32 sum would lose what is small against the total (2% of the lamp's
+    gradient at 4 million paths). So the total is float64, and small tables are summed in blocks first, which run in parallel.
+
+    Args:
+        gradient: (K,) float64, written into.
+        index: (N,) int32.
+        adjoint: (N,).
+    """
+    entries = len(gradient)
+    blocks = min(MOST_BLOCKS, len(index), MOST_PARTIAL_SUMS // entries)
+    whole = len(index) // blocks * blocks if blocks > 1 else 0
+    if whole:
+        partial = adjoint.new_zeros(blocks, entries)
+        partial.scatter_add_(1, index[:whole].view(blocks, -1).long(), adjoint[:whole].view(blocks, -1))
+        gradient += partial.sum(0, dtype=gradient.dtype)
+    gradient.index_add_(0, index[whole:], adjoint[whole:].to(gradient.dtype))
 
 
 def at_lane(value: Vec3, lane: Tensor | None) -> Vec3:
