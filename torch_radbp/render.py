@@ -25,7 +25,7 @@ from torch_radbp.vec import Vec3
 STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call
-LANES_EAGER, LANES_COMPILED = 1 << 16, 1 << 18  # lanes a chunk, measured with benchmarks/versus_mitsuba.py
+LANES = 1 << 18  # of a chunk if the user does not say; the fastest of 2^15 to 2^18, eager and compiled
 
 
 class Renderer(nn.Module):
@@ -136,7 +136,7 @@ class Renderer(nn.Module):
             proposal = tree_map_only(Tensor, Tensor.detach, tensors)
             return Integrand(tensors, proposal, caster, settings, max_depth, self.rr_depth, stages.bounce)
 
-        lanes = self.chunk or (LANES_COMPILED if self.compile_stages else LANES_EAGER)
+        lanes = self.chunk or LANES
         call = RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
                           plan_chunks(views, spp, lanes), spp, retrace=seed_grad is not None)
         if self.memory_budget is None:
