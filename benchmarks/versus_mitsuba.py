@@ -131,6 +131,8 @@ def measure(options: argparse.Namespace) -> dict:
                 value = torch.tensor(gradient, dtype=torch.float64)
                 totals[name][parameter] += value
                 squares[name][parameter] += value**2
+        print(f"run {seed + 1} of {options.repeats}: " + ", ".join(f"{name} {sum(times[name][-1]):.2f} s" for name in peers),
+              file=sys.stderr, flush=True)
     n = options.repeats
     result = {"setting": dict(zip(("resolution", "spp", "depth", "repeats"), (*setting, n))), "peers": {}}
     for name in peers:
