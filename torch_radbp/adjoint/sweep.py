@@ -25,7 +25,6 @@ from torch_radbp.scene.lookup import Tap
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, masked
 
-
 MOST_BLOCKS, MOST_PARTIAL_SUMS = 256, 1 << 16  # of `scatter_add`
 
 
@@ -104,7 +103,7 @@ def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor) -> None:
     """Adds each lane's adjoint to its entry of a table's gradient.
 
     Millions of lanes may add to one entry: one float32 sum would lose what is small against the total (2% of the lamp's
-    gradient at 4 million paths). So the total is float64, and small tables are summed in blocks first, which run in parallel.
+    gradient at 4 million paths). So the total is float64, and small tables are summed in blocks first, in parallel.
 
     Args:
         gradient: (K,) float64, written into.
