@@ -33,3 +33,18 @@ class Filter(ReconstructionFilter):
         low, high = cumulative[right - 1], cumulative[right]
         fraction = (wanted - low) / torch.where(high > low, high - low, 1.0)
         return x[right - 1] + fraction * (x[right] - x[right - 1])
+
+    def inside(self, size: int) -> tuple[Tensor, Tensor]:
+        """The part of the distribution that stays inside a window: for each of its `size` columns (or rows) of pixels,
+        the cumulative probability at the window's near edge, and the probability between its edges; float64."""
+        table = self.quantiles()
+        centre = torch.arange(size, dtype=torch.float64) + 0.5
+
+        def cumulative(offset: Tensor) -> Tensor:
+            right = torch.searchsorted(table, offset).clamp(1, TABLE_SIZE - 1)
+            step = table[right] - table[right - 1]
+            fraction = (offset - table[right - 1]) / torch.where(step > 0, step, 1.0)
+            return ((right - 1 + fraction) / (TABLE_SIZE - 1)).clamp(0, 1)
+
+        first = cumulative(-centre)
+        return first, cumulative(size - centre) - first

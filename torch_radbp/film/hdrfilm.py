@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import torch
+from torch import Tensor
+
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.plugin import Film, ReconstructionFilter, nearest, register
 
@@ -15,8 +18,7 @@ class HDRFilm(Film):
     Args:
         width, height: of the whole image, pixels.
         crop_offset_x, crop_offset_y, crop_width, crop_height: the window that is rendered; the whole image if not given.
-        sample_border: accepted for compatibility; samples are drawn from the filter around each pixel, so that pixels at
-            the border are exact with or without it.
+        sample_border: let pixels at the border of the window use samples from outside it.
         pixel_format: rgb. component_format, file_format: of files that Mitsuba writes; no effect here.
         rfilter: box, tent or gaussian.
     """
@@ -46,3 +48,10 @@ class HDRFilm(Film):
         self.sample_border, self.pixel_format = sample_border, pixel_format
         self.component_format, self.file_format = component_format, file_format
         self.rfilter = Gaussian() if rfilter is None else rfilter
+
+    def sampled_part(self, size: int) -> tuple[Tensor, Tensor]:
+        """For each of `size` columns (or rows): where in its distribution the filter starts to be sampled, and how much
+        of it is; all of it with `sample_border`, what lies inside the window without."""
+        if self.sample_border:
+            return torch.zeros(size, dtype=torch.float64), torch.ones(size, dtype=torch.float64)
+        return self.rfilter.inside(size)

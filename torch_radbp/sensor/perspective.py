@@ -33,6 +33,8 @@ class PinholeTensors(NamedTuple):
     crop_x: Tensor  # left edge of the crop window, pixels
     crop_y: Tensor
     quantiles: Tensor  # (TABLE_SIZE,) of the reconstruction filter
+    inside_x: tuple[Tensor, Tensor]  # (W,) each: the part of the filter that a column of pixels samples: start, length
+    inside_y: tuple[Tensor, Tensor]  # (H,) each
 
 
 @register("sensor", "perspective")
@@ -99,7 +101,9 @@ class Perspective(Sensor):
             shift_y=self.principal_point_offset_y, near=scalar(self.near_clip), far=scalar(self.far_clip),
             size_x=scalar(film.width), size_y=scalar(film.height),
             crop_x=scalar(film.crop_offset_x), crop_y=scalar(film.crop_offset_y),
-            quantiles=film.rfilter.quantiles().to(matrix))
+            quantiles=film.rfilter.quantiles().to(matrix),
+            inside_x=tuple(part.to(matrix) for part in film.sampled_part(film.crop_width)),
+            inside_y=tuple(part.to(matrix) for part in film.sampled_part(film.crop_height)))
 
 
 def diagonal_fov(focal_length: str) -> float:
@@ -137,6 +141,8 @@ def camera_ray(camera: PinholeTensors, column: Tensor, row: Tensor, u: Tensor, v
     Returns:
         Rays in world space that start on the near plane; attached to the camera's parameters.
     """
+    u = lookup(camera.inside_x[0], column) + u * lookup(camera.inside_x[1], column)
+    v = lookup(camera.inside_y[0], row) + v * lookup(camera.inside_y[1], row)
     x = (column + camera.crop_x + 0.5 + quantile(camera.quantiles, u)) / camera.size_x
     y = (row + camera.crop_y + 0.5 + quantile(camera.quantiles, v)) / camera.size_y
     along_x = (1.0 - 2.0 * (x + camera.shift_x)) * camera.tan_x
@@ -153,9 +159,13 @@ def beyond_far_plane(camera: PinholeTensors, p: Vec3) -> Tensor:
     return dot(p - camera.origin, camera.axes.n) > camera.far
 
 
+def lookup(table: Tensor, index: Tensor) -> Tensor:
+    return table.index_select(0, index)
+
+
 def quantile(table: Tensor, u: Tensor) -> Tensor:
-    """Linear interpolation of an equally spaced table at `u` in [0, 1)."""
+    """Linear interpolation of an equally spaced table at `u` in [0, 1]."""
     position = u * (table.shape[0] - 1)
-    left = position.to(torch.int32)
+    left = position.to(torch.int32).clamp_max(table.shape[0] - 2)
     fraction = position - left
     return table.index_select(0, left) * (1.0 - fraction) + table.index_select(0, left + 1) * fraction

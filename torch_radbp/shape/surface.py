@@ -48,7 +48,7 @@ def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
 
 
 class Surface(Shape):
-    """A shape with a material and possibly an area emitter.
+    """A shape with a material and possibly an area emitter; without a material it is grey, or black if it emits light.
 
     A mirroring transform turns the faces inside out; Mitsuba keeps the normal of the untransformed surface there, and so
     do the analytic shapes here.
@@ -56,7 +56,7 @@ class Surface(Shape):
 
     def __init__(self, *, bsdf: BSDF | None = None, emitter: Emitter | None = None, flip_normals: bool = False):
         super().__init__()
-        self.bsdf = Diffuse() if bsdf is None else bsdf
+        self.bsdf = Diffuse(reflectance=0.5 if emitter is None else 0.0) if bsdf is None else bsdf
         if emitter is not None and emitter.type != "area":
             raise ValueError(f"a shape can carry an emitter of type area, got {emitter.type!r}")
         self.add_module("emitter", emitter)
