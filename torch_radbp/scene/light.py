@@ -31,7 +31,7 @@ class LightSample(NamedTuple):
 def emitted(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
     """Radiance that leaves the surface, or the surround, towards the viewer."""
     layout = scene.layout
-    radiance = Vec3.full(si.epsilon, 0.0)
+    radiance = Vec3.full(si.p.x, 0.0)
     if layout.area_lights:
         texture = lookup(scene.triangles.radiance, si.prim)
         emits = si.valid & si.front & (texture >= 0)
@@ -39,7 +39,7 @@ def emitted(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
         radiance = masked(emits, sample_texture(scene.radiance, texture.clamp_min(0), uv))
     if layout.constant_light:
         surround = scene.lights.surround.expand(si.prim.shape)
-        uv = Vec2(torch.zeros_like(si.epsilon), torch.zeros_like(si.epsilon)) if layout.radiance_bitmaps else None
+        uv = Vec2(torch.zeros_like(si.p.x), torch.zeros_like(si.p.x)) if layout.radiance_bitmaps else None
         radiance = where(si.valid, radiance, sample_texture(scene.radiance, surround, uv))
     return radiance
 
@@ -79,7 +79,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
         e1, e2 = lookup(triangles.e1, prim), lookup(triangles.e2, prim)
         target = lookup(triangles.p0, prim) + e1 * b.x + e2 * b.y
         facing, pdf = area_density(proposal, si.p, target, lookup(triangles.n, prim), prim)
-        if layout.shading_normals:
+        if layout.light_normals:
             w = 1.0 - b.x - b.y
             shading = (lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * b.x
                        + lookup(triangles.n2, prim) * b.y)
@@ -108,12 +108,12 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     return LightSample(d, radiance, pdf, findable, target, is_constant)
 
 
-def shadow_ray(si: SurfaceInteraction, light: LightSample) -> tuple[Ray, Tensor]:
+def shadow_ray(si: SurfaceInteraction, light: LightSample, epsilon: Tensor) -> tuple[Ray, Tensor]:
     """The ray that checks a connection, and how far; 0 where the sample cannot be used.
 
     It starts off the surface and aims from there: with the direction taken from the surface point, a lamp shadows itself.
     """
-    start = si.offset(light.d)
+    start = si.offset(light.d, epsilon)
     reach = light.target - start
     squared = dot(reach, reach)
     shorter = torch.rsqrt(squared.clamp_min(TINY))
