@@ -24,7 +24,7 @@ from torch.utils._pytree import tree_map
 from torch_radbp.bsdf.diffuse import Diffuse
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
-from torch_radbp.sampling.sampler import CAMERA_DEPTH, counters, lane_key, uniform
+from torch_radbp.sampling.sampler import CAMERA_DEPTH, bounce_key, depth_counter, lane_key, uniform
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
 from torch_radbp.scene.lookup import lookup, sample_texture
@@ -49,7 +49,7 @@ class Settings(NamedTuple):
 class Position(NamedTuple):
     """Where on the path a bounce lies: () tensors, so that one compiled function serves every bounce."""
 
-    counters: Tensor  # (6,) int32, of the random numbers of this depth
+    counter: Tensor  # int32, of the random numbers of this depth
     least_survival: Tensor  # bounds of the probability of surviving roulette; both 1 before `rr_depth`
     most_survival: Tensor
 
@@ -104,11 +104,11 @@ def sample_camera(camera: PinholeTensors, width: Tensor, pixel: Tensor, sample: 
         seed: () int32.
     """
     key = lane_key(seed, pixel, sample)
-    across, down = counters(CAMERA_DEPTH, 2, pixel.device).unbind()
+    camera_key = bounce_key(key, depth_counter(CAMERA_DEPTH, pixel.device))
     dtype = camera.tan_x.dtype
     row = torch.div(pixel, width, rounding_mode="floor")
     column = pixel - row * width
-    return camera_ray(camera, column, row, uniform(key, across, dtype), uniform(key, down, dtype)), key
+    return camera_ray(camera, column, row, uniform(camera_key, 0, dtype), uniform(camera_key, 1, dtype)), key
 
 
 def start_path(ray: Ray, key: Tensor) -> PathState:
@@ -170,7 +170,8 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
     reflectance = material_reflectance(scene, si)
 
     # Connect to a point on a light.
-    numbers = [uniform(state.key, counter, zero.dtype) for counter in at.counters.unbind()]
+    key = bounce_key(state.key, at.counter)
+    numbers = [uniform(key, dimension, zero.dtype) for dimension in NUMBERS]
     light, Ld = None, none
     if settings.nee:
         light = sample_light(scene, proposal, si, *numbers[LIGHT_CHOICE:LIGHT_V + 1])
@@ -224,7 +225,7 @@ class Integrand(NamedTuple):
         """The position on the path as tensors."""
         like = self.scene.lights.choice.pmf
         roulette = depth + 1 >= self.rr_depth
-        return Position(counters(depth, len(NUMBERS), like.device),
+        return Position(depth_counter(depth, like.device),
                         like.new_tensor(SURVIVE_AT_LEAST if roulette else 1.0),
                         like.new_tensor(SURVIVE_AT_MOST if roulette else 1.0))
 

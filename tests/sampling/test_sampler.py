@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.sampling.chi_square import SIGNIFICANCE, p_value
-from torch_radbp.sampling.sampler import CAMERA_DEPTH, DIMENSIONS_PER_BOUNCE, counters, hash32, lane_key, seed_key, uniform
+from torch_radbp.sampling.sampler import CAMERA_DEPTH, DIMENSIONS_PER_BOUNCE, bounce_key, depth_counter, hash32, lane_key, seed_key, uniform
 
 PIXELS, SAMPLES = 256, 256
 
@@ -16,12 +16,12 @@ def numbers(seed=0, depth=0, dimension=0, dtype=torch.float64, sensor=0):
     """(PIXELS, SAMPLES) numbers of one dimension of one bounce."""
     index = torch.arange(PIXELS * SAMPLES, dtype=torch.int32)
     key = lane_key(torch.tensor(seed_key(seed, sensor), dtype=torch.int32), index // SAMPLES, index % SAMPLES)
-    return uniform(key, address(depth, dimension), dtype).reshape(PIXELS, SAMPLES)
+    return draw(key, depth, dimension, dtype).reshape(PIXELS, SAMPLES)
 
 
-def address(depth, dimension):
-    """The counter of one dimension of one bounce."""
-    return counters(depth, dimension + 1, torch.device("cpu"))[dimension]
+def draw(key, depth, dimension, dtype=torch.float64):
+    """One dimension of one bounce of each lane."""
+    return uniform(bounce_key(key, depth_counter(depth, key.device)), dimension, dtype)
 
 
 ADDRESSES = [(seed, depth, dimension) for seed in (0, 1, 12345) for depth in (CAMERA_DEPTH, 0, 3) for dimension in (0, 1, 5)]
@@ -35,6 +35,14 @@ def test_numbers_are_uniform(seed, depth, dimension):
     # The lowest of the 24 bits as well.
     low = (u * 2**24).astype(np.int64) % 256
     assert p_value(np.bincount(low, minlength=256), np.full(256, u.size / 256)) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("dimensions", itertools.combinations(range(6), 3))
+def test_three_dimensions_fill_the_cube(dimensions):
+    """The dimensions of a bounce lie on a lattice; at 2 million points nothing of it may be seen in 32 x 32 x 32 cells."""
+    key = hash32(torch.arange(1 << 21, dtype=torch.int32))
+    cells = sum((draw(key, 0, dimension) * 32).long() * 32**place for place, dimension in enumerate(dimensions))
+    assert p_value(torch.bincount(cells, minlength=32**3).numpy(), np.full(32**3, len(key) / 32**3)) > SIGNIFICANCE
 
 
 def assert_independent(a, b, what):
@@ -120,7 +128,7 @@ def test_numbers_are_a_pure_function_of_their_address():
     assert torch.equal(everything, numbers(seed=3, depth=2, dimension=4))
     key = lane_key(torch.tensor(seed_key(3, 0), dtype=torch.int32), torch.tensor([17], dtype=torch.int32),
                    torch.tensor([5], dtype=torch.int32))
-    assert uniform(key, address(2, 4), torch.float64) == everything[17, 5]
+    assert draw(key, 2, 4) == everything[17, 5]
 
 
 def test_the_hash_is_a_permutation():
@@ -147,8 +155,6 @@ def test_seed_keys_fit_into_int32_and_differ():
 def test_no_two_addresses_of_a_bounce_coincide():
     assert DIMENSIONS_PER_BOUNCE >= 6
     key = torch.arange(4, dtype=torch.int32)
-    seen = {tuple(uniform(key, address(depth, dimension), torch.float64).tolist())
+    seen = {tuple(draw(key, depth, dimension).tolist())
             for depth in range(-1, 40) for dimension in range(6)}
     assert len(seen) == 41 * 6
-    for depth in (-1, 0, 5):  # how many numbers a bounce draws does not change them
-        assert torch.equal(counters(depth, 6, torch.device("cpu"))[:2], counters(depth, 2, torch.device("cpu")))

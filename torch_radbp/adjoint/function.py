@@ -104,7 +104,7 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: 
     def visit(depth: int, state: PathState, step: Step) -> None:
         nonlocal bounces
         bounces = depth + 1
-        if depth in kept and depth > 0:  # camera paths are made again
+        if depth in kept and (depth > 0 or len(kept) == integrand.max_depth):  # else camera paths are made again
             states[depth] = state
         if record and strategy.keep_hits:
             steps[depth] = step

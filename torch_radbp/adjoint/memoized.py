@@ -51,7 +51,9 @@ class MemoizedAdjoint:
     def backward(self, sweep: Sweep) -> None:
         """Runs the plan of the schedule."""
         record = sweep.record
-        states = {0: record.start(), **record.states}
+        states = dict(record.states)
+        if 0 not in states:
+            states[0] = record.start()
         current = None
         for kind, depth in backward_plan(record.bounces, tuple(sorted(states)), self.stride):
             if kind == LOAD:

@@ -65,8 +65,8 @@ class Brute:
         distance, prim = t.min(dim=1, keepdim=True)
         found = (distance < torch.inf).squeeze(1)
         zero = torch.zeros_like(distance).squeeze(1)
-        u, v = (torch.where(found, weight.gather(1, prim).squeeze(1), zero) for weight in (u, v))
-        return Hit(torch.where(found, prim.squeeze(1), -1).to(torch.int32), u, v)
+        u, v, t = (torch.where(found, column.gather(1, prim).squeeze(1), zero) for column in (u, v, t))
+        return Hit(torch.where(found, prim.squeeze(1), -1).to(torch.int32), u, v, t)
 
     def _crossings(self, ray: Ray) -> tuple[Tensor, Tensor, Tensor]:
         """Where each line crosses each triangle, (lanes, F): t, infinite unless that is a hit, and the weights u, v."""

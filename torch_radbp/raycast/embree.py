@@ -24,7 +24,7 @@ CPU = torch.device("cpu")
 class Embree:
     """A `RayCaster` for tensors on the CPU; Embree itself works in float32.
 
-    For float64 rays u and v are computed again in float64 from the ray and the triangle found, so that the point lies
+    For float64 rays u, v and t are computed again in float64 from the ray and the triangle found, so that the point lies
     on the ray to that accuracy; which triangle is found remains a decision in float32. Components that are not
     contiguous are copied. A copied or unpickled caster builds its own scene and counts its rays from zero.
 
@@ -76,7 +76,7 @@ class Embree:
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, CPU)
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
-        hit = Hit(torch.empty(shape, dtype=torch.int32), torch.empty(shape), torch.empty(shape))
+        hit = Hit(torch.empty(shape, dtype=torch.int32), *(torch.empty(shape) for _ in range(3)))
         self._query(packets.closest_hit, self._embree.rtcIntersect8, ray, **hit._asdict())
         return hit if dtype == torch.float32 else self._refined(ray, hit)
 
@@ -101,7 +101,7 @@ class Embree:
             self.rays_cast += lanes
 
     def _refined(self, ray: Ray, hit: Hit) -> Hit:
-        """The hit with u and v of the ray's line and the triangle's plane, in the ray's dtype.
+        """The hit with u, v and t of the ray's line and the triangle's plane, in the ray's dtype.
 
         Reference: Moeller and Trumbore 1997, "Fast, Minimum Storage Ray/Triangle Intersection".
         """
@@ -111,8 +111,9 @@ class Embree:
         d = ray.d.detach()
         determinant = dot(e1, cross(d, e2))
         u, v = dot(s, cross(d, e2)) / determinant, dot(d, cross(s, e1)) / determinant
+        t = dot(e2, cross(s, e1)) / determinant
         found = (hit.prim >= 0) & (determinant != 0)
-        return Hit(hit.prim, torch.where(found, u, hit.u.to(u.dtype)), torch.where(found, v, hit.v.to(v.dtype)))
+        return Hit(hit.prim, *(torch.where(found, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:])))
 
     def __reduce__(self):
         return Embree, (self.vertices, self.faces)

@@ -30,7 +30,7 @@ JOB_FIELDS = (
     *("query", "scene"),  # rtcIntersect8 or rtcOccluded8, RTCScene
     *("lanes", "next_lane"),  # next_lane: of the int64 counter that the threads share, 0 at first
     *("ox", "oy", "oz", "dx", "dy", "dz", "tmax"),  # float32 per lane; tmax for any_hit only
-    *("prim", "u", "v"),  # int32, float32, float32 per lane: what closest_hit writes
+    *("prim", "u", "v", "t"),  # int32 and float32 per lane: what closest_hit writes
     "hidden",  # bool per lane: what any_hit writes
 )
 JOB = np.dtype([(name, np.int64) for name in JOB_FIELDS])
@@ -144,11 +144,12 @@ def put_ray(packet, words, slot, rays, lane, tfar):
 
 @compiled
 def closest_hit(job_address):
-    """Writes prim (-1 on a miss), u and v of the closest hit of every lane."""
+    """Writes prim (-1 on a miss), u, v and t of the closest hit of every lane."""
     job = carray(job_address, 1)[0]
     rays = rays_of(job)
     prim = carray(pointer(job.prim), job.lanes, int32)
     u, v = carray(pointer(job.u), job.lanes, float32), carray(pointer(job.v), job.lanes, float32)
+    t = carray(pointer(job.t), job.lanes, float32)
     address = stack_packet()
     packet, words = as_packet(address)
     start = atomic_add(job.next_lane, BLOCK)
@@ -157,7 +158,7 @@ def closest_hit(job_address):
         filled = 0
         for lane in range(start, stop):
             # Assume a miss, and put the lane into the packet if it has a ray.
-            prim[lane], u[lane], v[lane] = -1, 0, 0
+            prim[lane], u[lane], v[lane], t[lane] = -1, 0, 0, 0
             if is_ray(rays, lane):
                 put_ray(packet, words, filled, rays, lane, np.inf)
                 filled += 1
@@ -167,7 +168,8 @@ def closest_hit(job_address):
                 for slot in range(filled):
                     if words[GEOM_ID, slot] != -1:
                         hit = words[LANE, slot]
-                        prim[hit], u[hit], v[hit] = words[PRIM_ID, slot], packet[HIT_U, slot], packet[HIT_V, slot]
+                        prim[hit], t[hit] = words[PRIM_ID, slot], packet[TFAR, slot]
+                        u[hit], v[hit] = packet[HIT_U, slot], packet[HIT_V, slot]
                 words[VALID] = 0
                 filled = 0
         start = atomic_add(job.next_lane, BLOCK)

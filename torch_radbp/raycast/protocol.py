@@ -10,11 +10,12 @@ from torch_radbp.vec import Ray
 
 
 class Hit(NamedTuple):
-    """The closest triangle of each lane; its point is (1-u-v) p0 + u p1 + v p2."""
+    """The closest triangle of each lane; its point is o + t d, and (1-u-v) p0 + u p1 + v p2."""
 
     prim: Tensor  # int32, index into faces; -1 on a miss
     u: Tensor  # barycentric weight of the second vertex, the ray's dtype; 0 on a miss
     v: Tensor  # barycentric weight of the third vertex
+    t: Tensor  # in units of the length of d; 0 on a miss
 
 
 class RayCaster(Protocol):

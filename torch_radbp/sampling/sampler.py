@@ -7,10 +7,15 @@ the same 24 random bits, so that both follow the same paths.
 
 from __future__ import annotations
 
+import hashlib
+
 import torch
 from torch import Tensor
 
-DIMENSIONS_PER_BOUNCE = 16
+# Odd, from SHA-256 of "torch_radbp dimension <k>", first four bytes, little-endian, as signed integers.
+MULTIPLIERS = tuple((int.from_bytes(hashlib.sha256(f"torch_radbp dimension {k}".encode()).digest()[:4], "little", signed=True)
+                     | 1) for k in range(16))
+DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
 CAMERA_DEPTH = -1  # the depth under which the camera draws its numbers
 
 
@@ -37,19 +42,31 @@ def lane_key(seed: Tensor, pixel: Tensor, sample: Tensor) -> Tensor:
     return hash32(hash32(hash32(pixel) + seed) + hash32(sample ^ 0x5BD1E995))
 
 
-def counters(depth: int, dimensions: int, device: torch.device) -> Tensor:
-    """(dimensions,) int32: the addresses of the random numbers that bounce `depth` draws."""
-    first = (depth + 1) * DIMENSIONS_PER_BOUNCE
-    return hash32(torch.arange(first, first + dimensions, dtype=torch.int32, device=device) ^ 0x3C6EF35F)
+def depth_counter(depth: int, device: torch.device) -> Tensor:
+    """() int32: the address of the random numbers that bounce `depth` draws."""
+    return hash32(torch.tensor(depth + 1, dtype=torch.int32, device=device) ^ 0x3C6EF35F)
 
 
-def uniform(key: Tensor, counter: Tensor, dtype: torch.dtype) -> Tensor:
-    """Uniform numbers in [0, 1), one per lane.
+def bounce_key(key: Tensor, counter: Tensor) -> Tensor:
+    """The int32 key of each lane's random numbers at one bounce.
 
     Args:
         key: (N,) int32, from `lane_key`.
-        counter: () int32, one of `counters`.
+        counter: () int32, from `depth_counter`.
+    """
+    return hash32(key + counter)
+
+
+def uniform(key: Tensor, dimension: int, dtype: torch.dtype) -> Tensor:
+    """Uniform numbers in [0, 1), one per lane.
+
+    The dimensions of a bounce are the coordinates of one point of a lattice of 2^32 points (key times an odd multiplier, modulo
+    2^32), picked by a hash: far finer than any number of samples resolves, and a quarter of the work of a hash each.
+
+    Args:
+        key: (N,) int32, from `bounce_key`.
+        dimension: less than `DIMENSIONS_PER_BOUNCE`.
         dtype: of the result.
     """
-    bits = (hash32(key + counter) >> 8).to(dtype)  # -2^23 to 2^23 - 1
+    bits = ((key * MULTIPLIERS[dimension]) >> 8).to(dtype)  # -2^23 to 2^23 - 1
     return torch.rsub(bits, 0.5, alpha=-1.0 / (1 << 24))  # 0.5 + bits / 2^24, exact

@@ -24,14 +24,15 @@ class SurfaceInteraction(NamedTuple):
     front: Tensor  # bool: the viewer is on the side of the shading normal
     wi: LocalVec3  # towards the viewer, local
     uv: Vec2 | None
+    t: Tensor  # distance that the ray has come
 
     def epsilon(self) -> Tensor:
-        """The distance by which rays start off the surface, relative to the size of its coordinates.
+        """The distance by which rays start off the surface, relative to the size of its coordinates and of the ray.
 
-        That is the scale of their rounding errors.
+        Those are the scale of rounding errors.
         """
         p = self.p.detach()
-        largest = torch.maximum(p.x.abs(), torch.maximum(p.y.abs(), p.z.abs()))
+        largest = torch.maximum(torch.maximum(p.x.abs(), p.y.abs()), torch.maximum(p.z.abs(), self.t))
         return (1.0 + largest) * (1500 * torch.finfo(torch.float32).eps)
 
     def offset(self, d: Vec3, epsilon: Tensor) -> Vec3:
@@ -50,8 +51,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteractio
     triangles = scene.triangles
     valid = hit.prim >= 0
     prim = hit.prim.clamp_min(0)
-    p0, e1, e2 = lookup(triangles.p0, prim), lookup(triangles.e1, prim), lookup(triangles.e2, prim)
-    p = p0 + e1 * hit.u + e2 * hit.v
+    p = ray.o + ray.d * hit.t
     n = lookup(triangles.n, prim)
     shading = n
     if scene.layout.shading_normals:
@@ -68,4 +68,4 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteractio
         turned = ~front & (lookup(scene.materials.back, material) >= 0)
         shading = where(turned, -shading, shading)
     frame = ShadingFrame(shading)
-    return SurfaceInteraction(valid, prim, material, p, n, frame, front, frame.to_local(-ray.d), uv)
+    return SurfaceInteraction(valid, prim, material, p, n, frame, front, frame.to_local(-ray.d), uv, hit.t)
