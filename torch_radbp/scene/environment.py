@@ -48,11 +48,11 @@ def environment_radiance(scene: SceneTensors, d: Vec3) -> Vec3:
     return upper * (1.0 - fy) + lower * fy
 
 
-def environment_pdf(scene: SceneTensors, d: Vec3) -> Tensor:
-    """Density over solid angle of `sample_environment`; (N,)."""
-    environment = scene.lights.environment
-    local, jacobian = local_direction(environment, d)
+def environment_pdf(scene: SceneTensors, proposal: SceneTensors, d: Vec3) -> Tensor:
+    """Density over solid angle of `sample_environment`: the pose of `scene`, the probabilities of `proposal`; (N,)."""
+    local, jacobian = local_direction(scene.lights.environment, d)
     uv = latitude_longitude(local.detach())
+    environment = proposal.lights.environment
     columns = environment.columns
     column = torch.remainder(torch.floor(uv.x * columns - 0.5).to(torch.int32), columns)
     cells = environment.edges.shape[0] - 1  # from pole to pole
@@ -68,7 +68,7 @@ def sample_environment(proposal: SceneTensors, u: Tensor, v: Tensor) -> tuple[Ve
     # Uniform over solid angle: uniform in sin^2(theta / 2), and in longitude from the centre of a column to the next.
     upper = lookup(environment.edges, cell.row)
     h = upper + (lookup(environment.edges, cell.row + 1) - upper) * cell.down.to(dtype)
-    phi = (cell.column + 0.5 + cell.across).to(dtype) * (2.0 * math.pi / columns)
+    phi = (cell.across + cell.column + 0.5).to(dtype) * (2.0 * math.pi) / columns
     across = 2.0 * torch.sqrt((h * (1.0 - h)).clamp_min(0.0))
     local = Vec3(across * torch.sin(phi), 1.0 - 2.0 * h, -across * torch.cos(phi))
     d = environment.to_world.to_local(local)

@@ -59,18 +59,25 @@ def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Vec3:
     return radiance
 
 
-def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Tensor:
+def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal: SceneTensors | None = None) -> Tensor:
     """Density over solid angle with which next-event estimation at the ray's origin would have found this point.
 
-    Attached if its arguments are; the probabilities of picking an element are not.
+    Args:
+        scene: gives geometry and poses.
+        ray, si: what the ray meets. The density is attached if these arguments are.
+        proposal: gives the probabilities of picking a light, or a part of the environment map; None: `scene`. They carry no
+            derivative in either case.
     """
+    proposal = scene if proposal is None else proposal
     offset = si.p - ray.o
     cosine = dot(si.n, ray.d).abs()
-    pdf = lookup(scene.triangles.light_pdf, si.prim) * dot(offset, offset) / cosine.clamp_min(SMALLEST_COSINE)
+    pdf = (lookup(proposal.triangles.light_pmf, si.prim) * lookup(scene.triangles.inverse_area, si.prim)
+           * dot(offset, offset) / cosine.clamp_min(SMALLEST_COSINE))
+    surround_pmf = proposal.lights.surround_pmf
     if scene.layout.constant_light:
-        return torch.where(si.valid, pdf, scene.lights.surround_pmf * UNIFORM_SPHERE_PDF)
+        return torch.where(si.valid, pdf, surround_pmf * UNIFORM_SPHERE_PDF)
     if scene.layout.environment_map:
-        return torch.where(si.valid, pdf, scene.lights.surround_pmf * environment_pdf(scene, ray.d))
+        return torch.where(si.valid, pdf, surround_pmf * environment_pdf(scene, proposal, ray.d))
     return pdf
 
 
@@ -98,9 +105,9 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     # Let each kind of light that there is decide where to look.
     aim, fixed = None, None
     if layout.area_lights:
-        aim = aim_at_area(scene, si.p, lookup(lights.prim, element), square_to_uniform_triangle(u, v))
+        aim = aim_at_area(scene, si.p, pmf, lookup(lights.prim, element), square_to_uniform_triangle(u, v))
     if layout.posed_lights:
-        aim = mixed(kind >= POINT, aim_at_posed(scene, si.p, lookup(lights.pose, element), kind, pmf), aim)
+        aim = mixed(kind >= POINT, aim_at_posed(scene, si.p, pmf, lookup(lights.pose, element), kind), aim)
     if layout.constant_light:
         aim = mixed(kind == CONSTANT, Aim(square_to_uniform_sphere(u, v), pmf * UNIFORM_SPHERE_PDF), aim)
     if layout.environment_map:
@@ -121,7 +128,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     return LightSample(aim.d, radiance, aim.pdf, findable, si.p if aim.target is None else aim.target, distant)
 
 
-def aim_at_area(scene: SceneTensors, p: Vec3, prim: Tensor, b: Vec2) -> Aim:
+def aim_at_area(scene: SceneTensors, p: Vec3, pmf: Tensor, prim: Tensor, b: Vec2) -> Aim:
     """From `p` at the point of triangles `prim` with barycentric coordinates `b`, attached to both ends."""
     layout, triangles = scene.layout, scene.triangles
     w = 1.0 - b.x - b.y
@@ -137,11 +144,11 @@ def aim_at_area(scene: SceneTensors, p: Vec3, prim: Tensor, b: Vec2) -> Aim:
     uv = None
     if layout.radiance_bitmaps:
         uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * b.x + lookup(triangles.uv2, prim) * b.y
-    pdf = lookup(triangles.light_pdf, prim) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
+    pdf = pmf * lookup(triangles.inverse_area, prim) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
     return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv)
 
 
-def aim_at_posed(scene: SceneTensors, p: Vec3, row: Tensor, kind: Tensor, pmf: Tensor) -> Aim:
+def aim_at_posed(scene: SceneTensors, p: Vec3, pmf: Tensor, row: Tensor, kind: Tensor) -> Aim:
     """From `p` at the lights without extent in `row` of their table, attached to both ends."""
     light = illumination(scene, p, row, kind)
     return Aim(light.d, pmf, light.place, light.strength, light.uv if scene.layout.radiance_bitmaps else None)

@@ -54,8 +54,8 @@ def kinds_of(lamps: list[Lamp]) -> dict[str, bool]:
 
 
 def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitted: list[int],
-                lamps: list[Lamp]) -> tuple[LightTable, Tensor]:
-    """The elements that next-event estimation picks from, and the density per area of every triangle.
+                lamps: list[Lamp]) -> tuple[TriangleTable, LightTable]:
+    """The elements that next-event estimation picks from.
 
     Args:
         scene: its shapes and emitters.
@@ -65,7 +65,7 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitt
         lamps: the other emitters.
 
     Returns:
-        The table, and (T,) densities 1 / area times a detached probability.
+        The triangles, with the columns about lights, and the table of lights.
     """
     area = 0.5 * torch.linalg.vector_norm(torch.linalg.cross(triangles.e1.stack(), triangles.e2.stack()), dim=-1)
     total = sum(emitter.sampling_weight for emitter in scene.emitters)
@@ -103,7 +103,9 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitt
         surround_pmf=area.new_tensor([0.0 if surround is None else surround.emitter.sampling_weight / total]),
         environment=environment)
     # A triangle without area is never picked, and must not make others infinite.
-    return table, pmf / torch.where(area > 0, area, 1.0)
+    picked = pmf > 0
+    inverse_area = torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0)
+    return triangles._replace(light_pmf=pmf, inverse_area=inverse_area), table
 
 
 def posed_lights(lamps: list[Lamp], like: Tensor) -> PosedLights:

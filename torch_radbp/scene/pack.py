@@ -86,8 +86,8 @@ def pack(scene: Scene) -> SceneTensors:
     triangles = triangles._replace(
         material=torch.tensor(material, dtype=torch.int32, device=device).repeat_interleave(repeats),
         radiance=torch.tensor(emitted, dtype=torch.int32, device=device).repeat_interleave(repeats))
-    lights, light_pdf = light_table(scene, triangles, counts, emitted, lamps)
-    return SceneTensors(triangles._replace(light_pdf=light_pdf), materials, reflectance.build(dtype, device), lights,
+    triangles, lights = light_table(scene, triangles, counts, emitted, lamps)
+    return SceneTensors(triangles, materials, reflectance.build(dtype, device), lights,
                         radiance.build(dtype, device), layout)
 
 
@@ -142,4 +142,4 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, dtype: to
     none = torch.zeros(0, device=device)
     p0, e1, e2 = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     normal = torch.nn.functional.normalize(torch.linalg.cross(e1, e2), dim=-1)
-    return TriangleTable(Vec3.of(p0), Vec3.of(e1), Vec3.of(e2), Vec3.of(normal), *n, *st, none, none, none)
+    return TriangleTable(Vec3.of(p0), Vec3.of(e1), Vec3.of(e2), Vec3.of(normal), *n, *st, none, none, none, none)

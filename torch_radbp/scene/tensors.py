@@ -56,7 +56,8 @@ class TriangleTable(NamedTuple):
     uv2: Vec2 | None
     material: Tensor  # (T,) int32, row of `MaterialTable`
     radiance: Tensor  # (T,) int32, texture of the light bank; -1: emits nothing
-    light_pdf: Tensor  # (T,) density over area of next-event estimation's choice, attached to the area; 0: emits nothing
+    light_pmf: Tensor  # (T,) probability with which next-event estimation picks it, detached; 0: emits nothing
+    inverse_area: Tensor  # (T,) 1 / area, attached; 0 of a triangle that emits nothing
 
 
 class MaterialTable(NamedTuple):
