@@ -47,7 +47,7 @@ class Projector(Emitter):
             fov, fov_axis = diagonal_fov("50mm" if focal_length is None else focal_length), "diagonal"
         if not 0 < fov < 180:
             raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
-        self.fov = horizontal_fov(fov, fov_axis, self.aspect())
+        self.fov = float(fov) if fov_axis == "x" else horizontal_fov(fov, fov_axis, self.aspect())
         self.freeze("scale", torch.tensor(float(scale), dtype=torch.get_default_dtype()))
         self.freeze("to_world", affine("to_world", to_world))
         self.sampling_weight = positive("sampling_weight", sampling_weight)
