@@ -136,14 +136,16 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
     Le, Ld, F, si, light, wo, pdf = scattering(scene, proposal, state, hit, at, settings)
 
     # Aim the shadow ray at the light sample.
+    epsilon = si.epsilon()
     nothing = state.ray, torch.zeros_like(pdf)
-    shadow, distance = nothing if light is None else shadow_ray(si, light)
+    shadow, distance = nothing if light is None else shadow_ray(si, light, epsilon)
 
     # Leave along the sampled direction.
     if wo is None:
         return Vertex(Le, Ld, F, shadow, distance, state._replace(pdf=pdf))
     d = normalize(si.frame.to_world(wo))
-    return Vertex(Le, Ld, F, shadow, distance, PathState(Ray(si.offset(d), d), state.beta * F, pdf, state.key, state.lane))
+    return Vertex(Le, Ld, F, shadow, distance, PathState(Ray(si.offset(d, epsilon), d), state.beta * F, pdf, state.key,
+                                                            state.lane))
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
@@ -304,5 +306,5 @@ def behind_emitters(integrand: Integrand, ray: Ray, hit: Hit) -> Hit:
             return hit
         seen = Ray(*(Vec3(*(component[hidden] for component in vector)) for vector in ray))
         si = surface_interaction(integrand.proposal, seen, Hit(*(part[hidden] for part in hit)))
-        beyond = integrand.caster.intersect(Ray(si.offset(seen.d), seen.d))
+        beyond = integrand.caster.intersect(Ray(si.offset(seen.d, si.epsilon()), seen.d))
         hit = Hit(*(old.index_copy(0, hidden, new) for old, new in zip(hit, beyond)))

@@ -25,7 +25,8 @@ from torch_radbp.vec import Vec3
 STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call
-LANES = 1 << 18  # of a chunk if the user does not say; the fastest of 2^15 to 2^18, eager and compiled
+LANES = 1 << 18  # of a chunk if the user does not say; the fastest of 2^15 to 2^18
+LANES_OF_WORKER = 1 << 16  # the same with chunks side by side
 
 
 class Renderer(nn.Module):
@@ -136,9 +137,10 @@ class Renderer(nn.Module):
             proposal = tree_map_only(Tensor, Tensor.detach, tensors)
             return Integrand(tensors, proposal, caster, settings, max_depth, self.rr_depth, stages.bounce)
 
-        lanes = self.chunk or LANES
+        workers = 1 if self.compile_stages or scene.device.type != "cpu" else torch.get_num_threads()
+        lanes = self.chunk or default_chunk(sum(view.width * view.height for view in views) * spp, workers)
         call = RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
-                          plan_chunks(views, spp, lanes), spp, retrace=seed_grad is not None)
+                          plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)
@@ -181,6 +183,11 @@ class Renderer(nn.Module):
         if missing or moving:
             raise ValueError(f"derivatives with respect to shapes, poses and positions are not available yet, but "
                              f"{', '.join(moving) or 'a parametrised one'} requires grad; set requires_grad_(False) there")
+
+
+def default_chunk(lanes: int, workers: int) -> int:
+    """Lanes of a chunk if the user does not say."""
+    return LANES if workers == 1 else min(LANES_OF_WORKER, -(-lanes // workers))
 
 
 def what_it_sets(name: str) -> str:

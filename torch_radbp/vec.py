@@ -147,3 +147,65 @@ class Frame(NamedTuple):
         s = Vec3(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x)
         t = Vec3(b, sign + n.y * n.y * a, -n.y)
         return Frame(s, t, n)
+
+
+class LocalVec3:
+    """A vector in a shading frame, whose components are computed when they are first read: a diffuse surface reads z only.
+
+    Has the operators of `Vec3`.
+    """
+
+    def __init__(self, frame: ShadingFrame, v: Vec3):
+        self.frame, self.v = frame, v
+        self.parts: dict[str, Tensor] = {}
+
+    def part(self, name: str) -> Tensor:
+        if name not in self.parts:
+            self.parts[name] = dot(self.v, getattr(self.frame, {"x": "s", "y": "t", "z": "n"}[name]))
+        return self.parts[name]
+
+    @property
+    def x(self) -> Tensor:
+        return self.part("x")
+
+    @property
+    def y(self) -> Tensor:
+        return self.part("y")
+
+    @property
+    def z(self) -> Tensor:
+        return self.part("z")
+
+    def __iter__(self):
+        return iter((self.x, self.y, self.z))
+
+    __add__, __sub__, __mul__, __truediv__, __neg__ = (
+        Vec3.__add__, Vec3.__sub__, Vec3.__mul__, Vec3.__truediv__, Vec3.__neg__)
+    map, detach = Vec3.map, Vec3.detach
+
+
+class ShadingFrame:
+    """The frame around a unit normal; its tangents are computed when they are first read."""
+
+    def __init__(self, n: Vec3):
+        self.n = n
+        self.tangents: Frame | None = None
+
+    @property
+    def s(self) -> Vec3:
+        return self.whole().s
+
+    @property
+    def t(self) -> Vec3:
+        return self.whole().t
+
+    def whole(self) -> Frame:
+        if self.tangents is None:
+            self.tangents = Frame.of(self.n)
+        return self.tangents
+
+    def to_local(self, v: Vec3) -> LocalVec3:
+        return LocalVec3(self, v)
+
+    def to_world(self, v: Vec3) -> Vec3:
+        return self.whole().to_world(v)

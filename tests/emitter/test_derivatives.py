@@ -11,7 +11,9 @@ import torch
 from torch import nn
 from torch.func import functional_call
 
-from tests.emitter.lights import EMITTERS, FLOOR, SQUARE, cast, detached, on_the_floor, slide, uniform
+import torch_radbp as rb
+from tests.emitter.lights import EMITTERS, FLOOR, SQUARE, cast, detached, on_the_floor, scene_of, slide, uniform
+from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.scenes import load, rgb, sensor
 from torch_radbp.io.transform import look_at
 from torch_radbp.scene.interaction import surface_interaction
@@ -115,6 +117,27 @@ def test_emission_and_its_density_have_the_right_derivatives(name):
     if name == "envmap":  # does not depend on where it is seen from
         module.o = rays.pop(0)
     check(module, name, tuple(rays), names)
+
+
+EMISSION = {
+    "envmap": ["lamp.data"], "envmap_compensated": ["lamp.data"],
+    "spot_image": ["lamp.intensity.value", "lamp.texture.data"],
+    "projector": ["lamp.irradiance.data"], "directional": ["lamp.irradiance.value"],
+    "all": ["envmap_lamp.data", "area_lamp.emitter.radiance.data", "spot_image_lamp.texture.data",
+            "projector_lamp.irradiance.data", "point_lamp.intensity.value", "directional_lamp.irradiance.value"],
+}
+
+
+@pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(), rb.MemoizedAdjoint("log", False), rb.ReplayAdjoint()], ids=str)
+@pytest.mark.parametrize("name", EMISSION)
+def test_every_strategy_gives_the_gradient_of_plain_autograd(name, adjoint):
+    names = [*EMISSION[name], "floor.bsdf.reflectance.value"]
+    settings = {"spp": 8, "max_depth": 4, "rr_depth": 2}
+    image, expected = image_and_gradients(scene_of(name), names, adjoint=rb.TapeAdjoint(), **settings)
+    assert_informative(image, expected)
+    _, found = image_and_gradients(scene_of(name), names, adjoint=adjoint, **settings)
+    for parameter, gradient, reference in zip(names, found, expected):
+        assert relative_error(gradient, reference) < 1e-10, parameter
 
 
 # -- In expectation --------------------------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ def irradiance(scene: rb.Scene) -> dict[str, torch.Tensor]:
 
     wo = square_to_cosine_hemisphere(*uniform(COUNT, 3, dimensions=2))
     d = si.frame.to_world(wo)
-    view = cast(scene, tensors, Ray(si.offset(d), d))
+    view = cast(scene, tensors, Ray(si.offset(d, si.epsilon()), d))
     by_bsdf = emitted(tensors, view.ray, view.si)
     other = power_heuristic(cosine_hemisphere_pdf(wo), emitted_pdf(tensors, view.ray, view.si))
     return {"nee": by_light.stack(), "bsdf": by_bsdf.stack(), "mis": (by_light * weight + by_bsdf * other).stack()}
@@ -67,7 +67,7 @@ def test_images_with_and_without_next_event_estimation_agree(name):
         renderer = rb.Renderer(scene, max_depth=4, rr_depth=100, **settings)
         return torch.nn.functional.avg_pool2d(torch.cat([renderer(seed=seed) for seed in seeds]), 4)
 
-    by_chance, with_nee = blocks(range(16), nee=False, spp=128), blocks(range(100, 116), nee=True, spp=64)
+    by_chance, with_nee = blocks(range(16), nee=False, spp=256), blocks(range(100, 116), nee=True, spp=64)
     error = ((by_chance.var(0) + with_nee.var(0)) / 16).sqrt()
     mean, difference = by_chance.mean(0), with_nee.mean(0) - by_chance.mean(0)
     lit = mean > 0

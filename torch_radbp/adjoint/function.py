@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_map_only, tree_unflatten
 
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
+from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.path import Integrand, PathState, Step, start_path, trace
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors
@@ -50,6 +51,7 @@ class RenderCall(NamedTuple):
     chunks: list[Chunk]
     spp: int
     retrace: bool  # the backward pass traces its paths anew instead of keeping those of the forward pass
+    workers: int  # chunks that are traced side by side
 
 
 def plan_chunks(views: list[View], spp: int, lanes: int) -> list[Chunk]:
@@ -123,12 +125,16 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool) -> tuple
     """(B, 3, H, W) linear RGB, and the records of the chunks if asked for."""
     view = call.views[0]
     images = [call.scene.triangles.p0.x.new_zeros(3, view.height * view.width) for _ in call.views]
-    records = []
-    for chunk in call.chunks:
-        L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[0], record)
+
+    def trace_share(share: range) -> list[tuple[Vec3, PathRecord]]:
+        return [trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[0], record)
+                for chunk in (call.chunks[index] for index in share)]
+
+    shares = in_turns(len(call.chunks), call.workers, trace_share)
+    traced = [shares[index % len(shares)][index // len(shares)] for index in range(len(call.chunks))]
+    for chunk, (L, _) in zip(call.chunks, traced):
         accumulate(images, chunk, L, call.spp)
-        if record:
-            records.append(path_record)
+    records = [path_record for _, path_record in traced] if record else []
     return torch.stack(images).reshape(len(call.views), 3, view.height, view.width), records
 
 
@@ -166,15 +172,20 @@ class RenderFunction(torch.autograd.Function):
         positions = [position for position, leaf in enumerate(leaves) if isinstance(leaf, Tensor) and leaf.requires_grad]
         needed = [k for k, need in enumerate(ctx.needs_input_grad[1:]) if need]
         wanted = tuple(positions[k] for k in needed)
-        gradients = [torch.zeros_like(leaves[position], dtype=torch.float64) for position in wanted]
-        for index, chunk in enumerate(call.chunks):
-            if call.retrace:
-                _, record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[1], record=True)
-            else:
-                record = records[index]
-            adj_L = lane_adjoint(call, chunk, grad_images)
-            call.adjoint.backward(Sweep(integrand_of(call, integrand, chunk), call.adjoint_of_bounce, record, adj_L, wanted,
-                                        gradients))
+
+        def differentiate_share(share: range) -> list[Tensor]:
+            gradients = [torch.zeros_like(leaves[position], dtype=torch.float64) for position in wanted]
+            for index in share:
+                chunk = call.chunks[index]
+                if call.retrace:
+                    _, record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[1], record=True)
+                else:
+                    record = records[index]
+                call.adjoint.backward(Sweep(integrand_of(call, integrand, chunk), call.adjoint_of_bounce, record,
+                                            lane_adjoint(call, chunk, grad_images), wanted, gradients))
+            return gradients
+
+        gradients = [sum(parts) for parts in zip(*in_turns(len(call.chunks), call.workers, differentiate_share))]
         result: list[Tensor | None] = [None] * len(positions)
         for k, gradient in zip(needed, gradients):
             result[k] = gradient.to(leaves[positions[k]].dtype)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import torch
 
-from torch_radbp.adjoint.sweep import Sweep, at_lane
+from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path import survivors, take_step
+from torch_radbp.scene.lookup import lookup
 from torch_radbp.vec import Vec3, masked
 
 
@@ -35,7 +36,7 @@ class ReplayAdjoint:
         state, L = sweep.record.start(), sweep.record.radiance
         for depth in range(sweep.record.bounces):
             vertex, step = take_step(sweep.integrand, state, depth, sweep.record.steps.get(depth))
-            remaining = at_lane(L, state.lane) - (vertex.Le + masked(step.visible, vertex.Ld))
+            remaining = lookup(L, state.lane) - (vertex.Le + masked(step.visible, vertex.Ld))
             incident = Vec3(*(torch.where(f > 0, r / torch.where(f > 0, f, 1.0), 0.0) for r, f in zip(remaining, vertex.F)))
             L = Vec3(*(old.index_copy(0, state.lane.long(), new) for old, new in zip(L, incident)))
             sweep.memo = Vec3(*(component.clone() for component in L))

@@ -21,11 +21,12 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from torch_radbp.path import Integrand, PathState, Position, Settings, Step, scattering, survivors, take_step
-from torch_radbp.scene.lookup import Tap
+from torch_radbp.scene.lookup import Tap, lookup
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, masked
 
 MOST_BLOCKS, MOST_PARTIAL_SUMS = 256, 1 << 16  # of `scatter_add`
+FEW_ENTRIES = 8  # of a table whose gradient a compiled bounce sums itself
 
 
 class PathRecord(NamedTuple):
@@ -38,21 +39,29 @@ class PathRecord(NamedTuple):
     bounces: int
 
 
+class TableAdjoint(NamedTuple):
+    """What one bounce adds to the gradient of a table of K entries."""
+
+    total: Tensor | None  # (K,) float64
+    reads: list[tuple[Tensor, Tensor]]  # index and adjoint per lane, still to be scattered
+
+
 def bounce_adjoint(scene: SceneTensors, wanted: tuple[int, ...], state: PathState, step: Step, adj_L: Vec3,
-                   L_next: Vec3, at: Position, settings: Settings) -> tuple[Vec3, list[list[tuple[Tensor, Tensor]]]]:
+                   memo: Vec3, at: Position, settings: Settings) -> tuple[Vec3, list[TableAdjoint]]:
     """The local vector-Jacobian product of one bounce.
 
     Args:
         scene: detached.
         wanted: which leaves of `scene` (in the order of `tree_flatten`) to differentiate.
         state, step: the bounce, as in the forward pass.
-        adj_L: derivative of the loss with respect to L_k (not to L_1).
-        L_next: L_{k+1} of each lane, 0 where the path ended.
+        adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
+        memo: L_{k+1} of all lanes of the chunk, 0 where the path ended.
         at, settings: as in the forward pass.
 
     Returns:
-        L_k, and for each wanted leaf the list of (index, adjoint) of its reads.
+        L_k of the lanes of `state`, and what to add to the gradient of each wanted leaf.
     """
+    adj_L, L_next = lookup(adj_L, state.lane) * state.beta, lookup(memo, state.lane)
     leaves, structure = tree_flatten(scene)
     taps = [Tap(leaves[position]) for position in wanted]
     for position, tap in zip(wanted, taps):
@@ -64,8 +73,18 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[int, ...], state: PathStat
         reads = [leaf for tap in taps for _, leaf in tap.reads]
         adjoints = iter(torch.autograd.grad([value for value, _ in outputs], reads, [adjoint for _, adjoint in outputs],
                                             allow_unused=True) if outputs else ())
-    scattered = [[(index, next(adjoints)) for index, _ in tap.reads] for tap in taps]
-    return (E + F * L_next).detach(), scattered
+    tables = [table_adjoint(tap.table, [(index, next(adjoints)) for index, _ in tap.reads]) for tap in taps]
+    return (E + F * L_next).detach(), tables
+
+
+def table_adjoint(table: Tensor, reads: list[tuple[Tensor, Tensor | None]]) -> TableAdjoint:
+    """What the reads of a table add to its gradient; summed at once if that is cheap: compiled, and of few entries."""
+    reads = [(index, adjoint) for index, adjoint in reads if adjoint is not None]
+    if not (torch.compiler.is_compiling() and len(table) <= FEW_ENTRIES):
+        return TableAdjoint(None, reads)
+    sums = [sum(((index == entry).to(adjoint.dtype) * adjoint).sum(dtype=torch.float64) for index, adjoint in reads)
+            for entry in range(len(table) if reads else 0)]
+    return TableAdjoint(torch.stack(sums) if sums else None, [])
 
 
 class Sweep:
@@ -87,16 +106,16 @@ class Sweep:
         step = self.record.steps.get(depth)
         if step is None:
             _, step = take_step(self.integrand, state, depth)
-        lane = None if len(state.lane) == len(self.memo.x) else state.lane
-        adj_L = at_lane(self.adj_L, lane) * state.beta
-        L, scattered = self.adjoint_of_bounce(self.integrand.scene, self.wanted, state, step, adj_L,
-                                              at_lane(self.memo, lane), self.integrand.at(depth),
-                                              self.integrand.settings_at(depth))
-        for gradient, reads in zip(self.gradients, scattered):
+        L, tables = self.adjoint_of_bounce(self.integrand.scene, self.wanted, state, step, self.adj_L, self.memo,
+                                           self.integrand.at(depth), self.integrand.settings_at(depth))
+        for gradient, (total, reads) in zip(self.gradients, tables):
+            if total is not None:
+                gradient += total
             for index, adjoint in reads:
-                if adjoint is not None:
-                    scatter_add(gradient, index, adjoint)
-        self.memo = L if lane is None else Vec3(*(old.index_copy_(0, lane.long(), new) for old, new in zip(self.memo, L)))
+                scatter_add(gradient, index, adjoint)
+        lane = state.lane.long()
+        self.memo = L if len(lane) == len(self.memo.x) else Vec3(*(old.index_copy_(0, lane, new)
+                                                                  for old, new in zip(self.memo, L)))
 
 
 def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor) -> None:
@@ -119,6 +138,3 @@ def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor) -> None:
         gradient += partial.sum(0, dtype=gradient.dtype)
     gradient.index_add_(0, index[whole:], adjoint[whole:].to(gradient.dtype))
 
-
-def at_lane(value: Vec3, lane: Tensor | None) -> Vec3:
-    return value if lane is None else value.map(lambda component: component.index_select(0, lane))

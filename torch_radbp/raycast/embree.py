@@ -7,6 +7,7 @@ which run on the threads of `team.py`.
 from __future__ import annotations
 
 import weakref
+from threading import Lock
 
 import numpy as np
 import torch
@@ -40,6 +41,7 @@ class Embree:
         self.vertices = checked_vertices(vertices, device=CPU)
         self.faces = checked_faces(faces, len(self.vertices), device=CPU)
         self.rays_cast = 0
+        self._counting = Lock()
         # Embree reads this buffer in place, and 16 bytes at a time: past the last vertex by 4.
         self._buffer = torch.zeros(len(self.vertices) + 1, 3)
         self._embree = embree = library.load()
@@ -95,7 +97,8 @@ class Embree:
             job[name] = tensor.data_ptr()
         blocks = -(-lanes // packets.BLOCK)
         team.run(loop.address, job.ctypes.data, threads=max(1, min(torch.get_num_threads(), blocks)))
-        self.rays_cast += lanes
+        with self._counting:
+            self.rays_cast += lanes
 
     def _refined(self, ray: Ray, hit: Hit) -> Hit:
         """The hit with u and v of the ray's line and the triangle's plane, in the ray's dtype.

@@ -34,7 +34,7 @@ def seed_key(seed: int, sensor: int) -> int:
 
 def lane_key(seed: Tensor, pixel: Tensor, sample: Tensor) -> Tensor:
     """The int32 key of each lane's random numbers."""
-    return hash32(hash32(pixel + seed) + hash32(sample ^ 0x5BD1E995))
+    return hash32(hash32(hash32(pixel) + seed) + hash32(sample ^ 0x5BD1E995))
 
 
 def counters(depth: int, dimensions: int, device: torch.device) -> Tensor:
@@ -51,5 +51,5 @@ def uniform(key: Tensor, counter: Tensor, dtype: torch.dtype) -> Tensor:
         counter: () int32, one of `counters`.
         dtype: of the result.
     """
-    bits = (hash32(key + counter) >> 8) & 0xFFFFFF
-    return bits.to(dtype) * (1.0 / (1 << 24))
+    bits = (hash32(key + counter) >> 8).to(dtype)  # -2^23 to 2^23 - 1
+    return torch.rsub(bits, 0.5, alpha=-1.0 / (1 << 24))  # 0.5 + bits / 2^24, exact

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize, where
+from torch_radbp.vec import LocalVec3, Ray, ShadingFrame, Vec2, Vec3, dot, normalize, where
 
 
 class SurfaceInteraction(NamedTuple):
@@ -20,15 +20,23 @@ class SurfaceInteraction(NamedTuple):
     material: Tensor  # int32 row of the material table
     p: Vec3  # world position
     n: Vec3  # unit geometric normal
-    frame: Frame  # shading frame; its normal is turned to the viewer's side of a two-sided material
+    frame: ShadingFrame  # shading frame; its normal is turned to the viewer's side of a two-sided material
     front: Tensor  # bool: the viewer is on the side of the shading normal
-    wi: Vec3  # towards the viewer, local
+    wi: LocalVec3  # towards the viewer, local
     uv: Vec2 | None
-    epsilon: Tensor  # distance by which rays start off the surface
 
-    def offset(self, d: Vec3) -> Vec3:
+    def epsilon(self) -> Tensor:
+        """The distance by which rays start off the surface, relative to the size of its coordinates.
+
+        That is the scale of their rounding errors.
+        """
+        p = self.p.detach()
+        largest = torch.maximum(p.x.abs(), torch.maximum(p.y.abs(), p.z.abs()))
+        return (1.0 + largest) * (1500 * torch.finfo(torch.float32).eps)
+
+    def offset(self, d: Vec3, epsilon: Tensor) -> Vec3:
         """Where a ray with direction `d` starts: off the surface, on the side that it leaves to."""
-        return self.p + self.n * torch.copysign(self.epsilon, dot(self.n, d))
+        return self.p + self.n * torch.copysign(epsilon, dot(self.n, d))
 
 
 def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteraction:
@@ -59,8 +67,5 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteractio
     if scene.layout.back_sides:
         turned = ~front & (lookup(scene.materials.back, material) >= 0)
         shading = where(turned, -shading, shading)
-    frame = Frame.of(shading)
-    # Relative to the size of the coordinates, since that is the scale of their rounding errors.
-    largest = torch.maximum(p.x.abs(), torch.maximum(p.y.abs(), p.z.abs()))
-    epsilon = (1.0 + largest) * (1500 * torch.finfo(torch.float32).eps)
-    return SurfaceInteraction(valid, prim, material, p, n, frame, front, frame.to_local(-ray.d), uv, epsilon)
+    frame = ShadingFrame(shading)
+    return SurfaceInteraction(valid, prim, material, p, n, frame, front, frame.to_local(-ray.d), uv)

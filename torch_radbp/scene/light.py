@@ -131,18 +131,19 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
 def aim_at_area(scene: SceneTensors, p: Vec3, pmf: Tensor, prim: Tensor, b: Vec2) -> Aim:
     """From `p` at the point of triangles `prim` with barycentric coordinates `b`, attached to both ends."""
     layout, triangles = scene.layout, scene.triangles
-    w = 1.0 - b.x - b.y
     target = lookup(triangles.p0, prim) + lookup(triangles.e1, prim) * b.x + lookup(triangles.e2, prim) * b.y
     reach = target - p
     squared = dot(reach, reach).clamp_min(NEAREST**2)
     d = reach * torch.rsqrt(squared)
     cosine = -dot(d, lookup(triangles.n, prim))
     facing = cosine > 0
-    if layout.shading_normals:
-        shading = (lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * b.x + lookup(triangles.n2, prim) * b.y)
+    if layout.light_normals:
+        w = 1.0 - b.x - b.y
+        shading = lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * b.x + lookup(triangles.n2, prim) * b.y
         facing = dot(shading, d) < 0
     uv = None
     if layout.radiance_bitmaps:
+        w = 1.0 - b.x - b.y
         uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * b.x + lookup(triangles.uv2, prim) * b.y
     pdf = pmf * lookup(triangles.inverse_area, prim) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
     return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv)
@@ -170,13 +171,13 @@ def mixed(condition: Tensor, a: Aim, b: Aim | None) -> Aim:
     return Aim(where(condition, a.d, b.d), torch.where(condition, a.pdf, b.pdf), target, strength, uv)
 
 
-def shadow_ray(si: SurfaceInteraction, light: LightSample) -> tuple[Ray, Tensor]:
+def shadow_ray(si: SurfaceInteraction, light: LightSample, epsilon: Tensor) -> tuple[Ray, Tensor]:
     """The ray that checks a connection, and how far; 0 where the sample cannot be used. Detached if `si` is.
 
     It starts off the surface and aims from there: with the direction taken from the surface point, a lamp shadows itself.
     """
     d = light.d.detach()
-    start = si.offset(d)
+    start = si.offset(d, epsilon)
     reach = light.target.detach() - start
     squared = dot(reach, reach)
     shorter = torch.rsqrt(squared.clamp_min(TINY))

@@ -69,7 +69,7 @@ def pack(scene: Scene) -> SceneTensors:
     bsdfs = list(scene.bsdfs())
     materials = MaterialTable(*(torch.tensor(column, dtype=torch.int32, device=device) for column in zip(
         *(sides(bsdf, reflectance) for bsdf in bsdfs))))
-    surfaces = [shape.oriented() for shape in scene.shapes]
+    surfaces = [without_flat_normals(shape.oriented()) for shape in scene.shapes]
     counts = [len(surface.faces) for surface in surfaces]
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
     material = [row[id(shape.bsdf)] for shape in scene.shapes]
@@ -77,6 +77,7 @@ def pack(scene: Scene) -> SceneTensors:
     lamps = [Lamp(emitter, radiance.add(emitter.radiated())) for emitter in scene.emitters if emitter.type != "area"]
     layout = Layout(
         shading_normals=any(surface.normals is not None for surface in surfaces),
+        light_normals=any(surface.normals is not None and texture >= 0 for surface, texture in zip(surfaces, emitted)),
         back_sides=bool((materials.back >= 0).any()) if bsdfs else False,
         reflectance_bitmaps=reflectance.has_bitmaps, radiance_bitmaps=radiance.has_bitmaps,
         area_lights=any(texture >= 0 for texture in emitted), **kinds_of(lamps))
@@ -89,6 +90,16 @@ def pack(scene: Scene) -> SceneTensors:
     triangles, lights = light_table(scene, triangles, counts, emitted, lamps)
     return SceneTensors(triangles, materials, reflectance.build(dtype, device), lights,
                         radiance.build(dtype, device), layout)
+
+
+def without_flat_normals(surface: Triangles) -> Triangles:
+    """The surface without vertex normals if they are those of its faces and nothing can change that."""
+    if surface.normals is None or surface.normals.requires_grad or surface.vertices.requires_grad:
+        return surface
+    corner = surface.vertices[surface.faces]
+    face = torch.nn.functional.normalize(torch.linalg.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), dim=-1)
+    flat = (surface.normals[surface.faces] - face[:, None]).abs().max() < 1e-5
+    return surface._replace(normals=None) if flat else surface
 
 
 def check_finite(scene: Scene) -> None:

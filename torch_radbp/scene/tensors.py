@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torch_radbp.sampling.alias import AliasTable
@@ -18,7 +19,8 @@ AREA, CONSTANT, ENVIRONMENT, POINT, SPOT, PROJECTOR, DIRECTIONAL = range(7)
 class Layout(NamedTuple):
     """What a scene contains: static, so that nothing is computed for what is not there."""
 
-    shading_normals: bool
+    shading_normals: bool  # that differ from the triangles' own
+    light_normals: bool  # the same, on area lights
     back_sides: bool
     reflectance_bitmaps: bool
     radiance_bitmaps: bool
@@ -112,3 +114,7 @@ class SceneTensors(NamedTuple):
     lights: LightTable
     radiance: TextureBank
     layout: Layout
+
+    @property
+    def device(self) -> torch.device:
+        return self.triangles.material.device
