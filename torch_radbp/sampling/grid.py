@@ -25,21 +25,20 @@ class GridDistribution(NamedTuple):
     """
 
     rows: Tensor  # (R + 1,) cumulative probability of the rows above
-    cells: Tensor  # (R C,) row + cumulative probability in the row, up to and with the cell
+    cells: Tensor  # (1 + R C,) 0, then row + cumulative probability in the row up to and with the cell
 
     def sample(self, u: Tensor, v: Tensor) -> GridSample:
         """Cells for uniform numbers `u` (rows) and `v` (columns) in [0, 1), (N,)."""
         count = self.rows.shape[0] - 1
-        columns = self.cells.shape[0] // count
+        columns = (self.cells.shape[0] - 1) // count
         u, v = u.to(self.rows.dtype), v.to(self.rows.dtype)
-        row = (torch.searchsorted(self.rows, u, right=True) - 1).clamp(0, count - 1)
+        row = (torch.searchsorted(self.rows, u, right=True) - 1).clamp_max(count - 1)
         above, below = self.rows.index_select(0, row), self.rows.index_select(0, row + 1)
-        cell = torch.searchsorted(self.cells, row + v, right=True)
-        cell = torch.minimum(torch.maximum(cell, row * columns), row * columns + (columns - 1))
-        column = cell - row * columns
-        right = self.cells.index_select(0, cell) - row
-        left = torch.where(column > 0, self.cells.index_select(0, (cell - 1).clamp_min(0)) - row, 0.0)
-        return GridSample(row, column, within(u, above, below), within(v, left, right))
+        v = v + row
+        # The end of a row is the start of the next: what is left of a cell stands before it, in its row or not.
+        cell = (torch.searchsorted(self.cells, v, right=True) - 1).clamp_max(count * columns - 1)
+        left, right = self.cells.index_select(0, cell), self.cells.index_select(0, cell + 1)
+        return GridSample(row, cell - row * columns, within(u, above, below), within(v, left, right))
 
 
 def within(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
@@ -63,5 +62,5 @@ def grid_distribution(weights: Tensor) -> tuple[GridDistribution, Tensor]:
     # A row that is never picked gets any increasing table.
     inside = torch.where(total > 0, inside / total.clamp_min(1e-300), 1.0)
     first = torch.arange(len(weights), dtype=torch.float64, device=weights.device)[:, None]
-    distribution = GridDistribution(rows / rows[-1], (inside + first).reshape(-1))
-    return distribution, (weights / rows[-1]).reshape(-1)
+    cells = torch.nn.functional.pad((inside + first).reshape(-1), (1, 0))
+    return GridDistribution(rows / rows[-1], cells), (weights / rows[-1]).reshape(-1)

@@ -129,22 +129,22 @@ def environment_map(emitter: Envmap, like: Tensor) -> EnvironmentMap:
 
     Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section 12.5.
     """
-    data = emitter.data.detach()
+    data = emitter.data.detach().to(like)
     rows, columns = data.shape[:2]
     half = torch.linspace(0, math.pi / 2, max(rows, 2), dtype=torch.float64, device=like.device)
     edges = torch.sin(half) ** 2
-    solid_angle = (4 * math.pi / columns) * edges.diff()[:, None]
-    luminance = data.to(like.device, torch.float64).abs() @ torch.tensor(LUMINANCE, dtype=torch.float64, device=like.device)
+    solid_angle = ((4 * math.pi / columns) * edges.diff()[:, None]).to(like)
+    luminance = data.abs() @ like.new_tensor(LUMINANCE)
     luminance = luminance.expand(max(rows, 2), columns)
     luminance = luminance[:-1] + luminance[1:]
     luminance = luminance + luminance.roll(-1, 1)
     if emitter.mis_compensation:
         average = (luminance * solid_angle).sum() / (4 * math.pi)
-        luminance = (luminance - average * (1 + 1e-9)).clamp_min(0.0)
+        luminance = (luminance - average * (1 + 1e-6)).clamp_min(0.0)  # a map of one value has nothing above it
     luminance = torch.where(luminance.amax() > 0, luminance, 1.0)
     pick, pmf = grid_distribution(luminance * solid_angle)
     name = "to_world of the envmap"
-    density = pmf / solid_angle.expand(-1, columns).reshape(-1)
+    density = (pmf.reshape(-1, columns) / solid_angle).reshape(-1)
     integer = {"dtype": torch.int32, "device": like.device}
     return EnvironmentMap(
         to_local=rows_of(linear_inverse(name, emitter.to_world)[None].to(like)),
