@@ -20,8 +20,8 @@ LAYERS = [
     {"path"}, {"adjoint"}, {"stages"}, {"render"}, {"training"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
-# Reads and writes files for every layer: shapes and textures import it inside functions.
-READERS = {"shape", "texture"}
+# Reads and writes files for every layer: shapes, textures and emitters import it inside functions.
+READERS = {"shape", "texture", "emitter"}
 
 
 class Import(NamedTuple):

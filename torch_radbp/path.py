@@ -160,7 +160,7 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
     # Add the light that it emits, weighted against the chance that next-event estimation finds it.
     zero = torch.zeros_like(state.pdf)
     none = Vec3(zero, zero, zero)
-    Le = none if settings.hide_emitters else emitted(scene, si)
+    Le = none if settings.hide_emitters else emitted(scene, state.ray, si)
     if settings.nee:
         Le = Le * power_heuristic(state.pdf, emitted_pdf(proposal, state.ray, si))
     if settings.last:
@@ -203,8 +203,8 @@ def next_event(reflectance: Vec3, si: SurfaceInteraction, light: LightSample) ->
     """The light that arrives from a light sample if nothing is in between; a sample that cannot connect gets density 0."""
     wo = si.frame.to_local(light.d)
     connects = (si.valid & (light.pdf > 0) & (wo.z > 0) & (si.wi.z > 0)).to(light.pdf.dtype)
-    density = light.pdf.clamp_min(TINY)
-    weight = power_heuristic(density, Diffuse.pdf(si.wi, wo) * light.findable)
+    density = light.pdf.detach().clamp_min(TINY)
+    weight = power_heuristic(density, Diffuse.pdf(si.wi, wo).detach() * light.findable)
     Ld = Diffuse.eval(reflectance, si.wi, wo) * light.radiance * (connects * weight / density)
     return light._replace(pdf=light.pdf * connects), Ld
 

@@ -37,8 +37,21 @@ EVERYTHING = """
   <emitter type="area"><spectrum name="radiance" value="3"/></emitter></shape>
 <emitter type="point" id="lamp"><point name="position" value="1, 2, 3"/>
   <rgb name="intensity" value="10, 8, 5"/></emitter>
-<emitter type="constant"><float name="radiance" value="0.2"/></emitter>
+<emitter type="spot" id="stage"><transform name="to_world"><lookat origin="2,3,4" target="0,0,0" up="0,1,0"/></transform>
+  <rgb name="intensity" value="9, 8, 7"/><float name="cutoff_angle" value="35"/><texture name="texture" type="bitmap">
+    <string name="filename" value="t.png"/></texture></emitter>
+<emitter type="projector"><transform name="to_world"><lookat origin="-2,1,5" target="0,0,0" up="0,1,0"/></transform>
+  <texture name="irradiance" type="bitmap"><string name="filename" value="t.png"/></texture>
+  <float name="scale" value="3"/><float name="fov" value="41"/><string name="fov_axis" value="larger"/></emitter>
+<emitter type="directional" id="sun"><vector name="direction" x="0.3" y="-1" z="-0.4"/>
+  <rgb name="irradiance" value="0.3, 0.2, 0.1"/><float name="sampling_weight" value="0.5"/></emitter>
 """
+SURROUNDS = {
+    "constant": '<emitter type="constant"><float name="radiance" value="0.2"/></emitter>',
+    "envmap": """<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="0.5"/>
+      <transform name="to_world"><rotate x="1" angle="30"/><rotate y="1" angle="70"/></transform>
+      <boolean name="mis_compensation" value="true"/></emitter>""",
+}
 SEAM = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 .5\nvt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3\nf 1/2 3/3 4/1\n"
 PLY = """ply
 format ascii 1.0
@@ -56,15 +69,16 @@ end_header
 """
 
 
-@pytest.fixture
-def everything(tmp_path):
-    """The path of a scene with every plugin."""
+@pytest.fixture(params=SURROUNDS)
+def everything(request, tmp_path):
+    """The path of a scene with every plugin, but that there can be one surround only."""
     folder = tmp_path / "original"
     folder.mkdir()
     write_image(folder / "t.png", torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0)))
     (folder / "m.obj").write_text(SEAM)
     (folder / "m.ply").write_text(PLY)
-    return write_scene(folder, EVERYTHING, complete=False)
+    write_image(folder / "sky.exr", torch.rand(3, 5, 8, generator=torch.Generator().manual_seed(1)))
+    return write_scene(folder, EVERYTHING + SURROUNDS[request.param], complete=False)
 
 
 @pytest.fixture
@@ -90,6 +104,7 @@ def test_load_save_load_gives_the_same_parameters(everything, target):
         assert getattr(saved.integrator, attribute) == getattr(scene.integrator, attribute)
     assert saved.sensors[0].sampler.sample_count == 7
     assert saved.sensors[0].film.rfilter.type == "box" and saved.sensors[0].film.width == 24
+    assert [emitter.sampling_weight for emitter in saved.emitters] == [emitter.sampling_weight for emitter in scene.emitters]
     box = saved.get_submodule("box")
     assert box.flip_normals and box.bsdf is saved.get_submodule("white_001")
 

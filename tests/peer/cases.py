@@ -7,7 +7,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .scene_files import Case, Folder, bitmap, diffuse, picture, scene_xml, shape, size
-from .scenes import SKY, bitmaps, cornell_box, hidden_emitters, points, shapes, sky
+from .scenes import (
+    SKY,
+    bitmaps,
+    cornell_box,
+    envmap,
+    envmap_compensated,
+    every_light,
+    hidden_emitters,
+    points,
+    projector,
+    shapes,
+    sky,
+    spots,
+)
 
 BOX = '<rfilter type="box"/>'
 FOV = '<float name="fov" value="40"/>'
@@ -78,6 +91,11 @@ CASES = {
     "sky": Case(sky, thin=3),
     "hidden_emitters": Case(hidden_emitters, peer_integrator="volpath"),
     "points": Case(points),
+    "envmap": Case(envmap),
+    "envmap_compensated": Case(envmap_compensated),
+    "spots": Case(spots),
+    "projector": Case(projector),
+    "every_light": Case(every_light),
     **{f"camera_{name}": Case(poster(name), peer_spp=256, peer_batches=32, thin=1 if camera.rfilter == BOX else 5)
        for name, camera in CAMERAS.items()},
 }

@@ -63,17 +63,19 @@ def test_next_event_estimation_chooses_area_by_area_and_lights_by_weight():
     packed = pack(scene)
     torch.testing.assert_close(packed.lights.choice.pmf, torch.tensor([0.125, 0.125, 0.75], dtype=torch.float64))
     # Density over area: a quarter of the choices, spread over 4 x 6.
-    torch.testing.assert_close(packed.triangles.light_pdf, torch.full((2,), 0.25 / 24, dtype=torch.float64))
+    density = packed.triangles.light_pmf * packed.triangles.inverse_area
+    torch.testing.assert_close(density, torch.full((2,), 0.25 / 24, dtype=torch.float64))
 
 
-def test_only_colours_are_attached():
+def test_colours_poses_and_areas_are_attached_and_choices_are_not():
     scene = sky_and_points()
     for parameter in scene.parameters():
         parameter.requires_grad_()
     packed = pack(scene)
-    assert all(component.requires_grad for component in (*packed.reflectance.texels, *packed.radiance.texels))
     lights = packed.lights
-    assert not any(t.requires_grad for t in (lights.choice.pmf, packed.triangles.light_pdf, *lights.position))
+    assert all(component.requires_grad for component in (*packed.reflectance.texels, *packed.radiance.texels,
+                                                         *lights.posed.place, packed.triangles.inverse_area))
+    assert not any(tensor.requires_grad for tensor in (*lights.choice, lights.surround_pmf, packed.triangles.light_pmf))
 
 
 def test_a_texture_used_by_two_materials_is_stored_once():

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from torch_radbp.emitter.illumination import colour
 from torch_radbp.plugin import Emitter, Texture, positive, register
-from torch_radbp.texture.rgb import RGB, as_texture, check_range
 
 
 @register("emitter", "constant")
@@ -15,7 +15,9 @@ class Constant(Emitter):
 
     def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
         super().__init__()
-        self.radiance = check_range("radiance", as_texture("radiance", radiance))
-        if not isinstance(self.radiance, RGB):
-            raise ValueError(f"radiance of a constant emitter must be one number or an rgb, got a {self.radiance.type}")
+        self.radiance = colour("radiance", radiance, self.type)
         self.sampling_weight = positive("sampling_weight", sampling_weight)
+
+    def radiated(self) -> Texture:
+        """The texture that tells how much light there is."""
+        return self.radiance

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import torch
 
+from torch_radbp.emitter.illumination import LightPose, colour
 from torch_radbp.plugin import Emitter, Matrix4, Point3, Texture, finite, positive, register
 from torch_radbp.shape.surface import affine, transform_points
-from torch_radbp.texture.rgb import RGB, as_texture, check_range
 
 
 @register("emitter", "point")
 class Point(Emitter):
     """Emits `intensity` (W / sr) from `position` into every direction.
 
-    Parameters: `position` (3,), `intensity`. Derivatives: with respect to `intensity`.
+    Parameters: `position` (3,), `intensity`. Derivatives: with respect to both.
 
     Args:
         position: world coordinates; either this or the translation of `to_world`.
@@ -27,9 +27,14 @@ class Point(Emitter):
         origin = torch.zeros(1, 3, dtype=torch.get_default_dtype())
         place = finite("position", position, (3,)) if position is not None else None
         self.freeze("position", transform_points(affine("to_world", to_world), origin)[0] if place is None else place)
-        self.intensity = check_range("intensity", as_texture("intensity", intensity))
-        if not isinstance(self.intensity, RGB):
-            raise ValueError(f"intensity of a point emitter must be one number or an rgb, got a {self.intensity.type}")
+        self.intensity = colour("intensity", intensity, self.type)
         self.sampling_weight = positive("sampling_weight", sampling_weight)
 
     to_world = None  # resolved into `position`
+
+    def radiated(self) -> Texture:
+        """The texture that tells how much light there is."""
+        return self.intensity
+
+    def pose(self) -> LightPose:
+        return LightPose.at(self.position)

@@ -8,28 +8,41 @@ import torch
 from torch import Tensor
 
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere, square_to_uniform_triangle
+from torch_radbp.scene.environment import environment_pdf, environment_radiance, sample_environment
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.lookup import lookup, sample_texture
-from torch_radbp.scene.tensors import CONSTANT, POINT, SceneTensors
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, masked, normalize, where
+from torch_radbp.scene.posed_light import NEAREST, illumination
+from torch_radbp.scene.tensors import CONSTANT, DIRECTIONAL, ENVIRONMENT, POINT, SceneTensors
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, masked, where
 
 SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends before the light that it aims at
 FAR = 1e10  # the distance of the surround
+SMALLEST_COSINE = 1e-9  # at a light's surface; keeps densities finite
 
 
 class LightSample(NamedTuple):
-    """A point on a light per lane, seen from a surface."""
+    """A point on a light per lane, seen from a surface. Attached to the surface point and to the light, but for choices."""
 
-    d: Vec3  # unit direction towards it
-    radiance: Vec3  # that it sends back (for a point light: intensity / distance^2); attached
-    pdf: Tensor  # density over solid angle; probability for a point light; 0: cannot be used
-    findable: Tensor | float  # 1: BSDF sampling finds it too; 0: it cannot (a point light)
+    d: Vec3  # unit direction towards it; of the surround a fixed one
+    radiance: Vec3  # that it sends back (for a light without extent: intensity / distance^2, or irradiance)
+    pdf: Tensor  # density over solid angle; probability for a light without extent; 0: cannot be used
+    findable: Tensor | float  # 1: BSDF sampling finds it too; 0: it cannot (a light without extent)
     target: Vec3  # the point, world space
     distant: Tensor | None  # bool: it is a direction rather than a point; None: it never is
 
 
-def emitted(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
-    """Radiance that leaves the surface, or the surround, towards the viewer."""
+class Aim(NamedTuple):
+    """Where to look for light, by one kind of light."""
+
+    d: Vec3
+    pdf: Tensor
+    target: Vec3 | None = None  # None: far away
+    strength: Tensor | None = None  # factor of the light's texture; None: 1
+    uv: Vec2 | None = None  # where to read that texture; None: it is one texel
+
+
+def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Vec3:
+    """Radiance that leaves the surface, or the surround, towards the ray's origin; attached to texels, pose and `ray.d`."""
     layout = scene.layout
     radiance = Vec3.full(si.p.x, 0.0)
     if layout.area_lights:
@@ -41,91 +54,134 @@ def emitted(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
         surround = scene.lights.surround.expand(si.prim.shape)
         uv = Vec2(torch.zeros_like(si.p.x), torch.zeros_like(si.p.x)) if layout.radiance_bitmaps else None
         radiance = where(si.valid, radiance, sample_texture(scene.radiance, surround, uv))
+    if layout.environment_map:
+        radiance = radiance + masked(~si.valid, environment_radiance(scene, ray.d))
     return radiance
 
 
-def emitted_pdf(proposal: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Tensor:
-    """Density over solid angle with which next-event estimation at the ray's origin would have found this point."""
+def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal: SceneTensors | None = None) -> Tensor:
+    """Density over solid angle with which next-event estimation at the ray's origin would have found this point.
+
+    Args:
+        scene: gives geometry and poses.
+        ray, si: what the ray meets. The density is attached if these arguments are.
+        proposal: gives the probabilities of picking a light, or a part of the environment map; None: `scene`. They carry no
+            derivative in either case.
+    """
+    proposal = scene if proposal is None else proposal
     offset = si.p - ray.o
     cosine = dot(si.n, ray.d).abs()
-    pdf = lookup(proposal.triangles.light_pdf, si.prim) * dot(offset, offset) / cosine.clamp_min(1e-9)
-    if not proposal.layout.constant_light:
-        return pdf
-    return torch.where(si.valid, pdf, proposal.lights.surround_pmf * UNIFORM_SPHERE_PDF)
+    pdf = (lookup(proposal.triangles.light_pmf, si.prim) * lookup(scene.triangles.inverse_area, si.prim)
+           * dot(offset, offset) / cosine.clamp_min(SMALLEST_COSINE))
+    surround_pmf = proposal.lights.surround_pmf
+    if scene.layout.constant_light:
+        return torch.where(si.valid, pdf, surround_pmf * UNIFORM_SPHERE_PDF)
+    if scene.layout.environment_map:
+        return torch.where(si.valid, pdf, surround_pmf * environment_pdf(scene, proposal, ray.d))
+    return pdf
 
 
 def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, choice: Tensor, u: Tensor,
                  v: Tensor) -> LightSample:
     """Picks a light element, and a point on it.
 
+    The point is glued to its light: element and barycentric coordinates, or the direction of the surround, are decided by
+    `proposal`, and the point moves with `scene`. `pdf` then carries the geometry term and the area of the moving light, so
+    that radiance / pdf has the derivative of the integral over the light's surface.
+
     Args:
-        scene: attached; gives the radiance.
-        proposal: detached; gives the choice, the point and its density.
-        si: where the light is wanted.
+        scene: attached; gives geometry, poses and radiance.
+        proposal: detached; gives every choice.
+        si: where the light is wanted, attached or not.
         choice, u, v: (N,) uniform numbers.
+
+    Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4; Worchel et al. 2025.
     """
     layout, lights = scene.layout, proposal.lights
     element = lights.choice.sample(choice)
     pmf = lookup(lights.choice.pmf, element)
     kind = lookup(lights.kind, element)
-    texture = lookup(lights.radiance, element)
-    uv = None
 
-    target, pdf, findable, scale, is_constant = si.p, torch.zeros_like(pmf), 1.0, 1.0, None
+    # Let each kind of light that there is decide where to look.
+    aim, fixed = None, None
     if layout.area_lights:
-        prim = lookup(lights.prim, element)
-        triangles = proposal.triangles
-        b = square_to_uniform_triangle(u, v)
-        e1, e2 = lookup(triangles.e1, prim), lookup(triangles.e2, prim)
-        target = lookup(triangles.p0, prim) + e1 * b.x + e2 * b.y
-        facing, pdf = area_density(proposal, si.p, target, lookup(triangles.n, prim), prim)
-        if layout.light_normals:
-            w = 1.0 - b.x - b.y
-            shading = (lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * b.x
-                       + lookup(triangles.n2, prim) * b.y)
-            facing = dot(shading, target - si.p) < 0
-        pdf = pdf * facing.to(pdf.dtype)
-        if layout.radiance_bitmaps:
-            w = 1.0 - b.x - b.y
-            uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * b.x + lookup(triangles.uv2, prim) * b.y
-    elif layout.radiance_bitmaps:
-        uv = Vec2(u, v)
-    if layout.point_lights:
-        is_point = kind == POINT
-        position = lookup(lights.position, element)
-        target = where(is_point, position, target)
-        reach = position - si.p
-        scale = torch.where(is_point, 1.0 / dot(reach, reach).clamp_min(TINY), 1.0)
-        pdf = torch.where(is_point, pmf, pdf)
-        findable = (~is_point).to(pdf.dtype)
-    d = normalize(target - si.p)
+        aim = aim_at_area(scene, si.p, pmf, lookup(lights.prim, element), square_to_uniform_triangle(u, v))
+    if layout.posed_lights:
+        aim = mixed(kind >= POINT, aim_at_posed(scene, si.p, pmf, lookup(lights.pose, element), kind), aim)
     if layout.constant_light:
-        is_constant = kind == CONSTANT
-        d = where(is_constant, square_to_uniform_sphere(u, v), d)
-        pdf = torch.where(is_constant, pmf * UNIFORM_SPHERE_PDF, pdf)
+        aim = mixed(kind == CONSTANT, Aim(square_to_uniform_sphere(u, v), pmf * UNIFORM_SPHERE_PDF), aim)
+    if layout.environment_map:
+        fixed, density = sample_environment(proposal, u, v)
+        aim = mixed(kind == ENVIRONMENT, Aim(fixed, pmf * density), aim)
 
-    radiance = sample_texture(scene.radiance, texture, uv) * scale
-    return LightSample(d, radiance, pdf, findable, target, is_constant)
+    # Look up what is sent from there.
+    radiance = sample_texture(scene.radiance, lookup(lights.radiance, element), aim.uv)
+    if aim.strength is not None:
+        radiance = radiance * aim.strength
+    if fixed is not None:
+        radiance = where(kind == ENVIRONMENT, environment_radiance(scene, fixed), radiance)
+
+    findable = (kind < POINT).to(pmf.dtype) if layout.posed_lights else 1.0
+    distant = None
+    if layout.distant_lights:
+        distant = (kind == CONSTANT) | (kind == ENVIRONMENT) | (kind == DIRECTIONAL)
+    return LightSample(aim.d, radiance, aim.pdf, findable, si.p if aim.target is None else aim.target, distant)
+
+
+def aim_at_area(scene: SceneTensors, p: Vec3, pmf: Tensor, prim: Tensor, b: Vec2) -> Aim:
+    """From `p` at the point of triangles `prim` with barycentric coordinates `b`, attached to both ends."""
+    layout, triangles = scene.layout, scene.triangles
+    target = lookup(triangles.p0, prim) + lookup(triangles.e1, prim) * b.x + lookup(triangles.e2, prim) * b.y
+    reach = target - p
+    squared = dot(reach, reach).clamp_min(NEAREST**2)
+    d = reach * torch.rsqrt(squared)
+    cosine = -dot(d, lookup(triangles.n, prim))
+    facing = cosine > 0
+    if layout.light_normals:
+        w = 1.0 - b.x - b.y
+        shading = lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * b.x + lookup(triangles.n2, prim) * b.y
+        facing = dot(shading, d) < 0
+    uv = None
+    if layout.radiance_bitmaps:
+        w = 1.0 - b.x - b.y
+        uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * b.x + lookup(triangles.uv2, prim) * b.y
+    pdf = pmf * lookup(triangles.inverse_area, prim) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
+    return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv)
+
+
+def aim_at_posed(scene: SceneTensors, p: Vec3, pmf: Tensor, row: Tensor, kind: Tensor) -> Aim:
+    """From `p` at the lights without extent in `row` of their table, attached to both ends."""
+    light = illumination(scene, p, row, kind)
+    return Aim(light.d, pmf, light.place, light.strength, light.uv if scene.layout.radiance_bitmaps else None)
+
+
+def mixed(condition: Tensor, a: Aim, b: Aim | None) -> Aim:
+    """`a` where the condition holds, else `b`; `a` if there is no other."""
+    if b is None:
+        return a
+    target = a.target if b.target is None else b.target
+    if a.target is not None and b.target is not None:
+        target = where(condition, a.target, b.target)
+    strength = None
+    if a.strength is not None or b.strength is not None:
+        strength = torch.where(condition, *(1.0 if aim.strength is None else aim.strength for aim in (a, b)))
+    uv = a.uv if b.uv is None else b.uv
+    if a.uv is not None and b.uv is not None:
+        uv = Vec2(torch.where(condition, a.uv.x, b.uv.x), torch.where(condition, a.uv.y, b.uv.y))
+    return Aim(where(condition, a.d, b.d), torch.where(condition, a.pdf, b.pdf), target, strength, uv)
 
 
 def shadow_ray(si: SurfaceInteraction, light: LightSample, epsilon: Tensor) -> tuple[Ray, Tensor]:
-    """The ray that checks a connection, and how far; 0 where the sample cannot be used.
+    """The ray that checks a connection, and how far; 0 where the sample cannot be used. Detached if `si` is.
 
     It starts off the surface and aims from there: with the direction taken from the surface point, a lamp shadows itself.
     """
-    start = si.offset(light.d, epsilon)
-    reach = light.target - start
+    d = light.d.detach()
+    start = si.offset(d, epsilon)
+    reach = light.target.detach() - start
     squared = dot(reach, reach)
     shorter = torch.rsqrt(squared.clamp_min(TINY))
     aim, length = reach * shorter, squared * shorter * SHADOW_SHORTENING
     if light.distant is not None:
-        aim, length = where(light.distant, light.d, aim), torch.where(light.distant, FAR, length)
-    return Ray(start, aim), length * (light.pdf > 0).to(length.dtype)
-
-
-def area_density(proposal: SceneTensors, p: Vec3, target: Vec3, n: Vec3, prim: Tensor) -> tuple[Tensor, Tensor]:
-    """Whether a light's point faces `p`, and the density over solid angle of choosing it."""
-    reach = target - p
-    squared = dot(reach, reach)
-    cosine = -dot(reach, n) * torch.rsqrt(squared.clamp_min(TINY))
-    return cosine > 0, lookup(proposal.triangles.light_pdf, prim) * squared / cosine.abs().clamp_min(1e-9)
+        aim, length = where(light.distant, d, aim), torch.where(light.distant, FAR, length)
+    return Ray(start, aim), length * (light.pdf.detach() > 0).to(length.dtype)

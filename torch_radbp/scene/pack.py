@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import BSDF, Emitter, Texture
-from torch_radbp.sampling.alias import alias_table
+from torch_radbp.plugin import BSDF, Texture
+from torch_radbp.scene.light_table import Lamp, kinds_of, light_table
 from torch_radbp.scene.lookup import TextureBank
 from torch_radbp.scene.scene import Scene
-from torch_radbp.scene.tensors import AREA, CONSTANT, POINT, Layout, LightTable, MaterialTable, SceneTensors, TriangleTable
+from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors, TriangleTable
 from torch_radbp.shape.surface import Triangles
 from torch_radbp.texture.bitmap import WRAP_MODES
 from torch_radbp.texture.rgb import RGB
@@ -32,7 +32,7 @@ class BankBuilder:
 
     @property
     def has_bitmaps(self) -> bool:
-        return any(not isinstance(texture, RGB) for texture in self.textures)
+        return any(getattr(texture, "has_coordinates", not isinstance(texture, RGB)) for texture in self.textures)
 
     def build(self, dtype: torch.dtype, device: torch.device) -> TextureBank:
         textures = self.textures or [RGB(value=0.0)]
@@ -74,25 +74,21 @@ def pack(scene: Scene) -> SceneTensors:
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
     material = [row[id(shape.bsdf)] for shape in scene.shapes]
     emitted = [-1 if shape.emitter is None else radiance.add(shape.emitter.radiance) for shape in scene.shapes]
-    environment = [emitter for emitter in scene.emitters if emitter.type == "constant"]
-    points = [emitter for emitter in scene.emitters if emitter.type == "point"]
-    for emitter in environment + points:
-        radiance.add(emitter.radiance if emitter.type == "constant" else emitter.intensity)
+    lamps = [Lamp(emitter, radiance.add(emitter.radiated())) for emitter in scene.emitters if emitter.type != "area"]
     layout = Layout(
         shading_normals=any(surface.normals is not None for surface in surfaces),
         light_normals=any(surface.normals is not None and texture >= 0 for surface, texture in zip(surfaces, emitted)),
         back_sides=bool((materials.back >= 0).any()) if bsdfs else False,
         reflectance_bitmaps=reflectance.has_bitmaps, radiance_bitmaps=radiance.has_bitmaps,
-        area_lights=any(texture >= 0 for texture in emitted), constant_light=bool(environment),
-        point_lights=bool(points))
+        area_lights=any(texture >= 0 for texture in emitted), **kinds_of(lamps))
     needs_uv = layout.reflectance_bitmaps or layout.radiance_bitmaps
     triangles = triangle_table(surfaces, layout.shading_normals, needs_uv, dtype, device)
     repeats = torch.tensor(counts, device=device)
     triangles = triangles._replace(
         material=torch.tensor(material, dtype=torch.int32, device=device).repeat_interleave(repeats),
         radiance=torch.tensor(emitted, dtype=torch.int32, device=device).repeat_interleave(repeats))
-    lights, light_pdf = light_table(scene, triangles, counts, environment, points, radiance)
-    return SceneTensors(triangles._replace(light_pdf=light_pdf), materials, reflectance.build(dtype, device), lights,
+    triangles, lights = light_table(scene, triangles, counts, emitted, lamps)
+    return SceneTensors(triangles, materials, reflectance.build(dtype, device), lights,
                         radiance.build(dtype, device), layout)
 
 
@@ -157,40 +153,4 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, dtype: to
     none = torch.zeros(0, device=device)
     p0, e1, e2 = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     normal = torch.nn.functional.normalize(torch.linalg.cross(e1, e2), dim=-1)
-    return TriangleTable(Vec3.of(p0), Vec3.of(e1), Vec3.of(e2), Vec3.of(normal), *n, *st, none, none, none)
-
-
-def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], environment: list[Emitter],
-                points: list[Emitter], bank: BankBuilder) -> tuple[LightTable, Tensor]:
-    """The elements that next-event estimation picks from, and the density per area of every triangle, detached."""
-    p0 = triangles.p0.x
-    e1, e2 = triangles.e1.detach().stack(), triangles.e2.detach().stack()
-    area = 0.5 * torch.linalg.cross(e1, e2).norm(dim=-1)
-    total = sum(emitter.sampling_weight for emitter in scene.emitters)
-    light_pdf = torch.zeros_like(area)
-    weights, kind, prim, texture, position = [], [], [], [], []
-    first = 0
-    for shape, count in zip(scene.shapes, counts):
-        if shape.emitter is not None:
-            own = area[first:first + count]
-            light_pdf[first:first + count] = shape.emitter.sampling_weight / total / own.sum()
-            weights.append(own / own.sum() * shape.emitter.sampling_weight)
-            kind += [AREA] * count
-            prim += range(first, first + count)
-            texture += [bank.add(shape.emitter.radiance)] * count
-            position.append(e1.new_zeros(count, 3))
-        first += count
-    for emitter, light_kind in [(e, CONSTANT) for e in environment] + [(e, POINT) for e in points]:
-        weights.append(e1.new_full((1,), emitter.sampling_weight))
-        kind.append(light_kind)
-        prim.append(0)
-        texture.append(bank.add(emitter.radiance if light_kind == CONSTANT else emitter.intensity))
-        position.append(emitter.position.to(e1)[None] if light_kind == POINT else e1.new_zeros(1, 3))
-
-    def integers(values) -> Tensor:
-        return torch.tensor(values, dtype=torch.int32, device=p0.device)
-
-    surround = bank.add(environment[0].radiance) if environment else 0
-    surround_pmf = environment[0].sampling_weight / total if environment else 0.0
-    return LightTable(alias_table(torch.cat(weights)), integers(kind), integers(prim), integers(texture),
-                      Vec3.of(torch.cat(position).detach()), integers([surround]), e1.new_tensor([surround_pmf])), light_pdf
+    return TriangleTable(Vec3.of(p0), Vec3.of(e1), Vec3.of(e2), Vec3.of(normal), *n, *st, none, none, none, none)

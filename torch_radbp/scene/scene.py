@@ -39,9 +39,11 @@ class Scene(nn.Module):
             raise SceneError("the scene has no sensor: add <sensor type=\"perspective\">")
         if not self.emitters:
             raise SceneError("the scene has no emitter, so that every image is black: add an emitter of type area, "
-                             "constant or point")
-        if sum(emitter.type == "constant" for emitter in self.emitters) > 1:
-            raise SceneError("the scene has more than one constant emitter: add up their radiances in one")
+                             "constant, envmap, point, spot, projector or directional")
+        surrounds = [emitter.type for emitter in self.emitters if emitter.type in ("constant", "envmap")]
+        if len(surrounds) > 1:
+            raise SceneError(f"the scene has more than one constant or envmap emitter ({', '.join(surrounds)}): add up "
+                             "their radiances in one")
 
     def _add(self, name: str, child: Plugin) -> None:
         name = name.replace(".", "_")

@@ -8,10 +8,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.sampling.alias import AliasTable
+from torch_radbp.sampling.grid import GridDistribution
 from torch_radbp.scene.lookup import TextureBank
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.vec import Frame, Vec2, Vec3
 
-AREA, CONSTANT, POINT = 0, 1, 2  # kinds of light
+# Kinds of light; those from POINT on have a pose and no extent.
+AREA, CONSTANT, ENVIRONMENT, POINT, SPOT, PROJECTOR, DIRECTIONAL = range(7)
 
 
 class Layout(NamedTuple):
@@ -24,7 +26,21 @@ class Layout(NamedTuple):
     radiance_bitmaps: bool
     area_lights: bool
     constant_light: bool
+    environment_map: bool
     point_lights: bool
+    spots: bool
+    projectors: bool
+    directional_lights: bool
+
+    @property
+    def posed_lights(self) -> bool:
+        """Whether there are lights without extent."""
+        return self.point_lights or self.spots or self.projectors or self.directional_lights
+
+    @property
+    def distant_lights(self) -> bool:
+        """Whether there are lights that are directions rather than points."""
+        return self.constant_light or self.environment_map or self.directional_lights
 
 
 class TriangleTable(NamedTuple):
@@ -42,7 +58,8 @@ class TriangleTable(NamedTuple):
     uv2: Vec2 | None
     material: Tensor  # (T,) int32, row of `MaterialTable`
     radiance: Tensor  # (T,) int32, texture of the light bank; -1: emits nothing
-    light_pdf: Tensor  # (T,) density over area with which next-event estimation picks a point; 0 if none
+    light_pmf: Tensor  # (T,) probability with which next-event estimation picks it, detached; 0: emits nothing
+    inverse_area: Tensor  # (T,) 1 / area, attached; 0 of a triangle that emits nothing
 
 
 class MaterialTable(NamedTuple):
@@ -52,16 +69,40 @@ class MaterialTable(NamedTuple):
     back: Tensor  # (M,) int32, -1: black
 
 
+class PosedLights(NamedTuple):
+    """One row per light without extent; attached."""
+
+    place: Vec3  # (P,) position; of a directional light the unit direction towards it
+    to_local: Frame  # (P,) rows of the matrix from world directions to the light's, which shines along its +z
+    cutoff: Tensor  # (P,) angle where a spot ends, radians
+    sharpness: Tensor  # (P,) of a spot, 1 / width of the fall-off before that, 1 / radians
+    to_uv: Vec2  # (P,) factors from x / z and y / z to texture coordinates, around the middle
+
+
+class EnvironmentMap(NamedTuple):
+    """An image of the surroundings: R rows of texels, C columns; cells lie between the centres of four texels."""
+
+    to_local: Frame  # (1,) rows of the matrix from world directions to the image's; attached
+    to_world: Frame  # (1,) rows of its inverse, detached
+    rows: Tensor  # (1,) int32, R
+    columns: Tensor  # (1,) int32, C
+    pick: GridDistribution  # of the cells
+    density: Tensor  # (cells,) over the solid angle of local directions, with which they are picked
+    edges: Tensor  # (R,) sin^2(theta / 2) of the rows of texels, from pole to pole
+
+
 class LightTable(NamedTuple):
-    """What next-event estimation picks from: E elements (triangles of area lights, the surround, points)."""
+    """What next-event estimation picks from: E elements (triangles of area lights, the surround, lights with a pose)."""
 
     choice: AliasTable
-    kind: Tensor  # (E,) int32: AREA, CONSTANT or POINT
+    kind: Tensor  # (E,) int32: AREA, CONSTANT, ...
     prim: Tensor  # (E,) int32 triangle of an area light, else 0
+    pose: Tensor  # (E,) int32 row of `posed`, else 0
     radiance: Tensor  # (E,) int32 texture of the light bank
-    position: Vec3  # (E,) of a point light, else 0
+    posed: PosedLights | None  # None if there are none
     surround: Tensor  # (1,) int32 texture of the constant emitter, 0 if there is none
-    surround_pmf: Tensor  # (1,) probability of picking it
+    surround_pmf: Tensor  # (1,) probability of picking the constant emitter or the environment map
+    environment: EnvironmentMap | None
 
 
 class SceneTensors(NamedTuple):

@@ -1,0 +1,68 @@
+"""What the emitters hand to the tables of a scene: poses of lights without extent, and textures times a factor."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Texture
+from torch_radbp.texture.rgb import RGB, as_texture, check_range
+
+
+class LightPose(NamedTuple):
+    """Where a light without extent stands and how it spreads its light; attached."""
+
+    place: Tensor  # (3,) position; of a directional light the unit direction towards it
+    to_local: Tensor  # (3, 3) from world directions to those of the light, which shines along its +z
+    cone: Tensor  # (2,) of a spot: angle where it ends, and 1 / width of the fall-off before it, radians
+    to_uv: Tensor  # (2,) factors from x / z and y / z to texture coordinates, around the middle
+
+    @staticmethod
+    def at(place: Tensor, to_local: Tensor | None = None, cone: Tensor | None = None,
+           to_uv: Tensor | None = None) -> LightPose:
+        """A pose in which what is not given plays no part."""
+        return LightPose(place, torch.eye(3).to(place) if to_local is None else to_local,
+                         place.new_tensor([math.pi, 1.0]) if cone is None else cone,
+                         place.new_zeros(2) if to_uv is None else to_uv)
+
+
+class Scaled:
+    """A texture times a factor, one number or three; what a bank of textures needs to know of it."""
+
+    def __init__(self, texture: Texture, factor: Tensor):
+        self.texture, self.factor = texture, factor
+        self.has_coordinates = not isinstance(texture, RGB)
+        self.wrap_mode = getattr(texture, "wrap_mode", "repeat")
+        self.filter_type = getattr(texture, "filter_type", "nearest")
+        self.to_uv = getattr(texture, "to_uv", torch.eye(4))
+
+    def texels(self) -> Tensor:
+        """(H, W, 3) linear RGB, attached."""
+        return self.texture.texels() * self.factor
+
+
+def linear_inverse(name: str, matrix: Tensor) -> Tensor:
+    """(3, 3) from world to local directions of an affine (4, 4) pose, attached.
+
+    Raises:
+        ValueError: if the pose flattens space.
+    """
+    linear = matrix[:3, :3]
+    if torch.linalg.det(linear.detach().double()) == 0:
+        raise ValueError(f"{name} must be invertible, got a matrix with determinant 0")
+    return torch.linalg.inv(linear)
+
+
+def colour(name: str, value: Texture | Tensor | float, emitter: str) -> Texture:
+    """A texture that is one colour, at least 0.
+
+    Raises:
+        ValueError: if it is an image, or negative.
+    """
+    texture = check_range(name, as_texture(name, value))
+    if not isinstance(texture, RGB):
+        raise ValueError(f"{name} of a {emitter} emitter must be one number or an rgb, got a {texture.type}")
+    return texture

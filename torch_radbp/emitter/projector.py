@@ -1,0 +1,69 @@
+"""A point that projects an image."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torch_radbp.emitter.illumination import LightPose, Scaled, linear_inverse
+from torch_radbp.plugin import Emitter, Matrix4, Texture, nearest, positive, register
+from torch_radbp.sensor.perspective import FOV_AXES, diagonal_fov, horizontal_fov
+from torch_radbp.shape.surface import affine
+from torch_radbp.texture.rgb import as_texture, check_range
+
+
+@register("emitter", "projector")
+class Projector(Emitter):
+    """The reverse of a pinhole camera: throws an image along its local +z, as a camera there would see it.
+
+    A screen at distance 1 across the axis receives pi times `scale` times `irradiance` on the axis, as in Mitsuba.
+
+    Parameters: `to_world` (4, 4), `irradiance`, `scale` (). Derivatives: with respect to all; not for the edge of the image,
+    where light changes at once.
+
+    Args:
+        irradiance: the image; its resolution gives the aspect ratio (1 for a plain colour).
+        scale: multiplies it.
+        to_world: its scale does not count.
+        fov: degrees, along `fov_axis`. Either this or `focal_length`.
+        focal_length: such as "50mm", for 35 mm film.
+        fov_axis: x, y, diagonal, smaller or larger.
+    """
+
+    def __init__(self, *, irradiance: Texture | float = 1.0, scale: float = 1.0, to_world: Matrix4 | None = None,
+                 fov: float | None = None, focal_length: str | None = None, fov_axis: str = "x",
+                 sampling_weight: float = 1.0):
+        super().__init__()
+        self.irradiance = check_range("irradiance", as_texture("irradiance", irradiance))
+        if not 0 <= scale < math.inf:
+            raise ValueError(f"scale must be at least 0 and finite, got {scale}")
+        if fov_axis not in FOV_AXES:
+            raise ValueError(f"fov_axis {fov_axis!r} is not known; {nearest(fov_axis, FOV_AXES)}")
+        if fov is not None and focal_length is not None:
+            raise ValueError("give either fov or focal_length, not both")
+        if fov is None:
+            fov, fov_axis = diagonal_fov("50mm" if focal_length is None else focal_length), "diagonal"
+        if not 0 < fov < 180:
+            raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
+        self.fov = float(fov) if fov_axis == "x" else horizontal_fov(fov, fov_axis, self.aspect())
+        self.freeze("scale", torch.tensor(float(scale), dtype=torch.get_default_dtype()))
+        self.freeze("to_world", affine("to_world", to_world))
+        self.sampling_weight = positive("sampling_weight", sampling_weight)
+
+    fov_axis, focal_length = "x", None  # resolved into `fov`
+
+    def aspect(self) -> float:
+        """Width / height of the image."""
+        height, width = self.irradiance.texels().shape[:2]
+        return width / height
+
+    def radiated(self) -> Scaled:
+        """The texture that tells how much light there is: intensity along the axis."""
+        return Scaled(self.irradiance, self.scale * math.pi)
+
+    def pose(self) -> LightPose:
+        half = 0.5 / math.tan(math.radians(self.fov) / 2)
+        to_uv: Tensor = self.to_world.new_tensor([-half, -half * self.aspect()])
+        return LightPose.at(self.to_world[:3, 3], linear_inverse("to_world", self.to_world), to_uv=to_uv)

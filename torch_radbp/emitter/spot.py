@@ -1,0 +1,63 @@
+"""A point that emits a cone of light."""
+
+from __future__ import annotations
+
+import torch
+
+from torch_radbp.emitter.illumination import LightPose, Scaled, colour, linear_inverse
+from torch_radbp.plugin import Emitter, Matrix4, Texture, positive, register
+from torch_radbp.shape.surface import affine
+from torch_radbp.texture.rgb import as_texture, check_range
+
+
+@register("emitter", "spot")
+class Spot(Emitter):
+    """Emits `intensity` (W / sr) along its local +z, falling off linearly with the angle between beam width and cutoff.
+
+    Parameters: `to_world` (4, 4), `intensity`, `cutoff_angle`, `beam_width` (), `texture`. Derivatives: with respect to all.
+
+    Args:
+        intensity: in the beam.
+        cutoff_angle: degrees from the axis at which the light ends.
+        beam_width: degrees up to which it is at its full strength; three quarters of the cutoff by default.
+        texture: multiplies the intensity; covers the square around the cone, whose cutoff must be less than 90 degrees.
+        to_world: its scale does not count.
+    """
+
+    def __init__(self, *, intensity: Texture | float = 1.0, cutoff_angle: float = 20.0, beam_width: float | None = None,
+                 texture: Texture | None = None, to_world: Matrix4 | None = None, sampling_weight: float = 1.0):
+        super().__init__()
+        self.intensity = colour("intensity", intensity, self.type)
+        beam_width = 0.75 * cutoff_angle if beam_width is None else beam_width
+        if not 0 < cutoff_angle <= 180:
+            raise ValueError(f"cutoff_angle must be more than 0 and at most 180 degrees, got {cutoff_angle}")
+        if not 0 <= beam_width < cutoff_angle:
+            raise ValueError(f"beam_width must be at least 0 and less than the cutoff_angle of {cutoff_angle} degrees, got "
+                             f"{beam_width}")
+        if texture is not None and not cutoff_angle < 90:
+            raise ValueError(f"cutoff_angle must be less than 90 degrees for a spot with a texture, got {cutoff_angle}")
+        texture = None if texture is None else check_range("texture", as_texture("texture", texture))
+        self.add_module("texture", texture)
+        dtype = torch.get_default_dtype()
+        self.freeze("cutoff_angle", torch.tensor(float(cutoff_angle), dtype=dtype))
+        self.freeze("beam_width", torch.tensor(float(beam_width), dtype=dtype))
+        self.freeze("to_world", affine("to_world", to_world))
+        self.sampling_weight = positive("sampling_weight", sampling_weight)
+
+    def radiated(self) -> Texture | Scaled:
+        """The texture that tells how much light there is."""
+        return self.intensity if self.texture is None else Scaled(self.texture, self.intensity.value)
+
+    def pose(self) -> LightPose:
+        """Attached.
+
+        Raises:
+            ValueError: if an optimiser has moved the angles past each other.
+        """
+        cutoff, beam = torch.deg2rad(self.cutoff_angle), torch.deg2rad(self.beam_width)
+        if not bool(self.beam_width < self.cutoff_angle):
+            raise ValueError(f"beam_width must be less than cutoff_angle, got {float(self.beam_width)} and "
+                             f"{float(self.cutoff_angle)} degrees")
+        to_uv = None if self.texture is None else (0.5 / torch.tan(cutoff)).expand(2)
+        return LightPose.at(self.to_world[:3, 3], linear_inverse("to_world", self.to_world),
+                            torch.stack([cutoff, 1.0 / (cutoff - beam)]), to_uv)

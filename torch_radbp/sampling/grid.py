@@ -1,0 +1,66 @@
+"""A discrete distribution over the cells of a grid, sampled by two binary searches."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class GridSample(NamedTuple):
+    """A cell per lane, and where in it."""
+
+    row: Tensor  # (N,) int64
+    column: Tensor  # (N,) int64
+    down: Tensor  # (N,) in [0, 1], uniform: what is left of the number that picked the row
+    across: Tensor  # (N,) likewise, of the column
+
+
+class GridDistribution(NamedTuple):
+    """Probabilities of R x C cells: first a row, then a cell of it. The tables are float64 whatever the scene's dtype.
+
+    `cells` is one sorted table for all rows, so that one search serves lanes in different rows: the number of the row plus
+    the cumulative probability in it.
+    """
+
+    rows: Tensor  # (R + 1,) cumulative probability of the rows above
+    cells: Tensor  # (1 + R C,) 0, then row + cumulative probability in the row up to and with the cell
+
+    def sample(self, u: Tensor, v: Tensor) -> GridSample:
+        """Cells for uniform numbers `u` (rows) and `v` (columns) in [0, 1), (N,)."""
+        count = self.rows.shape[0] - 1
+        columns = (self.cells.shape[0] - 1) // count
+        u, v = u.to(self.rows.dtype), v.to(self.rows.dtype)
+        row = (torch.searchsorted(self.rows, u, right=True) - 1).clamp_max(count - 1)
+        above, below = self.rows.index_select(0, row), self.rows.index_select(0, row + 1)
+        v = v + row
+        # The end of a row is the start of the next: what is left of a cell stands before it, in its row or not.
+        cell = (torch.searchsorted(self.cells, v, right=True) - 1).clamp_max(count * columns - 1)
+        left, right = self.cells.index_select(0, cell), self.cells.index_select(0, cell + 1)
+        return GridSample(row, cell - row * columns, within(u, above, below), within(v, left, right))
+
+
+def within(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """How far `u` lies between two bounds, 0 to 1."""
+    return ((u - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
+
+
+def grid_distribution(weights: Tensor) -> tuple[GridDistribution, Tensor]:
+    """The distribution in proportion to weights, and the probability of every cell.
+
+    Args:
+        weights: (R, C), not negative, not all zero.
+
+    Returns:
+        The distribution, and its (R C,) float64 probabilities.
+    """
+    weights = weights.detach().to(torch.float64)
+    inside = weights.cumsum(1)
+    total = inside[:, -1:]
+    rows = torch.nn.functional.pad(total[:, 0].cumsum(0), (1, 0))
+    # A row that is never picked gets any increasing table.
+    inside = torch.where(total > 0, inside / total.clamp_min(1e-300), 1.0)
+    first = torch.arange(len(weights), dtype=torch.float64, device=weights.device)[:, None]
+    cells = torch.nn.functional.pad((inside + first).reshape(-1), (1, 0))
+    return GridDistribution(rows / rows[-1], cells), (weights / rows[-1]).reshape(-1)

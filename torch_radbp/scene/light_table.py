@@ -1,0 +1,153 @@
+"""The emitters of a scene as tables: what next-event estimation picks from, poses, and the environment map."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.emitter.envmap import Envmap
+from torch_radbp.emitter.illumination import linear_inverse
+from torch_radbp.plugin import Emitter
+from torch_radbp.sampling.alias import alias_table
+from torch_radbp.sampling.grid import grid_distribution
+from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.tensors import (
+    AREA,
+    CONSTANT,
+    DIRECTIONAL,
+    ENVIRONMENT,
+    POINT,
+    PROJECTOR,
+    SPOT,
+    EnvironmentMap,
+    LightTable,
+    PosedLights,
+    TriangleTable,
+)
+from torch_radbp.vec import Frame, Vec2, Vec3
+
+KINDS = {"constant": CONSTANT, "envmap": ENVIRONMENT, "point": POINT, "spot": SPOT, "projector": PROJECTOR,
+         "directional": DIRECTIONAL}
+FLAGS = {CONSTANT: "constant_light", ENVIRONMENT: "environment_map", POINT: "point_lights", SPOT: "spots",
+         PROJECTOR: "projectors", DIRECTIONAL: "directional_lights"}
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear RGB, ITU-R BT.709
+
+
+class Lamp(NamedTuple):
+    """An emitter that belongs to no shape."""
+
+    emitter: Emitter
+    texture: int  # in the light bank
+
+    @property
+    def kind(self) -> int:
+        return KINDS[self.emitter.type]
+
+
+def kinds_of(lamps: list[Lamp]) -> dict[str, bool]:
+    """The flags of `Layout` for lights that belong to no shape."""
+    found = {lamp.kind for lamp in lamps}
+    return {flag: kind in found for kind, flag in FLAGS.items()}
+
+
+def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitted: list[int],
+                lamps: list[Lamp]) -> tuple[TriangleTable, LightTable]:
+    """The elements that next-event estimation picks from.
+
+    Args:
+        scene: its shapes and emitters.
+        triangles: of all shapes, attached.
+        counts: triangles of each shape.
+        emitted: texture of the light bank of each shape, -1 if it emits nothing.
+        lamps: the other emitters.
+
+    Returns:
+        The triangles, with the columns about lights, and the table of lights.
+    """
+    area = 0.5 * torch.linalg.vector_norm(torch.linalg.cross(triangles.e1.stack(), triangles.e2.stack()), dim=-1)
+    total = sum(emitter.sampling_weight for emitter in scene.emitters)
+    pmf = torch.zeros_like(area)
+    weights, kind, prim, texture, first = [], [], [], [], 0
+    for shape, count, own_texture in zip(scene.shapes, counts, emitted):
+        if own_texture >= 0:
+            own = area[first:first + count].detach()
+            weights.append(own / own.sum() * shape.emitter.sampling_weight)
+            pmf[first:first + count] = weights[-1] / total
+            kind += [AREA] * count
+            prim += range(first, first + count)
+            texture += [own_texture] * count
+        first += count
+    posed = [lamp for lamp in lamps if lamp.kind >= POINT]
+    pose = [0] * len(kind)
+    for lamp in lamps:
+        weights.append(area.new_full((1,), lamp.emitter.sampling_weight))
+        kind.append(lamp.kind)
+        prim.append(0)
+        texture.append(lamp.texture)
+        pose.append(posed.index(lamp) if lamp.kind >= POINT else 0)
+    surround = next((lamp for lamp in lamps if lamp.kind in (CONSTANT, ENVIRONMENT)), None)
+
+    def integers(*values: int) -> Tensor:
+        return torch.tensor(values, dtype=torch.int32, device=area.device)
+
+    environment = None
+    if surround is not None and surround.kind == ENVIRONMENT:
+        environment = environment_map(surround.emitter, area)
+    table = LightTable(
+        choice=alias_table(torch.cat(weights)), kind=integers(*kind), prim=integers(*prim), pose=integers(*pose),
+        radiance=integers(*texture), posed=posed_lights(posed, area) if posed else None,
+        surround=integers(0 if surround is None else surround.texture),
+        surround_pmf=area.new_tensor([0.0 if surround is None else surround.emitter.sampling_weight / total]),
+        environment=environment)
+    # A triangle without area is never picked, and must not make others infinite.
+    picked = pmf > 0
+    inverse_area = torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0)
+    return triangles._replace(light_pmf=pmf, inverse_area=inverse_area), table
+
+
+def posed_lights(lamps: list[Lamp], like: Tensor) -> PosedLights:
+    """The rows of the lights without extent, attached."""
+    place, to_local, cone, to_uv = (torch.stack(column).to(like) for column in zip(*(lamp.emitter.pose() for lamp in lamps)))
+    cutoff, sharpness = (column.contiguous() for column in cone.unbind(1))
+    return PosedLights(Vec3.of(place), rows_of(to_local), cutoff, sharpness, Vec2.of(to_uv))
+
+
+def rows_of(matrix: Tensor) -> Frame:
+    """The rows of (P, 3, 3) matrices, so that `Frame.to_local` multiplies by them."""
+    return Frame(*(Vec3.of(row) for row in matrix.unbind(1)))
+
+
+def environment_map(emitter: Envmap, like: Tensor) -> EnvironmentMap:
+    """The tables of an environment map: its pose, and the distribution of the cells between its texels.
+
+    A cell is picked in proportion to its solid angle and to the mean luminance of its corners, which is that of the
+    interpolated image; inside of a cell, directions are uniform over solid angle. A black cell is never picked, nor does it
+    send light; derivatives of its texels come from BSDF sampling. A map that is black altogether is picked uniformly.
+
+    Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section 12.5.
+    """
+    data = emitter.data.detach().to(like)
+    rows, columns = data.shape[:2]
+    half = torch.linspace(0, math.pi / 2, max(rows, 2), dtype=torch.float64, device=like.device)
+    edges = torch.sin(half) ** 2
+    solid_angle = ((4 * math.pi / columns) * edges.diff()[:, None]).to(like)
+    luminance = data.abs() @ like.new_tensor(LUMINANCE)
+    luminance = luminance.expand(max(rows, 2), columns)
+    luminance = luminance[:-1] + luminance[1:]
+    luminance = luminance + luminance.roll(-1, 1)
+    if emitter.mis_compensation:
+        average = (luminance * solid_angle).sum() / (4 * math.pi)
+        luminance = (luminance - average * (1 + 1e-6)).clamp_min(0.0)  # a map of one value has nothing above it
+    luminance = torch.where(luminance.amax() > 0, luminance, 1.0)
+    pick, pmf = grid_distribution(luminance * solid_angle)
+    name = "to_world of the envmap"
+    density = (pmf.reshape(-1, columns) / solid_angle).reshape(-1)
+    integer = {"dtype": torch.int32, "device": like.device}
+    return EnvironmentMap(
+        to_local=rows_of(linear_inverse(name, emitter.to_world)[None].to(like)),
+        to_world=rows_of(emitter.to_world.detach()[None, :3, :3].to(like)),
+        rows=torch.tensor([rows], **integer), columns=torch.tensor([columns], **integer), pick=pick,
+        density=density.to(like), edges=edges.to(like))
