@@ -7,14 +7,18 @@ bounces, chunks and iterations share one compiled function.
 from __future__ import annotations
 
 import functools
+import hashlib
 import sys
 import time
+import typing
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from torch.utils._pytree import tree_flatten
 
+from torch_radbp import vec
 from torch_radbp.adjoint.sweep import bounce_adjoint
 from torch_radbp.path import PathState, bounce, sample_camera
 
@@ -22,7 +26,10 @@ from torch_radbp.path import PathState, bounce, sample_camera
 FEWEST_LANES = 64
 
 # Indices into tables are right by construction.
-INDUCTOR_OPTIONS = {"assert_indirect_indexing": False}
+# Products of a vector and a tensor stay in Dynamo's graph as they are: what is compiled depends on the code of the vectors.
+VECTORS = {f"{kind.__module__}.{kind.__name__}": hashlib.sha256(Path(vec.__file__).read_bytes()).hexdigest()
+           for kind in (vec.Vec2, vec.Vec3)}
+INDUCTOR_OPTIONS = {"assert_indirect_indexing": False, "unsafe_marked_cacheable_functions": VECTORS}
 # Derivatives are taken inside a compiled function; Python numbers are constants of the integrand, not inputs.
 DYNAMO_OPTIONS = {"trace_autograd_ops": True, "specialize_float": True}
 
@@ -49,7 +56,13 @@ class CompiledStage:
 
     def __init__(self, stage: Callable):
         self.stage = stage
-        self.fast = torch.compile(stage, dynamic=True, fullgraph=True, options=INDUCTOR_OPTIONS)
+        self.returns = typing.get_type_hints(stage)["return"]
+
+        @functools.wraps(stage)
+        def plain_stage(*arguments):
+            return plain(stage(*arguments))
+
+        self.compiled = torch.compile(plain_stage, dynamic=True, fullgraph=True, options=INDUCTOR_OPTIONS)
         self.met: set = set()
 
     def __call__(self, *arguments):
@@ -65,6 +78,35 @@ class CompiledStage:
             print(f" {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
             self.met.add(case)
             return result
+
+
+    def fast(self, *arguments):
+        return typed(self.returns, self.compiled(*arguments))
+
+
+def plain(value):
+    """`value` with plain tuples for named ones: torch keeps no compiled function on disk that makes others."""
+    if isinstance(value, (tuple, list)):
+        return tuple(plain(part) for part in value)
+    return value
+
+
+def typed(kind, value):
+    """The inverse of `plain`, for a value of the annotated type `kind`."""
+    arguments = typing.get_args(kind)
+    if typing.get_origin(kind) is list:
+        return [typed(arguments[0], part) for part in value]
+    if typing.get_origin(kind) is tuple:
+        return tuple(typed(part_kind, part) for part_kind, part in zip(arguments, value))
+    if hasattr(kind, "_fields"):
+        return kind(*(typed(hint, part) for hint, part in zip(hints_of(kind), value)))
+    return value
+
+
+@functools.cache
+def hints_of(kind) -> tuple:
+    """The annotated types of a named tuple's fields."""
+    return tuple(typing.get_type_hints(kind).values())
 
 
 def lanes_of(arguments: tuple) -> int:
