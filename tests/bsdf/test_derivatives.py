@@ -103,3 +103,25 @@ def test_probability_of_the_choice(name):
 def test_specular_weights(name):
     setting = Setting(name)
     setting.check(lambda values, wi: setting.kind.specular(values, wi, setting.choice), setting.wi)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_forward_mode_is_the_transpose_of_reverse_mode(name):
+    setting = Setting(name)
+    kind, random, generator = setting.kind, setting.random, torch.Generator().manual_seed(5)
+
+    def everything(*leaves):
+        values, wi = setting.unpack(leaves)
+        wo = kind.sample(values, wi, setting.choice, random.u, random.v)
+        lobe = kind.specular(values, wi, setting.choice) if kind.delta else kind.eval(values, wi, wo)
+        rest = kind.pdf(values, wi, wo), kind.probability(values, wi, wo, setting.choice)
+        return torch.stack([*wo, *lobe, *rest])
+
+    leaves = tuple(leaf.detach() for leaf in setting.leaves(setting.wi))
+    tangents = tuple(torch.randn(COUNT, generator=generator, dtype=torch.float64) for _ in leaves)
+    output, forwards = torch.func.jvp(everything, leaves, tangents)
+    cotangent = torch.randn(output.shape, generator=generator, dtype=torch.float64) / (1 + forwards.abs())
+    adjoints = torch.func.vjp(everything, *leaves)[1](cotangent)
+    expected = sum((t * a).sum() for t, a in zip(tangents, adjoints))
+    assert expected.abs() > 0
+    torch.testing.assert_close((cotangent * forwards).sum(), expected, rtol=1e-9, atol=1e-9)

@@ -99,7 +99,7 @@ class Dielectric(BSDF):
     @property
     def int_ior(self) -> float:
         """Index of refraction inside, as `eta` has it now."""
-        return float(self.eta) * self.ext_ior
+        return float(self.eta.detach()) * self.ext_ior
 
     def kind(self) -> DielectricKind:
         """The scattering functions."""

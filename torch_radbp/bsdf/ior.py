@@ -1,11 +1,12 @@
 """Indices of refraction of named materials, and the attributes of plugins that give one.
 
-Dielectrics: at the sodium line, 589.3 nm, 20 degrees Celsius where it matters; the figures of the "List of refractive
-indices" of Wikipedia, after CRC Handbook of Chemistry and Physics, that Mitsuba's documentation has too.
+All figures are those that Mitsuba 3.9.1 shows for the name, so that one scene gives one image in both:
 
-Conductors: measured spectra (Palik 1985, "Handbook of Optical Constants of Solids", and the SOPRA database) as linear sRGB.
-The figures are those that Mitsuba 3.9.1 shows in its RGB modes, so that one scene gives one image:
-`mi.traverse(mi.load_dict({"type": "conductor", "material": name}))`.
+    mi.traverse(mi.load_dict({"type": "dielectric", "int_ior": name, "ext_ior": "vacuum"}))["eta"]
+    mi.traverse(mi.load_dict({"type": "conductor", "material": name}))
+
+Dielectrics have the index of visible light that tables of physical constants give. Conductors have measured spectra (such
+as those of Palik 1985, "Handbook of Optical Constants of Solids") as `scalar_rgb` turns them into linear sRGB.
 """
 
 from __future__ import annotations

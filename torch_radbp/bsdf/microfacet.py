@@ -39,15 +39,18 @@ from torch_radbp.vec import TINY, Vec2, Vec3, dot, normalize
 SMALLEST_ALPHA = 1e-4  # as Mitsuba: below this a surface counts as this rough
 SMALLEST_COSINE = 1e-5  # of a microfacet normal; Beckmann's density is zero long before
 SMALLEST_HALF_VECTOR = 1e-14  # squared
-LEAST_NUMBER = 2.0**-25  # random numbers are multiples of 2^-24; below and above, normal variates would be infinite
+LEAST_NUMBER = 2.0**-25  # random numbers are multiples of 2^-24
 SQRT_PI = math.sqrt(math.pi)
 
 
 def half_vector(h: Vec3) -> tuple[Vec3, Tensor]:
-    """The unit vector along `h` on the side of the normal, and the squared length of `h`."""
-    squared = dot(h, h).clamp_min(SMALLEST_HALF_VECTOR)
+    """The unit vector along `h` on the side of the normal, and the squared length of `h`; the normal where h vanishes."""
+    squared = dot(h, h)
+    vanishes = (squared < SMALLEST_HALF_VECTOR).to(h.z.dtype)
+    squared = squared.clamp_min(SMALLEST_HALF_VECTOR)
     sign = 1.0 - 2.0 * (h.z < 0).to(h.z.dtype)
-    return h * (sign * torch.rsqrt(squared)), squared
+    scale = sign * torch.rsqrt(squared) * (1.0 - vanishes)
+    return Vec3(h.x * scale, h.y * scale, h.z * scale + vanishes), squared
 
 
 class GGX(NamedTuple):
@@ -60,7 +63,7 @@ class GGX(NamedTuple):
         """Area of microfacets with normal `m` per area of the surface and solid angle of m."""
         x, y = m.x / self.alpha_u, m.y / self.alpha_v
         stretched = x * x + y * y + m.z * m.z
-        return 1.0 / (math.pi * self.alpha_u * self.alpha_v * (stretched * stretched).clamp_min(TINY))
+        return 1.0 / (math.pi * self.alpha_u * self.alpha_v * stretched * stretched)
 
     def projected_area(self, w: Vec3) -> Tensor:
         """Area of microfacets that `w`, above the surface, sees: cos / G1. Positive."""
@@ -109,7 +112,7 @@ class Beckmann(NamedTuple):
     def sample_visible(self, w: Vec3, u: Tensor, v: Tensor) -> Vec3:
         """Microfacet normals with density `density` <w, m> / `projected_area`; w on or above the horizon."""
         z, t, e = polar(self, w)
-        s = Vec2(normal_variate(u), normal_variate(v))
+        s = normal_variates(u, v)
         shift = visible_shift(s.x * e.x + s.y * e.y, z, t)
         x, y = s.x + shift * e.x, s.y + shift * e.y
         return normalize(Vec3(-self.alpha_u * x, -self.alpha_v * y, torch.ones_like(x)))
@@ -182,9 +185,13 @@ def solve_visible_slope(p: Tensor, below: Tensor, target: Tensor, z: Tensor, t: 
     return q
 
 
-def normal_variate(u: Tensor) -> Tensor:
-    """A number with density exp(-x^2) / sqrt(pi)."""
-    return torch.erfinv(2.0 * u.clamp(LEAST_NUMBER, 1.0 - 2.0**-24) - 1.0)
+def normal_variates(u: Tensor, v: Tensor) -> Vec2:
+    """Two numbers, each with density exp(-x^2) / sqrt(pi).
+
+    Reference: Box and Muller 1958, "A Note on the Generation of Random Normal Deviates".
+    """
+    radius, phi = torch.sqrt(-torch.log1p(-u)), 2.0 * math.pi * v
+    return Vec2(radius * torch.cos(phi), radius * torch.sin(phi))
 
 
 def check_distribution(distribution: str, sample_visible: bool) -> str:

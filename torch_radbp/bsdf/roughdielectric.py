@@ -39,6 +39,11 @@ class RoughDielectricKind(Kind):
 
     Where a microfacet reflects below the horizon or refracts above it, `sample` returns a direction on the horizon, for
     which `eval` and `pdf` are zero: there the light is lost between microfacets.
+
+    What is not smooth. A GGX surface has microfacets seen edge-on, of density alpha^2 / pi, and refraction by them ends
+    abruptly where the half vector crosses the horizon; derivatives that hold directions fixed (detached) miss that jump,
+    those that follow the microfacet (attached) do not. And next to the critical angle the derivative of the transmittance
+    is so much greater than the transmittance that choosing by it gives derivatives without finite variance.
     """
 
     distribution: str
