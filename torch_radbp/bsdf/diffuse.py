@@ -2,12 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from torch import Tensor
 
+from torch_radbp.bsdf.kind import Choice, Kind, Values, reflects
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
 from torch_radbp.texture.rgb import as_texture, check_range
 from torch_radbp.vec import Vec3
+
+
+@dataclass(frozen=True)
+class DiffuseKind(Kind):
+    """Values: reflectance."""
+
+    @property
+    def slots(self) -> int:
+        return 1
+
+    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
+        return values[0] * self.pdf(values, wi, wo)
+
+    def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
+        return cosine_hemisphere_pdf(wo) * reflects(wi, wo)
+
+    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+        return square_to_cosine_hemisphere(u, v)
 
 
 @register("bsdf", "diffuse")
@@ -20,6 +41,14 @@ class Diffuse(BSDF):
     def __init__(self, *, reflectance: Texture | float = 0.5):
         super().__init__()
         self.reflectance = check_range("reflectance", as_texture("reflectance", reflectance), upper=1.0)
+
+    def kind(self) -> DiffuseKind:
+        """The scattering functions."""
+        return DiffuseKind()
+
+    def textures(self) -> tuple[Texture, ...]:
+        """What the functions take, in order."""
+        return (self.reflectance,)
 
     @staticmethod
     def eval(reflectance: Vec3, wi: Vec3, wo: Vec3) -> Vec3:

@@ -1,0 +1,88 @@
+"""Materials on lanes of directions, for the tests."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.kind import Choice, Kind, Values
+from torch_radbp.plugin import BSDF, REGISTRY
+from torch_radbp.vec import Vec3
+
+
+def material(description: dict) -> BSDF:
+    """The plugin that a dict of Mitsuba's vocabulary describes."""
+    description = dict(description)
+    return REGISTRY["bsdf"][description.pop("type")](**description).double()
+
+
+def values_of(bsdf: BSDF, like: Tensor) -> Values:
+    """The values of a material of constant textures on every lane, attached to its parameters."""
+    return tuple(Vec3.of(texture.texels().reshape(3).to(like).expand(len(like), 3)) for texture in bsdf.textures())
+
+
+class Numbers(NamedTuple):
+    """Random numbers of a lane."""
+
+    choice: Tensor
+    u: Tensor
+    v: Tensor
+
+
+def numbers(count: int, seed: int = 7, dtype=torch.float64) -> Numbers:
+    """Uniform in [0, 1), multiples of 2^-24 as in the tracer."""
+    generator = torch.Generator().manual_seed(seed)
+    return Numbers(*(torch.randint(2**24, (3, count), generator=generator).to(dtype) / 2**24).unbind())
+
+
+def directions(count: int, seed: int = 0, dtype=torch.float64) -> Vec3:
+    """Uniform on the sphere."""
+    d = np.random.default_rng(seed).normal(size=(count, 3))
+    return Vec3.of(torch.from_numpy(d / np.linalg.norm(d, axis=1, keepdims=True)).to(dtype))
+
+
+def direction(z: float, phi: float, count: int, dtype=torch.float64) -> Vec3:
+    """The same direction on every lane."""
+    r = np.sqrt(max(1.0 - z * z, 0.0))
+    return Vec3(*(torch.full((count,), float(c), dtype=dtype) for c in (r * np.cos(phi), r * np.sin(phi), z)))
+
+
+class Sampled(NamedTuple):
+    """What a vertex samples."""
+
+    choice: Choice
+    wo: Vec3
+
+
+def sampled(kind: Kind, values: Values, wi: Vec3, random: Numbers) -> Sampled:
+    """Choice and direction."""
+    choice = kind.choose(values, wi, *random)
+    return Sampled(choice, kind.sample(values, wi, choice, random.u, random.v))
+
+
+# One material of every kind and option, none of them special.
+MATERIALS = {
+    "diffuse": {"type": "diffuse", "reflectance": [0.2, 0.5, 0.9]},
+    "conductor": {"type": "conductor", "material": "Au", "specular_reflectance": [0.9, 0.6, 0.8]},
+    "dielectric": {"type": "dielectric", "int_ior": 1.5, "specular_reflectance": [0.9, 0.5, 0.7],
+                   "specular_transmittance": [0.4, 0.9, 0.6]},
+    "thin": {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.33},
+}
+for _name in ("beckmann", "ggx"):
+    _rough = {"distribution": _name, "alpha": 0.3}
+    _brushed = {"distribution": _name, "alpha_u": 0.15, "alpha_v": 0.6}
+    _glass = {"int_ior": 1.5, "specular_reflectance": [0.9, 0.5, 0.7], "specular_transmittance": [0.4, 0.9, 0.6]}
+    MATERIALS |= {
+        f"metal {_name}": {"type": "roughconductor", **_rough, "material": "Cu", "specular_reflectance": [0.9, 0.6, 0.8]},
+        f"brushed metal {_name}": {"type": "roughconductor", **_brushed, "eta": [1.5, 0.2, 0.9], "k": [0.0, 3.0, 1.0]},
+        f"glass {_name}": {"type": "roughdielectric", **_rough, **_glass},
+        f"brushed glass {_name}": {"type": "roughdielectric", **_brushed, "int_ior": "diamond"},
+        f"bubble {_name}": {"type": "roughdielectric", **_rough, "int_ior": 1.0, "ext_ior": 1.33},
+    }
+DELTA = [name for name, description in MATERIALS.items() if description["type"] in ("conductor", "dielectric")]
+SMOOTH = [name for name in MATERIALS if name not in DELTA]
+ROUGH = [name for name in SMOOTH if name != "diffuse"]
+GLASS = [name for name in ROUGH if MATERIALS[name]["type"] == "roughdielectric"]

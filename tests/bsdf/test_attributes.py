@@ -1,0 +1,128 @@
+"""What the constructors accept, what they call their parameters, and what they hand to the tracer."""
+
+import copy
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.bsdf.lanes import MATERIALS, material
+from tests.io.documents import scene_dict
+from torch_radbp.bsdf.conductor import Conductor
+from torch_radbp.bsdf.dielectric import Dielectric
+from torch_radbp.bsdf.roughconductor import RoughConductor
+from torch_radbp.bsdf.roughdielectric import RoughDielectric
+from torch_radbp.scene.pack import BankBuilder
+from torch_radbp.texture.bitmap import Bitmap
+
+BAD = {
+    "unknown metal": (Conductor, {"material": "Ag2"}, "material 'Ag2' is not known.*did you mean 'Ag'"),
+    "metal and index": (Conductor, {"material": "Ag", "k": 2.0}, "either material or eta and k, got material 'Ag' and k"),
+    "negative k": (RoughConductor, {"k": -1.0}, "k must be at least 0, got -1"),
+    "bright mirror": (Conductor, {"specular_reflectance": 1.5}, r"specular_reflectance must be in \[0, 1\], got 1.5"),
+    "unknown glass": (Dielectric, {"int_ior": "bk8"}, "int_ior 'bk8' is not known.*did you mean 'bk7'"),
+    "no index": (Dielectric, {"ext_ior": 0.0}, "ext_ior must be greater than 0 and finite, got 0"),
+    "nan": (RoughDielectric, {"int_ior": float("nan")}, "int_ior must be greater than 0 and finite, got nan"),
+    "equal indices": (RoughDielectric, {"int_ior": "water", "ext_ior": 1.333}, "int_ior and ext_ior must differ"),
+    "unknown distribution": (RoughConductor, {"distribution": "phong"}, "distribution 'phong' is not known.*beckmann, ggx"),
+    "hidden normals": (RoughDielectric, {"sample_visible": False}, "sample_visible must be true"),
+    "half of a roughness": (RoughConductor, {"alpha_u": 0.1}, "alpha_u and alpha_v must be given both"),
+    "three roughnesses": (RoughDielectric, {"alpha": 0.1, "alpha_u": 0.1, "alpha_v": 0.1}, "either alpha, or alpha_u and"),
+    "negative roughness": (RoughConductor, {"alpha": -0.1}, "alpha must be at least 0, got -0.1"),
+}
+
+
+@pytest.mark.parametrize("cls, attributes, message", BAD.values(), ids=BAD)
+def test_bad_attributes_are_named(cls, attributes, message):
+    with pytest.raises(ValueError, match=message):
+        cls(**attributes)
+
+
+def test_defaults_are_those_of_mitsuba():
+    """Recorded from `mi.traverse(mi.load_dict({"type": ...}))`."""
+    def figures(bsdf):
+        return {name: round(value.item(), 5) for name, value in bsdf.named_parameters()}
+
+    mirror = {"eta.value": 0.0, "k.value": 1.0, "specular_reflectance.value": 1.0}
+    assert figures(Conductor()) == mirror
+    assert figures(RoughConductor()) == {"alpha.value": 0.1, **mirror}
+    glass = {"eta": 1.50418, "specular_reflectance.value": 1.0, "specular_transmittance.value": 1.0}
+    assert figures(Dielectric()) == glass
+    assert figures(RoughDielectric()) == {"alpha.value": 0.1, **glass}
+    assert RoughConductor().distribution == RoughDielectric().distribution == "beckmann"
+    assert not any(p.requires_grad for bsdf in (Dielectric(), RoughConductor()) for p in bsdf.parameters())
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_a_kind_is_a_hashable_value_and_counts_its_textures(name):
+    one, other = material(MATERIALS[name]), material(MATERIALS[name])
+    assert one.kind() == other.kind() and hash(one.kind()) == hash(other.kind())
+    assert len(one.textures()) == one.kind().slots
+    assert all(a is b for a, b in zip(one.textures(), one.textures()))  # what a table of textures is keyed by
+
+
+def test_kinds_differ_by_their_options():
+    kinds = [material(description).kind() for description in MATERIALS.values()]
+    # Diffuse, conductor, dielectric, and two rough ones in two distributions, round or brushed.
+    assert len(set(kinds)) == 3 + 2 * 2 * 2
+
+
+def test_the_index_of_glass_is_one_parameter_with_a_gradient():
+    glass = Dielectric(int_ior=1.5, ext_ior=1.0).double()
+    glass.eta.requires_grad_()
+    bank = BankBuilder()
+    index = bank.add(glass.textures()[0])
+    texels = bank.build(torch.float64, torch.device("cpu")).texels
+    assert not bank.has_bitmaps
+    gradient, = torch.autograd.grad(texels.x[index] * 3, glass.eta)
+    assert gradient.shape == () and gradient == 3
+    replaced = torch.func.functional_call(_Texel(glass), {"glass.eta": torch.tensor(2.0)}, ())
+    assert replaced == 2
+    twin = copy.deepcopy(glass)
+    with torch.no_grad():
+        twin.eta.fill_(1.25)
+    assert twin.textures()[0].texels()[0, 0, 0] == 1.25 and glass.textures()[0].texels()[0, 0, 0] == 1.5
+    assert twin.int_ior == 1.25
+
+
+class _Texel(torch.nn.Module):
+    def __init__(self, glass):
+        super().__init__()
+        self.glass = glass
+
+    def forward(self):
+        return self.glass.textures()[0].texels()[0, 0, 0]
+
+
+def test_textures_may_stand_for_every_number_but_the_index():
+    image = Bitmap(data=torch.full((2, 3, 3), 0.2))
+    rough = RoughConductor(alpha=image, eta=image, k=image, specular_reflectance=image)
+    assert rough.textures() == (image,) * 4
+    brushed = RoughDielectric(alpha_u=image, alpha_v=0.3, specular_transmittance=image)
+    assert brushed.textures()[0] is image and brushed.kind().anisotropic
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_the_loader_knows_the_materials(name):
+    """By the schema alone: numbers, colours, names."""
+    description = {key: {"type": "rgb", "value": value} if isinstance(value, list) else value
+                   for key, value in MATERIALS[name].items()}
+    scene = rb.load_dict(scene_dict(it=description, ball={"type": "disk", "bsdf": {"type": "ref", "id": "it"}}))
+    expected = material(MATERIALS[name]).float()
+    for key, value in expected.named_parameters():
+        torch.testing.assert_close(scene.get_parameter(f"it.{key}"), value)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_a_saved_material_is_the_same(name, tmp_path):
+    description = {key: {"type": "rgb", "value": value} if isinstance(value, list) else value
+                   for key, value in MATERIALS[name].items()}
+    scene = rb.load_dict(scene_dict(it=description, ball={"type": "disk", "bsdf": {"type": "ref", "id": "it"}}))
+    with torch.no_grad():
+        for parameter in scene.it.parameters():
+            parameter.mul_(0.9)
+    rb.save(scene, tmp_path / "scene.xml")
+    again = rb.load(tmp_path / "scene.xml")
+    assert again.it.kind() == scene.it.kind()
+    for key, value in scene.it.named_parameters():
+        assert torch.equal(again.get_parameter(f"it.{key}"), value), key

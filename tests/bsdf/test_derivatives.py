@@ -1,0 +1,127 @@
+"""Derivatives of every scattering function in everything it depends on, in float64 by finite differences."""
+
+import pytest
+import torch
+
+from tests.bsdf.lanes import (
+    DELTA,
+    GLASS,
+    MATERIALS,
+    ROUGH,
+    SMOOTH,
+    direction,
+    directions,
+    material,
+    numbers,
+    sampled,
+    values_of,
+)
+from torch_radbp.vec import Vec3
+
+COUNT = 24
+
+
+class Setting:
+    """A material on a few lanes, its values and directions as leaves."""
+
+    def __init__(self, name: str, wi: Vec3 | None = None):
+        bsdf = material(MATERIALS[name])
+        self.kind, self.random = bsdf.kind(), numbers(COUNT)
+        self.wi = directions(COUNT, 3) if wi is None else wi
+        if name not in GLASS and name not in ("dielectric", "thin"):
+            self.wi = self.wi._replace(z=self.wi.z.abs())
+        values = values_of(bsdf, self.wi.z)
+        self.choice, wo = sampled(self.kind, values, self.wi, self.random)
+        # Half of the directions at random, half sampled, where sharp lobes are.
+        other, first = directions(COUNT, 4), (torch.arange(COUNT) % 2 == 0) & (wo.z != 0)
+        self.wo = Vec3(*(torch.where(first, a, b).detach() for a, b in zip(wo, other)))
+        self.sampled_wo = wo.detach()
+        self.values = values
+
+    def leaves(self, *vectors: Vec3) -> list[torch.Tensor]:
+        flat = [c.detach().clone().requires_grad_() for value in self.values for c in value]
+        return flat + [c.detach().clone().requires_grad_() for vector in vectors for c in vector]
+
+    def unpack(self, leaves) -> tuple:
+        vectors = [Vec3(*leaves[i:i + 3]) for i in range(0, len(leaves), 3)]
+        return tuple(vectors[:len(self.values)]), *vectors[len(self.values):]
+
+    def check(self, function, *vectors: Vec3) -> None:
+        """Lane by lane derivatives: the lanes are independent, so that one cotangent per lane gives them all."""
+        leaves = self.leaves(*vectors)
+
+        def of_leaves(*tensors):
+            result = function(*self.unpack(tensors))
+            return result.stack() if isinstance(result, Vec3) else result
+
+        reference = of_leaves(*leaves)
+        assert torch.isfinite(reference).all() and reference.abs().max() > 0
+        assert reference.requires_grad
+        # Normalised lane by lane: a sharp lobe must not hide the others, nor lift them above the tolerance.
+        scale = 1 / reference.detach().abs().clamp_min(1e-3)
+        assert torch.autograd.gradcheck(lambda *tensors: of_leaves(*tensors) * scale, leaves, eps=1e-7, atol=2e-5, rtol=2e-5)
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_eval_and_pdf(name):
+    setting = Setting(name)
+    setting.check(setting.kind.eval, setting.wi, setting.wo)
+    if name != "diffuse":
+        setting.check(setting.kind.pdf, setting.wi, setting.wo)
+    else:
+        setting.check(lambda values, wo: setting.kind.pdf(values, setting.wi, wo), setting.wo)
+
+
+@pytest.mark.parametrize("name", [*ROUGH, *DELTA])
+def test_sampled_directions(name):
+    setting = Setting(name)
+    setting.check(lambda values, wi: setting.kind.sample(values, wi, setting.choice, setting.random.u, setting.random.v),
+                  setting.wi)
+
+
+@pytest.mark.parametrize("z", [1.0, 1 - 1e-12, 0.01])
+@pytest.mark.parametrize("name", ROUGH)
+def test_sampled_directions_at_normal_and_grazing_incidence(name, z):
+    """At normal incidence the azimuth is not defined, but the map from wi to wo is smooth."""
+    setting = Setting(name, direction(z, 0.3, COUNT))
+    setting.check(lambda values, wi: setting.kind.sample(values, wi, setting.choice, setting.random.u, setting.random.v),
+                  setting.wi)
+
+
+@pytest.mark.parametrize("name", [*GLASS, "dielectric", "thin"])
+def test_probability_of_the_choice(name):
+    setting = Setting(name)
+    if setting.kind.delta:
+        setting.check(lambda values, wi: setting.kind.probability(values, wi, setting.sampled_wo, setting.choice),
+                      setting.wi)
+    else:
+        setting.check(lambda values, wi, wo: setting.kind.probability(values, wi, wo, setting.choice),
+                      setting.wi, setting.sampled_wo)
+
+
+@pytest.mark.parametrize("name", DELTA)
+def test_specular_weights(name):
+    setting = Setting(name)
+    setting.check(lambda values, wi: setting.kind.specular(values, wi, setting.choice), setting.wi)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_forward_mode_is_the_transpose_of_reverse_mode(name):
+    setting = Setting(name)
+    kind, random, generator = setting.kind, setting.random, torch.Generator().manual_seed(5)
+
+    def everything(*leaves):
+        values, wi = setting.unpack(leaves)
+        wo = kind.sample(values, wi, setting.choice, random.u, random.v)
+        lobe = kind.specular(values, wi, setting.choice) if kind.delta else kind.eval(values, wi, wo)
+        rest = kind.pdf(values, wi, wo), kind.probability(values, wi, wo, setting.choice)
+        return torch.stack([*wo, *lobe, *rest])
+
+    leaves = tuple(leaf.detach() for leaf in setting.leaves(setting.wi))
+    tangents = tuple(torch.randn(COUNT, generator=generator, dtype=torch.float64) for _ in leaves)
+    output, forwards = torch.func.jvp(everything, leaves, tangents)
+    cotangent = torch.randn(output.shape, generator=generator, dtype=torch.float64) / (1 + forwards.abs())
+    adjoints = torch.func.vjp(everything, *leaves)[1](cotangent)
+    expected = sum((t * a).sum() for t, a in zip(tangents, adjoints))
+    assert expected.abs() > 0
+    torch.testing.assert_close((cotangent * forwards).sum(), expected, rtol=1e-9, atol=1e-9)

@@ -1,0 +1,155 @@
+"""Sampled directions against their density (chi-square, Subr and Arvo 2007), and the two stages of sampling."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from tests.bsdf.lanes import GLASS, MATERIALS, ROUGH, SMOOTH, direction, directions, material, numbers, sampled, values_of
+from tests.sampling.chi_square import SIGNIFICANCE, p_value
+from torch_radbp.vec import Vec3
+
+COUNT = 100_000
+CELLS = (16, 32)  # polar angle, azimuth
+ANGLES = {"normal": 1.0, "steep": 0.9, "oblique": 0.5, "grazing": 0.08, "behind": -0.6, "grazing behind": -0.1}
+# The cells' integrals are midpoint sums: the sharper the lobe, the more of them.
+FINE = 24
+
+
+def expected_on_sphere(kind, bsdf, z: float, phi: float, fine: int) -> np.ndarray:
+    """Expected samples per cell of the sphere: the density integrated by fine x fine midpoints a cell."""
+    polar = math.pi * (np.arange(CELLS[0] * fine) + 0.5) / (CELLS[0] * fine)
+    azimuth = 2 * math.pi * (np.arange(CELLS[1] * fine) + 0.5) / (CELLS[1] * fine)
+    polar, azimuth = (torch.from_numpy(a).reshape(-1) for a in np.meshgrid(polar, azimuth, indexing="ij"))
+    r = torch.sin(polar)
+    wo = Vec3(r * torch.cos(azimuth), r * torch.sin(azimuth), torch.cos(polar))
+    density = kind.pdf(values_of(bsdf, r), direction(z, phi, len(r)), wo).detach() * r
+    cell = 2 * math.pi**2 / (CELLS[0] * CELLS[1] * fine**2)
+    return COUNT * cell * density.reshape(CELLS[0], fine, CELLS[1], fine).sum((1, 3)).numpy()
+
+
+def histogram(wo: Vec3, keep: torch.Tensor) -> np.ndarray:
+    wo = Vec3(*(component[keep].double().numpy() for component in wo))
+    polar, azimuth = np.arctan2(np.hypot(wo.x, wo.y), wo.z), np.arctan2(wo.y, wo.x) % (2 * math.pi)
+    return np.histogram2d(polar, azimuth, CELLS, [(0, math.pi), (0, 2 * math.pi)])[0]
+
+
+def useful(kind, values, wi, wo):
+    """Samples that reach a lobe. Of the others, single scattering knows nothing: they end the path."""
+    return kind.pdf(values, wi, wo).detach() > 0
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("name", SMOOTH)
+def test_directions_follow_their_density(name, angle):
+    bsdf, z = material(MATERIALS[name]), ANGLES[angle]
+    if z < 0 and name not in GLASS:
+        pytest.skip("black from behind")
+    kind, random, wi = bsdf.kind(), numbers(COUNT), direction(z, 0.7, COUNT)
+    values = values_of(bsdf, wi.z)
+    _, wo = sampled(kind, values, wi, random)
+    torch.testing.assert_close(wo.x**2 + wo.y**2 + wo.z**2, torch.ones_like(wo.x), rtol=0, atol=1e-9)
+    keep = useful(kind, values, wi, wo)
+    expected = expected_on_sphere(kind, bsdf, z, 0.7, FINE)
+    # The density adds up to what is not lost between microfacets.
+    lost = 1 - keep.double().mean().item()
+    assert abs(expected.sum() / COUNT - (1 - lost)) < 5 * math.sqrt(lost * (1 - lost) / COUNT) + 2e-3
+    assert p_value(histogram(wo.map(torch.Tensor.detach), keep), expected, constraints=0) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("name", ["metal beckmann", "glass ggx", "glass beckmann"])
+def test_single_precision_follows_the_same_density(name):
+    bsdf = material(MATERIALS[name])
+    kind, wi = bsdf.kind(), direction(0.5, 0.7, COUNT, torch.float32)
+    values = values_of(bsdf.float(), wi.z)
+    _, wo = sampled(kind, values, wi, numbers(COUNT, dtype=torch.float32))
+    assert wo.x.dtype == torch.float32
+    keep = useful(kind, values, wi, wo)
+    expected = expected_on_sphere(kind, bsdf.double(), 0.5, 0.7, FINE)
+    assert p_value(histogram(wo.map(torch.Tensor.detach), keep), expected, constraints=0) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("alpha", [1e-3, 1e-2, 0.1])
+@pytest.mark.parametrize("distribution", ["beckmann", "ggx"])
+@pytest.mark.parametrize("kind_type", ["roughconductor", "roughdielectric"])
+def test_sharp_lobes_follow_their_density(kind_type, distribution, alpha, dtype):
+    """In a window around the mirror direction and one around the refracted direction, in units of the lobe's width."""
+    bsdf = material({"type": kind_type, "distribution": distribution, "alpha": alpha}).to(dtype)
+    kind, wi = bsdf.kind(), direction(0.8, 0.3, COUNT, dtype)
+    values = values_of(bsdf, wi.z)
+    _, wo = sampled(kind, values, wi, numbers(COUNT, dtype=dtype))
+    wo = wo.map(lambda c: c.detach().double())
+    eta = values[-3].x[0].item()
+    windows = [(1, -1.0, 6 * alpha)]  # side, wo.xy over wi.xy, half width
+    if kind_type == "roughdielectric":
+        windows.append((-1, -1.0 / eta, 3 * alpha))
+    cells, fine = 12, 16
+    for side, ratio, half in windows:
+        middle = ratio * wi.x[0].item(), ratio * wi.y[0].item()
+        inside = (np.arange(cells * fine) + 0.5) / (cells * fine) * 2 * half - half
+        x, y = (torch.from_numpy(a).reshape(-1) for a in np.meshgrid(inside + middle[0], inside + middle[1], indexing="ij"))
+        fits = x * x + y * y < 1
+        z = side * torch.sqrt((1 - x * x - y * y).clamp_min(1e-12))
+        wide = Vec3(*(c[:1].double().expand(len(x)) for c in wi))
+        density = kind.pdf(values_of(bsdf.double(), x), wide, Vec3(x, y, z)).detach() / z.abs() * fits
+        expected = COUNT * (2 * half / (cells * fine))**2 * density.reshape(cells, fine, cells, fine).sum((1, 3)).numpy()
+        keep = wo.z * side > 0
+        limits = [(middle[0] - half, middle[0] + half), (middle[1] - half, middle[1] + half)]
+        observed = np.histogram2d(wo.x[keep].numpy(), wo.y[keep].numpy(), cells, limits)[0]
+        assert observed.sum() > 0.02 * COUNT
+        assert p_value(observed, expected, constraints=0) > SIGNIFICANCE
+
+
+def test_the_test_notices_a_wrong_roughness():
+    bsdf, wrong = (material({"type": "roughconductor", "alpha": alpha}) for alpha in (0.3, 0.31))
+    wi = direction(0.9, 0.7, COUNT)
+    _, wo = sampled(bsdf.kind(), values_of(bsdf, wi.z), wi, numbers(COUNT))
+    assert p_value(histogram(wo.map(torch.Tensor.detach), wo.z > 0), expected_on_sphere(wrong.kind(), wrong, 0.9, 0.7, FINE),
+                   constraints=0) < SIGNIFICANCE
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_the_attached_probability_is_that_of_the_choice(name):
+    bsdf = material(MATERIALS[name]).requires_grad_()
+    kind, wi, random = bsdf.kind(), directions(COUNT), numbers(COUNT)
+    values = values_of(bsdf, wi.z)
+    choice, wo = sampled(kind, values, wi, random)
+    assert not choice.probability.requires_grad and not choice.transmits.requires_grad
+    again = kind.probability(values, wi, wo, choice)
+    alive = kind.pdf(values, wi, wo) > 0 if not kind.delta else torch.ones_like(again, dtype=torch.bool)
+    assert alive.double().mean() > 0.3
+    # The microfacet is found again from the two directions, to rounding over the length of the half vector.
+    torch.testing.assert_close(again[alive].detach(), choice.probability[alive], rtol=1e-6, atol=1e-9)
+    assert (choice.probability > 0).all() and (choice.probability <= 1).all()
+    if "glass" in name or name == "dielectric":
+        assert again.requires_grad and 0.05 < choice.transmits.mean() < 0.95
+        share = torch.where(choice.transmits > 0, 1 - choice.probability, choice.probability)
+        assert abs((random.choice < share).double() + choice.transmits - 1).max() == 0
+    if kind.delta is False and name not in GLASS:
+        assert (choice.probability == 1).all() and (choice.transmits == 0).all()
+
+
+@pytest.mark.parametrize("name", GLASS)
+def test_a_choice_is_kept_by_its_sample(name):
+    """Reflected directions stay on the viewer's side, refracted ones cross, and what can do neither is black."""
+    bsdf = material(MATERIALS[name])
+    kind, wi = bsdf.kind(), directions(COUNT)
+    values = values_of(bsdf, wi.z)
+    choice, wo = sampled(kind, values, wi, numbers(COUNT))
+    crossed = wo.z * wi.z < 0
+    level = wo.z == 0
+    assert (crossed == (choice.transmits > 0))[~level].all()
+    assert 0 < level.double().mean() < 0.2
+    assert (kind.pdf(values, wi, wo)[level] == 0).all() and (kind.eval(values, wi, wo).stack()[level] == 0).all()
+
+
+@pytest.mark.parametrize("name", ROUGH)
+def test_eval_is_zero_exactly_where_the_density_is(name):
+    bsdf = material({**MATERIALS[name], "specular_reflectance": 1.0})
+    wi, wo = directions(COUNT, 1), directions(COUNT, 2)
+    values = values_of(bsdf, wi.z)
+    eval_, pdf = bsdf.kind().eval(values, wi, wo).stack().amax(1), bsdf.kind().pdf(values, wi, wo)
+    assert ((eval_ > 0) == (pdf > 0)).double().mean() > 0.9999  # but for underflow
+    assert (eval_ > 0).any() and (eval_ >= 0).all()

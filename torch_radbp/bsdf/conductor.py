@@ -1,0 +1,64 @@
+"""Ideal reflection by a metal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from torch_radbp.bsdf.fresnel import conductor_reflectance
+from torch_radbp.bsdf.ior import complex_index
+from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, reflects
+from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.vec import Vec3
+
+
+@dataclass(frozen=True)
+class ConductorKind(DeltaKind):
+    """Values: eta, k, specular_reflectance."""
+
+    @property
+    def slots(self) -> int:
+        return 3
+
+    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+        return Vec3(-wi.x, -wi.y, wi.z)
+
+    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+        eta, k, reflectance = values
+        return reflectance * conductor_reflectance(wi.z.abs(), eta, k) * reflects(wi, wi)
+
+
+@register("bsdf", "conductor")
+class Conductor(BSDF):
+    """A mirror of metal, black from behind.
+
+    Parameters: `eta`, `k`, `specular_reflectance`, textures. Derivatives: with respect to their texels, and in attached mode
+    to the surface that reflects.
+
+    Args:
+        eta: real part of the index of refraction; 0 by default.
+        k: imaginary part, its extinction; 1 by default, so that both together reflect all light.
+        material: name of a metal that stands for eta and k (of `ior.CONDUCTORS`), or "none".
+        specular_reflectance: a factor in [0, 1] on the reflected light; physical surfaces have 1.
+
+    Raises:
+        ValueError: if the metal is not known or given beside eta or k, or a value is out of range.
+    """
+
+    def __init__(self, *, eta: Texture | float | None = None, k: Texture | float | None = None, material: str = "none",
+                 specular_reflectance: Texture | float = 1.0):
+        super().__init__()
+        self.eta, self.k = complex_index(material, eta, k)
+        self.material = "none"  # its name has become numbers, which may change
+        self.specular_reflectance = check_range(
+            "specular_reflectance", as_texture("specular_reflectance", specular_reflectance), upper=1.0)
+
+    def kind(self) -> ConductorKind:
+        """The scattering functions."""
+        return ConductorKind()
+
+    def textures(self) -> tuple[Texture, ...]:
+        """What the functions take, in order."""
+        return self.eta, self.k, self.specular_reflectance

@@ -1,0 +1,110 @@
+"""Ideal reflection and refraction by glass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.fresnel import dielectric_reflectance
+from torch_radbp.bsdf.ior import index_of_refraction
+from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, side_of
+from torch_radbp.bsdf.number import OwnNumber
+from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.vec import Vec3
+
+
+def relative_index(eta: Tensor, side: Tensor) -> Tensor:
+    """Index of refraction of the far side over the near side; `eta` is the inside's over the outside's."""
+    outside = 0.5 + 0.5 * side
+    return outside * eta + (1.0 - outside) / eta
+
+
+def blend(choice: Choice, reflected: Tensor, transmitted: Tensor) -> Tensor:
+    """What belongs to the lobe that was chosen."""
+    return reflected + choice.transmits * (transmitted - reflected)
+
+
+def decide(reflectance: Tensor, choice: Tensor) -> Choice:
+    """Reflects with the probability `reflectance`, which is detached."""
+    transmits = (choice >= reflectance).to(reflectance.dtype)
+    return Choice(transmits, torch.where(choice >= reflectance, 1.0 - reflectance, reflectance))
+
+
+@dataclass(frozen=True)
+class DielectricKind(DeltaKind):
+    """Values: eta (a scalar), specular_reflectance, specular_transmittance.
+
+    Radiance that crosses the boundary is scaled by the squared ratio of the indices.
+    Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", section 5.2.
+    """
+
+    @property
+    def slots(self) -> int:
+        return 3
+
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+        wi, eta = wi.detach(), values[0].x.detach()
+        return decide(dielectric_reflectance(wi.z.abs(), relative_index(eta, side_of(wi)))[0], choice)
+
+    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+        side = side_of(wi)
+        eta = relative_index(values[0].x, side)
+        _, cos_t = dielectric_reflectance(wi.z.abs(), eta)
+        along = -blend(choice, torch.ones_like(eta), 1.0 / eta)
+        return Vec3(wi.x * along, wi.y * along, blend(choice, wi.z, -side * cos_t))
+
+    def probability(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor:
+        reflectance, _ = dielectric_reflectance(wi.z.abs(), relative_index(values[0].x, side_of(wi)))
+        return blend(choice, reflectance, 1.0 - reflectance)
+
+    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+        eta = relative_index(values[0].x, side_of(wi))
+        reflectance, _ = dielectric_reflectance(wi.z.abs(), eta)
+        transmittance = (1.0 - reflectance) / (eta * eta)
+        return values[1] * (reflectance * (1.0 - choice.transmits)) + values[2] * (transmittance * choice.transmits)
+
+
+@register("bsdf", "dielectric")
+class Dielectric(BSDF):
+    """A smooth boundary between two transparent media, such as glass in air; the normal points to the outside.
+
+    Parameters: `eta`, a number, the index of refraction inside over the one outside; `specular_reflectance`,
+    `specular_transmittance`, textures. Derivatives: with respect to all of them; of directions, in attached mode, with
+    respect to `eta` and the surface.
+
+    Args:
+        int_ior: index of refraction inside, a number or a material of `ior.DIELECTRICS`.
+        ext_ior: the same outside.
+        specular_reflectance: a factor in [0, 1] on reflected light; physical surfaces have 1.
+        specular_transmittance: a factor in [0, 1] on refracted light; physical surfaces have 1.
+
+    Raises:
+        ValueError: if a material is not known, or a value is out of range.
+    """
+
+    def __init__(self, *, int_ior: float | str = "bk7", ext_ior: float | str = "air",
+                 specular_reflectance: Texture | float = 1.0, specular_transmittance: Texture | float = 1.0):
+        super().__init__()
+        self.ext_ior = index_of_refraction("ext_ior", ext_ior)
+        self.freeze("eta", torch.tensor(index_of_refraction("int_ior", int_ior) / self.ext_ior))
+        self.eta_texture = (OwnNumber(self, "eta"),)  # a tuple, so that it is no submodule
+        self.specular_reflectance = check_range(
+            "specular_reflectance", as_texture("specular_reflectance", specular_reflectance), upper=1.0)
+        self.specular_transmittance = check_range(
+            "specular_transmittance", as_texture("specular_transmittance", specular_transmittance), upper=1.0)
+
+    @property
+    def int_ior(self) -> float:
+        """Index of refraction inside, as `eta` has it now."""
+        return float(self.eta.detach()) * self.ext_ior
+
+    def kind(self) -> DielectricKind:
+        """The scattering functions."""
+        return DielectricKind()
+
+    def textures(self) -> tuple[Texture, ...]:
+        """What the functions take, in order."""
+        return *self.eta_texture, self.specular_reflectance, self.specular_transmittance

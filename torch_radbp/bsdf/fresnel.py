@@ -1,0 +1,64 @@
+"""Fresnel's equations: the share of unpolarised light that an interface reflects.
+
+Two numerical points. The root of the complex index of a conductor is taken of whichever of its parts does not cancel, so
+that a perfect mirror (eta = 0) has a derivative. The cosine of refraction has an infinite derivative at the critical
+angle; the root's argument is kept above rounding, which bounds the derivative and moves the value by less than that.
+
+Reference: Born and Wolf 1999, "Principles of Optics", sections 1.5.2 and 14.2; Lagarde 2013, "Memo on Fresnel equations".
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.vec import Vec3
+
+SMALLEST_COSINE = 1e-12
+SMALLEST_INDEX = 1e-20  # of the squared modulus of eta^2 - k^2 - sin^2 + 2 i eta k
+
+
+def dielectric_reflectance(cos_i: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
+    """Reflectance of a boundary between dielectrics, and the cosine of the refracted direction.
+
+    Args:
+        cos_i: at least 0, between the direction of incidence and the normal on its side.
+        eta: index of refraction on the far side over the one on the near side.
+
+    Returns:
+        The reflectance, and the cosine of refraction, at least 0; 1 and 0 at total internal reflection.
+    """
+    cos_i = cos_i.clamp_min(SMALLEST_COSINE)
+    inverse = 1.0 / eta
+    cos2_t = 1.0 - inverse * inverse * (1.0 - cos_i * cos_i)
+    cos_t = torch.sqrt(cos2_t.clamp_min(torch.finfo(cos_i.dtype).eps)) * (cos2_t > 0).to(cos_i.dtype)
+    perpendicular = (cos_i - eta * cos_t) / (cos_i + eta * cos_t)
+    parallel = (eta * cos_i - cos_t) / (eta * cos_i + cos_t)
+    return 0.5 * (perpendicular * perpendicular + parallel * parallel), cos_t
+
+
+def conductor_reflectance(cos_i: Tensor, eta: Vec3, k: Vec3) -> Vec3:
+    """Reflectance of a conductor seen from vacuum.
+
+    Args:
+        cos_i: between the direction of incidence and the normal, at least 0.
+        eta, k: real and imaginary part of the index of refraction, at least 0.
+    """
+    return Vec3(*(_conductor_channel(cos_i, *index) for index in zip(eta, k)))
+
+
+def _conductor_channel(cos_i: Tensor, eta: Tensor, k: Tensor) -> Tensor:
+    cos2, sin2 = cos_i * cos_i, 1.0 - cos_i * cos_i
+    # (a + i b)^2 = (eta + i k)^2 - sin^2, its real part and its modulus.
+    real = eta * eta - k * k - sin2
+    product = eta * k  # a b
+    modulus = torch.sqrt(real * real + 4.0 * product * product + SMALLEST_INDEX)
+    larger = torch.sqrt(0.5 * (modulus + real.abs()))
+    positive = (real >= 0).to(real.dtype)
+    a = positive * larger + (1.0 - positive) * (product / larger)
+    # With mod = |a + i b|^2: Rs = |cos - (a + i b)|^2 / |cos + (a + i b)|^2, and Rp / Rs in the same terms.
+    even, odd = modulus + cos2, 2.0 * a * cos_i
+    perpendicular = (even - odd + SMALLEST_COSINE) / (even + odd + SMALLEST_COSINE)
+    even, odd = cos2 * modulus + sin2 * sin2, odd * sin2
+    ratio = (even - odd + SMALLEST_COSINE) / (even + odd + SMALLEST_COSINE)
+    return 0.5 * perpendicular * (1.0 + ratio)

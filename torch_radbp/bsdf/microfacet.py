@@ -1,0 +1,225 @@
+"""Distributions of microfacet normals, their shadowing, and sampling of the normals that a direction sees.
+
+With t = |(alpha_u x, alpha_v y)| of a direction (x, y, z), the projected area A(w) = cos / G1 of what w sees is
+
+    GGX         A = (z + sqrt(z^2 + t^2)) / 2
+    Beckmann    A = z (1 + erf(z / t)) / 2 + t exp(-(z / t)^2) / (2 sqrt(pi))
+
+and the density of visible normals is D(m) <w, m> / A(w): no division by the cosine, so that grazing directions are fine.
+
+Visible normals of a Beckmann surface are drawn in the space of slopes, where the surface is a normal distribution in each
+direction. Seen from w the slopes q along w's azimuth e have the cumulative distribution A(q) / A(z / t), where
+
+    A(q) = z erfc(-q) / 2 + t exp(-q^2) / (2 sqrt(pi)),     q <= z / t,
+
+and those across are not changed. Two normal variates s in a *fixed* frame are turned into what is seen by moving s along e
+by q(s . e) - s . e, where q solves A(q) = (1 + erf(s . e)) / 2 * A(z / t). Near normal incidence that is -e t / (2 z), so
+that the map is smooth there although e is not; a map that rotates its variates into e's frame has derivatives without
+bound. The equation is solved by a fixed number of steps to the zero of the local parabola (cubic convergence, exact at the
+double root q = z / t), inside of the bracket [-sqrt(-log u), min(s . e, z / t)] of the limits of grazing and of normal
+incidence, between which the solution falls monotonically. Its derivative is the implicit function theorem's.
+
+Reference: Walter et al. 2007, "Microfacet Models for Refraction through Rough Surfaces", equations 25, 27 and 33;
+Heitz and d'Eon 2014, "Importance Sampling Microfacet-Based BSDFs using the Distribution of Visible Normals", appendix;
+Dupuy and Benyoub 2023, "Sampling Visible GGX Normals with Spherical Caps", listing 3.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Texture, nearest
+from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.vec import TINY, Vec2, Vec3, dot, normalize
+
+SMALLEST_ALPHA = 1e-4  # as Mitsuba: below this a surface counts as this rough
+SMALLEST_COSINE = 1e-5  # of a microfacet normal; Beckmann's density is zero long before
+SMALLEST_HALF_VECTOR = 1e-14  # squared
+LEAST_NUMBER = 2.0**-25  # random numbers are multiples of 2^-24
+SQRT_PI = math.sqrt(math.pi)
+
+
+def half_vector(h: Vec3) -> tuple[Vec3, Tensor]:
+    """The unit vector along `h` on the side of the normal, and the squared length of `h`; the normal where h vanishes."""
+    squared = dot(h, h)
+    vanishes = (squared < SMALLEST_HALF_VECTOR).to(h.z.dtype)
+    squared = squared.clamp_min(SMALLEST_HALF_VECTOR)
+    sign = 1.0 - 2.0 * (h.z < 0).to(h.z.dtype)
+    scale = sign * torch.rsqrt(squared) * (1.0 - vanishes)
+    return Vec3(h.x * scale, h.y * scale, h.z * scale + vanishes), squared
+
+
+class GGX(NamedTuple):
+    """The distribution of Trowbridge and Reitz."""
+
+    alpha_u: Tensor  # (N,) roughness along x and y, attached
+    alpha_v: Tensor
+
+    def density(self, m: Vec3) -> Tensor:
+        """Area of microfacets with normal `m` per area of the surface and solid angle of m."""
+        x, y = m.x / self.alpha_u, m.y / self.alpha_v
+        stretched = x * x + y * y + m.z * m.z
+        return 1.0 / (math.pi * self.alpha_u * self.alpha_v * stretched * stretched)
+
+    def projected_area(self, w: Vec3) -> Tensor:
+        """Area of microfacets that `w`, above the surface, sees: cos / G1. Positive."""
+        return 0.5 * (w.z + torch.sqrt(w.z * w.z + stretch(self, w)))
+
+    def masking(self, w: Vec3) -> Tensor:
+        """Smith's shadowing G1(w) over the cosine of `w`, above the surface; finite at grazing angles."""
+        return 1.0 / self.projected_area(w)
+
+    def sample_visible(self, w: Vec3, u: Tensor, v: Tensor) -> Vec3:
+        """Microfacet normals with density `density` <w, m> / `projected_area`; w on or above the horizon."""
+        seen = normalize(Vec3(self.alpha_u * w.x, self.alpha_v * w.y, w.z))
+        # A point of the unit sphere's cap above -z of the seen direction; u sin^2 = 1 - z^2, free of cancellation.
+        fall = v * (1.0 + seen.z)
+        radius, phi = torch.sqrt(v) * torch.sqrt(((1.0 + seen.z) * (2.0 - fall)).clamp_min(TINY)), 2.0 * math.pi * u
+        h = Vec3(radius * torch.cos(phi), radius * torch.sin(phi), 1.0 - fall) + seen
+        return normalize(Vec3(self.alpha_u * h.x, self.alpha_v * h.y, h.z.clamp_min(LEAST_NUMBER)))
+
+
+class Beckmann(NamedTuple):
+    """The distribution of a surface whose slopes are normally distributed."""
+
+    alpha_u: Tensor  # (N,) roughness along x and y, attached; root mean square slope times sqrt(2)
+    alpha_v: Tensor
+
+    def density(self, m: Vec3) -> Tensor:
+        """Area of microfacets with normal `m` per area of the surface and solid angle of m."""
+        z = m.z.clamp_min(SMALLEST_COSINE)
+        x, y, cos2 = m.x / (self.alpha_u * z), m.y / (self.alpha_v * z), z * z
+        return torch.exp(-x * x - y * y) / (math.pi * self.alpha_u * self.alpha_v * cos2 * cos2)
+
+    def projected_area(self, w: Vec3) -> Tensor:
+        """Area of microfacets that `w`, above the surface, sees: cos / G1, exactly. Positive."""
+        return visible_area(*polar(self, w)[:2])
+
+    def masking(self, w: Vec3) -> Tensor:
+        """Smith's shadowing G1(w) over the cosine of `w`, above the surface; finite at grazing angles.
+
+        By the rational function of Walter et al., as Mitsuba has it: right to 0.35 per cent.
+        """
+        t = torch.sqrt(stretch(self, w).clamp_min(TINY))
+        smooth = (w.z >= 1.6 * t).to(t.dtype)
+        rational = (3.535 * t + 2.181 * w.z) / (t * t + 2.276 * w.z * t + 2.577 * w.z * w.z)
+        return smooth / w.z.clamp_min(SMALLEST_COSINE) + (1.0 - smooth) * rational
+
+    def sample_visible(self, w: Vec3, u: Tensor, v: Tensor) -> Vec3:
+        """Microfacet normals with density `density` <w, m> / `projected_area`; w on or above the horizon."""
+        z, t, e = polar(self, w)
+        s = normal_variates(u, v)
+        shift = visible_shift(s.x * e.x + s.y * e.y, z, t)
+        x, y = s.x + shift * e.x, s.y + shift * e.y
+        return normalize(Vec3(-self.alpha_u * x, -self.alpha_v * y, torch.ones_like(x)))
+
+
+DISTRIBUTIONS = {"beckmann": Beckmann, "ggx": GGX}
+
+
+def microfacets(distribution: str, alpha_u: Tensor, alpha_v: Tensor) -> Beckmann | GGX:
+    """The distribution called `distribution` with roughness `alpha_u`, `alpha_v`, kept above `SMALLEST_ALPHA`."""
+    return DISTRIBUTIONS[distribution](alpha_u.clamp_min(SMALLEST_ALPHA), alpha_v.clamp_min(SMALLEST_ALPHA))
+
+
+def stretch(facets: Beckmann | GGX, w: Vec3) -> Tensor:
+    """Squared length of (alpha_u x, alpha_v y)."""
+    x, y = facets.alpha_u * w.x, facets.alpha_v * w.y
+    return x * x + y * y
+
+
+def polar(facets: Beckmann, w: Vec3) -> tuple[Tensor, Tensor, Vec2]:
+    """z, t and the azimuth e of `w` with its horizontal part stretched by the roughness.
+
+    Next to normal incidence, where e is not defined, t is held and e is shorter than one: the distribution depends on e t
+    alone in first order, and the error of second order is less than rounding.
+    """
+    x, y = facets.alpha_u * w.x, facets.alpha_v * w.y
+    least = torch.finfo(w.z.dtype).eps ** 0.5 * w.z
+    t = torch.sqrt(torch.maximum(x * x + y * y, least * least).clamp_min(TINY))
+    return w.z, t, Vec2(x / t, y / t)
+
+
+def visible_area(z: Tensor, t: Tensor) -> Tensor:
+    """A(z / t) of the module's docstring."""
+    # Detached, because dA/dq is zero at q = z / t.
+    q = (z / t).detach()
+    return area_below(q, z, t)
+
+
+def area_below(q: Tensor, z: Tensor, t: Tensor) -> Tensor:
+    """A(q) of the module's docstring: a sum of positive terms, free of cancellation."""
+    return 0.5 * z * torch.erfc(-q) + (0.5 / SQRT_PI) * t * torch.exp(-q * q)
+
+
+def visible_shift(p: Tensor, z: Tensor, t: Tensor) -> Tensor:
+    """q - p <= 0, where a slope p of all slopes becomes the slope q of those that are seen; attached to p, z and t."""
+    below = 0.5 * torch.erfc(-p)
+    target = below * visible_area(z, t)
+    q = solve_visible_slope(p.detach(), below.detach(), target.detach(), z.detach(), t.detach())
+    # The implicit function theorem: A(q) - target stays zero. The step has the value 0.
+    residual = area_below(q, z, t) - target
+    slope = ((z - t * q) * torch.exp(-q * q) / SQRT_PI).detach()
+    least = torch.finfo(p.dtype).eps * (z + t).detach()
+    return q - (residual - residual.detach()) / torch.maximum(slope, least) - p
+
+
+def solve_visible_slope(p: Tensor, below: Tensor, target: Tensor, z: Tensor, t: Tensor) -> Tensor:
+    """q with A(q) = `target`; not for differentiation."""
+    grazing = -torch.sqrt(-torch.where(p > 0, torch.log1p(-0.5 * torch.erfc(p.clamp_min(0.0))), torch.log(below)))
+    upper = torch.minimum(p, z / t)
+    sine = t * torch.rsqrt(z * z + t * t)
+    q = torch.minimum(p + (grazing - p) * sine * (0.6 + 0.4 * sine**3), upper)
+    for _ in range(3 if p.dtype == torch.float32 else 4):
+        bell = torch.exp(-q * q) / SQRT_PI
+        value = 0.5 * (z * torch.erfc(-q) + t * bell) - target
+        first = (z - t * q) * bell
+        second = -t * bell - 2.0 * q * first
+        root = torch.sqrt((first * first - 2.0 * value * second).clamp_min(0.0))
+        q = q - 2.0 * value / (first + root).clamp_min(TINY)
+        q = torch.minimum(torch.maximum(q, grazing), upper)
+    return q
+
+
+def normal_variates(u: Tensor, v: Tensor) -> Vec2:
+    """Two numbers, each with density exp(-x^2) / sqrt(pi).
+
+    Reference: Box and Muller 1958, "A Note on the Generation of Random Normal Deviates".
+    """
+    radius, phi = torch.sqrt(-torch.log1p(-u)), 2.0 * math.pi * v
+    return Vec2(radius * torch.cos(phi), radius * torch.sin(phi))
+
+
+def check_distribution(distribution: str, sample_visible: bool) -> str:
+    """The name of a distribution, checked.
+
+    Raises:
+        ValueError: if it is not known, or normals are to be sampled that cannot be seen.
+    """
+    if distribution not in DISTRIBUTIONS:
+        raise ValueError(f"distribution {distribution!r} is not known; {nearest(distribution, DISTRIBUTIONS)}")
+    if not sample_visible:
+        raise ValueError("sample_visible must be true: only the visible normals are sampled")
+    return distribution
+
+
+def roughness(alpha: Texture | float | None, alpha_u: Texture | float | None,
+              alpha_v: Texture | float | None) -> dict[str, Texture]:
+    """The textures of a material's roughness by attribute: either alpha, or alpha_u and alpha_v.
+
+    Raises:
+        ValueError: if both ways are mixed, or a value is negative.
+    """
+    if (alpha_u is None) != (alpha_v is None):
+        raise ValueError("alpha_u and alpha_v must be given both or not at all; for equal roughness give alpha")
+    if alpha_u is not None and alpha is not None:
+        raise ValueError("give either alpha, or alpha_u and alpha_v, and not all three")
+    if alpha_u is not None:
+        given = {"alpha_u": alpha_u, "alpha_v": alpha_v}
+    else:
+        given = {"alpha": 0.1 if alpha is None else alpha}
+    return {name: check_range(name, as_texture(name, value)) for name, value in given.items()}

@@ -1,0 +1,96 @@
+"""Reflection by a rough metal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from torch_radbp.bsdf.fresnel import conductor_reflectance
+from torch_radbp.bsdf.ior import complex_index
+from torch_radbp.bsdf.kind import Choice, Kind, Values, above, reflects
+from torch_radbp.bsdf.microfacet import GGX, Beckmann, check_distribution, half_vector, microfacets, roughness
+from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.vec import Vec3, dot
+
+
+@dataclass(frozen=True)
+class RoughConductorKind(Kind):
+    """Values: alpha, or alpha_u and alpha_v; eta, k, specular_reflectance.
+
+    Reference: Walter et al. 2007, equations 20, 14 and 24.
+    """
+
+    distribution: str
+    anisotropic: bool = False
+
+    @property
+    def slots(self) -> int:
+        return 4 + self.anisotropic
+
+    def facets(self, values: Values) -> Beckmann | GGX:
+        """The distribution of microfacets."""
+        return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
+
+    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
+        eta, k, reflectance = values[-3:]
+        facets, lit, wi, wo = self.facets(values), reflects(wi, wo), above(wi), above(wo)
+        m, _ = half_vector(wi + wo)
+        scale = 0.25 * facets.density(m) * facets.masking(wi) * facets.masking(wo) * wo.z
+        return reflectance * conductor_reflectance(dot(wi, m), eta, k) * (scale * lit)
+
+    def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
+        facets, lit, wi, wo = self.facets(values), reflects(wi, wo), above(wi), above(wo)
+        m, _ = half_vector(wi + wo)
+        return 0.25 * facets.density(m) / facets.projected_area(wi) * lit
+
+    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+        wi = above(wi)
+        m = self.facets(values).sample_visible(wi, u, v)
+        return m * (2.0 * dot(wi, m)) - wi
+
+
+@register("bsdf", "roughconductor")
+class RoughConductor(BSDF):
+    """A metal with a rough surface, black from behind: microfacets that each are a mirror. No light is scattered twice.
+
+    Parameters: `alpha` or `alpha_u` and `alpha_v`, `eta`, `k`, `specular_reflectance`, textures. Derivatives: with respect
+    to their texels; of roughness below 1e-4, which counts as 1e-4, they are zero.
+
+    Args:
+        distribution: of the microfacets' normals, beckmann or ggx.
+        alpha: roughness, 0.1 by default; for Beckmann the root mean square slope times sqrt(2).
+        alpha_u, alpha_v: instead of it, roughness along the tangent and the bitangent.
+        eta: real part of the index of refraction; 0 by default.
+        k: imaginary part, its extinction; 1 by default, so that both together reflect all light.
+        material: name of a metal that stands for eta and k (of `ior.CONDUCTORS`), or "none".
+        specular_reflectance: a factor in [0, 1] on the reflected light; physical surfaces have 1.
+        sample_visible: true, and nothing else.
+
+    Raises:
+        ValueError: if a name is not known, attributes exclude each other, or a value is out of range.
+    """
+
+    def __init__(self, *, distribution: str = "beckmann", alpha: Texture | float | None = None,
+                 alpha_u: Texture | float | None = None, alpha_v: Texture | float | None = None,
+                 eta: Texture | float | None = None, k: Texture | float | None = None, material: str = "none",
+                 specular_reflectance: Texture | float = 1.0, sample_visible: bool = True):
+        super().__init__()
+        self.distribution = check_distribution(distribution, sample_visible)
+        self.sample_visible = sample_visible
+        rough = roughness(alpha, alpha_u, alpha_v)
+        self.alpha, self.alpha_u, self.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
+        self.eta, self.k = complex_index(material, eta, k)
+        self.material = "none"  # its name has become numbers, which may change
+        self.specular_reflectance = check_range(
+            "specular_reflectance", as_texture("specular_reflectance", specular_reflectance), upper=1.0)
+
+    def kind(self) -> RoughConductorKind:
+        """The scattering functions."""
+        return RoughConductorKind(self.distribution, self.alpha is None)
+
+    def textures(self) -> tuple[Texture, ...]:
+        """What the functions take, in order."""
+        rough = (self.alpha,) if self.alpha is not None else (self.alpha_u, self.alpha_v)
+        return *rough, self.eta, self.k, self.specular_reflectance

@@ -1,0 +1,175 @@
+"""Reflection and refraction by rough glass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
+from torch_radbp.bsdf.fresnel import dielectric_reflectance
+from torch_radbp.bsdf.kind import Choice, Kind, Values, side_of
+from torch_radbp.bsdf.microfacet import GGX, Beckmann, check_distribution, half_vector, microfacets, roughness
+from torch_radbp.plugin import Texture, register
+from torch_radbp.vec import TINY, Vec3, dot
+
+
+class Microgeometry(NamedTuple):
+    """A pair of directions, both seen from the side of `wi`, and the microfacet that takes one to the other."""
+
+    transmits: Tensor  # 0 or 1
+    possible: Tensor  # 0 or 1: a microfacet that faces the viewer can do so
+    density: Tensor  # of that microfacet's normal, not weighted by what is seen
+    cos_i: Tensor  # between wi and the microfacet
+    cos_o: Tensor  # between wo and the microfacet, at least 0
+    squared: Tensor  # squared length of the half vector
+    eta: Tensor  # index on the far side over the one on the near side
+    reflectance: Tensor
+
+
+@dataclass(frozen=True)
+class RoughDielectricKind(Kind):
+    """Values: alpha, or alpha_u and alpha_v; eta (a scalar), specular_reflectance, specular_transmittance.
+
+    With the half vector h = wi + eta wo of refraction, |dm / dwo| = eta^2 |wo.m| / |h|^2 (Walter et al. 2007, equations 17,
+    20, 21, 24); in the BSDF for radiance eta^2 cancels. Between equal indices h would vanish and refraction be ideal: eta is
+    kept off 1 by a few square roots of the rounding unit, its derivative passed on.
+
+    Where a microfacet reflects below the horizon or refracts above it, `sample` returns a direction on the horizon, for
+    which `eval` and `pdf` are zero: there the light is lost between microfacets.
+
+    What is not smooth. A GGX surface has microfacets seen edge-on, of density alpha^2 / pi, and refraction by them ends
+    abruptly where the half vector crosses the horizon; derivatives that hold directions fixed (detached) miss that jump,
+    those that follow the microfacet (attached) do not. And next to the critical angle the derivative of the transmittance
+    is so much greater than the transmittance that choosing by it gives derivatives without finite variance.
+    """
+
+    distribution: str
+    anisotropic: bool = False
+
+    @property
+    def slots(self) -> int:
+        return 4 + self.anisotropic
+
+    def facets(self, values: Values) -> Beckmann | GGX:
+        """The distribution of microfacets."""
+        return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
+
+    def index(self, values: Values, side: Tensor) -> Tensor:
+        """Index of refraction of the far side over the near side."""
+        return relative_index(apart_from_one(values[-3].x), side)
+
+    def microgeometry(self, values: Values, wi: Vec3, wo: Vec3) -> Microgeometry:
+        """What `eval` and `pdf` share."""
+        side = side_of(wi)
+        eta, wi, wo = self.index(values, side), wi * side, wo * side
+        transmits = (wo.z < 0).to(side.dtype)
+        m, squared = half_vector(wi + wo * (1.0 + transmits * (eta - 1.0)))
+        cos_i, cos_o = dot(wi, m), dot(wo, m) * (1.0 - 2.0 * transmits)
+        possible = ((wi.z > 0) & (wo.z != 0) & (cos_i > 0) & (cos_o > 0)).to(side.dtype)
+        reflectance, _ = dielectric_reflectance(cos_i, eta)
+        return Microgeometry(transmits, possible, self.facets(values).density(m), cos_i.clamp_min(0.0),
+                             cos_o.clamp_min(0.0), squared, eta, reflectance)
+
+    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
+        g, facets = self.microgeometry(values, wi, wo), self.facets(values)
+        cos_o = wo.z.abs()
+        shadowing = facets.masking(wi._replace(z=wi.z.abs())) * facets.masking(wo._replace(z=cos_o)) * cos_o
+        scale = g.density * shadowing * g.possible
+        reflected = 0.25 * g.reflectance * scale * (1.0 - g.transmits)
+        transmitted = (1.0 - g.reflectance) * scale * (g.cos_i * g.cos_o / g.squared) * g.transmits
+        return values[-2] * reflected + values[-1] * transmitted
+
+    def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
+        g = self.microgeometry(values, wi, wo)
+        visible = g.density / self.facets(values).projected_area(wi._replace(z=wi.z.abs())) * g.possible
+        reflected = 0.25 * g.reflectance
+        transmitted = (1.0 - g.reflectance) * (g.cos_i * g.cos_o * g.eta * g.eta / g.squared)
+        return visible * (reflected + g.transmits * (transmitted - reflected))
+
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+        values, wi = tuple(value.detach() for value in values), wi.detach()
+        side = side_of(wi)
+        m = self.facets(values).sample_visible(wi * side, u, v)
+        reflectance, _ = dielectric_reflectance(dot(wi * side, m), self.index(values, side))
+        return decide(reflectance, choice)
+
+    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+        side = side_of(wi)
+        eta, wi = self.index(values, side), wi * side
+        m = self.facets(values).sample_visible(wi, u, v)
+        cos_i = dot(wi, m)
+        _, cos_t = dielectric_reflectance(cos_i, eta)
+        along = blend(choice, torch.ones_like(eta), 1.0 / eta)
+        wo = m * (along * cos_i + blend(choice, cos_i, -cos_t)) - wi * along
+        return on_its_side(wo, 1.0 - 2.0 * choice.transmits) * side
+
+    def probability(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor:
+        side = side_of(wi)
+        eta, wi, wo = self.index(values, side), wi * side, wo * side
+        m, _ = half_vector(wi + wo * (1.0 + choice.transmits * (eta - 1.0)))
+        reflectance, _ = dielectric_reflectance(dot(wi, m), eta)
+        return blend(choice, reflectance, 1.0 - reflectance)
+
+
+def apart_from_one(eta: Tensor) -> Tensor:
+    """`eta`, moved away from 1 where it is closer than rounding allows; the derivative is that of the identity."""
+    least = 4.0 * torch.finfo(eta.dtype).eps ** 0.5
+    gap = eta.detach() - 1.0
+    moved = torch.copysign(gap.abs().clamp_min(least), gap)
+    return eta + (moved - gap)
+
+
+def on_its_side(w: Vec3, side: Tensor) -> Vec3:
+    """`w` where its z has the sign of `side`, else the direction of the horizon below or above it."""
+    fine = (w.z * side > 0).to(w.z.dtype)
+    level = (w.x * w.x + w.y * w.y).clamp_min(TINY)
+    scale = fine + (1.0 - fine) * torch.rsqrt(level)
+    return Vec3(w.x * scale, w.y * scale, w.z * fine)
+
+
+@register("bsdf", "roughdielectric")
+class RoughDielectric(Dielectric):
+    """A rough boundary between two transparent media: microfacets that each reflect and refract light, once.
+
+    Parameters: `alpha` or `alpha_u` and `alpha_v`, textures; `eta`, a number, the index of refraction inside over the one
+    outside; `specular_reflectance`, `specular_transmittance`, textures. Derivatives: with respect to all of them; of
+    roughness below 1e-4, which counts as 1e-4, they are zero.
+
+    Args:
+        distribution: of the microfacets' normals, beckmann or ggx.
+        alpha: roughness, 0.1 by default; for Beckmann the root mean square slope times sqrt(2).
+        alpha_u, alpha_v: instead of it, roughness along the tangent and the bitangent.
+        int_ior: index of refraction inside, a number or a material of `ior.DIELECTRICS`.
+        ext_ior: the same outside; not the same value.
+        specular_reflectance: a factor in [0, 1] on reflected light; physical surfaces have 1.
+        specular_transmittance: a factor in [0, 1] on refracted light; physical surfaces have 1.
+        sample_visible: true, and nothing else.
+
+    Raises:
+        ValueError: if a name is not known, attributes exclude each other, or a value is out of range.
+    """
+
+    def __init__(self, *, distribution: str = "beckmann", alpha: Texture | float | None = None,
+                 alpha_u: Texture | float | None = None, alpha_v: Texture | float | None = None,
+                 int_ior: float | str = "bk7", ext_ior: float | str = "air", specular_reflectance: Texture | float = 1.0,
+                 specular_transmittance: Texture | float = 1.0, sample_visible: bool = True):
+        super().__init__(int_ior=int_ior, ext_ior=ext_ior, specular_reflectance=specular_reflectance,
+                         specular_transmittance=specular_transmittance)
+        if float(self.eta) == 1.0:
+            raise ValueError(f"int_ior and ext_ior must differ, or there is nothing to see; got {int_ior} and {ext_ior}")
+        self.distribution = check_distribution(distribution, sample_visible)
+        self.sample_visible = sample_visible
+        rough = roughness(alpha, alpha_u, alpha_v)
+        self.alpha, self.alpha_u, self.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
+
+    def kind(self) -> RoughDielectricKind:
+        """The scattering functions."""
+        return RoughDielectricKind(self.distribution, self.alpha is None)
+
+    def textures(self) -> tuple[Texture, ...]:
+        """What the functions take, in order."""
+        rough = (self.alpha,) if self.alpha is not None else (self.alpha_u, self.alpha_v)
+        return *rough, *super().textures()
