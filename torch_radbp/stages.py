@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
+import pickle
+import platform
 import sys
 import time
 import typing
@@ -16,10 +19,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
+from torch._inductor.codecache import cache_dir
 from torch.utils._pytree import tree_flatten
 
 from torch_radbp import vec
-from torch_radbp.adjoint.sweep import bounce_adjoint
+from torch_radbp.adjoint.sweep import FEW_ENTRIES, bounce_adjoint
 from torch_radbp.path import PathState, bounce, sample_camera
 
 # Below this many lanes a compiled function gains nothing, and one or zero lanes would compile a special case.
@@ -52,36 +56,71 @@ def compiled() -> Stages:
 
 
 class CompiledStage:
-    """A stage under `torch.compile`, which says so when it has to compile a special case that it has not met."""
+    """A stage that is compiled for each special case it meets; what is compiled is kept on disk, in torch's cache.
+
+    A case may need several functions: sizes that happen to be equal the first time are taken to be always equal.
+
+    Says on the standard error when it compiles, which takes some ten seconds; loading what was compiled before takes one.
+    """
 
     def __init__(self, stage: Callable):
         self.stage = stage
         self.returns = typing.get_type_hints(stage)["return"]
+        self.functions: dict[tuple, list] = {}
 
         @functools.wraps(stage)
         def plain_stage(*arguments):
             return plain(stage(*arguments))
 
-        self.compiled = torch.compile(plain_stage, dynamic=True, fullgraph=True, options=INDUCTOR_OPTIONS)
-        self.met: set = set()
+        self.compiler = torch.compile(plain_stage, dynamic=True, fullgraph=True, options=INDUCTOR_OPTIONS)
 
     def __call__(self, *arguments):
         if lanes_of(arguments) < FEWEST_LANES:
             return self.stage(*arguments)
+        case = special_case(arguments)
+        functions = self.functions.setdefault(case, [])
+        for number in itertools.count():
+            if number == len(functions):
+                functions.append(self.loaded(case, number) or self.compile(case, number, arguments))
+            if functions[number].guard_check(*arguments):
+                return typed(self.returns, functions[number].fn(*arguments))
+
+    def path(self, case: tuple, number: int) -> Path:
+        """Where a function is kept; another torch, machine or version of this package has another."""
+        about = (self.stage.__name__, case, number, code_digest(), torch.__version__, sys.version, platform.machine(),
+                 torch.backends.cpu.get_cpu_capability(), torch.get_num_threads())
+        return Path(cache_dir()) / "torch_radbp" / hashlib.sha256(repr(about).encode()).hexdigest()
+
+    def loaded(self, case: tuple, number: int):
+        """The function as it was compiled before, or None."""
+        try:
+            with self.path(case, number).open("rb") as file:
+                return torch.compiler.load_compiled_function(file)
+        except (OSError, EOFError, RuntimeError, pickle.UnpicklingError):
+            return None
+
+    def compile(self, case: tuple, number: int, arguments: tuple):
+        print(f"torch_radbp: compiling {self.stage.__name__} ...", end="", file=sys.stderr, flush=True)
+        began = time.perf_counter()
         with torch._dynamo.config.patch(DYNAMO_OPTIONS):
-            case = special_case(arguments)
-            if case in self.met:
-                return self.fast(*arguments)
-            print(f"torch_radbp: compiling {self.stage.__name__} ...", end="", file=sys.stderr, flush=True)
-            began = time.perf_counter()
-            result = self.fast(*arguments)
-            print(f" {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
-            self.met.add(case)
-            return result
+            function = self.compiler.aot_compile((arguments, {}))
+        path = self.path(case, number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        function.save_compiled_function(str(path))
+        print(f" {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
+        if not function.guard_check(*arguments):
+            raise RuntimeError(f"the compiled {self.stage.__name__} refuses the arguments that it was compiled for; "
+                               "use compile=False")
+        return function
 
 
-    def fast(self, *arguments):
-        return typed(self.returns, self.compiled(*arguments))
+@functools.cache
+def code_digest() -> str:
+    """Changes with every line of this package."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def plain(value):
@@ -116,8 +155,6 @@ def lanes_of(arguments: tuple) -> int:
 
 
 def special_case(arguments: tuple) -> tuple:
-    """What a stage is compiled for: all that is not a tensor, and dtype and device."""
-    leaves = tree_flatten(arguments)[0]
-    tensors = [leaf for leaf in leaves if isinstance(leaf, torch.Tensor)]
-    return (*(leaf for leaf in leaves if not isinstance(leaf, torch.Tensor)),
-            *{(tensor.dtype, tensor.device.type) for tensor in tensors if tensor.is_floating_point()})
+    """What a stage is compiled for: all that is not a tensor, and dtypes, devices and the sizes of small tables."""
+    return tuple((leaf.dtype, leaf.device.type, *(min(size, FEW_ENTRIES + 1) for size in leaf.shape))
+                 if isinstance(leaf, torch.Tensor) else leaf for leaf in tree_flatten(arguments)[0])

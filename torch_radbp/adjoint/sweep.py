@@ -18,10 +18,9 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from torch_radbp.path import Integrand, PathState, Position, Settings, Step, scattering, survivors, take_step
-from torch_radbp.scene.lookup import Tap, lookup
+from torch_radbp.scene.lookup import Tap, lookup, tapped
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, masked
 
@@ -52,7 +51,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[int, ...], state: PathStat
 
     Args:
         scene: detached.
-        wanted: which leaves of `scene` (in the order of `tree_flatten`) to differentiate.
+        wanted: which leaves of `scene` (counted as `tree_flatten` does, ascending) to differentiate.
         state, step: the bounce, as in the forward pass.
         adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
         memo: L_{k+1} of all lanes of the chunk, 0 where the path ended.
@@ -62,12 +61,10 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[int, ...], state: PathStat
         L_k of the lanes of `state`, and what to add to the gradient of each wanted leaf.
     """
     adj_L, L_next = lookup(adj_L, state.lane) * state.beta, lookup(memo, state.lane)
-    leaves, structure = tree_flatten(scene)
-    taps = [Tap(leaves[position]) for position in wanted]
-    for position, tap in zip(wanted, taps):
-        leaves[position] = tap
+    taps: list[Tap] = []
+    attached, _ = tapped(scene, wanted, 0, taps)
     with torch.enable_grad():
-        local = scattering(tree_unflatten(leaves, structure), scene, state, step.hit, at, settings)
+        local = scattering(attached, scene, state, step.hit, at, settings)
         E, F = local.Le + masked(step.visible, local.Ld), local.F
         outputs = [(value, adjoint) for value, adjoint in zip((*E, *F), (*adj_L, *(adj_L * L_next))) if value.requires_grad]
         reads = [leaf for tap in taps for _, leaf in tap.reads]

@@ -28,6 +28,30 @@ class Tap:
         return leaf
 
 
+def tapped(node, wanted: tuple[int, ...], place: int, taps: list[Tap]):
+    """A record of tables with some of them tapped.
+
+    Args:
+        node: the record, or a part of it.
+        wanted: which leaves, counted as `tree_flatten` does, ascending.
+        place: the number of the first leaf of `node`.
+        taps: filled in, in order.
+
+    Returns:
+        The record, and the number of the leaf after it.
+    """
+    if isinstance(node, tuple):
+        parts = []
+        for part in node:
+            part, place = tapped(part, wanted, place, taps)
+            parts.append(part)
+        return type(node)(*parts) if hasattr(node, "_fields") else tuple(parts), place
+    if place in wanted:
+        node = Tap(node)
+        taps.append(node)
+    return node, place + 1
+
+
 def lookup(table, index: Tensor):
     """Entries of a table, or of each component of a `Vec2` / `Vec3` of tables, at int32 `index` (N,)."""
     if isinstance(table, (Vec2, Vec3)):
