@@ -21,19 +21,18 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_map
 
-from torch_radbp.bsdf.diffuse import Diffuse
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import CAMERA_DEPTH, bounce_key, depth_counter, lane_key, uniform
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
-from torch_radbp.scene.lookup import lookup, sample_texture
+from torch_radbp.scene.material import Material, density, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane, camera_ray
-from torch_radbp.vec import TINY, Ray, Vec3, masked, max_component, normalize
+from torch_radbp.vec import TINY, Ray, Vec3, dot, masked, max_component, normalize
 
 # The random numbers of one bounce.
-NUMBERS = LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE = range(6)
+NUMBERS = LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE, BSDF_CHOICE = range(7)
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
@@ -167,7 +166,7 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
         return Scattering(Le, none, none, si, None, None, zero)
 
     # Look up the material.
-    reflectance = material_reflectance(scene, si)
+    material = material_at(scene, si)
 
     # Connect to a point on a light.
     key = bounce_key(state.key, at.counter)
@@ -175,37 +174,27 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
     light, Ld = None, none
     if settings.nee:
         light = sample_light(scene, proposal, si, *numbers[LIGHT_CHOICE:LIGHT_V + 1])
-        light, Ld = next_event(reflectance, si, light)
+        light, Ld = next_event(material, si, light)
 
     # Sample the BSDF for the next direction.
-    wo = Diffuse.sample(numbers[BSDF_U], numbers[BSDF_V])
-    pdf = Diffuse.pdf(si.wi, wo)
-    F = Diffuse.eval(reflectance, si.wi, wo) * (1.0 / pdf.clamp_min(TINY))
+    wo, F, pdf = sample(material, si.wi, numbers[BSDF_CHOICE], numbers[BSDF_U], numbers[BSDF_V])
 
     # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
     promise = max_component((state.beta * F).detach())
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
     alive = (si.valid & (pdf > 0) & (numbers[ROULETTE] < survival)).to(pdf.dtype)
-    return Scattering(Le, Ld, F * (alive / survival), si, light, wo, pdf * alive)
+    pdf = torch.where(alive > 0, pdf, 0.0)  # not a product: it may be infinite
+    return Scattering(Le, Ld, F * (alive / survival), si, light, wo, pdf)
 
 
-def material_reflectance(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
-    """Reflectance of the side that the ray meets; zero behind a one-sided material."""
-    uv = si.uv if scene.layout.reflectance_bitmaps else None
-    front = lookup(scene.materials.front, si.material)
-    if not scene.layout.back_sides:
-        return sample_texture(scene.reflectance, front, uv)
-    texture = torch.where(si.front, front, lookup(scene.materials.back, si.material))
-    return masked(texture >= 0, sample_texture(scene.reflectance, texture.clamp_min(0), uv))
-
-
-def next_event(reflectance: Vec3, si: SurfaceInteraction, light: LightSample) -> tuple[LightSample, Vec3]:
+def next_event(material: Material, si: SurfaceInteraction, light: LightSample) -> tuple[LightSample, Vec3]:
     """The light that arrives from a light sample if nothing is in between; a sample that cannot connect gets density 0."""
-    wo = si.frame.to_local(light.d)
-    connects = (si.valid & (light.pdf > 0) & (wo.z > 0) & (si.wi.z > 0)).to(light.pdf.dtype)
-    density = light.pdf.detach().clamp_min(TINY)
-    weight = power_heuristic(density, Diffuse.pdf(si.wi, wo).detach() * light.findable)
-    Ld = Diffuse.eval(reflectance, si.wi, wo) * light.radiance * (connects * weight / density)
+    wo = si.frame.to_local(light.d.detach())
+    pdf = density(material.detach(), si.wi, wo)
+    connects = (si.valid & (light.pdf > 0) & (pdf > 0)).to(pdf.dtype)
+    chance = light.pdf.detach().clamp_min(TINY)
+    weight = power_heuristic(chance, pdf * light.findable)
+    Ld = evaluate(material, si.wi, wo) * light.radiance * (connects * weight / chance)
     return light._replace(pdf=light.pdf * connects), Ld
 
 
@@ -307,5 +296,7 @@ def behind_emitters(integrand: Integrand, ray: Ray, hit: Hit) -> Hit:
             return hit
         seen = Ray(*(Vec3(*(component[hidden] for component in vector)) for vector in ray))
         si = surface_interaction(integrand.proposal, seen, Hit(*(part[hidden] for part in hit)))
-        beyond = integrand.caster.intersect(Ray(si.offset(seen.d, si.epsilon()), seen.d))
+        start = si.offset(seen.d, si.epsilon())
+        beyond = integrand.caster.intersect(Ray(start, seen.d))
+        beyond = beyond._replace(t=beyond.t + dot(start - seen.o, seen.d))
         hit = Hit(*(old.index_copy(0, hidden, new) for old, new in zip(hit, beyond)))

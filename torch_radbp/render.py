@@ -47,7 +47,8 @@ class Renderer(nn.Module):
         compile: compile the functions of a bounce; worth it from some dozen renderings on.
         caster: "embree" or "brute"; None picks by device.
 
-    Derivatives reach the texels of reflectances and the radiance and intensity of emitters.
+    Derivatives reach the textures of materials (not the index of refraction of a smooth `dielectric`, which moves the
+    paths) and the radiance, irradiance and intensity of emitters.
 
     Raises:
         ValueError: for settings that make no sense.

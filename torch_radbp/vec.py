@@ -179,6 +179,9 @@ class LocalVec3:
     def __iter__(self):
         return iter((self.x, self.y, self.z))
 
+    def _replace(self, **parts: Tensor) -> Vec3:
+        return Vec3(*self)._replace(**parts)
+
     __add__, __sub__, __mul__, __truediv__, __neg__ = (
         Vec3.__add__, Vec3.__sub__, Vec3.__mul__, Vec3.__truediv__, Vec3.__neg__)
     map, detach = Vec3.map, Vec3.detach

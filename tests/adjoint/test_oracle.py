@@ -14,7 +14,7 @@ SETTINGS = {
     "nee_and_roulette": {"nee": True, "rr_depth": 1},
     # Light is found by chance here; two bounces off the lamp's own material need more paths.
     "no_nee": {"nee": False, "rr_depth": 100, "spp": 16},
-    "no_nee_and_roulette": {"nee": False, "rr_depth": 2, "spp": 64},
+    "no_nee_and_roulette": {"nee": False, "rr_depth": 2, "spp": 256},
     "hide_emitters": {"nee": True, "rr_depth": 3, "hide_emitters": True, "spp": 16},
 }
 FEW = (rb.MemoizedAdjoint(), rb.MemoizedAdjoint(3, keep_hits=False), rb.MemoizedAdjoint("log"), rb.QuadraticAdjoint())

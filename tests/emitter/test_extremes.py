@@ -89,7 +89,7 @@ def test_an_emitter_seen_edge_on_or_from_itself_is_finite(dtype):
     inputs = everything(scene)
     tensors = pack(scene)
     prim = torch.full((4,), 3, dtype=torch.int32)
-    hit = Hit(prim, *(torch.full((4,), 0.25, dtype=dtype) for _ in range(2)))
+    hit = Hit(prim, *(torch.full((4,), 0.25, dtype=dtype) for _ in range(3)))
     edge = tensors.triangles.e1.detach().stack()[3]
     point = (tensors.triangles.p0.stack()[3] + 0.25 * edge + 0.25 * tensors.triangles.e2.stack()[3]).detach()
     o = torch.stack([point, point + edge, point + 1e-20 * edge, point - 1e-7 * edge]).requires_grad_()

@@ -26,7 +26,7 @@ def test_every_lane_is_answered_whatever_their_number(caster, lanes):
     tracer = make_caster(caster, *mesh("sphere in a box"))
     whole = tracer.intersect(ray)
     part = tracer.intersect(take(ray, slice(lanes)))
-    assert [column.shape for column in part] == [(lanes,)] * 3
+    assert [column.shape for column in part] == [(lanes,)] * 4
     assert all(torch.equal(a, b[:lanes]) for a, b in zip(part, whole))
     assert torch.equal(
         tracer.occluded(take(ray, slice(lanes)), torch.full((lanes,), torch.inf)), whole.prim[:lanes] >= 0

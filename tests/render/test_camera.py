@@ -85,7 +85,7 @@ def test_an_image_shows_things_where_they_are():
     marks = {"top": ((0, 1, 0), rgb(1, 0, 0)), "right": ((1, 0, 0), rgb(0, 1, 0))}
     lamps = {name: rectangle(at, 0.2, emitter={"type": "area", "radiance": colour}) for name, (at, colour) in marks.items()}
     scene = load(sensor=sensor(15, (0, 0, 4), (0, 0, 0), 40), **lamps)
-    image = rb.render(scene, spp=16, max_depth=1)[0]
+    image = rb.render(scene, spp=256, max_depth=1)[0]
     half = 15 / (2 * 4 * math.tan(math.radians(20)))  # pixels per unit in the plane of the lamps
     rows, columns = torch.meshgrid(torch.arange(15.0) + 0.5, torch.arange(15.0) + 0.5, indexing="ij")
     for channel, (column, row) in ((0, (7.5, 7.5 - half)), (1, (7.5 + half, 7.5))):

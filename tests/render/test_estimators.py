@@ -27,8 +27,8 @@ def blocks(scene, seeds, **settings):
 def test_next_event_estimation_does_not_change_the_expectation(name, depth):
     settings = {"max_depth": depth, "rr_depth": 100}
     scene = CASES[name].scene()
-    by_chance = blocks(scene, range(16), nee=False, spp=128, **settings)
-    with_nee = blocks(scene, range(100, 116), nee=True, spp=32, **settings)
+    by_chance = blocks(scene, range(16), nee=False, spp=512, **settings)
+    with_nee = blocks(scene, range(100, 116), nee=True, spp=512, **settings)
     standard_error = ((by_chance.var(0) + with_nee.var(0)) / 16).sqrt()
     mean, difference = by_chance.mean(0), with_nee.mean(0) - by_chance.mean(0)
     assert (mean > 0).all() and (standard_error > 0).all()

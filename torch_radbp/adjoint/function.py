@@ -171,10 +171,11 @@ class RenderFunction(torch.autograd.Function):
         leaves = [leaf for leaf in tree_flatten(call.scene)[0]]
         positions = [position for position, leaf in enumerate(leaves) if isinstance(leaf, Tensor) and leaf.requires_grad]
         needed = [k for k, need in enumerate(ctx.needs_input_grad[1:]) if need]
-        wanted = tuple(positions[k] for k in needed)
+        chosen = [positions[k] for k in needed]
+        wanted = tuple(position in chosen for position in range(len(leaves)))
 
         def differentiate_share(share: range) -> list[Tensor]:
-            gradients = [torch.zeros_like(leaves[position], dtype=torch.float64) for position in wanted]
+            gradients = [torch.zeros_like(leaves[position], dtype=torch.float64) for position in chosen]
             for index in share:
                 chunk = call.chunks[index]
                 if call.retrace:

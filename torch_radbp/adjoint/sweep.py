@@ -45,13 +45,13 @@ class TableAdjoint(NamedTuple):
     reads: list[tuple[Tensor, Tensor]]  # index and adjoint per lane, still to be scattered
 
 
-def bounce_adjoint(scene: SceneTensors, wanted: tuple[int, ...], state: PathState, step: Step, adj_L: Vec3,
+def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], state: PathState, step: Step, adj_L: Vec3,
                    memo: Vec3, at: Position, settings: Settings) -> tuple[Vec3, list[TableAdjoint]]:
     """The local vector-Jacobian product of one bounce.
 
     Args:
         scene: detached.
-        wanted: which leaves of `scene` (counted as `tree_flatten` does, ascending) to differentiate.
+        wanted: of each leaf of `scene` (counted as `tree_flatten` does), whether to differentiate it.
         state, step: the bounce, as in the forward pass.
         adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
         memo: L_{k+1} of all lanes of the chunk, 0 where the path ended.
@@ -88,7 +88,7 @@ class Sweep:
     """The state of one chunk's backward pass: the memo, the adjoint of the image, the gradient buffers."""
 
     def __init__(self, integrand: Integrand, adjoint_of_bounce: Callable, record: PathRecord, adj_L: Vec3,
-                 wanted: tuple[int, ...], gradients: list[Tensor]):
+                 wanted: tuple[bool, ...], gradients: list[Tensor]):
         self.integrand, self.adjoint_of_bounce, self.record = integrand, adjoint_of_bounce, record
         self.adj_L, self.wanted, self.gradients = adj_L, wanted, gradients
         self.memo = Vec3.buffer(adj_L.x)  # L_{k+1} of each lane; 0 until a deeper bounce has written it

@@ -49,18 +49,3 @@ class Diffuse(BSDF):
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""
         return (self.reflectance,)
-
-    @staticmethod
-    def eval(reflectance: Vec3, wi: Vec3, wo: Vec3) -> Vec3:
-        """bsdf * cos, local frame; zero unless both directions lie above the surface."""
-        return reflectance * Diffuse.pdf(wi, wo)
-
-    @staticmethod
-    def pdf(wi: Vec3, wo: Vec3) -> Tensor:
-        """Density of `sample` over solid angle."""
-        return cosine_hemisphere_pdf(wo) * (wi.z > 0).to(wo.z.dtype)
-
-    @staticmethod
-    def sample(u: Tensor, v: Tensor) -> Vec3:
-        """A direction in the local frame, proportional to the cosine."""
-        return square_to_cosine_hemisphere(u, v)

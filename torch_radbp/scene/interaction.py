@@ -51,7 +51,10 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteractio
     triangles = scene.triangles
     valid = hit.prim >= 0
     prim = hit.prim.clamp_min(0)
-    p = ray.o + ray.d * hit.t
+    if scene.layout.moving:  # glued to the triangle
+        p = (lookup(triangles.p0, prim) + lookup(triangles.e1, prim) * hit.u + lookup(triangles.e2, prim) * hit.v)
+    else:
+        p = ray.o + ray.d * hit.t
     n = lookup(triangles.n, prim)
     shading = n
     if scene.layout.shading_normals:
@@ -65,7 +68,8 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteractio
     front = dot(shading, ray.d) < 0
     material = lookup(triangles.material, prim)
     if scene.layout.back_sides:
-        turned = ~front & (lookup(scene.materials.back, material) >= 0)
+        material = material + (~front).to(material.dtype) * (len(scene.materials.kind) // 2)
+        turned = lookup(scene.materials.turned, material)
         shading = where(turned, -shading, shading)
     frame = ShadingFrame(shading)
     return SurfaceInteraction(valid, prim, material, p, n, frame, front, frame.to_local(-ray.d), uv, hit.t)

@@ -28,12 +28,12 @@ class Tap:
         return leaf
 
 
-def tapped(node, wanted: tuple[int, ...], place: int, taps: list[Tap]):
+def tapped(node, wanted: tuple[bool, ...], place: int, taps: list[Tap]):
     """A record of tables with some of them tapped.
 
     Args:
         node: the record, or a part of it.
-        wanted: which leaves, counted as `tree_flatten` does, ascending.
+        wanted: of each leaf, counted as `tree_flatten` does, whether to tap it.
         place: the number of the first leaf of `node`.
         taps: filled in, in order.
 
@@ -46,7 +46,7 @@ def tapped(node, wanted: tuple[int, ...], place: int, taps: list[Tap]):
             part, place = tapped(part, wanted, place, taps)
             parts.append(part)
         return type(node)(*parts) if hasattr(node, "_fields") else tuple(parts), place
-    if place in wanted:
+    if wanted[place]:
         node = Tap(node)
         taps.append(node)
     return node, place + 1

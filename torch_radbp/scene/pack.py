@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_radbp.bsdf.kind import Kind
+from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.light_table import Lamp, kinds_of, light_table
 from torch_radbp.scene.lookup import TextureBank
@@ -67,8 +69,7 @@ def pack(scene: Scene) -> SceneTensors:
     dtype, device = scene.dtype, scene.device
     reflectance, radiance = BankBuilder(), BankBuilder()
     bsdfs = list(scene.bsdfs())
-    materials = MaterialTable(*(torch.tensor(column, dtype=torch.int32, device=device) for column in zip(
-        *(sides(bsdf, reflectance) for bsdf in bsdfs))))
+    materials, kinds = material_table(bsdfs, reflectance, device)
     surfaces = [without_flat_normals(shape.oriented()) for shape in scene.shapes]
     counts = [len(surface.faces) for surface in surfaces]
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
@@ -76,9 +77,10 @@ def pack(scene: Scene) -> SceneTensors:
     emitted = [-1 if shape.emitter is None else radiance.add(shape.emitter.radiance) for shape in scene.shapes]
     lamps = [Lamp(emitter, radiance.add(emitter.radiated())) for emitter in scene.emitters if emitter.type != "area"]
     layout = Layout(
+        moving=any(surface.vertices.requires_grad for surface in surfaces),
         shading_normals=any(surface.normals is not None for surface in surfaces),
         light_normals=any(surface.normals is not None and texture >= 0 for surface, texture in zip(surfaces, emitted)),
-        back_sides=bool((materials.back >= 0).any()) if bsdfs else False,
+        back_sides=bool(materials.turned.any()), kinds=kinds,
         reflectance_bitmaps=reflectance.has_bitmaps, radiance_bitmaps=radiance.has_bitmaps,
         area_lights=any(texture >= 0 for texture in emitted), **kinds_of(lamps))
     needs_uv = layout.reflectance_bitmaps or layout.radiance_bitmaps
@@ -111,11 +113,21 @@ def check_finite(scene: Scene) -> None:
                              f"a smaller learning rate or bounds may keep it finite")
 
 
-def sides(bsdf: BSDF, bank: BankBuilder) -> tuple[int, int]:
-    """The reflectance textures in front of and behind a material; -1 is black."""
-    if bsdf.type == "twosided":
-        return tuple(bank.add(side.reflectance) for side in bsdf.sides())
-    return bank.add(bsdf.reflectance), -1
+def material_table(bsdfs: list[BSDF], bank: BankBuilder, device: torch.device) -> tuple[MaterialTable, tuple[Kind, ...]]:
+    """The rows of all materials, and the kinds that they are of."""
+    two_sided = [isinstance(bsdf, TwoSided) for bsdf in bsdfs]
+    faces = [bsdf.sides() if two else (bsdf, bsdf) for bsdf, two in zip(bsdfs, two_sided)]
+    rows = [front for front, _ in faces] + [back for _, back in faces]
+    kinds = tuple(dict.fromkeys(bsdf.kind() for bsdf in rows))
+    textures = [[bank.add(texture) for texture in bsdf.textures()] for bsdf in rows]
+    slots = max((kind.slots for kind in kinds), default=0)
+
+    def column(values, dtype=torch.int32) -> Tensor:
+        return torch.tensor(values, dtype=dtype, device=device)
+
+    return MaterialTable(column([kinds.index(bsdf.kind()) for bsdf in rows]),
+                         tuple(column([row[k] if k < len(row) else 0 for row in textures]) for k in range(slots)),
+                         column([False] * len(bsdfs) + two_sided, torch.bool)), kinds
 
 
 def geometry(scene: Scene) -> tuple[Tensor, Tensor]:

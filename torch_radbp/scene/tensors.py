@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.bsdf.kind import Kind
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.sampling.grid import GridDistribution
 from torch_radbp.scene.lookup import TextureBank
@@ -19,9 +20,11 @@ AREA, CONSTANT, ENVIRONMENT, POINT, SPOT, PROJECTOR, DIRECTIONAL = range(7)
 class Layout(NamedTuple):
     """What a scene contains: static, so that nothing is computed for what is not there."""
 
+    moving: bool  # vertices are attached to parameters
     shading_normals: bool  # that differ from the triangles' own
     light_normals: bool  # the same, on area lights
-    back_sides: bool
+    back_sides: bool  # some materials are different, or turned, from behind
+    kinds: tuple[Kind, ...]  # of materials
     reflectance_bitmaps: bool
     radiance_bitmaps: bool
     area_lights: bool
@@ -63,10 +66,11 @@ class TriangleTable(NamedTuple):
 
 
 class MaterialTable(NamedTuple):
-    """One row per material: the texture that each side reads."""
+    """Two rows for each of M materials: first all as seen from the side of the normal, then all from behind."""
 
-    front: Tensor  # (M,) int32 reflectance texture on the side of the normal
-    back: Tensor  # (M,) int32, -1: black
+    kind: Tensor  # (2 M,) int32, of `Layout.kinds`
+    slots: tuple[Tensor, ...]  # (2 M,) int32 each: the textures that the functions of the kind take
+    turned: Tensor  # (2 M,) bool: the frame is turned to the viewer
 
 
 class PosedLights(NamedTuple):

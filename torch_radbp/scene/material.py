@@ -1,0 +1,94 @@
+"""What light does at a surface point: the BSDF there, whichever kind each lane meets."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.kind import Kind, Values
+from torch_radbp.scene.interaction import SurfaceInteraction
+from torch_radbp.scene.lookup import lookup, sample_texture
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import TINY, Vec3, where
+
+HARMLESS = 0.5  # a value that every kind of material can take, for lanes of other kinds
+
+
+class Material(NamedTuple):
+    """The material of each lane, with its textures read."""
+
+    kinds: tuple[Kind, ...]  # all that the scene has
+    kind: Tensor | None  # (N,) int32, which of them; None if there is one
+    values: Values  # (N,) each; what the functions of a kind take, and unused ones after them
+
+    def of(self, number: int) -> Values:
+        """The values as kind `number` takes them; harmless where a lane is of another kind."""
+        values = self.values[:self.kinds[number].slots]
+        if self.kind is None:
+            return values
+        mine, other = self.kind == number, Vec3.full(values[0].x, HARMLESS)
+        return tuple(where(mine, value, other) for value in values)
+
+    def detach(self) -> Material:
+        return self._replace(values=tuple(value.detach() for value in self.values))
+
+
+class BSDFSample(NamedTuple):
+    """A direction in which the path goes on."""
+
+    wo: Vec3  # unit, local; detached
+    weight: Vec3  # bsdf * |cos| / pdf; attached to the material
+    pdf: Tensor  # density over solid angle; infinite for ideal specular scattering, which is not left to chance; 0: none
+
+
+def material_at(scene: SceneTensors, si: SurfaceInteraction) -> Material:
+    """Reads the textures of the material at a surface point, on the side that the ray meets."""
+    uv = si.uv if scene.layout.reflectance_bitmaps else None
+    table, kinds = scene.materials, scene.layout.kinds
+    values = tuple(sample_texture(scene.reflectance, lookup(slot, si.material), uv) for slot in table.slots)
+    return Material(kinds, None if len(kinds) == 1 else lookup(table.kind, si.material), values)
+
+
+def evaluate(material: Material, wi: Vec3, wo: Vec3) -> Vec3:
+    """bsdf * |cos|, local frame; attached. Zero for ideal specular materials."""
+    parts = [kind.eval(material.of(number), wi, wo) for number, kind in enumerate(material.kinds)]
+    return chosen(material.kind, parts)
+
+
+def density(material: Material, wi: Vec3, wo: Vec3) -> Tensor:
+    """Density over solid angle with which `sample` draws `wo`; zero for ideal specular materials."""
+    return chosen(material.kind, [kind.pdf(material.of(number), wi, wo) for number, kind in enumerate(material.kinds)])
+
+
+def sample(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> BSDFSample:
+    """Draws a direction by the material as it is, detached; the weight is attached.
+
+    Args:
+        choice, u, v: (N,) uniform numbers, the first for reflection or transmission.
+    """
+    fixed = material.detach()
+    samples = [sample_kind(kind, material.of(number), fixed.of(number), wi, choice, u, v)
+               for number, kind in enumerate(material.kinds)]
+    return BSDFSample(*(chosen(material.kind, list(parts)) for parts in zip(*samples)))
+
+
+def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> BSDFSample:
+    """`sample` for one kind of material."""
+    decision = kind.choose(fixed, wi, choice, u, v)
+    wo = kind.sample(fixed, wi, decision, u, v)
+    if kind.delta:
+        weight = kind.specular(values, wi, decision) * (1.0 / decision.probability.clamp_min(TINY))
+        return BSDFSample(wo, weight, torch.full_like(u, torch.inf))
+    pdf = kind.pdf(fixed, wi, wo)
+    return BSDFSample(wo, kind.eval(values, wi, wo) * (1.0 / pdf.clamp_min(TINY)), pdf)
+
+
+def chosen(kind: Tensor | None, parts: list):
+    """Of what each kind gives, that of each lane's own."""
+    result = parts[0]
+    for number, part in enumerate(parts[1:], start=1):
+        mine = kind == number
+        result = where(mine, part, result) if isinstance(part, Vec3) else torch.where(mine, part, result)
+    return result
