@@ -45,7 +45,7 @@ def test_double_backward_raises(adjoint):
 def test_path_records_are_freed_by_the_backward_pass_though_the_image_lives_on():
     image, _ = rendering()
     visibility = [StorageWeakRef(t.untyped_storage()) for t in image.grad_fn.saved_tensors if t.dtype == torch.bool]
-    assert len(visibility) == 4 and not any(mask.expired() for mask in visibility)
+    assert visibility and len(visibility) % 4 == 0 and not any(mask.expired() for mask in visibility)
     image.sum().backward()
     assert image.shape == (1, 3, 4, 4) and all(mask.expired() for mask in visibility)
 
