@@ -7,7 +7,16 @@ import pytest
 import torch
 
 from tests.sampling.chi_square import SIGNIFICANCE, p_value
-from torch_radbp.sampling.sampler import CAMERA_DEPTH, DIMENSIONS_PER_BOUNCE, bounce_key, depth_counter, hash32, lane_key, seed_key, uniform
+from torch_radbp.sampling.sampler import (
+    CAMERA_DEPTH,
+    DIMENSIONS_PER_BOUNCE,
+    bounce_key,
+    depth_counter,
+    hash32,
+    lane_key,
+    seed_key,
+    uniform,
+)
 
 PIXELS, SAMPLES = 256, 256
 

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 # Odd, from SHA-256 of "torch_radbp dimension <k>", first four bytes, little-endian, as signed integers.
-MULTIPLIERS = tuple((int.from_bytes(hashlib.sha256(f"torch_radbp dimension {k}".encode()).digest()[:4], "little", signed=True)
-                     | 1) for k in range(16))
+MULTIPLIERS = tuple(
+    int.from_bytes(hashlib.sha256(f"torch_radbp dimension {k}".encode()).digest()[:4], "little", signed=True) | 1
+    for k in range(16))
 DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
 CAMERA_DEPTH = -1  # the depth under which the camera draws its numbers
 
@@ -60,8 +61,8 @@ def bounce_key(key: Tensor, counter: Tensor) -> Tensor:
 def uniform(key: Tensor, dimension: int, dtype: torch.dtype) -> Tensor:
     """Uniform numbers in [0, 1), one per lane.
 
-    The dimensions of a bounce are the coordinates of one point of a lattice of 2^32 points (key times an odd multiplier, modulo
-    2^32), picked by a hash: far finer than any number of samples resolves, and a quarter of the work of a hash each.
+    The dimensions of a bounce are the coordinates of one point of a lattice of 2^32 points (key times an odd multiplier,
+    modulo 2^32), picked by a hash: far finer than any number of samples resolves, and a quarter of the work of a hash each.
 
     Args:
         key: (N,) int32, from `bounce_key`.

@@ -99,7 +99,8 @@ def without_flat_normals(surface: Triangles) -> Triangles:
     if surface.normals is None or surface.normals.requires_grad or surface.vertices.requires_grad:
         return surface
     corner = surface.vertices[surface.faces]
-    face = torch.nn.functional.normalize(torch.linalg.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), dim=-1)
+    e1, e2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    face = torch.nn.functional.normalize(torch.linalg.cross(e1, e2), dim=-1)
     flat = (surface.normals[surface.faces] - face[:, None]).abs().max() < 1e-5
     return surface._replace(normals=None) if flat else surface
 
