@@ -29,10 +29,10 @@ from torch_radbp.path import PathState, bounce, sample_camera
 # Below this many lanes a compiled function gains nothing, and one or zero lanes would compile a special case.
 FEWEST_LANES = 64
 
-# Indices into tables are right by construction.
 # Products of a vector and a tensor stay in Dynamo's graph as they are: what is compiled depends on the code of the vectors.
 VECTORS = {f"{kind.__module__}.{kind.__name__}": hashlib.sha256(Path(vec.__file__).read_bytes()).hexdigest()
            for kind in (vec.Vec2, vec.Vec3)}
+# Indices into tables are right by construction.
 INDUCTOR_OPTIONS = {"assert_indirect_indexing": False, "unsafe_marked_cacheable_functions": VECTORS}
 # Derivatives are taken inside a compiled function; Python numbers are constants of the integrand, not inputs.
 DYNAMO_OPTIONS = {"trace_autograd_ops": True, "specialize_float": True}

@@ -20,7 +20,7 @@ SETTINGS = {
 FEW = (rb.MemoizedAdjoint(), rb.MemoizedAdjoint(3, keep_hits=False), rb.MemoizedAdjoint("log"), rb.QuadraticAdjoint())
 
 
-def compare(case, strategies, **settings):
+def assert_all_agree(case, strategies, **settings):
     """Asserts that image and gradients of every strategy are those of the tape."""
     settings = {"spp": 2, "max_depth": 6} | settings
     reference, expected = image_and_gradients(case.scene(), case.parameters, adjoint=rb.TapeAdjoint(), **settings)
@@ -35,12 +35,12 @@ def compare(case, strategies, **settings):
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS)
 def test_every_strategy_gives_the_gradient_of_the_tape_in_the_cornell_box(settings):
-    compare(CASES["cornell"], STRATEGIES, **settings)
+    assert_all_agree(CASES["cornell"], STRATEGIES, **settings)
 
 
 @pytest.mark.parametrize("name", [name for name in CASES if name != "cornell"])
 def test_every_strategy_gives_the_gradient_of_the_tape_with(name):
-    compare(CASES[name], STRATEGIES, max_depth=4, rr_depth=2)
+    assert_all_agree(CASES[name], STRATEGIES, max_depth=4, rr_depth=2)
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS)
@@ -50,7 +50,7 @@ def test_the_integrand_does_not_matter_with(name, settings):
     case = CASES[name]
     if name == "sky_and_points" and not settings["nee"]:
         case = case._replace(parameters=tuple(p for p in case.parameters if not p.endswith("intensity.value")))
-    compare(case, FEW, max_depth=4, **settings)
+    assert_all_agree(case, FEW, max_depth=4, **settings)
 
 
 def test_without_next_event_estimation_a_point_light_has_no_gradient():
@@ -61,7 +61,7 @@ def test_without_next_event_estimation_a_point_light_has_no_gradient():
 
 @pytest.mark.parametrize("stride", [1, 4, "sqrt", "log"])
 def test_unlimited_depth_gives_the_gradient_of_the_tape(stride):
-    compare(CASES["cornell"], [rb.MemoizedAdjoint(stride)], max_depth=-1, rr_depth=1, spp=1)
+    assert_all_agree(CASES["cornell"], [rb.MemoizedAdjoint(stride)], max_depth=-1, rr_depth=1, spp=1)
 
 
 @pytest.mark.parametrize("kept", [1, 2, 3])

@@ -124,4 +124,4 @@ def test_colours_of_emitters_are_those_of_mitsuba(tmp_path, radiance):
 @pytest.mark.parametrize("version", ["2.0.0", "2.1.0", "3.0.0", "3.9.1", "3.0", "3"])
 def test_versions_of_mitsuba_2_and_3_are_read(tmp_path, version):
     (tmp_path / "scene.xml").write_text(scene_text("", version=version))
-    load(tmp_path / "scene.xml")
+    assert load(tmp_path / "scene.xml").sensors

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.illumination import LightPose, Scaled, linear_inverse
-from torch_radbp.plugin import Emitter, Matrix4, Texture, nearest, positive, register
-from torch_radbp.sensor.perspective import FOV_AXES, diagonal_fov, horizontal_fov
+from torch_radbp.plugin import Emitter, Matrix4, Texture, positive, register
+from torch_radbp.sensor.perspective import field_of_view, horizontal_fov
 from torch_radbp.shape.surface import affine
 from torch_radbp.texture.rgb import as_texture, check_range
 
@@ -39,14 +39,7 @@ class Projector(Emitter):
         self.irradiance = check_range("irradiance", as_texture("irradiance", irradiance))
         if not 0 <= scale < math.inf:
             raise ValueError(f"scale must be at least 0 and finite, got {scale}")
-        if fov_axis not in FOV_AXES:
-            raise ValueError(f"fov_axis {fov_axis!r} is not known; {nearest(fov_axis, FOV_AXES)}")
-        if fov is not None and focal_length is not None:
-            raise ValueError("give either fov or focal_length, not both")
-        if fov is None:
-            fov, fov_axis = diagonal_fov("50mm" if focal_length is None else focal_length), "diagonal"
-        if not 0 < fov < 180:
-            raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
+        fov, fov_axis = field_of_view(fov, focal_length, fov_axis)
         self.fov = float(fov) if fov_axis == "x" else horizontal_fov(fov, fov_axis, self.aspect())
         self.freeze("scale", torch.tensor(float(scale), dtype=torch.get_default_dtype()))
         self.freeze("to_world", affine("to_world", to_world))

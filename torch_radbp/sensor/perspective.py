@@ -60,14 +60,7 @@ class Perspective(Sensor):
         super().__init__()
         self.film = HDRFilm() if film is None else film
         self.sampler = Independent() if sampler is None else sampler
-        if fov_axis not in FOV_AXES:
-            raise ValueError(f"fov_axis {fov_axis!r} is not known; {nearest(fov_axis, FOV_AXES)}")
-        if fov is not None and focal_length is not None:
-            raise ValueError("give either fov or focal_length, not both")
-        if fov is None:
-            fov, fov_axis = diagonal_fov("50mm" if focal_length is None else focal_length), "diagonal"
-        if not 0 < fov < 180:
-            raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
+        fov, fov_axis = field_of_view(fov, focal_length, fov_axis)
         if not 0 < near_clip < far_clip:
             raise ValueError(f"near_clip must be positive and less than far_clip, got {near_clip} and {far_clip}")
         self.near_clip, self.far_clip = positive("near_clip", near_clip), float(far_clip)
@@ -104,6 +97,23 @@ class Perspective(Sensor):
             quantiles=film.rfilter.quantiles().to(matrix),
             inside_x=tuple(part.to(matrix) for part in film.sampled_part(film.crop_width)),
             inside_y=tuple(part.to(matrix) for part in film.sampled_part(film.crop_height)))
+
+
+def field_of_view(fov: float | None, focal_length: str | None, fov_axis: str) -> tuple[float, str]:
+    """Degrees and the axis along which they are measured; 50 mm film if neither is given.
+
+    Raises:
+        ValueError: if both are given, the axis is not known or the angle is out of range.
+    """
+    if fov_axis not in FOV_AXES:
+        raise ValueError(f"fov_axis {fov_axis!r} is not known; {nearest(fov_axis, FOV_AXES)}")
+    if fov is not None and focal_length is not None:
+        raise ValueError("give either fov or focal_length, not both")
+    if fov is None:
+        fov, fov_axis = diagonal_fov("50mm" if focal_length is None else focal_length), "diagonal"
+    if not 0 < fov < 180:
+        raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
+    return fov, fov_axis
 
 
 def diagonal_fov(focal_length: str) -> float:
