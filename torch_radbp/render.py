@@ -182,8 +182,8 @@ class Renderer(nn.Module):
         moving = [name for name, parameter in self.scene.named_parameters() if parameter.requires_grad
                   and what_it_sets(name) not in ("value", "data")]
         if missing or moving:
-            raise ValueError(f"derivatives with respect to shapes, poses and positions are not available yet, nor to "
-                             f"indices of refraction, but "
+            raise ValueError(f"derivatives with respect to indices of refraction, shapes, poses and positions are "
+                             f"not available yet, but "
                              f"{', '.join(moving) or 'a parametrised one'} requires grad; set requires_grad_(False) there")
 
 
