@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.sampling.chi_square import SIGNIFICANCE, p_value
-from torch_radbp.bsdf.diffuse import Diffuse
+from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.sampling.warp import (
     UNIFORM_SPHERE_PDF,
     cosine_hemisphere_pdf,
@@ -17,6 +17,7 @@ from torch_radbp.sampling.warp import (
 )
 from torch_radbp.vec import Vec3
 
+DIFFUSE = DiffuseKind()
 COUNT = 200_000
 CELLS = (16, 32)  # cosine of the polar angle, azimuth
 
@@ -43,13 +44,18 @@ def histogram(w: Vec3) -> np.ndarray:
     return np.histogram2d(w.z.numpy(), phi.numpy(), CELLS, [(-1, 1), (0, 2 * math.pi)])[0]
 
 
+def diffuse_sample(u, v) -> Vec3:
+    viewer = Vec3(torch.zeros_like(u), torch.zeros_like(u), torch.ones_like(u))
+    return DIFFUSE.sample((), viewer, DIFFUSE.choose((), viewer, u, u, v), u, v)
+
+
 def below(wi_z):
-    return lambda w: Diffuse.pdf(Vec3(torch.zeros_like(w.x), torch.zeros_like(w.x), torch.full_like(w.x, wi_z)), w)
+    return lambda w: DIFFUSE.pdf((), Vec3(torch.zeros_like(w.x), torch.zeros_like(w.x), torch.full_like(w.x, wi_z)), w)
 
 
 SPHERICAL = {
     "cosine_hemisphere": (square_to_cosine_hemisphere, cosine_hemisphere_pdf),
-    "diffuse": (Diffuse.sample, below(0.3)),
+    "diffuse": (diffuse_sample, below(0.3)),
     "uniform_sphere": (square_to_uniform_sphere, lambda w: torch.full_like(w.z, UNIFORM_SPHERE_PDF)),
 }
 
@@ -87,26 +93,26 @@ def test_corners_of_the_square_are_mapped_to_finite_values():
             for dtype in (torch.float32, torch.float64):
                 numbers = torch.tensor([u], dtype=dtype), torch.tensor([v], dtype=dtype)
                 w = square_to_cosine_hemisphere(*numbers)
-                assert torch.isfinite(w.stack()).all() and w.z > 0 and Diffuse.pdf(w, w) > 0
+                assert torch.isfinite(w.stack()).all() and w.z > 0 and DIFFUSE.pdf((), w, w) > 0
                 assert torch.isfinite(square_to_uniform_sphere(*numbers).stack()).all()
 
 
 def test_a_diffuse_surface_reflects_what_its_reflectance_says():
     """White furnace: the mean of eval / pdf is the reflectance, here on every sample."""
-    wo = Diffuse.sample(*square())
+    wo = diffuse_sample(*square())
     wi = Vec3(torch.full_like(wo.x, 0.6), torch.zeros_like(wo.x), torch.full_like(wo.x, 0.8))
     colour = Vec3(*(torch.full_like(wo.x, value) for value in (0.0, 0.5, 1.0)))
-    weight = Diffuse.eval(colour, wi, wo).stack() / Diffuse.pdf(wi, wo)[:, None]
+    weight = DIFFUSE.eval((colour,), wi, wo).stack() / DIFFUSE.pdf((), wi, wo)[:, None]
     torch.testing.assert_close(weight, torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64).expand_as(weight))
 
 
 def test_a_diffuse_surface_is_reciprocal_and_black_below_the_horizon():
-    a, b = Diffuse.sample(*square()), Diffuse.sample(*(1 - u for u in square()))
+    a, b = diffuse_sample(*square()), diffuse_sample(*(1 - u for u in square()))
     colour = Vec3(*(torch.full_like(a.x, value) for value in (0.2, 0.5, 1.0)))
-    forwards = Diffuse.eval(colour, a, b).stack() / b.z[:, None]
-    backwards = Diffuse.eval(colour, b, a).stack() / a.z[:, None]
+    forwards = DIFFUSE.eval((colour,), a, b).stack() / b.z[:, None]
+    backwards = DIFFUSE.eval((colour,), b, a).stack() / a.z[:, None]
     assert forwards.max() > 0
     torch.testing.assert_close(forwards, backwards)
     down = a._replace(z=-a.z)
     for wi, wo in ((a, down), (down, a), (down, down)):
-        assert Diffuse.eval(colour, wi, wo).stack().abs().max() == 0 and Diffuse.pdf(wi, wo).abs().max() == 0
+        assert DIFFUSE.eval((colour,), wi, wo).stack().abs().max() == 0 and DIFFUSE.pdf((), wi, wo).abs().max() == 0
