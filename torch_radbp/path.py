@@ -15,6 +15,7 @@ Reference: Li 2020, "Deriving Radiative Backpropagation using the Recursive Form
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -26,13 +27,13 @@ from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import CAMERA_DEPTH, bounce_key, depth_counter, lane_key, uniform
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
-from torch_radbp.scene.material import Material, density, evaluate, material_at, sample
+from torch_radbp.scene.material import Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane, camera_ray
 from torch_radbp.vec import TINY, Ray, Vec3, dot, masked, max_component, normalize
 
 # The random numbers of one bounce.
-NUMBERS = LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE, BSDF_CHOICE = range(7)
+LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE, BSDF_CHOICE = range(7)
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
@@ -169,20 +170,20 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
     material = material_at(scene, si)
 
     # Connect to a point on a light.
-    key = bounce_key(state.key, at.counter)
-    numbers = [uniform(key, dimension, zero.dtype) for dimension in NUMBERS]
+    number = partial(uniform, bounce_key(state.key, at.counter), dtype=zero.dtype)
     light, Ld = None, none
     if settings.nee:
-        light = sample_light(scene, proposal, si, *numbers[LIGHT_CHOICE:LIGHT_V + 1])
+        light = sample_light(scene, proposal, si, *(number(dimension) for dimension in (LIGHT_CHOICE, LIGHT_U, LIGHT_V)))
         light, Ld = next_event(material, si, light)
 
     # Sample the BSDF for the next direction.
-    wo, F, pdf = sample(material, si.wi, numbers[BSDF_CHOICE], numbers[BSDF_U], numbers[BSDF_V])
+    choice = number(BSDF_CHOICE) if material.discrete else None
+    wo, F, pdf = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V))
 
     # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
     promise = max_component((state.beta * F).detach())
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
-    alive = (si.valid & (pdf > 0) & (numbers[ROULETTE] < survival)).to(pdf.dtype)
+    alive = (si.valid & (pdf > 0) & (number(ROULETTE) < survival)).to(pdf.dtype)
     pdf = torch.where(alive > 0, pdf, 0.0)  # not a product: it may be infinite
     return Scattering(Le, Ld, F * (alive / survival), si, light, wo, pdf)
 
@@ -190,11 +191,13 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
 def next_event(material: Material, si: SurfaceInteraction, light: LightSample) -> tuple[LightSample, Vec3]:
     """The light that arrives from a light sample if nothing is in between; a sample that cannot connect gets density 0."""
     wo = si.frame.to_local(light.d.detach())
-    pdf = density(material.detach(), si.wi, wo)
-    connects = (si.valid & (light.pdf > 0) & (pdf > 0)).to(pdf.dtype)
-    chance = light.pdf.detach().clamp_min(TINY)
+    reflected, pdf = evaluate(material, si.wi, wo)
+    pdf = pdf.detach()
+    chance = light.pdf.detach()
+    connects = (si.valid & (chance * pdf > 0)).to(pdf.dtype)
+    chance = chance.clamp_min(TINY)
     weight = power_heuristic(chance, pdf * light.findable)
-    Ld = evaluate(material, si.wi, wo) * light.radiance * (connects * weight / chance)
+    Ld = reflected * light.radiance * (connects * weight / chance)
     return light._replace(pdf=light.pdf * connects), Ld
 
 

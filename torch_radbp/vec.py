@@ -155,13 +155,15 @@ class LocalVec3:
     Has the operators of `Vec3`.
     """
 
-    def __init__(self, frame: ShadingFrame, v: Vec3):
-        self.frame, self.v = frame, v
-        self.parts: dict[str, Tensor] = {}
+    def __init__(self, frame: ShadingFrame, v: Vec3, backwards: bool = False, z: Tensor | None = None):
+        """`v` in the frame, or -v if `backwards`; `z` if it is known already."""
+        self.frame, self.v, self.backwards = frame, v, backwards
+        self.parts: dict[str, Tensor] = {} if z is None else {"z": z}
 
     def part(self, name: str) -> Tensor:
         if name not in self.parts:
-            self.parts[name] = dot(self.v, getattr(self.frame, {"x": "s", "y": "t", "z": "n"}[name]))
+            along = dot(self.v, getattr(self.frame, {"x": "s", "y": "t", "z": "n"}[name]))
+            self.parts[name] = -along if self.backwards else along
         return self.parts[name]
 
     @property

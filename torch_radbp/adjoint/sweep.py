@@ -105,17 +105,18 @@ class Sweep:
             _, step = take_step(self.integrand, state, depth)
         L, tables = self.adjoint_of_bounce(self.integrand.scene, self.wanted, state, step, self.adj_L, self.memo,
                                            self.integrand.at(depth), self.integrand.settings_at(depth))
+        places: dict[tuple[int, int], Tensor] = {}
         for gradient, (total, reads) in zip(self.gradients, tables):
             if total is not None:
                 gradient += total
             for index, adjoint in reads:
-                scatter_add(gradient, index, adjoint)
+                scatter_add(gradient, index, adjoint, places)
         lane = state.lane.long()
         self.memo = L if len(lane) == len(self.memo.x) else Vec3(*(old.index_copy_(0, lane, new)
                                                                   for old, new in zip(self.memo, L)))
 
 
-def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor) -> None:
+def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor, places: dict[tuple[int, int], Tensor]) -> None:
     """Adds each lane's adjoint to its entry of a table's gradient.
 
     Millions of lanes may add to one entry: one float32 sum would lose what is small against the total (2% of the lamp's
@@ -125,13 +126,16 @@ def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor) -> None:
         gradient: (K,) float64, written into.
         index: (N,) int32.
         adjoint: (N,).
+        places: what was made of indices before, for several tables are read at the same ones.
     """
     entries = len(gradient)
     blocks = min(MOST_BLOCKS, len(index), MOST_PARTIAL_SUMS // entries)
     whole = len(index) // blocks * blocks if blocks > 1 else 0
     if whole:
         partial = adjoint.new_zeros(blocks, entries)
-        partial.scatter_add_(1, index[:whole].view(blocks, -1).long(), adjoint[:whole].view(blocks, -1))
+        if (id(index), blocks) not in places:
+            places[id(index), blocks] = index[:whole].view(blocks, -1).long()
+        partial.scatter_add_(1, places[id(index), blocks], adjoint[:whole].view(blocks, -1))
         gradient += partial.sum(0, dtype=gradient.dtype)
     gradient.index_add_(0, index[whole:], adjoint[whole:].to(gradient.dtype))
 

@@ -33,17 +33,13 @@ class RoughConductorKind(Kind):
         """The distribution of microfacets."""
         return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
 
-    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
         eta, k, reflectance = values[-3:]
         facets, lit, wi, wo = self.facets(values), reflects(wi, wo), above(wi), above(wo)
         m, _ = half_vector(wi + wo)
-        scale = 0.25 * facets.density(m) * facets.masking(wi) * facets.masking(wo) * wo.z
-        return reflectance * conductor_reflectance(dot(wi, m), eta, k) * (scale * lit)
-
-    def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
-        facets, lit, wi, wo = self.facets(values), reflects(wi, wo), above(wi), above(wo)
-        m, _ = half_vector(wi + wo)
-        return 0.25 * facets.density(m) / facets.projected_area(wi) * lit
+        density = 0.25 * facets.density(m) * lit
+        scale = density * facets.masking(wi) * facets.masking(wo) * wo.z
+        return reflectance * conductor_reflectance(dot(wi, m), eta, k) * scale, density / facets.projected_area(wi)
 
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
         wi = above(wi)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import LocalVec3, Ray, ShadingFrame, Vec2, Vec3, dot, normalize, where
+from torch_radbp.vec import LocalVec3, Ray, ShadingFrame, Vec2, Vec3, dot, normalize
 
 
 class SurfaceInteraction(NamedTuple):
@@ -25,6 +25,7 @@ class SurfaceInteraction(NamedTuple):
     wi: LocalVec3  # towards the viewer, local
     uv: Vec2 | None
     t: Tensor  # distance that the ray has come
+    cosine: Tensor  # between the geometric normal and the ray's direction
 
     def epsilon(self) -> Tensor:
         """The distance by which rays start off the surface, relative to the size of its coordinates and of the ray.
@@ -56,20 +57,23 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteractio
     else:
         p = ray.o + ray.d * hit.t
     n = lookup(triangles.n, prim)
-    shading = n
+    cosine = dot(n, ray.d)
+    shading, shading_cosine = n, cosine
     if scene.layout.shading_normals:
         w = 1.0 - hit.u - hit.v
         shading = normalize(lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * hit.u
                             + lookup(triangles.n2, prim) * hit.v)
+        shading_cosine = dot(shading, ray.d)
     uv = None
     if triangles.uv0 is not None:
         w = 1.0 - hit.u - hit.v
         uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * hit.u + lookup(triangles.uv2, prim) * hit.v
-    front = dot(shading, ray.d) < 0
+    front = shading_cosine < 0
     material = lookup(triangles.material, prim)
     if scene.layout.back_sides:
         material = material + (~front).to(material.dtype) * (len(scene.materials.kind) // 2)
-        turned = lookup(scene.materials.turned, material)
-        shading = where(turned, -shading, shading)
+        side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
+        shading, shading_cosine = shading * side, shading_cosine * side
     frame = ShadingFrame(shading)
-    return SurfaceInteraction(valid, prim, material, p, n, frame, front, frame.to_local(-ray.d), uv, hit.t)
+    wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
+    return SurfaceInteraction(valid, prim, material, p, n, frame, front, wi, uv, hit.t, cosine)

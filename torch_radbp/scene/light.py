@@ -69,10 +69,8 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
             derivative in either case.
     """
     proposal = scene if proposal is None else proposal
-    offset = si.p - ray.o
-    cosine = dot(si.n, ray.d).abs()
     pdf = (lookup(proposal.triangles.light_pmf, si.prim) * lookup(scene.triangles.inverse_area, si.prim)
-           * dot(offset, offset) / cosine.clamp_min(SMALLEST_COSINE))
+           * (si.t * si.t) / si.cosine.abs().clamp_min(SMALLEST_COSINE))
     surround_pmf = proposal.lights.surround_pmf
     if scene.layout.constant_light:
         return torch.where(si.valid, pdf, surround_pmf * UNIFORM_SPHERE_PDF)
@@ -100,7 +98,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     layout, lights = scene.layout, proposal.lights
     element = lights.choice.sample(choice)
     pmf = lookup(lights.choice.pmf, element)
-    kind = lookup(lights.kind, element)
+    kind = None if layout.only_surfaces_emit else lookup(lights.kind, element)
 
     # Let each kind of light that there is decide where to look.
     aim, fixed = None, None

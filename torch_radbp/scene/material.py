@@ -31,6 +31,11 @@ class Material(NamedTuple):
         mine, other = self.kind == number, Vec3.full(values[0].x, HARMLESS)
         return tuple(where(mine, value, other) for value in values)
 
+    @property
+    def discrete(self) -> bool:
+        """Whether `sample` has to choose between reflection and transmission."""
+        return any(kind.discrete for kind in self.kinds)
+
     def detach(self) -> Material:
         return self._replace(values=tuple(value.detach() for value in self.values))
 
@@ -51,22 +56,20 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction) -> Material:
     return Material(kinds, None if len(kinds) == 1 else lookup(table.kind, si.material), values)
 
 
-def evaluate(material: Material, wi: Vec3, wo: Vec3) -> Vec3:
-    """bsdf * |cos|, local frame; attached. Zero for ideal specular materials."""
-    parts = [kind.eval(material.of(number), wi, wo) for number, kind in enumerate(material.kinds)]
-    return chosen(material.kind, parts)
+def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
+    """bsdf * |cos|, local frame, and the density over solid angle with which `sample` draws `wo`; attached.
+
+    Both are zero for ideal specular materials.
+    """
+    parts = [kind.eval_pdf(material.of(number), wi, wo) for number, kind in enumerate(material.kinds)]
+    return tuple(chosen(material.kind, list(part)) for part in zip(*parts))
 
 
-def density(material: Material, wi: Vec3, wo: Vec3) -> Tensor:
-    """Density over solid angle with which `sample` draws `wo`; zero for ideal specular materials."""
-    return chosen(material.kind, [kind.pdf(material.of(number), wi, wo) for number, kind in enumerate(material.kinds)])
-
-
-def sample(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> BSDFSample:
+def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> BSDFSample:
     """Draws a direction by the material as it is, detached; the weight is attached.
 
     Args:
-        choice, u, v: (N,) uniform numbers, the first for reflection or transmission.
+        choice, u, v: (N,) uniform numbers, the first for reflection or transmission (None: not `material.discrete`).
     """
     fixed = material.detach()
     samples = [sample_kind(kind, material.of(number), fixed.of(number), wi, choice, u, v)
@@ -74,15 +77,17 @@ def sample(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -
     return BSDFSample(*(chosen(material.kind, list(parts)) for parts in zip(*samples)))
 
 
-def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> BSDFSample:
+def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Tensor | None, u: Tensor,
+                v: Tensor) -> BSDFSample:
     """`sample` for one kind of material."""
     decision = kind.choose(fixed, wi, choice, u, v)
     wo = kind.sample(fixed, wi, decision, u, v)
     if kind.delta:
         weight = kind.specular(values, wi, decision) * (1.0 / decision.probability.clamp_min(TINY))
         return BSDFSample(wo, weight, torch.full_like(u, torch.inf))
-    pdf = kind.pdf(fixed, wi, wo)
-    return BSDFSample(wo, kind.eval(values, wi, wo) * (1.0 / pdf.clamp_min(TINY)), pdf)
+    value, pdf = kind.eval_pdf(values, wi, wo)
+    pdf = pdf.detach()
+    return BSDFSample(wo, value * pdf.clamp_min(TINY).reciprocal(), pdf)
 
 
 def chosen(kind: Tensor | None, parts: list):

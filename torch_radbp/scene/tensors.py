@@ -41,6 +41,11 @@ class Layout(NamedTuple):
         return self.point_lights or self.spots or self.projectors or self.directional_lights
 
     @property
+    def only_surfaces_emit(self) -> bool:
+        """Whether all lights are area lights."""
+        return not (self.posed_lights or self.distant_lights)
+
+    @property
     def distant_lights(self) -> bool:
         """Whether there are lights that are directions rather than points."""
         return self.constant_light or self.environment_map or self.directional_lights
