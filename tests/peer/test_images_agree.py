@@ -111,10 +111,8 @@ def cornell_dict(to_matrix=lambda matrix: matrix) -> dict:
     }
 
 
-def test_a_dict_rendered_by_mitsuba_now_agrees():
+def test_a_dict_rendered_by_mitsuba_now_agrees(mi):
     """Live, with Mitsuba's own reading of the same dict."""
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
     theirs = mi.load_dict(cornell_dict(mi.ScalarTransform4f))
     peer = [np.array(mi.render(theirs, spp=64, seed=seed)) for seed in range(32)]
     case = Case(None)
