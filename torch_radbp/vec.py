@@ -111,6 +111,11 @@ def masked(condition: Tensor, a: Vec3) -> Vec3:
     return a * condition.to(a.x.dtype)
 
 
+def gather(table: Tensor, index: Tensor) -> Tensor:
+    """Entries of a table at integer `index` (N,)."""
+    return table.index_select(0, index)
+
+
 def max_component(a: Vec3) -> Tensor:
     return torch.maximum(a.x, torch.maximum(a.y, a.z))
 
