@@ -14,9 +14,11 @@ from torch_radbp import bsdf, emitter, film, sensor, shape, texture  # noqa: F40
 from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.write import save
+from torch_radbp.jvp import jvp
 from torch_radbp.plugin import SceneError
+from torch_radbp.pose import se3
 from torch_radbp.render import Renderer, render
 from torch_radbp.scene import Scene
 
 __all__ = ["MemoizedAdjoint", "QuadraticAdjoint", "Renderer", "ReplayAdjoint", "Scene", "SceneError", "TapeAdjoint",
-           "load", "load_dict", "render", "save"]
+           "jvp", "load", "load_dict", "render", "save", "se3"]
