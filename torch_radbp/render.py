@@ -6,15 +6,18 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+from torch.func import functional_call
 from torch.utils._pytree import tree_flatten, tree_map_only
 
 from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
+from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
 from torch_radbp.adjoint.function import RenderCall, View, pilot_paths, plan_chunks, render_images, render_with_derivative
 from torch_radbp.adjoint.memory import MemoryPlan, parse_budget, plan_memory, predict, reaching
 from torch_radbp.path import Integrand, Settings
 from torch_radbp.raycast import make_caster
 from torch_radbp.sampling.sampler import seed_key
 from torch_radbp.scene import Scene
+from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.integrator import check_depths
 from torch_radbp.scene.pack import geometry, pack
 from torch_radbp.scene.tensors import SceneTensors
@@ -103,11 +106,19 @@ class Renderer(nn.Module):
         """
         spp = self.spp if spp is None else spp
         check_count("spp", spp)
+        if inside_transforms():
+            arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad}
+            return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
+                                      dict(self.named_parameters()))
         call = self.prepare(seed, sensors, spp, seed_grad)
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
             return render_images(call, call.make_integrand(call.scene), record=False)[0]
+        if has_tangents(call.scene):
+            if seed_grad is not None:
+                raise ValueError("seed_grad draws a backward pass of its own, which forward mode has not; leave it out")
+            return render_tangents(call)
         return render_with_derivative(call)
 
     def prepare(self, seed: int, sensors: Sequence[int] | None, spp: int, seed_grad: int | None) -> RenderCall:
@@ -178,8 +189,8 @@ class Renderer(nn.Module):
         """Raises ValueError if a gradient is asked for that would silently be missing."""
         differentiable = {id(leaf) for leaf in (*scene.reflectance.texels, *scene.radiance.texels)}
         missing = [leaf for leaf in tree_flatten(scene)[0]
-                   if isinstance(leaf, Tensor) and leaf.requires_grad and id(leaf) not in differentiable]
-        moving = [name for name, parameter in self.scene.named_parameters() if parameter.requires_grad
+                   if isinstance(leaf, Tensor) and differentiated(leaf) and id(leaf) not in differentiable]
+        moving = [name for name, parameter in self.scene.named_parameters() if differentiated(parameter)
                   and what_it_sets(name) not in ("value", "data")]
         if missing or moving:
             raise ValueError(f"derivatives with respect to indices of refraction, shapes, poses and positions are "

@@ -4,6 +4,8 @@ from typing import Annotated
 
 import typer
 
+from torch_radbp.training.check_command import EPILOG as CHECK_EPILOG
+from torch_radbp.training.check_command import check
 from torch_radbp.training.info_command import EPILOG as INFO_EPILOG
 from torch_radbp.training.info_command import info
 from torch_radbp.training.optimize_command import EPILOG as OPTIMIZE_EPILOG
@@ -16,6 +18,7 @@ EPILOG = (
     "radbp info scene.xml  (what is in a scene, and what its parameters are called)\n\n"
     "radbp render scene.xml -o image.png --spp 64\n\n"
     "radbp optimize recipe.toml --out runs/first  (recover parameters from images)\n\n"
+    "radbp check scene.xml --param white.reflectance.value  (is a derivative right?)\n\n"
     "Every command explains itself: radbp render --help"
 )
 
@@ -31,6 +34,7 @@ app = typer.Typer(
 app.command(epilog=RENDER_EPILOG)(render)
 app.command(epilog=INFO_EPILOG)(info)
 app.command(epilog=OPTIMIZE_EPILOG)(optimize)
+app.command(epilog=CHECK_EPILOG)(check)
 
 
 def _version(wanted: bool) -> None:

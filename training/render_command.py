@@ -53,7 +53,7 @@ def render(
         if not output.parent.is_dir():
             raise ValueError(f"{output}: no such folder: {output.parent}")
         loaded = rb.load(scene, **parse_variables(define))
-        indices = _chosen_sensors(sensor, list(sensor_films(loaded)))
+        indices = chosen_sensors(sensor, list(sensor_films(loaded)))
         renderer = rb.Renderer(
             loaded, spp=spp, max_depth=max_depth, rr_depth=rr_depth, chunk=chunk, compile=compile
         )
@@ -87,7 +87,7 @@ def _passes(spp: int) -> list[int]:
     return [spp // count + (index < spp % count) for index in range(count)]
 
 
-def _chosen_sensors(wanted: list[str] | None, known: list[str]) -> dict[str, int]:
+def chosen_sensors(wanted: list[str] | None, known: list[str]) -> dict[str, int]:
     """Returns the wanted sensors' indices by name, all of them if none is named."""
     from torch_radbp.plugin import nearest
 

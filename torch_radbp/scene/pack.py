@@ -8,6 +8,7 @@ from torch import Tensor
 from torch_radbp.bsdf.kind import Kind
 from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.plugin import BSDF, Texture
+from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.light_table import Lamp, kinds_of, light_table
 from torch_radbp.scene.lookup import TextureBank
 from torch_radbp.scene.scene import Scene
@@ -77,7 +78,7 @@ def pack(scene: Scene) -> SceneTensors:
     emitted = [-1 if shape.emitter is None else radiance.add(shape.emitter.radiance) for shape in scene.shapes]
     lamps = [Lamp(emitter, radiance.add(emitter.radiated())) for emitter in scene.emitters if emitter.type != "area"]
     layout = Layout(
-        moving=any(surface.vertices.requires_grad for surface in surfaces),
+        moving=any(differentiated(surface.vertices) for surface in surfaces),
         shading_normals=any(surface.normals is not None for surface in surfaces),
         light_normals=any(surface.normals is not None and texture >= 0 for surface, texture in zip(surfaces, emitted)),
         back_sides=bool(materials.turned.any()), kinds=kinds,
@@ -96,7 +97,7 @@ def pack(scene: Scene) -> SceneTensors:
 
 def without_flat_normals(surface: Triangles) -> Triangles:
     """The surface without vertex normals if they are those of its faces and nothing can change that."""
-    if surface.normals is None or surface.normals.requires_grad or surface.vertices.requires_grad:
+    if surface.normals is None or differentiated(surface.normals) or differentiated(surface.vertices):
         return surface
     corner = surface.vertices[surface.faces]
     e1, e2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]

@@ -1,0 +1,79 @@
+"""Forward mode: images with their tangents, by dual numbers through the loop over bounces.
+
+Nothing is derived a second time: where leaves of `SceneTensors` are dual tensors (`torch.autograd.forward_ad`), torch
+carries the tangents through `path.trace` as it runs. Nothing is kept, so that memory stays bounded by the chunk, but for
+three numbers and their tangents a path, as in the forward pass.
+
+`torch.func.jvp` makes dual tensors too, but as long as it is active wraps everything, down to the constants of a ray
+caster, in tensors without storage. `outside_transforms` unwraps the parameters first and wraps only the image again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+from torch._C._functorch import (
+    TransformType,
+    get_interpreter_stack,
+    get_unwrapped,
+    is_functorch_wrapped_tensor,
+)
+from torch._functorch.pyfunctorch import temporarily_clear_interpreter_stack
+from torch.autograd import forward_ad
+from torch.utils._pytree import tree_flatten
+
+from torch_radbp.adjoint.function import RenderCall, render_images
+from torch_radbp.path import bounce, sample_camera
+from torch_radbp.scene.differentiated import tangent_of
+from torch_radbp.scene.tensors import SceneTensors
+
+
+def has_tangents(scene: SceneTensors) -> bool:
+    """Whether a leaf of the scene is a dual tensor."""
+    return any(tangent_of(leaf) is not None for leaf in tree_flatten(scene)[0] if isinstance(leaf, Tensor))
+
+
+def render_tangents(call: RenderCall) -> Tensor:
+    """(B, 3, H, W) dual images of a scene with dual leaves; eager, on all workers.
+
+    Raises:
+        RuntimeError: if a leaf requires grad as well, whose derivative would be missing.
+    """
+    leaves = [leaf for leaf in tree_flatten(call.scene)[0] if isinstance(leaf, Tensor)]
+    if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves):
+        raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
+                           "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
+    with torch.no_grad():
+        eager = call.make_integrand(call.scene)._replace(bounce=bounce)
+        return render_images(call._replace(sample_camera=sample_camera), eager, record=False)[0]
+
+
+def inside_transforms() -> bool:
+    """Whether a transform of `torch.func` is active."""
+    return bool(get_interpreter_stack())
+
+
+def outside_transforms(render: Callable[[dict[str, Tensor]], Tensor], parameters: dict[str, Tensor]) -> Tensor:
+    """`render(parameters)` inside `torch.func.jvp`, but computed outside of it, on plain dual tensors.
+
+    Raises:
+        RuntimeError: in any other transform, or in several.
+    """
+    transforms = [interpreter.key() for interpreter in get_interpreter_stack()]
+    if transforms != [TransformType.Jvp]:
+        names = ", ".join(transform.name.lower() for transform in transforms)
+        raise RuntimeError(f"of the transforms of torch.func rendering works in jvp only, and not nested, but is called in: "
+                           f"{names}; for gradients use torch.autograd.grad or backward(), not torch.func.grad or vjp")
+    duals = {name: tuple(map(unwrapped, forward_ad.unpack_dual(value))) for name, value in parameters.items()}
+    with temporarily_clear_interpreter_stack():
+        image = render({name: value if tangent is None else forward_ad.make_dual(value, tangent)
+                        for name, (value, tangent) in duals.items()})
+        image, tangent = forward_ad.unpack_dual(image)
+    return image if tangent is None else forward_ad.make_dual(image, tangent)
+
+
+def unwrapped(tensor: Tensor | None) -> Tensor | None:
+    """The plain tensor inside of one that `torch.func` has wrapped."""
+    return get_unwrapped(tensor) if tensor is not None and is_functorch_wrapped_tensor(tensor) else tensor

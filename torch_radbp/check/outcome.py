@@ -1,0 +1,142 @@
+"""`GradientCheck`: what a check of a gradient found, and the verdict."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from torch_radbp.check.statistics import Comparison, Projection
+
+AGREES, BIASED, SILHOUETTES, TOO_NOISY = "agrees", "biased", "biased, probably by silhouettes", "too noisy"
+
+MOST_Z = 4.0  # of a projection; by chance about once in a thousand with 16 batches
+TOLERANCE = 0.01  # relative: what finite differences may be off by their step
+DETECT = 0.05  # the relative error that must not go unnoticed
+MOST_ROUNDINGS = 1e4  # of the dtype's epsilon, between forward and backward pass: sums in another order
+
+
+@dataclass(frozen=True)
+class GradientCheck:
+    """The derivative of an image along a direction by finite differences and by the renderer.
+
+    Attributes:
+        name: of the parameter.
+        direction: of the parameter's shape.
+        step: h of the central differences, in units of `direction`.
+        spp: samples per pixel of each estimate.
+        batches: the independent repetitions that they were rendered in.
+        seed: of the random numbers.
+        comparison: the images (`difference`, `jvp`, `standard_error`, `z`, each (B, 3, H, W) float64 on the scene's device)
+            and the figures (`pixels`, `tiles`, `projections`).
+        verdict: "agrees", "biased", "biased, probably by silhouettes" or "too noisy".
+        explanation: why, in a sentence, and what to do.
+        detectable: the smallest relative error of the derivative that would have been noticed.
+    """
+
+    name: str
+    direction: Tensor
+    step: float
+    spp: int
+    batches: int
+    seed: int
+    comparison: Comparison
+    verdict: str
+    explanation: str
+    detectable: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the verdict is "agrees"."""
+        return self.verdict == AGREES
+
+    def figures(self) -> dict[str, Any]:
+        """The outcome without its images, as numbers and strings for a file."""
+        comparison = self.comparison
+        projections = [projection._asdict() | {"z": projection.z, "relative_error": projection.relative_error}
+                       for projection in comparison.projections]
+        return {"parameter": self.name, "verdict": self.verdict, "explanation": self.explanation, "step": self.step,
+                "spp": self.spp, "batches": self.batches, "seed": self.seed, "detectable": self.detectable,
+                "not_finite": comparison.not_finite, "pixels": comparison.pixels._asdict(),
+                "tiles": comparison.tiles._asdict(), "projections": projections}
+
+    def __str__(self) -> str:
+        lines = [f"{self.name}, step {self.step:.3g}, {self.spp} samples per pixel in {self.batches} batches",
+                 *("  ".join(f"{cell:>17}" for cell in row) for row in self.rows())]
+        lines += [f"{label}: {value}" for label, value in self.summary()]
+        return "\n".join([*lines, f"{self.verdict}: {self.explanation}"])
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """The table of projections as text, headings first."""
+        body = [(p.name, f"{p.difference:.5g}", f"{p.jvp:.5g}", f"{p.standard_error:.2g}", f"{p.z:+.2f}",
+                 f"{p.relative_error:+.2%}", f"{p.backward_error:.1e}") for p in self.comparison.projections]
+        return [("projected on", "differences", "JVP", "standard error", "z", "relative error", "VJP against JVP"), *body]
+
+    def summary(self) -> list[tuple[str, str]]:
+        """The other figures as text: what, and how much."""
+        pixels, tiles = self.comparison.pixels, self.comparison.tiles
+        bias = f"{tiles.relative_bias:.2%}" if tiles.mean_square_z > tiles.limit else "no more than chance explains"
+        return [("pixels: mean square z", f"{pixels.mean_square_z:.2f}"),
+                ("pixels: |z| above 3", f"{pixels.share_above_3:.2%}"),
+                ("pixels: largest |z|", f"{pixels.max_z:.1f}"),
+                ("pixels: mean relative error, with noise", f"{pixels.mean_relative_error:.2%}"),
+                ("pixels that hold half of the squared error", f"{pixels.concentration:.1%}"),
+                ("tiles: mean square z", f"{tiles.mean_square_z:.2f} (by chance up to {tiles.limit:.2f})"),
+                ("tiles: relative error, without noise", bias),
+                ("smallest error of the derivative that would show", f"{self.detectable:.1%}")]
+
+
+def judge(name: str, direction: Tensor, step: float, spp: int, batches: int, seed: int, moves: bool,
+          comparison: Comparison) -> GradientCheck:
+    """The verdict on a comparison.
+
+    Biased is a derivative of which a projection is 4 standard errors off and 1% of its scale, or whose tiles are off by more
+    than chance allows and by 1%; and one that is not finite, or not the same forward and backward. The 1% is left to the
+    step of the finite differences. Too noisy is one in which an error of 5% would not have shown.
+
+    Args:
+        name, direction, step, spp, batches, seed: as in `GradientCheck`.
+        moves: whether the parameter moves something, so that silhouettes could be missing.
+        comparison: what was measured.
+    """
+    informative = comparison.projections[1]
+    detectable = MOST_Z * uncertainty(informative)
+    verdict, explanation = verdict_on(comparison, moves, detectable, spp)
+    return GradientCheck(name, direction, step, spp, batches, seed, comparison, verdict, explanation, detectable)
+
+
+def uncertainty(projection: Projection) -> float:
+    """The standard error relative to the mean of both estimates; infinite if both are zero."""
+    size = abs(projection.difference + projection.jvp) / 2
+    return projection.standard_error / size if size > 0 else math.inf
+
+
+def verdict_on(comparison: Comparison, moves: bool, detectable: float, spp: int) -> tuple[str, str]:
+    """The verdict, and the sentence that explains it."""
+    if comparison.not_finite:
+        return BIASED, f"the derivative by forward mode has {comparison.not_finite} values that are NaN or infinite"
+    apart = max(comparison.projections, key=lambda projection: projection.backward_error)
+    if apart.backward_error > MOST_ROUNDINGS * comparison.eps:
+        return BIASED, (f"forward mode and the backward pass differ by {apart.backward_error:.2g} on the same samples "
+                        f"({apart.name}): one of them is wrong")
+    if not comparison.difference.any() and not comparison.jvp.any():
+        return TOO_NOISY, ("both derivatives are zero everywhere, which tells nothing: the image does not depend on the "
+                           "parameter as seen from here; choose another direction, sensor or max_depth")
+    off = [p for p in comparison.projections if abs(p.z) > MOST_Z and abs(p.relative_error) > TOLERANCE]
+    tiles = comparison.tiles
+    if off or (tiles.mean_square_z > tiles.limit and tiles.relative_bias > TOLERANCE):
+        worst = max(off, key=lambda projection: abs(projection.z)) if off else None
+        where = (f"off by {worst.relative_error:+.1%} ({worst.z:+.1f} standard errors) on {worst.name}" if worst
+                 else f"off by {tiles.relative_bias:.1%} in tiles of the image, though not in sum")
+        held = f"half of the squared error lies in {comparison.pixels.concentration:.1%} of the pixels"
+        if moves:
+            return SILHOUETTES, (f"{where}; {held}. The parameter moves something: edges that it moves in the image, in "
+                                 f"shadows or in reflections count too")
+        return BIASED, f"{where}; {held}. If it shrinks with a smaller step, the step was too large"
+    if detectable > DETECT:
+        more = math.ceil(min((detectable / DETECT) ** 2, 1e9))
+        return TOO_NOISY, (f"an error below {detectable:.0%} would not show; use {more} times the samples (spp={more * spp})"
+                           f"{', or a larger step' if moves else ''}")
+    return AGREES, f"an error of {max(detectable, TOLERANCE):.1%} of the derivative would have shown"

@@ -1,0 +1,80 @@
+"""`jvp`: the derivative image along a direction in the space of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+from torch.func import functional_call
+
+from torch_radbp.plugin import finite
+from torch_radbp.render import Renderer
+from torch_radbp.scene import Scene
+
+
+def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: Sequence[int] | None = None,
+        **settings) -> Tensor:
+    """How the image changes when parameters move: its derivative along `tangents`, by forward mode.
+
+    One derivative of every pixel for about the price of two renderings, where the backward pass gives one derivative with
+    respect to every parameter. With the same seed it is the transpose of the backward pass: for any image w,
+    <w, jvp(tangents)> is the sum over parameters of <tangent, gradient of <w, image>>.
+
+    `torch.func.jvp` and dual tensors of `torch.autograd.forward_ad` work through `torch.func.functional_call(renderer, ...)`
+    too, with the same result; the other transforms of `torch.func` raise.
+
+    Args:
+        scene: left as it is; no parameter needs `requires_grad`.
+        tangents: by the names of `scene.get_parameter`; each of its parameter's shape, any floating dtype.
+        seed: of the random numbers, as in `Renderer`.
+        sensors: indices of the sensors to render; None: all.
+        **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` and `compile` change nothing here.
+
+    Returns:
+        (B, 3, H, W), detached, linear RGB per unit of `tangents`.
+
+    Raises:
+        AttributeError: if the scene has no such parameter; the message lists the nearest names.
+        ValueError: if a tangent has another shape than its parameter or is not finite, or the parameter has no derivative.
+        TypeError: if `tangents` is no mapping.
+
+    Reference: Griewank and Walther 2008, "Evaluating Derivatives", chapter 3.
+    """
+    renderer = Renderer(scene, **settings)
+    return rendering_with_tangent(renderer, checked_tangents(scene, tangents), seed, sensors).tangent
+
+
+class DualImage(NamedTuple):
+    """A rendering and its derivative, (B, 3, H, W) each, detached."""
+
+    image: Tensor
+    tangent: Tensor
+
+
+def checked_tangents(scene: Scene, tangents: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The tangents in the dtype and on the device of their parameters; errors as `jvp` says."""
+    if not isinstance(tangents, Mapping):
+        raise TypeError(f"tangents must map names of parameters to tensors, got {type(tangents).__name__}; "
+                        f"for instance {{\"white.reflectance.value\": torch.ones(3)}}")
+    if not tangents:
+        raise ValueError("tangents must name at least one parameter, got none")
+    checked = {}
+    for name, tangent in tangents.items():
+        parameter = scene.get_parameter(name)
+        checked[name] = finite(f"the tangent of {name!r}", tangent, tuple(parameter.shape)).to(parameter)
+    return checked
+
+
+def rendering_with_tangent(renderer: Renderer, tangents: Mapping[str, Tensor], seed: int,
+                           sensors: Sequence[int] | None = None, spp: int | None = None) -> DualImage:
+    """A rendering and its derivative along `tangents`, as `checked_tangents` returns them."""
+    with torch.no_grad(), forward_ad.dual_level():
+        parameters = {f"scene.{name}": parameter.detach() for name, parameter in renderer.scene.named_parameters()}
+        for name, tangent in tangents.items():
+            parameters[f"scene.{name}"] = forward_ad.make_dual(parameters[f"scene.{name}"], tangent)
+        image = functional_call(renderer, parameters, kwargs={"seed": seed, "sensors": sensors, "spp": spp})
+        image, tangent = forward_ad.unpack_dual(image)
+        return DualImage(image.detach(), torch.zeros_like(image) if tangent is None else tangent.detach())

@@ -1,0 +1,89 @@
+"""`se3`: rigid motions from six numbers, smooth everywhere."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+TERMS = 11  # of the series below: the first one left out is 1e-22 of the sum at an angle of 1
+
+
+def se3(rotation_vector: Tensor, translation: Tensor) -> Tensor:
+    """The rigid motion that first rotates about the origin, then translates: p -> R p + translation.
+
+    The translation is not turned by the rotation, as it would be in the exponential of a twist. All derivatives are
+    finite and right everywhere, at a rotation of zero and of pi too.
+
+        start = scene.get_parameter("box.to_world").detach()
+        pose = torch.zeros(2, 3, requires_grad=True)
+        to_world = rb.se3(pose[0], pose[1]) @ start
+
+    Args:
+        rotation_vector: (..., 3) axis times angle in radians, right-handed; attached.
+        translation: (..., 3), of the same dtype and device; leading axes are broadcast against those of the rotation.
+
+    Returns:
+        (..., 4, 4) matrices for column vectors, attached to both.
+
+    Raises:
+        TypeError: if an argument is no tensor of floating point numbers, or the dtypes differ.
+        ValueError: if a last axis is not of length 3, or the leading axes cannot be broadcast.
+
+    Reference: Rodrigues' formula; Murray, Li and Sastry 1994, "A Mathematical Introduction to Robotic Manipulation",
+    equation 2.14.
+    """
+    check(rotation_vector, translation)
+    w = rotation_vector
+    square = (w * w).sum(-1)
+    sine, cosine = sine_and_cosine_terms(square)
+    zero = torch.zeros_like(square)
+    x, y, z = w.unbind(-1)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*w.shape, 3)
+    eye = torch.eye(3, dtype=w.dtype, device=w.device)
+    rotation = ((1 - cosine * square)[..., None, None] * eye + sine[..., None, None] * cross
+                + cosine[..., None, None] * w[..., :, None] * w[..., None, :])
+    batch = torch.broadcast_shapes(w.shape[:-1], translation.shape[:-1])
+    upper = torch.cat([rotation.expand(*batch, 3, 3), translation.expand(*batch, 3)[..., None]], -1)
+    last = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=w.dtype, device=w.device).expand(*batch, 1, 4)
+    return torch.cat([upper, last], -2)
+
+
+def sine_and_cosine_terms(square: Tensor) -> tuple[Tensor, Tensor]:
+    """sin(a) / a and (1 - cos(a)) / a^2 as functions of `square` = a^2, smooth at zero.
+
+    Both are entire functions of a^2: below 1 their series are used, above the quotients. Each side is fed a harmless
+    number where the other counts, since the derivative of an infinite quotient would be NaN even if it is not chosen.
+    """
+    small = square < 1
+    near, far = torch.where(small, square, 0.0), torch.where(small, 1.0, square)
+    angle = far.sqrt()
+    sine = torch.where(small, series(near, 1), torch.sin(angle) / angle)
+    return sine, torch.where(small, series(near, 2), 2 * torch.sin(angle / 2) ** 2 / far)
+
+
+def series(square: Tensor, first: int) -> Tensor:
+    """The sum over k of (-square)^k / (2 k + first)!."""
+    total = torch.zeros_like(square)
+    for k in reversed(range(TERMS)):
+        total = 1 / math.factorial(2 * k + first) - square * total
+    return total
+
+
+def check(rotation_vector: Tensor, translation: Tensor) -> None:
+    """Raises TypeError or ValueError unless the arguments are as `se3` says."""
+    for name, value in (("rotation_vector", rotation_vector), ("translation", translation)):
+        if not isinstance(value, Tensor) or not value.is_floating_point():
+            got = value.dtype if isinstance(value, Tensor) else type(value).__name__
+            raise TypeError(f"{name} must be a tensor of floating point numbers, got {got}")
+        if value.ndim == 0 or value.shape[-1] != 3:
+            raise ValueError(f"{name} must have shape (..., 3), got {tuple(value.shape)}")
+    if rotation_vector.dtype != translation.dtype:
+        raise TypeError(f"rotation_vector and translation must have one dtype, got {rotation_vector.dtype} and "
+                        f"{translation.dtype}; convert one with .to()")
+    try:
+        torch.broadcast_shapes(rotation_vector.shape, translation.shape)
+    except RuntimeError:
+        raise ValueError(f"rotation_vector {tuple(rotation_vector.shape)} and translation {tuple(translation.shape)} must "
+                         f"have leading axes that can be broadcast") from None

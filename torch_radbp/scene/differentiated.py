@@ -1,0 +1,16 @@
+"""Whether a tensor is differentiated: backward (`requires_grad`), or forward (tangents of `torch.autograd.forward_ad`)."""
+
+from __future__ import annotations
+
+from torch import Tensor
+from torch.autograd import forward_ad
+
+
+def tangent_of(tensor: Tensor) -> Tensor | None:
+    """The tangent of a dual tensor, None if it has none."""
+    return forward_ad.unpack_dual(tensor).tangent if tensor.is_floating_point() else None
+
+
+def differentiated(tensor: Tensor) -> bool:
+    """Whether something is to be differentiated with respect to `tensor`."""
+    return tensor.requires_grad or tangent_of(tensor) is not None

@@ -1,0 +1,174 @@
+"""`radbp check`: is the derivative with respect to a parameter right? A table, pictures and a verdict."""
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from torch_radbp.training.clear_errors import Debug, clear_errors
+from torch_radbp.training.render_command import chosen_sensors
+from torch_radbp.training.scene_variables import Define, parse_variables
+
+BIASED_CODE, TOO_NOISY_CODE = 1, 3
+SHOWN_Z = 5.0  # standard errors at the ends of the colour bar
+
+EPILOG = (
+    "Examples:\n\n"
+    "radbp check scene.xml --param white.reflectance.value\n\n"
+    "radbp check scene.xml --param white.reflectance.value --direction 1,0,0 --spp 1024  (red only, less noise)\n\n"
+    "radbp check scene.xml --param wall.bsdf.reflectance.data --direction change.npy --step 0.1\n\n"
+    "Finite differences are rendered with samples of their own. The verdict is 'agrees' (exit code 0), 'biased' (1) or "
+    "'too noisy' (3, with the number of samples that would do); wrong input is exit code 2. In the folder of --out: "
+    "check.png with finite differences, forward mode, their difference and that in standard errors, blue below zero and red "
+    "above; and check.json with all figures. With several sensors there is a picture for each.\n\n"
+    "radbp info scene.xml lists the names of the parameters."
+)
+
+
+def check(
+    scene: Annotated[Path, typer.Argument(help="Mitsuba 3 scene, .xml")],
+    param: Annotated[str, typer.Option(help="Name of the parameter, as radbp info shows it.")],
+    direction: Annotated[
+        str | None,
+        typer.Option(help="How it moves: ones, random, numbers such as 1,0,0, or an array in a .npy file, of its shape.  "
+                     r"\[default: random; 1 for a number]", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help=r"Folder of pictures and figures.  \[default: checks/PARAM]")
+    ] = None,
+    spp: Annotated[int, typer.Option(help="Samples per pixel of each of the two derivatives.")] = 256,
+    max_depth: Annotated[
+        int | None, typer.Option(help=r"1 = emission, 2 = direct light, -1 = unlimited.  \[default: the scene's]")
+    ] = None,
+    rr_depth: Annotated[int | None, typer.Option(help=r"Where roulette begins.  \[default: the scene's]")] = None,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same verdict.", min=0)] = 0,
+    step: Annotated[
+        float | None,
+        typer.Option(help=r"Of the finite differences, in units of the direction.  \[default: 2 % of the parameter]"),
+    ] = None,
+    batches: Annotated[int, typer.Option(help="Repetitions that give the standard errors; at least 8.")] = 16,
+    sensor: Annotated[list[str] | None, typer.Option(help=r"Name of a sensor; may be repeated.  \[default: all]")] = None,
+    define: Define = None,
+    debug: Debug = False,
+) -> None:
+    """Compare a derivative with finite differences of independent samples."""
+    console = Console()
+    with clear_errors(debug):
+        import torch_radbp as rb
+        from torch_radbp.training.targets import sensor_films
+
+        loaded = rb.load(scene, **parse_variables(define))
+        indices = chosen_sensors(sensor, list(sensor_films(loaded)))
+        moves = parse_direction(direction, tuple(loaded.get_parameter(param).shape))
+        folder = Path("checks") / param if out is None else out
+        if folder.exists() and not folder.is_dir():
+            raise ValueError(f"--out {folder}: is a file; name a folder")
+        with Progress(
+            TextColumn("checking"), BarColumn(), TextColumn("{task.percentage:3.0f}%"), TimeElapsedColumn(),
+            TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+        ) as progress:  # fmt: skip
+            task = progress.add_task("", total=None)
+            result = rb.check_gradient(
+                loaded, param, direction=moves, spp=spp, seed=seed, step=step, sensors=list(indices.values()),
+                batches=batches, max_depth=max_depth, rr_depth=rr_depth,
+                progress=lambda done, total: progress.update(task, completed=done, total=total),
+            )  # fmt: skip
+        pictures = write_outcome(folder, result, list(indices))
+    print_outcome(console, result)
+    for path in (*pictures, folder / "check.json"):
+        console.print("written:", str(path), soft_wrap=True)
+    if not result.agrees:
+        raise typer.Exit(BIASED_CODE if result.verdict.startswith("biased") else TOO_NOISY_CODE)
+
+
+def parse_direction(text: str | None, shape: tuple[int, ...]):
+    """Returns --direction as `check_gradient` takes it: None, a word, or an array of the parameter's shape.
+
+    Raises:
+        ValueError: neither a word, nor numbers, nor an array of the right shape.
+    """
+    import numpy as np
+
+    from torch_radbp.check.gradient import DIRECTIONS
+
+    if text is None or text in DIRECTIONS:
+        return text
+    if text.endswith(".npy"):
+        if not Path(text).is_file():
+            raise ValueError(f"--direction {text}: no such file")
+        array = np.load(text, allow_pickle=False)
+    else:
+        try:
+            array = np.array([float(number) for number in text.split(",")])
+        except ValueError:
+            raise ValueError(
+                f"--direction {text}: expected {', '.join(DIRECTIONS)}, numbers such as 1,0,0, or a file that ends in .npy"
+            ) from None
+        array = array.reshape(shape) if array.size == int(np.prod(shape)) else array
+    if array.shape != shape:
+        raise ValueError(f"--direction {text}: must have the parameter's shape {shape}, got {array.shape}")
+    return array
+
+
+def write_outcome(folder: Path, result, sensors: list[str]) -> list[Path]:
+    """Writes one picture per sensor and check.json into `folder`; returns the paths of the pictures."""
+    from torch_radbp.io.atomic import replacing
+    from torch_radbp.training.signed_picture import write_panels
+
+    folder.mkdir(parents=True, exist_ok=True)
+    names = ["check.png"] if len(sensors) == 1 else [f"check_{name}.png" for name in sensors]
+    for number, name in enumerate(names):
+        write_panels(folder / name, panels(result, number))
+    figures = result.figures() | {"sensors": sensors, "direction": result.direction.tolist()}
+    with replacing(folder / "check.json") as partial:
+        partial.write_text(json.dumps(_finite(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return [folder / name for name in names]
+
+
+def _finite(value):
+    """Returns what JSON can hold: None instead of numbers that are NaN or infinite."""
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def panels(result, number: int) -> list:
+    """Returns the four pictures of one sensor: means over the channels, and the z of the channel that is worst."""
+    from torch_radbp.training.false_colour import error_scale
+    from torch_radbp.training.signed_picture import Panel
+
+    comparison = result.comparison
+    difference, jvp = comparison.difference[number].mean(0), comparison.jvp[number].mean(0)
+    z = comparison.z[number]
+    worst = z.gather(0, z.abs().argmax(0, keepdim=True))[0]
+    scale = max(error_scale(image.abs()[None]) for image in (difference, jvp))
+    error = jvp - difference
+    return [
+        Panel("finite differences", difference, scale),
+        Panel("forward mode (JVP)", jvp, scale),
+        Panel("JVP - differences", error, error_scale(error.abs()[None])),
+        Panel("the same in standard errors", worst, SHOWN_Z),
+    ]
+
+
+def print_outcome(console: Console, result) -> None:
+    """Prints the table of projections, the other figures and the verdict."""
+    headings, *rows = result.rows()
+    title = f"{result.name}: step {result.step:.3g}, {result.spp} samples per pixel in {result.batches} batches"
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    for label, value in result.summary():
+        console.print(f"{label}: {value}", soft_wrap=True, highlight=False)
+    colour = "green" if result.agrees else "red" if result.verdict.startswith("biased") else "yellow"
+    console.print(f"[bold {colour}]{result.verdict}[/]: {result.explanation}", soft_wrap=True, highlight=False)
