@@ -116,6 +116,13 @@ def gather(table: Tensor, index: Tensor) -> Tensor:
     return table.index_select(0, index)
 
 
+def attached(value: Tensor | Vec3, source: Tensor | Vec3) -> Tensor | Vec3:
+    """`value` with the derivative of `source`, which is the same number but for rounding."""
+    if isinstance(value, Vec3):
+        return Vec3(*(attached(v, s) for v, s in zip(value, source)))
+    return value.detach() + (source - source.detach())
+
+
 def max_component(a: Vec3) -> Tensor:
     return torch.maximum(a.x, torch.maximum(a.y, a.z))
 

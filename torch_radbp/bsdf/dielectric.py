@@ -43,6 +43,7 @@ class DielectricKind(DeltaKind):
     """
 
     discrete: ClassVar[bool] = True
+    steering: ClassVar[tuple[int, ...]] = (0,)
 
     @property
     def slots(self) -> int:

@@ -26,7 +26,7 @@ from torch_radbp.check.outcome import GradientCheck, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.jvp import rendering_with_tangent
 from torch_radbp.plugin import finite
-from torch_radbp.render import Renderer, check_count, what_it_sets
+from torch_radbp.render import Renderer, check_count
 from torch_radbp.scene import Scene
 
 BATCHES = 16
@@ -188,3 +188,9 @@ def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> fl
     if not 0 < step < float("inf"):
         raise ValueError(f"step must be greater than 0 and finite, got {step}; leave it out for one that fits")
     return float(step)
+
+
+def what_it_sets(name: str) -> str:
+    """The attribute that a parameter stands for, also if it is one of a `torch.nn.utils.parametrize` parametrisation."""
+    parts = name.split(".")
+    return parts[parts.index("parametrizations") + 1] if "parametrizations" in parts else parts[-1]

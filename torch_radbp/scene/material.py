@@ -43,8 +43,8 @@ class Material(NamedTuple):
 class BSDFSample(NamedTuple):
     """A direction in which the path goes on."""
 
-    wo: Vec3  # unit, local; detached
-    weight: Vec3  # bsdf * |cos| / pdf; attached to the material
+    wo: Vec3  # unit, local; attached if the lane is `followed`
+    weight: Vec3  # bsdf * |cos| / pdf; attached to the material, the density only if the lane is `followed`
     pdf: Tensor  # density over solid angle; infinite for ideal specular scattering, which is not left to chance; 0: none
 
 
@@ -65,29 +65,39 @@ def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
     return tuple(chosen(material.kind, list(part)) for part in zip(*parts))
 
 
-def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> BSDFSample:
-    """Draws a direction by the material as it is, detached; the weight is attached.
+def followed(kind: Kind, sampling: str) -> bool:
+    """Whether derivatives follow the directions that `sample` draws for this kind of material."""
+    return sampling == "attached" or (sampling == "hybrid" and kind.delta)
+
+
+def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor, sampling: str) -> BSDFSample:
+    """Draws a direction by the material.
 
     Args:
         choice, u, v: (N,) uniform numbers, the first for reflection or transmission (None: not `material.discrete`).
+        sampling: which derivatives the sample carries, see `followed`.
     """
     fixed = material.detach()
-    samples = [sample_kind(kind, material.of(number), fixed.of(number), wi, choice, u, v)
+    samples = [sample_kind(kind, material.of(number), fixed.of(number), wi, choice, u, v, followed(kind, sampling))
                for number, kind in enumerate(material.kinds)]
     return BSDFSample(*(chosen(material.kind, list(parts)) for parts in zip(*samples)))
 
 
-def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Tensor | None, u: Tensor,
-                v: Tensor) -> BSDFSample:
-    """`sample` for one kind of material."""
+def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor,
+                follow: bool) -> BSDFSample:
+    """`sample` for one kind of material. The choice between reflection and transmission never carries a derivative."""
     decision = kind.choose(fixed, wi, choice, u, v)
-    wo = kind.sample(fixed, wi, decision, u, v)
+    wo = kind.sample(values, wi, decision, u, v) if follow else kind.sample(fixed, wi, decision, u, v).detach()
     if kind.delta:
         weight = kind.specular(values, wi, decision) * (1.0 / decision.probability.clamp_min(TINY))
         return BSDFSample(wo, weight, torch.full_like(u, torch.inf))
     value, pdf = kind.eval_pdf(values, wi, wo)
-    pdf = pdf.detach()
-    return BSDFSample(wo, value * pdf.clamp_min(TINY).reciprocal(), pdf)
+    if not follow:
+        pdf = pdf.detach()
+    density = pdf
+    if follow and kind.discrete:
+        density = pdf * (decision.probability / kind.probability(values, wi, wo, decision).clamp_min(TINY))
+    return BSDFSample(wo, value * density.clamp_min(TINY).reciprocal(), pdf)
 
 
 def chosen(kind: Tensor | None, parts: list):

@@ -78,7 +78,7 @@ def pack(scene: Scene) -> SceneTensors:
     emitted = [-1 if shape.emitter is None else radiance.add(shape.emitter.radiance) for shape in scene.shapes]
     lamps = [Lamp(emitter, radiance.add(emitter.radiated())) for emitter in scene.emitters if emitter.type != "area"]
     layout = Layout(
-        moving=any(differentiated(surface.vertices) for surface in surfaces),
+        bending=any(differentiated(bsdf.textures()[slot].texels()) for bsdf in bsdfs for slot in bsdf.kind().steering),
         shading_normals=any(surface.normals is not None for surface in surfaces),
         light_normals=any(surface.normals is not None and texture >= 0 for surface, texture in zip(surfaces, emitted)),
         back_sides=bool(materials.turned.any()), kinds=kinds,

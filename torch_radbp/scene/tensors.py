@@ -20,7 +20,7 @@ AREA, CONSTANT, ENVIRONMENT, POINT, SPOT, PROJECTOR, DIRECTIONAL = range(7)
 class Layout(NamedTuple):
     """What a scene contains: static, so that nothing is computed for what is not there."""
 
-    moving: bool  # vertices are attached to parameters
+    bending: bool  # parameters that require grad steer ideal specular scattering
     shading_normals: bool  # that differ from the triangles' own
     light_normals: bool  # the same, on area lights
     back_sides: bool  # some materials are different, or turned, from behind
