@@ -8,30 +8,19 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
-from torch_radbp.bsdf.kind import Choice, Kind, Values, above, reflects
-from torch_radbp.bsdf.microfacet import GGX, Beckmann, check_distribution, half_vector, microfacets, roughness
+from torch_radbp.bsdf.kind import Choice, Values, above, reflects
+from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture, check_range
 from torch_radbp.vec import Vec3, dot
 
 
 @dataclass(frozen=True)
-class RoughConductorKind(Kind):
+class RoughConductorKind(MicrofacetKind):
     """Values: alpha, or alpha_u and alpha_v; eta, k, specular_reflectance.
 
     Reference: Walter et al. 2007, equations 20, 14 and 24.
     """
-
-    distribution: str
-    anisotropic: bool = False
-
-    @property
-    def slots(self) -> int:
-        return 4 + self.anisotropic
-
-    def facets(self, values: Values) -> Beckmann | GGX:
-        """The distribution of microfacets."""
-        return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
 
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
         eta, k, reflectance = values[-3:]

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Kind, Values, above, side_of
-from torch_radbp.bsdf.microfacet import GGX, Beckmann, check_distribution, half_vector, microfacets, roughness
+from torch_radbp.bsdf.kind import Choice, Values, above, side_of
+from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness
 from torch_radbp.plugin import Texture, register
 from torch_radbp.vec import TINY, Vec3, dot
 
@@ -30,7 +30,7 @@ class Microgeometry(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RoughDielectricKind(Kind):
+class RoughDielectricKind(MicrofacetKind):
     """Values: alpha, or alpha_u and alpha_v; eta (a scalar), specular_reflectance, specular_transmittance.
 
     With the half vector h = wi + eta wo of refraction, |dm / dwo| = eta^2 |wo.m| / |h|^2 (Walter et al. 2007, equations 17,
@@ -47,17 +47,6 @@ class RoughDielectricKind(Kind):
     """
 
     discrete: ClassVar[bool] = True
-
-    distribution: str
-    anisotropic: bool = False
-
-    @property
-    def slots(self) -> int:
-        return 4 + self.anisotropic
-
-    def facets(self, values: Values) -> Beckmann | GGX:
-        """The distribution of microfacets."""
-        return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
 
     def index(self, values: Values, side: Tensor) -> Tensor:
         """Index of refraction of the far side over the near side."""
