@@ -45,9 +45,9 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
         bsdf * |cos| / pdf, and the ray.
     """
     ray = departure(si, sample.wo, si.epsilon())
-    ray = Ray(attached(ray.o, si.p), ray.d)  # the offset carries no derivative
     if sampling == "attached":
         return sample.weight, ray
+    ray = Ray(attached(ray.o, si.p), ray.d)  # the offset carries no derivative
     fixed = ray.d.detach()
     chance = torch.isfinite(sample.pdf)
     d, change = glued_direction(scene, ray.o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))

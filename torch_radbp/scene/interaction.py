@@ -32,8 +32,8 @@ class SurfaceInteraction(NamedTuple):
 
         Those are the scale of rounding errors.
         """
-        p = self.p.detach()
-        largest = torch.maximum(torch.maximum(p.x.abs(), p.y.abs()), torch.maximum(p.z.abs(), self.t.detach()))
+        p = self.p
+        largest = torch.maximum(torch.maximum(p.x.abs(), p.y.abs()), torch.maximum(p.z.abs(), self.t))
         return (1.0 + largest) * (1500 * torch.finfo(torch.float32).eps)
 
     def offset(self, d: Vec3, epsilon: Tensor) -> Vec3:
