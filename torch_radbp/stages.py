@@ -33,7 +33,8 @@ FEWEST_LANES = 64
 VECTORS = {f"{kind.__module__}.{kind.__name__}": hashlib.sha256(Path(vec.__file__).read_bytes()).hexdigest()
            for kind in (vec.Vec2, vec.Vec3)}
 # Indices into tables are right by construction.
-INDUCTOR_OPTIONS = {"assert_indirect_indexing": False, "unsafe_marked_cacheable_functions": VECTORS}
+INDUCTOR_OPTIONS = {"assert_indirect_indexing": False, "unsafe_marked_cacheable_functions": VECTORS,
+                    "realize_reads_threshold": 2, "realize_opcount_threshold": 16}
 # Derivatives are taken inside a compiled function; Python numbers are constants of the integrand, not inputs.
 DYNAMO_OPTIONS = {"trace_autograd_ops": True, "specialize_float": True}
 
