@@ -164,8 +164,9 @@ class Renderer(nn.Module):
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return Integrand(tensors, detached(tensors), caster, settings, max_depth, self.rr_depth, stages.bounce)
 
-        workers = 1 if self.compile_stages or scene.device.type != "cpu" else torch.get_num_threads()
-        lanes = self.chunk or default_chunk(sum(view.width * view.height for view in views) * spp, workers)
+        workers = torch.get_num_threads() if scene.device.type == "cpu" else 1
+        largest = LANES if self.compile_stages or workers == 1 else LANES_OF_WORKER
+        lanes = self.chunk or min(largest, -(-sum(view.width * view.height for view in views) * spp // workers))
         call = RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
                           plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers)
         if self.memory_budget is None:
