@@ -64,15 +64,15 @@ class GradientCheck:
 
     def __str__(self) -> str:
         lines = [f"{self.name}, step {self.step:.3g}, {self.spp} samples per pixel in {self.batches} batches",
-                 *("  ".join(f"{cell:>17}" for cell in row) for row in self.rows())]
+                 *("  ".join(f"{cell:>16}" for cell in row) for row in self.rows())]
         lines += [f"{label}: {value}" for label, value in self.summary()]
         return "\n".join([*lines, f"{self.verdict}: {self.explanation}"])
 
     def rows(self) -> list[tuple[str, ...]]:
-        """The table of projections as text, headings first."""
+        """The table of projections as text, headings first; "off by" and "VJP-JVP" are relative."""
         body = [(p.name, f"{p.difference:.5g}", f"{p.jvp:.5g}", f"{p.standard_error:.2g}", f"{p.z:+.2f}",
                  f"{p.relative_error:+.2%}", f"{p.backward_error:.1e}") for p in self.comparison.projections]
-        return [("projected on", "differences", "JVP", "standard error", "z", "relative error", "VJP against JVP"), *body]
+        return [("projected on", "differences", "JVP", "std error", "z", "off by", "VJP-JVP"), *body]
 
     def summary(self) -> list[tuple[str, str]]:
         """The other figures as text: what, and how much."""
