@@ -51,7 +51,7 @@ class Renderer(nn.Module):
         caster: "embree" or "brute"; None picks by device.
 
     Derivatives reach the textures of materials (not the index of refraction of a smooth `dielectric`, which moves the
-    paths) and the radiance, irradiance and intensity of emitters.
+    paths) and the radiance, irradiance and intensity of emitters; backward, and forward by dual numbers (`jvp`).
 
     Raises:
         ValueError: for settings that make no sense.

@@ -74,9 +74,8 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     if batches < FEWEST_BATCHES:
         raise ValueError(f"batches must be at least {FEWEST_BATCHES}, so that standard errors can be trusted, got {batches}")
     d = checked_direction(name, parameter, direction)
+    finite(f"parameter {name!r}", parameter)
     h = checked_step(parameter, d, step)
-    if not torch.isfinite(parameter).all():
-        raise ValueError(f"parameter {name!r} must be finite to be checked, got values that are NaN or infinite")
     measurement = Measurement(renderer, f"scene.{name}", parameter, d, h, -(-spp // batches), seed, sensors, progress,
                               total=4 * batches + 5)
     image, tangent = measurement.forward(batches + 1)  # first: refuses what has no derivative
@@ -152,7 +151,7 @@ def informative_cotangents(reference: Tensor, seed: int) -> list[Cotangent]:
     coarse = torch.randn(*reference.shape[:2], 4, 4, generator=generator, dtype=reference.dtype)
     smooth = interpolate(coarse, reference.shape[2:], mode="bilinear", align_corners=True).to(reference.device)
     # Normalised by itself, too, so that a few bright pixels do not drown the others.
-    size = reference.abs() + reference.square().mean().sqrt()
+    size = reference.abs() + reference.abs().mean()
     own = torch.where(size > 0, reference / torch.where(size > 0, size, 1.0), 0.0)
     return [Cotangent("ones", torch.ones_like(reference)), Cotangent("derivative image", own),
             Cotangent("smooth random", smooth)]
