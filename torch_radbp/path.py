@@ -15,6 +15,7 @@ Reference: Li 2020, "Deriving Radiative Backpropagation using the Recursive Form
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -24,15 +25,16 @@ from torch.utils._pytree import tree_map
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import CAMERA_DEPTH, bounce_key, depth_counter, lane_key, uniform
+from torch_radbp.scene.departure import attached_departure, departure
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
-from torch_radbp.scene.material import Material, density, evaluate, material_at, sample
+from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane, camera_ray
-from torch_radbp.vec import TINY, Ray, Vec3, dot, masked, max_component, normalize
+from torch_radbp.vec import Ray, Vec3, dot, masked, max_component
 
 # The random numbers of one bounce.
-NUMBERS = LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE, BSDF_CHOICE = range(7)
+LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE, BSDF_CHOICE = range(7)
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
@@ -43,6 +45,8 @@ class Settings(NamedTuple):
     nee: bool = True
     hide_emitters: bool = False  # at this bounce
     last: bool = False  # the path ends here: only emission counts
+    moving: bool = False  # rays carry derivatives
+    sampling: str = "detached"  # if they do, which go through the choice of directions: "detached", "hybrid", "attached"
 
 
 class Position(NamedTuple):
@@ -71,15 +75,18 @@ class Step(NamedTuple):
 
 
 class Scattering(NamedTuple):
-    """What happens at one path vertex: the terms of L_k = (Le + visible Ld) + F L_{k+1}, and the choices behind them."""
+    """What happens at one path vertex: the terms of L_k = (Le + visible Ld) + F L_{k+1}, and the choices behind them.
+
+    F = sample.weight * thinning.
+    """
 
     Le: Vec3  # emission, weighted against next-event estimation
     Ld: Vec3  # light by next-event estimation if the shadow ray is free
-    F: Vec3  # bsdf * cos / pdf / survival probability
     si: SurfaceInteraction
     light: LightSample | None  # None without next-event estimation
-    wo: Vec3 | None  # sampled direction, local; None at the last vertex
-    pdf: Tensor  # its density over solid angle; 0 where the path ends
+    material: Material | None  # None at the last vertex, as what follows
+    sample: BSDFSample | None  # the direction in which the path goes on; of density 0 where it ends
+    thinning: Tensor | None  # what F has from roulette: 1 / survival probability, 0 where the path ends
 
 
 class Vertex(NamedTuple):
@@ -132,70 +139,106 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
     Returns:
         The vertex. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
     """
-    Le, Ld, F, si, light, wo, pdf = scattering(scene, proposal, state, hit, at, settings)
+    local = scattering(scene, proposal, state, hit, at, settings)
 
     # Aim the shadow ray at the light sample.
-    epsilon = si.epsilon()
-    nothing = state.ray, torch.zeros_like(pdf)
-    shadow, distance = nothing if light is None else shadow_ray(si, light, epsilon)
+    zero = torch.zeros_like(state.pdf)
+    epsilon = local.si.epsilon()
+    shadow, distance = (state.ray, zero) if local.light is None else shadow_ray(local.si, local.light, epsilon)
 
     # Leave along the sampled direction.
-    if wo is None:
-        return Vertex(Le, Ld, F, shadow, distance, state._replace(pdf=pdf))
-    d = normalize(si.frame.to_world(wo))
-    return Vertex(Le, Ld, F, shadow, distance, PathState(Ray(si.offset(d, epsilon), d), state.beta * F, pdf, state.key,
-                                                            state.lane))
+    if local.sample is None:
+        return Vertex(local.Le, local.Ld, Vec3(zero, zero, zero), shadow, distance, state._replace(pdf=zero))
+    F = local.sample.weight * local.thinning
+    ray = departure(local.si, local.sample.wo, epsilon)
+    return Vertex(local.Le, local.Ld, F, shadow, distance,
+                  PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane))
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
                settings: Settings) -> Scattering:
-    """The local map of a bounce, from parameters to E_k and F_k: what the backward sweep differentiates.
-
-    Args and attachment as for `bounce`.
-    """
-    # Find the surface that the ray meets.
-    si = surface_interaction(proposal, state.ray, hit)
+    """What happens at a vertex but for the way out. Args as for `bounce`; attached to them."""
+    # Find the surface that the ray meets. The point slides where the ray was not left to chance, or is followed.
+    slides = None
+    if settings.moving:
+        slides = torch.isinf(state.pdf) | (settings.sampling == "attached")
+    si = surface_interaction(scene, state.ray, hit, slides)
 
     # Add the light that it emits, weighted against the chance that next-event estimation finds it.
     zero = torch.zeros_like(state.pdf)
     none = Vec3(zero, zero, zero)
     Le = none if settings.hide_emitters else emitted(scene, state.ray, si)
     if settings.nee:
-        Le = Le * power_heuristic(state.pdf, emitted_pdf(proposal, state.ray, si))
+        geometry = scene if settings.sampling == "attached" else proposal
+        Le = Le * mis_weight(state.pdf, emitted_pdf(geometry, state.ray, si, proposal), settings)
     if settings.last:
-        return Scattering(Le, none, none, si, None, None, zero)
+        return Scattering(Le, none, si, None, None, None, None)
 
     # Look up the material.
     material = material_at(scene, si)
 
     # Connect to a point on a light.
-    key = bounce_key(state.key, at.counter)
-    numbers = [uniform(key, dimension, zero.dtype) for dimension in NUMBERS]
+    number = partial(uniform, bounce_key(state.key, at.counter), dtype=zero.dtype)
     light, Ld = None, none
     if settings.nee:
-        light = sample_light(scene, proposal, si, *numbers[LIGHT_CHOICE:LIGHT_V + 1])
-        light, Ld = next_event(material, si, light)
+        light = sample_light(scene, proposal, si, *(number(dimension) for dimension in (LIGHT_CHOICE, LIGHT_U, LIGHT_V)))
+        light, Ld = next_event(material, si, light, settings)
 
     # Sample the BSDF for the next direction.
-    wo, F, pdf = sample(material, si.wi, numbers[BSDF_CHOICE], numbers[BSDF_U], numbers[BSDF_V])
+    choice = number(BSDF_CHOICE) if material.discrete else None
+    chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling)
 
     # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
-    promise = max_component((state.beta * F).detach())
+    promise = max_component((state.beta * chosen.weight).detach())
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
-    alive = (si.valid & (pdf > 0) & (numbers[ROULETTE] < survival)).to(pdf.dtype)
-    pdf = torch.where(alive > 0, pdf, 0.0)  # not a product: it may be infinite
-    return Scattering(Le, Ld, F * (alive / survival), si, light, wo, pdf)
+    alive = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
+    chosen = chosen._replace(pdf=torch.where(alive, chosen.pdf, 0.0))  # not a product: it may be infinite
+    return Scattering(Le, Ld, si, light, material, chosen, alive.to(zero.dtype) / survival)
 
 
-def next_event(material: Material, si: SurfaceInteraction, light: LightSample) -> tuple[LightSample, Vec3]:
+class LocalMap(NamedTuple):
+    """The terms of L_k = E_k + F_k L_{k+1} as functions of what a bounce is attached to."""
+
+    E: Vec3
+    F: Vec3
+    ray: Ray | None  # ray_{k+1}; None if rays carry no derivatives, or the path ends
+    pdf: Tensor | None  # density of its direction
+
+
+def local_map(scene: SceneTensors, proposal: SceneTensors, state: PathState, step: Step, following: Hit | None, at: Position,
+              settings: Settings) -> LocalMap:
+    """What the derivative of a bounce is taken of: from parameters, and from the ray if it is moving, to E_k and F_k.
+
+    Args:
+        scene, proposal, state, at, settings: as for `bounce`.
+        step: what was decided.
+        following: what the next ray meets, triangle -1 where it meets nothing or there is none.
+    """
+    local = scattering(scene, proposal, state, step.hit, at, settings)
+    E = local.Le + masked(step.visible, local.Ld)
+    if local.sample is None:
+        return LocalMap(E, E.map(torch.zeros_like), None, None)
+    if not settings.moving:
+        return LocalMap(E, local.sample.weight * local.thinning, None, None)
+    weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling)
+    return LocalMap(E, weight * local.thinning, ray, local.sample.pdf)
+
+
+def next_event(material: Material, si: SurfaceInteraction, light: LightSample,
+               settings: Settings) -> tuple[LightSample, Vec3]:
     """The light that arrives from a light sample if nothing is in between; a sample that cannot connect gets density 0."""
-    wo = si.frame.to_local(light.d.detach())
-    pdf = density(material.detach(), si.wi, wo)
-    connects = (si.valid & (light.pdf > 0) & (pdf > 0)).to(pdf.dtype)
-    chance = light.pdf.detach().clamp_min(TINY)
-    weight = power_heuristic(chance, pdf * light.findable)
-    Ld = evaluate(material, si.wi, wo) * light.radiance * (connects * weight / chance)
-    return light._replace(pdf=light.pdf * connects), Ld
+    reflected, pdf = evaluate(material, si.wi, si.frame.to_local(light.d))
+    connects = si.valid & (light.pdf * pdf > 0)
+    chance, connects = torch.where(connects, light.pdf, 1.0), connects.to(pdf.dtype)
+    weight = mis_weight(chance, pdf * light.findable, settings)
+    Ld = reflected * light.radiance * (connects * weight / chance)
+    return light._replace(pdf=light.pdf.detach() * connects), Ld
+
+
+def mis_weight(pdf: Tensor, other: Tensor, settings: Settings) -> Tensor:
+    """The power heuristic; it carries a derivative only if that of the densities is wanted."""
+    weight = power_heuristic(pdf, other)
+    return weight if settings.sampling == "attached" else weight.detach()
 
 
 class Integrand(NamedTuple):
@@ -224,10 +267,12 @@ class Integrand(NamedTuple):
                                       last=depth + 1 >= self.max_depth)
 
 
-def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None) -> tuple[Vertex, Step]:
-    """One bounce of every lane; rays are cast only if `step` does not hold their answers."""
-    hit = first_hit(integrand, state.ray, depth) if step is None else step.hit
-    settings = integrand.settings_at(depth)
+def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
+              hit: Hit | None = None) -> tuple[Vertex, Step]:
+    """One bounce of every lane; rays are cast only if `step` and `hit` do not hold their answers."""
+    if hit is None:
+        hit = first_hit(integrand, state.ray, depth) if step is None else step.hit
+    settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
     vertex = integrand.bounce(integrand.scene, integrand.proposal, state, hit, integrand.at(depth), settings)
     if step is None:
         connects = settings.nee and not settings.last

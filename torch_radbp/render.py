@@ -7,17 +7,26 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
-from torch.utils._pytree import tree_flatten, tree_map_only
 
 from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
-from torch_radbp.adjoint.function import RenderCall, View, pilot_paths, plan_chunks, render_images, render_with_derivative
+from torch_radbp.adjoint.function import (
+    RenderCall,
+    View,
+    detached,
+    pilot_paths,
+    plan_chunks,
+    render_images,
+    render_with_derivative,
+)
 from torch_radbp.adjoint.memory import MemoryPlan, parse_budget, plan_memory, predict, reaching
+from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.path import Integrand, Settings
+from torch_radbp.plugin import nearest
 from torch_radbp.raycast import make_caster
 from torch_radbp.sampling.sampler import seed_key
 from torch_radbp.scene import Scene
-from torch_radbp.scene.differentiated import differentiated
+from torch_radbp.scene.differentiated import any_differentiated
 from torch_radbp.scene.integrator import check_depths
 from torch_radbp.scene.pack import geometry, pack
 from torch_radbp.scene.tensors import SceneTensors
@@ -25,6 +34,7 @@ from torch_radbp.sensor.perspective import beyond_far_plane
 from torch_radbp.stages import EAGER, compiled
 from torch_radbp.vec import Vec3
 
+SAMPLINGS = ("hybrid", "detached", "attached")
 STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call
@@ -42,7 +52,11 @@ class Renderer(nn.Module):
         rr_depth: scattering events before Russian roulette; None likewise.
         hide_emitters: do not show emitters that the camera sees directly; None likewise.
         adjoint: how the backward pass works: `MemoizedAdjoint(stride)`, `ReplayAdjoint`, `QuadraticAdjoint`, `TapeAdjoint`.
-        sampling: "detached": directions, densities, weights and survival carry no derivative.
+        sampling: which derivatives go through the choice of directions; all agree in expectation where they apply.
+            "hybrid": directions, densities and weights carry no derivative, but those of ideal mirrors and glass do.
+            "detached": those neither, so that what is seen in them does not follow their shape and index of refraction.
+            "attached": all do: the derivative of the estimator itself, `d_Li` of the note. Noisier, and the one to take
+            where a density becomes very narrow, as roughness near 0 does.
         nee: next-event estimation with multiple importance sampling.
         chunk: lanes (paths) traced together; None picks.
         memory_budget: bytes, or a string such as "2GiB": picks chunk and, unless `adjoint` is given, the stride, so that the
@@ -50,15 +64,15 @@ class Renderer(nn.Module):
         compile: compile the functions of a bounce; worth it from some dozen renderings on.
         caster: "embree" or "brute"; None picks by device.
 
-    Derivatives reach the textures of materials (not the index of refraction of a smooth `dielectric`, which moves the
-    paths) and the radiance, irradiance and intensity of emitters; backward, and forward by dual numbers (`jvp`).
+    Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
+    so far, what silhouettes and the edges of shadows contribute; a warning says so if there are any in view.
 
     Raises:
         ValueError: for settings that make no sense.
     """
 
     def __init__(self, scene: Scene, spp: int | None = None, max_depth: int | None = None, rr_depth: int | None = None,
-                 hide_emitters: bool | None = None, adjoint=None, sampling: str = "detached", nee: bool = True,
+                 hide_emitters: bool | None = None, adjoint=None, sampling: str = "hybrid", nee: bool = True,
                  chunk: int | None = None, memory_budget: str | int | None = None, compile: bool = False,
                  caster: str | None = None):
         super().__init__()
@@ -82,9 +96,8 @@ class Renderer(nn.Module):
             check_count("chunk", chunk)
         if not isinstance(self.adjoint, STRATEGIES):
             raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {adjoint!r}")
-        if sampling != "detached":
-            raise ValueError(f"sampling={sampling!r} is not available; known: 'detached' "
-                             f"('attached' and 'hybrid' are planned)")
+        if sampling not in SAMPLINGS:
+            raise ValueError(f"sampling={sampling!r} is not known; {nearest(sampling, SAMPLINGS)}")
         self.casters: list = []
 
     def forward(self, seed: int = 0, sensors: Sequence[int] | None = None, spp: int | None = None,
@@ -114,8 +127,8 @@ class Renderer(nn.Module):
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
-            return render_images(call, call.make_integrand(call.scene), record=False)[0]
-        if has_tangents(call.scene):
+            return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached)[0]
+        if has_tangents((call.scene, [view.camera for view in call.views])):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which forward mode has not; leave it out")
             return render_tangents(call)
@@ -133,21 +146,23 @@ class Renderer(nn.Module):
             raise ValueError(f"the sensors of one call must have films of one size, got {sorted(sizes)}; "
                              f"render them in separate calls")
         scene = pack(self.scene)
-        self.check_differentiable(scene)
         caster = self.current_caster()
         width, height = sizes.pop()
-        cameras = [tree_map_only(Tensor, Tensor.detach, available[index].tensors()) for index in indices]
+        cameras = [available[index].tensors() for index in indices]
+        moving = self.sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
+            self.sampling == "hybrid" and scene.layout.bending)
         seeds = (seed, seed if seed_grad is None else seed_grad)
         vertices = Vec3.of(caster.vertices)
         views = [View(camera, width, height, tuple(seed_key(s + available[index].sampler.seed, index) for s in seeds),
-                      clips=bool(beyond_far_plane(camera, vertices).any())) for index, camera in zip(indices, cameras)]
+                      clips=bool(beyond_far_plane(detached(camera), vertices).any()))
+                 for index, camera in zip(indices, cameras)]
         stages = compiled() if self.compile_stages else EAGER
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
-        settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters)
+        settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,
+                            sampling=self.sampling if moving else "detached")
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
-            proposal = tree_map_only(Tensor, Tensor.detach, tensors)
-            return Integrand(tensors, proposal, caster, settings, max_depth, self.rr_depth, stages.bounce)
+            return Integrand(tensors, detached(tensors), caster, settings, max_depth, self.rr_depth, stages.bounce)
 
         workers = 1 if self.compile_stages or scene.device.type != "cpu" else torch.get_num_threads()
         lanes = self.chunk or default_chunk(sum(view.width * view.height for view in views) * spp, workers)
@@ -165,7 +180,7 @@ class Renderer(nn.Module):
 
     def plan(self, call: RenderCall) -> MemoryPlan:
         """Predicts the memory of a call from a pilot of its paths; within the budget, if there is one."""
-        scene = tree_map_only(Tensor, Tensor.detach, call.scene)
+        scene = detached(call.scene)
         integrand = call.make_integrand(scene)._replace(bounce=EAGER.bounce)
         lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
         chunk = max(part.pixels * part.samples for part in call.chunks)
@@ -185,28 +200,10 @@ class Renderer(nn.Module):
             self.casters = [make_caster(self.caster_name, vertices, faces)]
         return self.casters[0]
 
-    def check_differentiable(self, scene: SceneTensors) -> None:
-        """Raises ValueError if a gradient is asked for that would silently be missing."""
-        differentiable = {id(leaf) for leaf in (*scene.reflectance.texels, *scene.radiance.texels)}
-        missing = [leaf for leaf in tree_flatten(scene)[0]
-                   if isinstance(leaf, Tensor) and differentiated(leaf) and id(leaf) not in differentiable]
-        moving = [name for name, parameter in self.scene.named_parameters() if differentiated(parameter)
-                  and what_it_sets(name) not in ("value", "data")]
-        if missing or moving:
-            raise ValueError(f"derivatives with respect to indices of refraction, shapes, poses and positions are "
-                             f"not available yet, but "
-                             f"{', '.join(moving) or 'a parametrised one'} requires grad; set requires_grad_(False) there")
-
 
 def default_chunk(lanes: int, workers: int) -> int:
     """Lanes of a chunk if the user does not say."""
     return LANES if workers == 1 else min(LANES_OF_WORKER, -(-lanes // workers))
-
-
-def what_it_sets(name: str) -> str:
-    """The attribute that a parameter stands for, also if it is one of a `torch.nn.utils.parametrize` parametrisation."""
-    parts = name.split(".")
-    return parts[parts.index("parametrizations") + 1] if "parametrizations" in parts else parts[-1]
 
 
 def check_count(name: str, value: int) -> None:

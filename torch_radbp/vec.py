@@ -111,6 +111,18 @@ def masked(condition: Tensor, a: Vec3) -> Vec3:
     return a * condition.to(a.x.dtype)
 
 
+def gather(table: Tensor, index: Tensor) -> Tensor:
+    """Entries of a table at integer `index` (N,)."""
+    return table.index_select(0, index)
+
+
+def attached(value: Tensor | Vec3, source: Tensor | Vec3) -> Tensor | Vec3:
+    """`value` with the derivative of `source`, which is the same number but for rounding."""
+    if isinstance(value, Vec3):
+        return Vec3(*(attached(v, s) for v, s in zip(value, source)))
+    return value.detach() + (source - source.detach())
+
+
 def max_component(a: Vec3) -> Tensor:
     return torch.maximum(a.x, torch.maximum(a.y, a.z))
 
@@ -155,13 +167,15 @@ class LocalVec3:
     Has the operators of `Vec3`.
     """
 
-    def __init__(self, frame: ShadingFrame, v: Vec3):
-        self.frame, self.v = frame, v
-        self.parts: dict[str, Tensor] = {}
+    def __init__(self, frame: ShadingFrame, v: Vec3, backwards: bool = False, z: Tensor | None = None):
+        """`v` in the frame, or -v if `backwards`; `z` if it is known already."""
+        self.frame, self.v, self.backwards = frame, v, backwards
+        self.parts: dict[str, Tensor] = {} if z is None else {"z": z}
 
     def part(self, name: str) -> Tensor:
         if name not in self.parts:
-            self.parts[name] = dot(self.v, getattr(self.frame, {"x": "s", "y": "t", "z": "n"}[name]))
+            along = dot(self.v, getattr(self.frame, {"x": "s", "y": "t", "z": "n"}[name]))
+            self.parts[name] = -along if self.backwards else along
         return self.parts[name]
 
     @property

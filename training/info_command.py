@@ -95,16 +95,14 @@ def _parameters(scene) -> Table:
 
 
 class _Differentiable:
-    """Asks the renderer whether a parameter has a derivative; once per kind, since asking packs the scene."""
+    """Whether anything that is rendered depends on a parameter; asked once per kind, since asking packs the scene."""
 
     def __init__(self, scene):
-        import torch_radbp as rb
-
         self.scene = scene
-        self.renderer = rb.Renderer(scene)
         self.known: dict[tuple, bool] = {}
 
     def __call__(self, name: str) -> bool:
+        from torch_radbp.scene.differentiated import any_differentiated
         from torch_radbp.scene.pack import pack
 
         owner, _, attribute = name.rpartition(".")
@@ -112,13 +110,8 @@ class _Differentiable:
         kind = (type(self.scene.get_submodule(holder)), type(self.scene.get_submodule(owner)), attribute)
         if kind not in self.known:
             parameter = self.scene.get_parameter(name).requires_grad_()
-            try:
-                self.renderer.check_differentiable(pack(self.scene))
-                self.known[kind] = True
-            except ValueError:
-                self.known[kind] = False
-            finally:
-                parameter.requires_grad_(False)
+            self.known[kind] = any_differentiated((pack(self.scene), [sensor.tensors() for sensor in self.scene.sensors]))
+            parameter.requires_grad_(False)
         return self.known[kind]
 
 

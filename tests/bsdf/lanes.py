@@ -19,6 +19,12 @@ def material(description: dict) -> BSDF:
     return REGISTRY["bsdf"][description.pop("type")](**description).double()
 
 
+def as_dict(description: dict) -> dict:
+    """A description as the loaders take it: lists are colours."""
+    return {name: {"type": "rgb", "value": value} if isinstance(value, list) else value
+            for name, value in description.items()}
+
+
 def values_of(bsdf: BSDF, like: Tensor) -> Values:
     """The values of a material of constant textures on every lane, attached to its parameters."""
     return tuple(Vec3.of(texture.texels().reshape(3).to(like).expand(len(like), 3)) for texture in bsdf.textures())

@@ -1,13 +1,19 @@
 """Scattering as Mitsuba 3.9.1 has it (`scalar_rgb`): live, and a few recorded figures.
 
-`python -m tests.bsdf.reference` prints `RECORDED`.
+`python -m tests.bsdf.reference` writes `recorded.json`.
 """
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
+
+from tests.bsdf.lanes import as_dict
+
+FILE = Path(__file__).with_name("recorded.json")
 
 # Materials under names of their own, and pairs of directions (wi, wo) as polar angle and azimuth in degrees.
 MATERIALS = {
@@ -31,9 +37,7 @@ def by_mitsuba(description: dict, wi, wo) -> tuple[np.ndarray, np.ndarray]:
     import mitsuba as mi
 
     mi.set_variant("scalar_rgb")
-    description = {name: {"type": "rgb", "value": value} if isinstance(value, list) else value
-                   for name, value in description.items()}
-    bsdf, context = mi.load_dict(description), mi.BSDFContext()
+    bsdf, context = mi.load_dict(as_dict(description)), mi.BSDFContext()
     value, density = [], []
     for i, o in zip(wi, wo):
         si = mi.SurfaceInteraction3f()
@@ -43,53 +47,20 @@ def by_mitsuba(description: dict, wi, wo) -> tuple[np.ndarray, np.ndarray]:
     return np.array(value), np.array(density)
 
 
-# Material: rows of eval (three channels) and pdf, one for each of PAIRS.
-RECORDED = {
-    "gold beckmann": (
-        (0.986692, 0.818448, 0.333021, 1.02098),
-        (1.38, 1.14831, 0.506412, 1.43215),
-        (1.27169, 1.12635, 0.690491, 1.33465),
-        (0, 0, 0, 0),
-        (0, 0, 0, 0),
-        (0, 0, 0, 0),
-    ),
-    "copper ggx": (
-        (2.1825, 1.4209, 1.17226, 2.29529),
-        (1.97083, 1.2929, 1.08668, 2.09009),
-        (1.06984, 0.79066, 0.719068, 1.16431),
-        (0, 0, 0, 0),
-        (0, 0, 0, 0),
-        (0, 0, 0, 0),
-    ),
-    "glass beckmann": (
-        (0.0618485, 0.0618485, 0.0618485, 0.0618485),
-        (0.127945, 0.127945, 0.127945, 0.127945),
-        (0.264292, 0.264292, 0.264292, 0.264465),
-        (15.5107, 15.5107, 15.5107, 35.0941),
-        (0.147457, 0.147457, 0.147457, 0.147457),
-        (29.1071, 29.1071, 29.1071, 12.8647),
-    ),
-    "diamond ggx": (
-        (0.0971521, 0.0971521, 0.0971521, 0.0984307),
-        (0.133478, 0.133478, 0.133478, 0.140673),
-        (0.184211, 0.184211, 0.184211, 0.228961),
-        (0.527735, 0.527735, 0.527735, 3.10263),
-        (0.340625, 0.340625, 0.340625, 0.358986),
-        (2.80063, 2.80063, 2.80063, 0.485181),
-    ),
-}
+def recorded() -> dict[str, np.ndarray]:
+    """By material, rows of eval (three channels) and pdf, one for each of PAIRS."""
+    return {name: np.array(rows) for name, rows in json.loads(FILE.read_text()).items()}
 
 
 def record() -> None:
-    """Prints `RECORDED`."""
-    print("RECORDED = {")
+    """Writes what `recorded` reads."""
+    figures = {}
     for name, description in MATERIALS.items():
         value, density = by_mitsuba(description, *([unit(*angles) for angles in side] for side in zip(*PAIRS)))
-        print(f'    "{name}": (')
-        for row in np.column_stack([value, density]):
-            print(f"        ({', '.join(f'{number:.6g}' for number in row)}),")
-        print("    ),")
-    print("}")
+        figures[name] = [[float(f"{number:.6g}") for number in row] for row in np.column_stack([value, density])]
+    materials = [f"  {json.dumps(name)}: [\n" + ",\n".join(f"    {row}" for row in rows) + "\n  ]"
+                 for name, rows in figures.items()]
+    FILE.write_text("{\n" + ",\n".join(materials) + "\n}\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.bsdf.lanes import MATERIALS, material
+from tests.bsdf.lanes import MATERIALS, as_dict, material
 from tests.io.documents import scene_dict
 from torch_radbp.bsdf.conductor import Conductor
 from torch_radbp.bsdf.dielectric import Dielectric
@@ -102,12 +102,15 @@ def test_textures_may_stand_for_every_number_but_the_index():
     assert brushed.textures()[0] is image and brushed.kind().anisotropic
 
 
+def scene_of(description: dict) -> rb.Scene:
+    """A disk of a material called `it`."""
+    return rb.load_dict(scene_dict(it=as_dict(description), ball={"type": "disk", "bsdf": {"type": "ref", "id": "it"}}))
+
+
 @pytest.mark.parametrize("name", MATERIALS)
 def test_the_loader_knows_the_materials(name):
     """By the schema alone: numbers, colours, names."""
-    description = {key: {"type": "rgb", "value": value} if isinstance(value, list) else value
-                   for key, value in MATERIALS[name].items()}
-    scene = rb.load_dict(scene_dict(it=description, ball={"type": "disk", "bsdf": {"type": "ref", "id": "it"}}))
+    scene = scene_of(MATERIALS[name])
     expected = material(MATERIALS[name]).float()
     for key, value in expected.named_parameters():
         torch.testing.assert_close(scene.get_parameter(f"it.{key}"), value)
@@ -115,9 +118,7 @@ def test_the_loader_knows_the_materials(name):
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_a_saved_material_is_the_same(name, tmp_path):
-    description = {key: {"type": "rgb", "value": value} if isinstance(value, list) else value
-                   for key, value in MATERIALS[name].items()}
-    scene = rb.load_dict(scene_dict(it=description, ball={"type": "disk", "bsdf": {"type": "ref", "id": "it"}}))
+    scene = scene_of(MATERIALS[name])
     with torch.no_grad():
         for parameter in scene.it.parameters():
             parameter.mul_(0.9)

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.bsdf import reference
-from tests.bsdf.lanes import DELTA, GLASS, MATERIALS, SMOOTH, directions, material, numbers, sampled, values_of
+from tests.bsdf.lanes import DELTA, GLASS, MATERIALS, SMOOTH, as_dict, directions, material, numbers, sampled, values_of
 from torch_radbp.bsdf.ior import CONDUCTORS, DIELECTRICS
 from torch_radbp.vec import Vec3
 
@@ -40,7 +40,7 @@ def assert_agree(description: dict, found, expected) -> None:
 @pytest.mark.parametrize("name", reference.MATERIALS)
 def test_recorded_figures(name):
     pairs = [np.array([reference.unit(*angles) for angles in side]) for side in zip(*reference.PAIRS)]
-    rows = np.array(reference.RECORDED[name])
+    rows = reference.recorded()[name]
     assert_agree(reference.MATERIALS[name], ours(reference.MATERIALS[name], *pairs), (rows[:, :3], rows[:, 3]))
 
 
@@ -59,13 +59,9 @@ def test_eval_and_pdf_agree(name):
 
 
 @pytest.mark.parametrize("name", [*DELTA, *GLASS])
-def test_weights_of_a_sample_agree(name):
+def test_weights_of_a_sample_agree(mi, name):
     """The weight over the choice's probability, for what Mitsuba samples with the same number for the choice."""
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
-    description = {key: {"type": "rgb", "value": value} if isinstance(value, list) else value
-                   for key, value in MATERIALS[name].items()}
-    theirs, bsdf, context = mi.load_dict(description), material(MATERIALS[name]), mi.BSDFContext()
+    theirs, bsdf, context = mi.load_dict(as_dict(MATERIALS[name])), material(MATERIALS[name]), mi.BSDFContext()
     kind, wi, random = bsdf.kind(), directions(300), numbers(300)
     values = values_of(bsdf, wi.z)
     choice, wo = sampled(kind, values, wi, random)
@@ -94,12 +90,8 @@ def test_weights_of_a_sample_agree(name):
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_parameters_have_the_names_that_mitsuba_gives_them(name):
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
-    description = {key: {"type": "rgb", "value": value} if isinstance(value, list) else value
-                   for key, value in MATERIALS[name].items()}
-    theirs = mi.traverse(mi.load_dict(description))
+def test_parameters_have_the_names_that_mitsuba_gives_them(mi, name):
+    theirs = mi.traverse(mi.load_dict(as_dict(MATERIALS[name])))
     bsdf = material(MATERIALS[name])
     own = dict(bsdf.named_parameters())
     # Factors that were not given exist here too, and can be optimised.
@@ -109,9 +101,7 @@ def test_parameters_have_the_names_that_mitsuba_gives_them(name):
         np.testing.assert_allclose(own[key].detach(), np.array(theirs[key]).squeeze(), rtol=1e-5)
 
 
-def test_named_materials_have_the_indices_that_mitsuba_has():
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
+def test_named_materials_have_the_indices_that_mitsuba_has(mi):
     for name, (eta, k) in CONDUCTORS.items():
         theirs = mi.traverse(mi.load_dict({"type": "conductor", "material": name}))
         np.testing.assert_allclose(eta, list(theirs["eta.value"]), rtol=1e-5)

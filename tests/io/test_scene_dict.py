@@ -17,9 +17,7 @@ def test_a_transform_is_any_4_by_4_array(matrix):
     torch.testing.assert_close(scene.get_parameter("r.to_world").detach(), torch.tensor(MATRIX))
 
 
-def test_the_cornell_box_of_mitsuba_loads_with_its_parameter_names_and_values():
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
+def test_the_cornell_box_of_mitsuba_loads_with_its_parameter_names_and_values(mi):
     scene = load_dict(mi.cornell_box())
     theirs = mi.traverse(mi.load_dict(mi.cornell_box()))
     common = [name for name, _ in scene.named_parameters() if name in theirs]

@@ -111,9 +111,7 @@ def test_nested_objects_find_their_attribute_by_category(tmp_path):
     '<rgb name="radiance" value="1, 2, 3"/>',
     '<spectrum name="radiance" value="2"/>',
 ])
-def test_colours_of_emitters_are_those_of_mitsuba(tmp_path, radiance):
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
+def test_colours_of_emitters_are_those_of_mitsuba(mi, tmp_path, radiance):
     body = f'<shape type="rectangle" id="lamp"><emitter type="area">{radiance}</emitter></shape>{SENSOR}'
     path = write_scene(tmp_path, body, complete=False)
     theirs = list(mi.traverse(mi.load_file(str(path)))["lamp.emitter.radiance.value"])

@@ -28,9 +28,7 @@ OPERATIONS = [
 
 
 @pytest.mark.parametrize("operations", OPERATIONS)
-def test_transforms_are_those_of_mitsuba(tmp_path, operations):
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
+def test_transforms_are_those_of_mitsuba(mi, tmp_path, operations):
     body = f'<shape type="rectangle" id="r"><transform name="to_world">{operations}</transform></shape>'
     path = write_scene(tmp_path, body)
     ours = load(path).get_parameter("r.to_world").detach().numpy()

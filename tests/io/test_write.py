@@ -116,9 +116,7 @@ def test_saving_twice_writes_the_same_bytes(everything, target):
     assert {file.name: file.read_bytes() for file in target.parent.iterdir()} == first
 
 
-def test_mitsuba_renders_the_saved_scene_as_the_original(everything, target):
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
+def test_mitsuba_renders_the_saved_scene_as_the_original(mi, everything, target):
     save(load(everything), target)
     images = []
     for path in (everything, target):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from .material_scenes import brushed, brushed_turned, coloured_roughness, glass, mirrors, polished, rough_glass, rough_metals
 from .scene_files import Case, Folder, bitmap, diffuse, picture, scene_xml, shape, size
 from .scenes import (
     SKY,
@@ -96,6 +97,14 @@ CASES = {
     "spots": Case(spots),
     "projector": Case(projector),
     "every_light": Case(every_light),
+    "mirrors": Case(mirrors),
+    "glass": Case(glass),
+    "rough_metals": Case(rough_metals),
+    "coloured_roughness": Case(coloured_roughness),
+    "rough_glass": Case(rough_glass),
+    "brushed": Case(brushed),
+    "brushed_turned": Case(brushed_turned),
+    "polished": Case(polished),
     **{f"camera_{name}": Case(poster(name), peer_spp=256, peer_batches=32, thin=1 if camera.rfilter == BOX else 5)
        for name, camera in CAMERAS.items()},
 }

@@ -38,7 +38,17 @@ def assert_agrees(comparison: Comparison) -> None:
     assert comparison.bias_error.max() < 0.006, f"too noisy to find an error of 2%: {comparison}"
 
 
-@pytest.mark.parametrize("name", CASES)
+# Cases that are known to differ, and where we are wrong; one that begins to agree fails here until it is taken out.
+WRONG = {
+    "brushed_turned": "brush strokes follow a frame around the normal, not the surface's coordinates (vec.ShadingFrame)",
+    "coloured_roughness": "of a roughness in colour the red channel counts, not the mean (rgb) or the luminance (bitmap)",
+}
+
+
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[pytest.mark.xfail(strict=True, reason=WRONG[name])] if name in WRONG else [])
+    for name in CASES
+])
 def test_image_agrees_with_mitsuba(name, tmp_path):
     assert_agrees(against_reference(name, tmp_path))
 
@@ -101,10 +111,8 @@ def cornell_dict(to_matrix=lambda matrix: matrix) -> dict:
     }
 
 
-def test_a_dict_rendered_by_mitsuba_now_agrees():
+def test_a_dict_rendered_by_mitsuba_now_agrees(mi):
     """Live, with Mitsuba's own reading of the same dict."""
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
     theirs = mi.load_dict(cornell_dict(mi.ScalarTransform4f))
     peer = [np.array(mi.render(theirs, spp=64, seed=seed)) for seed in range(32)]
     case = Case(None)

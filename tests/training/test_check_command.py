@@ -104,7 +104,6 @@ BAD_COMMANDS = {
     "no numbers": (["--direction", "up"], ["--direction up", "ones", ".npy"]),
     "no such file": (["--direction", "no.npy"], ["no.npy", "no such file"]),
     "file of the wrong shape": (["--direction", "wrong.npy"], ["wrong.npy", "(3,)", "(2, 2)"]),
-    "no derivative": (["--param", "floor.to_world"], ["floor.to_world"]),
     "bad step": (["--step", "-1"], ["step", "-1"]),
     "few batches": (["--batches", "2"], ["batches", "at least 8"]),
     "no such sensor": (["--sensor", "camra"], ["'camra'", "'camera'"]),

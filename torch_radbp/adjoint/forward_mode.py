@@ -25,14 +25,14 @@ from torch.autograd import forward_ad
 from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint.function import RenderCall, render_images
+from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.path import bounce, sample_camera
 from torch_radbp.scene.differentiated import tangent_of
-from torch_radbp.scene.tensors import SceneTensors
 
 
-def has_tangents(scene: SceneTensors) -> bool:
-    """Whether a leaf of the scene is a dual tensor."""
-    return any(tangent_of(leaf) is not None for leaf in tree_flatten(scene)[0] if isinstance(leaf, Tensor))
+def has_tangents(record) -> bool:
+    """Whether a tensor of a record is a dual tensor."""
+    return any(tangent_of(leaf) is not None for leaf in tree_flatten(record)[0] if isinstance(leaf, Tensor))
 
 
 def render_tangents(call: RenderCall) -> Tensor:
@@ -41,13 +41,14 @@ def render_tangents(call: RenderCall) -> Tensor:
     Raises:
         RuntimeError: if a leaf requires grad as well, whose derivative would be missing.
     """
-    leaves = [leaf for leaf in tree_flatten(call.scene)[0] if isinstance(leaf, Tensor)]
-    if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves):
+    leaves = tree_flatten((call.scene, [view.camera for view in call.views]))[0]
+    if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves if isinstance(leaf, Tensor)):
         raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
     with torch.no_grad():
         eager = call.make_integrand(call.scene)._replace(bounce=bounce)
-        return render_images(call._replace(sample_camera=sample_camera), eager, record=False)[0]
+        return render_images(call._replace(sample_camera=sample_camera), eager, record=False,
+                             tracer=trace_attached)[0]
 
 
 def inside_transforms() -> bool:

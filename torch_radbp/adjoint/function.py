@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_map_only, tree_unflatten
 
-from torch_radbp.adjoint.sweep import PathRecord, Sweep
+from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
-from torch_radbp.path import Integrand, PathState, Step, start_path, trace
+from torch_radbp.path import Integrand, PathState, Step, sample_camera, start_path, trace
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors
-from torch_radbp.vec import Vec3
+from torch_radbp.vec import Ray, Vec3
 
 SAVED = object()  # stands for a tensor that autograd keeps
 
@@ -32,7 +32,7 @@ class Chunk(NamedTuple):
 class View(NamedTuple):
     """One sensor of a call."""
 
-    camera: PinholeTensors
+    camera: PinholeTensors  # attached
     width: int  # of the crop window, pixels
     height: int
     seed_keys: tuple[int, int]  # of the forward pass, and of the backward pass
@@ -92,8 +92,18 @@ def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integr
     return integrand._replace(clipping=view.camera if view.clips else None)
 
 
-def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: int,
-                record: bool) -> tuple[Vec3, PathRecord]:
+def detached(tensors):
+    """A record of tensors without derivatives."""
+    return tree_map_only(Tensor, Tensor.detach, tensors)
+
+
+def differentiable(tensors) -> list[Tensor]:
+    """The leaves of a record that derivatives are wanted of, in order."""
+    return [leaf for leaf in tree_flatten(tensors)[0] if isinstance(leaf, Tensor) and leaf.requires_grad]
+
+
+def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: int, record: bool,
+                tracer: Callable = trace) -> tuple[Vec3, PathRecord]:
     """Radiance of each lane, and what the backward pass will need of it."""
     strategy = call.adjoint
     kept = frozenset(strategy.kept(integrand.max_depth)) if record else frozenset()
@@ -109,7 +119,7 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: 
         if record and strategy.keep_hits:
             steps[depth] = step
 
-    L = trace(integrand_of(call, integrand, chunk), start_paths(call, chunk, seed_key), visit)
+    L = tracer(integrand_of(call, integrand, chunk), start_paths(call, chunk, seed_key), visit)
     radiance = L if record and strategy.keep_radiance else None
     return L, PathRecord(lambda: start_paths(call, chunk, seed_key), radiance, states, steps, bounces)
 
@@ -121,13 +131,14 @@ def accumulate(images: list[Tensor], chunk: Chunk, L: Vec3, spp: int) -> None:
         images[chunk.sensor][channel, pixels] += component.reshape(chunk.pixels, chunk.samples).sum(1) / spp
 
 
-def render_images(call: RenderCall, integrand: Integrand, record: bool) -> tuple[Tensor, list[PathRecord]]:
+def render_images(call: RenderCall, integrand: Integrand, record: bool,
+                  tracer: Callable = trace) -> tuple[Tensor, list[PathRecord]]:
     """(B, 3, H, W) linear RGB, and the records of the chunks if asked for."""
     view = call.views[0]
     images = [call.scene.triangles.p0.x.new_zeros(3, view.height * view.width) for _ in call.views]
 
     def trace_share(share: range) -> list[tuple[Vec3, PathRecord]]:
-        return [trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[0], record)
+        return [trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[0], record, tracer)
                 for chunk in (call.chunks[index] for index in share)]
 
     shares = in_turns(len(call.chunks), call.workers, trace_share)
@@ -151,8 +162,10 @@ class RenderFunction(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, call: RenderCall, *leaves: Tensor) -> Tensor:
-        ctx.call = call
-        ctx.integrand = call.make_integrand(tree_map_only(Tensor, Tensor.detach, call.scene))
+        ctx.camera_leaves = [[leaf.requires_grad for leaf in tree_flatten(view.camera)[0]] for view in call.views]
+        ctx.scene_leaves = [isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0]]
+        ctx.call = call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
+        ctx.integrand = call.make_integrand(call.scene)
         record = any(ctx.needs_input_grad) and not call.retrace
         images, records = render_images(call, ctx.integrand, record)
         # Saved as tensors, so that autograd frees them after the backward pass and refuses a second one.
@@ -169,32 +182,48 @@ class RenderFunction(torch.autograd.Function):
         call, integrand = ctx.call, ctx.integrand
         saved = iter(ctx.saved_tensors[len(ctx.needs_input_grad) - 1:])
         records = tree_unflatten([next(saved) if item is SAVED else item for item in ctx.recorded], ctx.structure)
-        leaves = [leaf for leaf in tree_flatten(call.scene)[0]]
-        positions = [position for position, leaf in enumerate(leaves) if isinstance(leaf, Tensor) and leaf.requires_grad]
-        needed = [k for k, need in enumerate(ctx.needs_input_grad[1:]) if need]
-        chosen = [positions[k] for k in needed]
-        wanted = tuple(position in chosen for position in range(len(leaves)))
+        asked = iter(ctx.needs_input_grad[1:])
+        wanted = tuple(attached and next(asked) for attached in ctx.scene_leaves)
+        wanted_of_cameras = [tuple(attached and next(asked) for attached in leaves) for leaves in ctx.camera_leaves]
+        leaves = [leaf for leaf, want in zip(tree_flatten(call.scene)[0], wanted) if want]
+        cameras = [leaf for view, wants in zip(call.views, wanted_of_cameras)
+                   for leaf, want in zip(tree_flatten(view.camera)[0], wants) if want]
+        first = [len(leaves) + sum(map(sum, wanted_of_cameras[:sensor])) for sensor in range(len(call.views))]
 
         def differentiate_share(share: range) -> list[Tensor]:
-            gradients = [torch.zeros_like(leaves[position], dtype=torch.float64) for position in chosen]
+            gradients = [torch.zeros_like(leaf, dtype=torch.float64) for leaf in (*leaves, *cameras)]
             for index in share:
                 chunk = call.chunks[index]
-                if call.retrace:
-                    _, record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[1], record=True)
-                else:
-                    record = records[index]
-                call.adjoint.backward(Sweep(integrand_of(call, integrand, chunk), call.adjoint_of_bounce, record,
-                                            lane_adjoint(call, chunk, grad_images), wanted, gradients))
+                seed_key = call.views[chunk.sensor].seed_keys[call.retrace]
+                record = trace_chunk(call, integrand, chunk, seed_key, record=True)[1] if call.retrace else records[index]
+                sweep = Sweep(integrand_of(call, integrand, chunk), call.adjoint_of_bounce, record,
+                              lane_adjoint(call, chunk, grad_images), wanted, gradients[:len(leaves)])
+                call.adjoint.backward(sweep)
+                wants = wanted_of_cameras[chunk.sensor]
+                if any(wants):
+                    for k, adjoint in enumerate(camera_adjoint(call, chunk, seed_key, wants, sweep.memo.adj_ray)):
+                        gradients[first[chunk.sensor] + k] += adjoint
             return gradients
 
         gradients = [sum(parts) for parts in zip(*in_turns(len(call.chunks), call.workers, differentiate_share))]
-        result: list[Tensor | None] = [None] * len(positions)
-        for k, gradient in zip(needed, gradients):
-            result[k] = gradient.to(leaves[positions[k]].dtype)
-        return None, *result
+        results = iter(gradient.to(leaf.dtype) for gradient, leaf in zip(gradients, (*leaves, *cameras)))
+        return None, *(next(results) if need else None for need in ctx.needs_input_grad[1:])
+
+
+def camera_adjoint(call: RenderCall, chunk: Chunk, seed_key: int, wanted: tuple[bool, ...], adj_ray: Ray) -> list[Tensor]:
+    """What the camera rays of a chunk add to the gradients of the wanted leaves of their camera."""
+    view = call.views[chunk.sensor]
+    leaves, structure = tree_flatten(view.camera)
+    leaves = [leaf.clone().requires_grad_(want) for leaf, want in zip(leaves, wanted)]
+    sensors = [view._replace(camera=tree_unflatten(leaves, structure)) if number == chunk.sensor else other
+               for number, other in enumerate(call.views)]
+    with torch.enable_grad():
+        ray = start_paths(call._replace(views=sensors, sample_camera=sample_camera), chunk, seed_key).ray
+        inputs = [leaf for leaf in leaves if leaf.requires_grad]
+        adjoints = vector_jacobian_product([*ray.o, *ray.d], inputs, [*adj_ray.o, *adj_ray.d])
+    return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]
 
 
 def render_with_derivative(call: RenderCall) -> Tensor:
-    """The images; attached to the scene's leaves through `RenderFunction`."""
-    leaves = [leaf for leaf in tree_flatten(call.scene)[0] if isinstance(leaf, Tensor) and leaf.requires_grad]
-    return RenderFunction.apply(call, *leaves)
+    """The images; attached to the leaves of scene and cameras through `RenderFunction`."""
+    return RenderFunction.apply(call, *differentiable(call.scene), *differentiable([view.camera for view in call.views]))

@@ -11,7 +11,9 @@ from torch_radbp.vec import Vec3, masked
 
 @dataclass(frozen=True)
 class QuadraticAdjoint:
-    """Keeps nothing and computes L_{k+1} anew for each bounce: N^2 / 2 forward steps. To compare with.
+    """Keeps no radiance and computes L_{k+1} anew for each bounce: N^2 / 2 forward steps. To compare with.
+
+    The states of a path are on the stack of the recursion while it is differentiated, chunk by chunk.
 
     Args:
         keep_hits: as in `MemoizedAdjoint`.
@@ -26,13 +28,13 @@ class QuadraticAdjoint:
         return ()
 
     def backward(self, sweep: Sweep) -> None:
-        """Walks down the path, as the recursion `d_Li` does."""
-        state = sweep.record.start()
+        """Walks down the path and, as the recursion `d_Li` does, differentiates each bounce on the way back."""
+        stack = [sweep.record.start()]
         for depth in range(sweep.record.bounces):
-            following = sweep.advance(state, depth)
-            sweep.memo = incident_radiance(sweep, following, depth + 1)
-            sweep.adjoint(state, depth)
-            state = following
+            stack.append(sweep.advance(stack[-1], depth))
+        for depth in reversed(range(sweep.record.bounces)):
+            sweep.remember(incident_radiance(sweep, stack.pop(), depth + 1))
+            sweep.adjoint(stack[-1], depth)
 
 
 def incident_radiance(sweep: Sweep, state: PathState, depth: int) -> Vec3:

@@ -17,7 +17,8 @@ class ReplayAdjoint:
     """Keeps only L_1 and recovers L_{k+1} = (L_k - E_k) / F_k on the way down. To compare with.
 
     Wrong where F_k is 0: at a reflectance of exactly 0 the incident radiance cannot be recovered, and the derivative that
-    it would have carried is missing. Use `MemoizedAdjoint` there. It also loses digits where F_k is small.
+    it would have carried is missing. Use `MemoizedAdjoint` there. It also loses digits where F_k is small. Where rays carry
+    derivatives, which come up from below, it keeps every state of a chunk after all.
 
     Args:
         keep_hits: as in `MemoizedAdjoint`.
@@ -33,12 +34,18 @@ class ReplayAdjoint:
 
     def backward(self, sweep: Sweep) -> None:
         """Walks down the path with what remains of L."""
-        state, L = sweep.record.start(), sweep.record.radiance
+        state, L, stack = sweep.record.start(), sweep.record.radiance, []
         for depth in range(sweep.record.bounces):
             vertex, step = take_step(sweep.integrand, state, depth, sweep.record.steps.get(depth))
             remaining = lookup(L, state.lane) - (vertex.Le + masked(step.visible, vertex.Ld))
             incident = Vec3(*(torch.where(f > 0, r / torch.where(f > 0, f, 1.0), 0.0) for r, f in zip(remaining, vertex.F)))
             L = Vec3(*(old.index_copy(0, state.lane.long(), new) for old, new in zip(L, incident)))
-            sweep.memo = Vec3(*(component.clone() for component in L))
-            sweep.adjoint(state, depth)
+            if sweep.moving:
+                stack.append((state, L))
+            else:
+                sweep.remember(L)
+                sweep.adjoint(state, depth)
             state = survivors(vertex)
+        for depth, (state, L) in reversed(list(enumerate(stack))):
+            sweep.remember(L)
+            sweep.adjoint(state, depth)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -40,6 +41,9 @@ class DielectricKind(DeltaKind):
     Radiance that crosses the boundary is scaled by the squared ratio of the indices.
     Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", section 5.2.
     """
+
+    discrete: ClassVar[bool] = True
+    steering: ClassVar[tuple[int, ...]] = (0,)
 
     @property
     def slots(self) -> int:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values, reflects
+from torch_radbp.bsdf.kind import Choice, Kind, Values
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
 from torch_radbp.texture.rgb import as_texture, check_range
@@ -21,11 +21,9 @@ class DiffuseKind(Kind):
     def slots(self) -> int:
         return 1
 
-    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
-        return values[0] * self.pdf(values, wi, wo)
-
-    def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
-        return cosine_hemisphere_pdf(wo) * reflects(wi, wo)
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
+        pdf = cosine_hemisphere_pdf(wo) * (wi.z > 0).to(wi.z.dtype)
+        return values[0] * pdf, pdf
 
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
         return square_to_cosine_hemisphere(u, v)

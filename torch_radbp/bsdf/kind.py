@@ -47,6 +47,8 @@ class Kind(ABC):
     """
 
     delta: ClassVar[bool] = False  # ideal specular: no direction it scatters into can be found otherwise
+    discrete: ClassVar[bool] = False  # there is something to `choose`
+    steering: ClassVar[tuple[int, ...]] = ()  # of an ideal specular kind: the values that its directions depend on
 
     @property
     @abstractmethod
@@ -54,19 +56,29 @@ class Kind(ABC):
         """How many values the functions take."""
 
     @abstractmethod
-    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
-        """BSDF times |cos(wo)|, for radiance; attached. Zero for ideal specular kinds."""
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
+        """BSDF times |cos(wo)|, for radiance, and the density of `sample` over solid angle, over all choices.
 
-    @abstractmethod
+        Both attached; zero for ideal specular kinds.
+        """
+
+    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
+        """The first of `eval_pdf`."""
+        return self.eval_pdf(values, wi, wo)[0]
+
     def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
-        """Density of `sample` over solid angle, over all choices; attached. Zero for ideal specular kinds."""
+        """The second of `eval_pdf`."""
+        return self.eval_pdf(values, wi, wo)[1]
 
     @abstractmethod
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
         """A unit vector wo, attached to values and wi. `eval` and `pdf` are zero where it is of no use."""
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
-        """Reflection or transmission, decided by the random number `choice`; u and v are those that `sample` will get."""
+    def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> Choice:
+        """Reflection or transmission, decided by the random number `choice`; u and v are those that `sample` will get.
+
+        `choice` may be None where the kind is not `discrete`.
+        """
         return Choice(torch.zeros_like(wi.z), torch.ones_like(wi.z))
 
     def probability(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor:
@@ -83,11 +95,8 @@ class DeltaKind(Kind):
 
     delta: ClassVar[bool] = True
 
-    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
-        return Vec3.full(wi.z, 0.0)
-
-    def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
-        return torch.zeros_like(wi.z)
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
+        return Vec3.full(wi.z, 0.0), torch.zeros_like(wi.z)
 
     @abstractmethod
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:

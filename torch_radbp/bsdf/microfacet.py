@@ -27,11 +27,13 @@ Dupuy and Benyoub 2023, "Sampling Visible GGX Normals with Spherical Caps", list
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.plugin import Texture, nearest
 from torch_radbp.texture.rgb import as_texture, check_range
 from torch_radbp.vec import TINY, Vec2, Vec3, dot, normalize
@@ -124,6 +126,22 @@ DISTRIBUTIONS = {"beckmann": Beckmann, "ggx": GGX}
 def microfacets(distribution: str, alpha_u: Tensor, alpha_v: Tensor) -> Beckmann | GGX:
     """The distribution called `distribution` with roughness `alpha_u`, `alpha_v`, kept above `SMALLEST_ALPHA`."""
     return DISTRIBUTIONS[distribution](alpha_u.clamp_min(SMALLEST_ALPHA), alpha_v.clamp_min(SMALLEST_ALPHA))
+
+
+@dataclass(frozen=True)
+class MicrofacetKind(Kind):
+    """A surface of microfacets. Values: alpha, or alpha_u and alpha_v, and three more."""
+
+    distribution: str
+    anisotropic: bool = False
+
+    @property
+    def slots(self) -> int:
+        return 4 + self.anisotropic
+
+    def facets(self, values: Values) -> Beckmann | GGX:
+        """The distribution of microfacets."""
+        return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
 
 
 def stretch(facets: Beckmann | GGX, w: Vec3) -> Tensor:

@@ -8,42 +8,27 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
-from torch_radbp.bsdf.kind import Choice, Kind, Values, above, reflects
-from torch_radbp.bsdf.microfacet import GGX, Beckmann, check_distribution, half_vector, microfacets, roughness
+from torch_radbp.bsdf.kind import Choice, Values, above, reflects
+from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture, check_range
 from torch_radbp.vec import Vec3, dot
 
 
 @dataclass(frozen=True)
-class RoughConductorKind(Kind):
+class RoughConductorKind(MicrofacetKind):
     """Values: alpha, or alpha_u and alpha_v; eta, k, specular_reflectance.
 
     Reference: Walter et al. 2007, equations 20, 14 and 24.
     """
 
-    distribution: str
-    anisotropic: bool = False
-
-    @property
-    def slots(self) -> int:
-        return 4 + self.anisotropic
-
-    def facets(self, values: Values) -> Beckmann | GGX:
-        """The distribution of microfacets."""
-        return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
-
-    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
         eta, k, reflectance = values[-3:]
         facets, lit, wi, wo = self.facets(values), reflects(wi, wo), above(wi), above(wo)
         m, _ = half_vector(wi + wo)
-        scale = 0.25 * facets.density(m) * facets.masking(wi) * facets.masking(wo) * wo.z
-        return reflectance * conductor_reflectance(dot(wi, m), eta, k) * (scale * lit)
-
-    def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
-        facets, lit, wi, wo = self.facets(values), reflects(wi, wo), above(wi), above(wo)
-        m, _ = half_vector(wi + wo)
-        return 0.25 * facets.density(m) / facets.projected_area(wi) * lit
+        density = 0.25 * facets.density(m) * lit
+        scale = density * facets.masking(wi) * facets.masking(wo) * wo.z
+        return reflectance * conductor_reflectance(dot(wi, m), eta, k) * scale, density / facets.projected_area(wi)
 
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
         wi = above(wi)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Kind, Values, side_of
-from torch_radbp.bsdf.microfacet import GGX, Beckmann, check_distribution, half_vector, microfacets, roughness
+from torch_radbp.bsdf.kind import Choice, Values, above, side_of
+from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness
 from torch_radbp.plugin import Texture, register
 from torch_radbp.vec import TINY, Vec3, dot
 
@@ -30,7 +30,7 @@ class Microgeometry(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RoughDielectricKind(Kind):
+class RoughDielectricKind(MicrofacetKind):
     """Values: alpha, or alpha_u and alpha_v; eta (a scalar), specular_reflectance, specular_transmittance.
 
     With the half vector h = wi + eta wo of refraction, |dm / dwo| = eta^2 |wo.m| / |h|^2 (Walter et al. 2007, equations 17,
@@ -46,23 +46,14 @@ class RoughDielectricKind(Kind):
     is so much greater than the transmittance that choosing by it gives derivatives without finite variance.
     """
 
-    distribution: str
-    anisotropic: bool = False
-
-    @property
-    def slots(self) -> int:
-        return 4 + self.anisotropic
-
-    def facets(self, values: Values) -> Beckmann | GGX:
-        """The distribution of microfacets."""
-        return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
+    discrete: ClassVar[bool] = True
 
     def index(self, values: Values, side: Tensor) -> Tensor:
         """Index of refraction of the far side over the near side."""
         return relative_index(apart_from_one(values[-3].x), side)
 
     def microgeometry(self, values: Values, wi: Vec3, wo: Vec3) -> Microgeometry:
-        """What `eval` and `pdf` share."""
+        """Of a pair of directions."""
         side = side_of(wi)
         eta, wi, wo = self.index(values, side), wi * side, wo * side
         transmits = (wo.z < 0).to(side.dtype)
@@ -73,21 +64,14 @@ class RoughDielectricKind(Kind):
         return Microgeometry(transmits, possible, self.facets(values).density(m), cos_i.clamp_min(0.0),
                              cos_o.clamp_min(0.0), squared, eta, reflectance)
 
-    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
         g, facets = self.microgeometry(values, wi, wo), self.facets(values)
-        cos_o = wo.z.abs()
-        shadowing = facets.masking(wi._replace(z=wi.z.abs())) * facets.masking(wo._replace(z=cos_o)) * cos_o
-        scale = g.density * shadowing * g.possible
-        reflected = 0.25 * g.reflectance * scale * (1.0 - g.transmits)
-        transmitted = (1.0 - g.reflectance) * scale * (g.cos_i * g.cos_o / g.squared) * g.transmits
-        return values[-2] * reflected + values[-1] * transmitted
-
-    def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
-        g = self.microgeometry(values, wi, wo)
-        visible = g.density / self.facets(values).projected_area(wi._replace(z=wi.z.abs())) * g.possible
-        reflected = 0.25 * g.reflectance
-        transmitted = (1.0 - g.reflectance) * (g.cos_i * g.cos_o * g.eta * g.eta / g.squared)
-        return visible * (reflected + g.transmits * (transmitted - reflected))
+        wi, wo, density = above(wi), above(wo), g.density * g.possible
+        reflected = 0.25 * g.reflectance * (1.0 - g.transmits)
+        transmitted = (1.0 - g.reflectance) * (g.cos_i * g.cos_o / g.squared) * g.transmits
+        scattered = values[-2] * reflected + values[-1] * transmitted
+        return (scattered * (density * facets.masking(wi) * facets.masking(wo) * wo.z),
+                (reflected + transmitted * g.eta * g.eta) * (density / facets.projected_area(wi)))
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
         values, wi = tuple(value.detach() for value in values), wi.detach()

@@ -26,7 +26,7 @@ from torch_radbp.check.outcome import GradientCheck, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.jvp import rendering_with_tangent
 from torch_radbp.plugin import finite
-from torch_radbp.render import Renderer, check_count, what_it_sets
+from torch_radbp.render import Renderer, check_count
 from torch_radbp.scene import Scene
 
 BATCHES = 16
@@ -65,7 +65,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
 
     Raises:
         AttributeError: if the scene has no such parameter; the message lists the nearest names.
-        ValueError: if the parameter has no derivative, or an argument makes no sense.
+        ValueError: if an argument makes no sense.
     """
     renderer = Renderer(scene, **settings)
     parameter = scene.get_parameter(name).detach()
@@ -78,7 +78,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     h = checked_step(parameter, d, step)
     measurement = Measurement(renderer, f"scene.{name}", parameter, d, h, -(-spp // batches), seed, sensors, progress,
                               total=4 * batches + 5)
-    image, tangent = measurement.forward(batches + 1)  # first: refuses what has no derivative
+    image, tangent = measurement.forward(batches + 1)
     reference, _ = measurement.difference(0)
     differences, sizes = zip(*(measurement.difference(k) for k in range(1, batches + 1)))
     tangents = [tangent, *(measurement.forward(k)[1] for k in range(batches + 2, 2 * batches + 1))]
@@ -187,3 +187,9 @@ def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> fl
     if not 0 < step < float("inf"):
         raise ValueError(f"step must be greater than 0 and finite, got {step}; leave it out for one that fits")
     return float(step)
+
+
+def what_it_sets(name: str) -> str:
+    """The attribute that a parameter stands for, also if it is one of a `torch.nn.utils.parametrize` parametrisation."""
+    parts = name.split(".")
+    return parts[parts.index("parametrizations") + 1] if "parametrizations" in parts else parts[-1]

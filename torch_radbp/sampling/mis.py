@@ -13,4 +13,4 @@ def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
     Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", section 9.2.4, exponent 2.
     """
     ratio = other / pdf
-    return 1.0 / (1.0 + ratio * ratio)
+    return (1.0 + ratio * ratio).reciprocal()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 from torch.autograd import forward_ad
+from torch.utils._pytree import tree_flatten
 
 
 def tangent_of(tensor: Tensor) -> Tensor | None:
@@ -14,3 +15,8 @@ def tangent_of(tensor: Tensor) -> Tensor | None:
 def differentiated(tensor: Tensor) -> bool:
     """Whether something is to be differentiated with respect to `tensor`."""
     return tensor.requires_grad or tangent_of(tensor) is not None
+
+
+def any_differentiated(record) -> bool:
+    """The same of any tensor of a record."""
+    return any(differentiated(leaf) for leaf in tree_flatten(record)[0] if isinstance(leaf, Tensor))

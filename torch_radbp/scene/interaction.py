@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import LocalVec3, Ray, ShadingFrame, Vec2, Vec3, dot, normalize, where
+from torch_radbp.vec import LocalVec3, Ray, ShadingFrame, Vec2, Vec3, attached, cross, dot, normalize
 
 
 class SurfaceInteraction(NamedTuple):
@@ -25,13 +25,14 @@ class SurfaceInteraction(NamedTuple):
     wi: LocalVec3  # towards the viewer, local
     uv: Vec2 | None
     t: Tensor  # distance that the ray has come
+    cosine: Tensor  # between the geometric normal and the ray's direction
 
     def epsilon(self) -> Tensor:
         """The distance by which rays start off the surface, relative to the size of its coordinates and of the ray.
 
         Those are the scale of rounding errors.
         """
-        p = self.p.detach()
+        p = self.p
         largest = torch.maximum(torch.maximum(p.x.abs(), p.y.abs()), torch.maximum(p.z.abs(), self.t))
         return (1.0 + largest) * (1500 * torch.finfo(torch.float32).eps)
 
@@ -40,36 +41,56 @@ class SurfaceInteraction(NamedTuple):
         return self.p + self.n * torch.copysign(epsilon, dot(self.n, d))
 
 
-def surface_interaction(scene: SceneTensors, ray: Ray, hit) -> SurfaceInteraction:
+def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | None = None) -> SurfaceInteraction:
     """Interpolates the triangle that was hit.
 
     Args:
         scene: the scene.
         ray: (N,) rays.
-        hit: a `raycast.Hit`: triangle (-1: none) and barycentric coordinates of its second and third vertex.
+        hit: a `raycast.Hit`: triangle (-1: none), barycentric coordinates of its second and third vertex, distance.
+        slides: (N,) bool: how the point follows when ray and scene are attached. True: it stays on the ray and slides over
+            the triangle. False: it is glued to the triangle, at fixed barycentric coordinates, whatever the ray does.
+            None: it does not follow, because nothing moves.
     """
     triangles = scene.triangles
     valid = hit.prim >= 0
     prim = hit.prim.clamp_min(0)
-    if scene.layout.moving:  # glued to the triangle
-        p = (lookup(triangles.p0, prim) + lookup(triangles.e1, prim) * hit.u + lookup(triangles.e2, prim) * hit.v)
-    else:
-        p = ray.o + ray.d * hit.t
+    p, t = ray.o + ray.d * hit.t, hit.t
+    if slides is not None:
+        p0, e1, e2 = (lookup(table, prim) for table in (triangles.p0, triangles.e1, triangles.e2))
+        hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
+        p = attached(p, p0 + e1 * hit.u + e2 * hit.v)
+        t = attached(t, dot(p - ray.o, ray.d))
     n = lookup(triangles.n, prim)
-    shading = n
+    cosine = dot(n, ray.d)
+    shading, shading_cosine = n, cosine
     if scene.layout.shading_normals:
         w = 1.0 - hit.u - hit.v
         shading = normalize(lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * hit.u
                             + lookup(triangles.n2, prim) * hit.v)
+        shading_cosine = dot(shading, ray.d)
     uv = None
     if triangles.uv0 is not None:
         w = 1.0 - hit.u - hit.v
         uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * hit.u + lookup(triangles.uv2, prim) * hit.v
-    front = dot(shading, ray.d) < 0
+    front = shading_cosine < 0
     material = lookup(triangles.material, prim)
     if scene.layout.back_sides:
         material = material + (~front).to(material.dtype) * (len(scene.materials.kind) // 2)
-        turned = lookup(scene.materials.turned, material)
-        shading = where(turned, -shading, shading)
+        side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
+        shading, shading_cosine = shading * side, shading_cosine * side
     frame = ShadingFrame(shading)
-    return SurfaceInteraction(valid, prim, material, p, n, frame, front, frame.to_local(-ray.d), uv, hit.t)
+    wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
+    return SurfaceInteraction(valid, prim, material, p, n, frame, front, wi, uv, t, cosine)
+
+
+def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tensor):
+    """The hit with barycentric coordinates attached to ray and triangle where it slides.
+
+    Reference: Moeller and Trumbore 1997, "Fast, Minimum Storage Ray/Triangle Intersection".
+    """
+    across, offset = cross(ray.d, e2), ray.o - p0
+    scale = torch.where(slides, dot(e1, across), 1.0).reciprocal()
+    u, v = dot(offset, across) * scale, dot(ray.d, cross(offset, e1)) * scale
+    follow = slides.to(u.dtype)
+    return hit._replace(u=attached(hit.u, u * follow), v=attached(hit.v, v * follow))

@@ -64,20 +64,19 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
 
     Args:
         scene: gives geometry and poses.
-        ray, si: what the ray meets. The density is attached if these arguments are.
+        ray, si: what the ray meets. The density is attached if these arguments are, but for that of the environment map,
+            whose samples are directions that nothing moves.
         proposal: gives the probabilities of picking a light, or a part of the environment map; None: `scene`. They carry no
             derivative in either case.
     """
     proposal = scene if proposal is None else proposal
-    offset = si.p - ray.o
-    cosine = dot(si.n, ray.d).abs()
     pdf = (lookup(proposal.triangles.light_pmf, si.prim) * lookup(scene.triangles.inverse_area, si.prim)
-           * dot(offset, offset) / cosine.clamp_min(SMALLEST_COSINE))
+           * (si.t * si.t) / si.cosine.abs().clamp_min(SMALLEST_COSINE))
     surround_pmf = proposal.lights.surround_pmf
     if scene.layout.constant_light:
         return torch.where(si.valid, pdf, surround_pmf * UNIFORM_SPHERE_PDF)
     if scene.layout.environment_map:
-        return torch.where(si.valid, pdf, surround_pmf * environment_pdf(scene, proposal, ray.d))
+        return torch.where(si.valid, pdf, surround_pmf * environment_pdf(scene, proposal, ray.d).detach())
     return pdf
 
 
@@ -100,7 +99,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     layout, lights = scene.layout, proposal.lights
     element = lights.choice.sample(choice)
     pmf = lookup(lights.choice.pmf, element)
-    kind = lookup(lights.kind, element)
+    kind = None if layout.only_surfaces_emit else lookup(lights.kind, element)
 
     # Let each kind of light that there is decide where to look.
     aim, fixed = None, None

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.vec import Vec2, Vec3, gather
 
 
 class Tap:
@@ -23,7 +23,7 @@ class Tap:
         self.reads: list[tuple[Tensor, Tensor]] = []
 
     def read(self, index: Tensor) -> Tensor:
-        leaf = self.table.index_select(0, index).detach().requires_grad_()
+        leaf = gather(self.table, index).detach().requires_grad_()
         self.reads.append((index, leaf))
         return leaf
 
@@ -56,7 +56,7 @@ def lookup(table, index: Tensor):
     """Entries of a table, or of each component of a `Vec2` / `Vec3` of tables, at int32 `index` (N,)."""
     if isinstance(table, (Vec2, Vec3)):
         return table.map(lambda component: lookup(component, index))
-    return table.read(index) if isinstance(table, Tap) else table.index_select(0, index)
+    return table.read(index) if isinstance(table, Tap) else gather(table, index)
 
 
 class TextureBank(NamedTuple):

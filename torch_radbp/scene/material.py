@@ -31,6 +31,11 @@ class Material(NamedTuple):
         mine, other = self.kind == number, Vec3.full(values[0].x, HARMLESS)
         return tuple(where(mine, value, other) for value in values)
 
+    @property
+    def discrete(self) -> bool:
+        """Whether `sample` has to choose between reflection and transmission."""
+        return any(kind.discrete for kind in self.kinds)
+
     def detach(self) -> Material:
         return self._replace(values=tuple(value.detach() for value in self.values))
 
@@ -38,8 +43,8 @@ class Material(NamedTuple):
 class BSDFSample(NamedTuple):
     """A direction in which the path goes on."""
 
-    wo: Vec3  # unit, local; detached
-    weight: Vec3  # bsdf * |cos| / pdf; attached to the material
+    wo: Vec3  # unit, local; attached if the lane is `followed`
+    weight: Vec3  # bsdf * |cos| / pdf; attached to the material, the density only if the lane is `followed`
     pdf: Tensor  # density over solid angle; infinite for ideal specular scattering, which is not left to chance; 0: none
 
 
@@ -51,38 +56,48 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction) -> Material:
     return Material(kinds, None if len(kinds) == 1 else lookup(table.kind, si.material), values)
 
 
-def evaluate(material: Material, wi: Vec3, wo: Vec3) -> Vec3:
-    """bsdf * |cos|, local frame; attached. Zero for ideal specular materials."""
-    parts = [kind.eval(material.of(number), wi, wo) for number, kind in enumerate(material.kinds)]
-    return chosen(material.kind, parts)
+def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
+    """bsdf * |cos|, local frame, and the density over solid angle with which `sample` draws `wo`; attached.
+
+    Both are zero for ideal specular materials.
+    """
+    parts = [kind.eval_pdf(material.of(number), wi, wo) for number, kind in enumerate(material.kinds)]
+    return tuple(chosen(material.kind, list(part)) for part in zip(*parts))
 
 
-def density(material: Material, wi: Vec3, wo: Vec3) -> Tensor:
-    """Density over solid angle with which `sample` draws `wo`; zero for ideal specular materials."""
-    return chosen(material.kind, [kind.pdf(material.of(number), wi, wo) for number, kind in enumerate(material.kinds)])
+def followed(kind: Kind, sampling: str) -> bool:
+    """Whether derivatives follow the directions that `sample` draws for this kind of material."""
+    return sampling == "attached" or (sampling == "hybrid" and kind.delta)
 
 
-def sample(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> BSDFSample:
-    """Draws a direction by the material as it is, detached; the weight is attached.
+def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor, sampling: str) -> BSDFSample:
+    """Draws a direction by the material.
 
     Args:
-        choice, u, v: (N,) uniform numbers, the first for reflection or transmission.
+        choice, u, v: (N,) uniform numbers, the first for reflection or transmission (None: not `material.discrete`).
+        sampling: which derivatives the sample carries, see `followed`.
     """
     fixed = material.detach()
-    samples = [sample_kind(kind, material.of(number), fixed.of(number), wi, choice, u, v)
+    samples = [sample_kind(kind, material.of(number), fixed.of(number), wi, choice, u, v, followed(kind, sampling))
                for number, kind in enumerate(material.kinds)]
     return BSDFSample(*(chosen(material.kind, list(parts)) for parts in zip(*samples)))
 
 
-def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> BSDFSample:
-    """`sample` for one kind of material."""
+def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor,
+                follow: bool) -> BSDFSample:
+    """`sample` for one kind of material. The choice between reflection and transmission never carries a derivative."""
     decision = kind.choose(fixed, wi, choice, u, v)
-    wo = kind.sample(fixed, wi, decision, u, v)
+    wo = kind.sample(values, wi, decision, u, v) if follow else kind.sample(fixed, wi, decision, u, v).detach()
     if kind.delta:
         weight = kind.specular(values, wi, decision) * (1.0 / decision.probability.clamp_min(TINY))
         return BSDFSample(wo, weight, torch.full_like(u, torch.inf))
-    pdf = kind.pdf(fixed, wi, wo)
-    return BSDFSample(wo, kind.eval(values, wi, wo) * (1.0 / pdf.clamp_min(TINY)), pdf)
+    value, pdf = kind.eval_pdf(values, wi, wo)
+    if not follow:
+        pdf = pdf.detach()
+    density = pdf
+    if follow and kind.discrete:
+        density = pdf * (decision.probability / kind.probability(values, wi, wo, decision).clamp_min(TINY))
+    return BSDFSample(wo, value * density.clamp_min(TINY).reciprocal(), pdf)
 
 
 def chosen(kind: Tensor | None, parts: list):

@@ -78,7 +78,8 @@ def pack(scene: Scene) -> SceneTensors:
     emitted = [-1 if shape.emitter is None else radiance.add(shape.emitter.radiance) for shape in scene.shapes]
     lamps = [Lamp(emitter, radiance.add(emitter.radiated())) for emitter in scene.emitters if emitter.type != "area"]
     layout = Layout(
-        moving=any(differentiated(surface.vertices) for surface in surfaces),
+        bending=any(differentiated(bsdf.textures()[slot].texels()) for bsdf in one_sided(bsdfs)
+                    for slot in bsdf.kind().steering),
         shading_normals=any(surface.normals is not None for surface in surfaces),
         light_normals=any(surface.normals is not None and texture >= 0 for surface, texture in zip(surfaces, emitted)),
         back_sides=bool(materials.turned.any()), kinds=kinds,
@@ -118,8 +119,7 @@ def check_finite(scene: Scene) -> None:
 def material_table(bsdfs: list[BSDF], bank: BankBuilder, device: torch.device) -> tuple[MaterialTable, tuple[Kind, ...]]:
     """The rows of all materials, and the kinds that they are of."""
     two_sided = [isinstance(bsdf, TwoSided) for bsdf in bsdfs]
-    faces = [bsdf.sides() if two else (bsdf, bsdf) for bsdf, two in zip(bsdfs, two_sided)]
-    rows = [front for front, _ in faces] + [back for _, back in faces]
+    rows = one_sided(bsdfs)
     kinds = tuple(dict.fromkeys(bsdf.kind() for bsdf in rows))
     textures = [[bank.add(texture) for texture in bsdf.textures()] for bsdf in rows]
     slots = max((kind.slots for kind in kinds), default=0)
@@ -130,6 +130,12 @@ def material_table(bsdfs: list[BSDF], bank: BankBuilder, device: torch.device) -
     return MaterialTable(column([kinds.index(bsdf.kind()) for bsdf in rows]),
                          tuple(column([row[k] if k < len(row) else 0 for row in textures]) for k in range(slots)),
                          column([False] * len(bsdfs) + two_sided, torch.bool)), kinds
+
+
+def one_sided(bsdfs: list[BSDF]) -> list[BSDF]:
+    """All materials as seen from the side of the normal, then all from behind."""
+    sides = [bsdf.sides() if isinstance(bsdf, TwoSided) else (bsdf, bsdf) for bsdf in bsdfs]
+    return [front for front, _ in sides] + [back for _, back in sides]
 
 
 def geometry(scene: Scene) -> tuple[Tensor, Tensor]:

@@ -20,7 +20,7 @@ AREA, CONSTANT, ENVIRONMENT, POINT, SPOT, PROJECTOR, DIRECTIONAL = range(7)
 class Layout(NamedTuple):
     """What a scene contains: static, so that nothing is computed for what is not there."""
 
-    moving: bool  # vertices are attached to parameters
+    bending: bool  # parameters that require grad steer ideal specular scattering
     shading_normals: bool  # that differ from the triangles' own
     light_normals: bool  # the same, on area lights
     back_sides: bool  # some materials are different, or turned, from behind
@@ -39,6 +39,11 @@ class Layout(NamedTuple):
     def posed_lights(self) -> bool:
         """Whether there are lights without extent."""
         return self.point_lights or self.spots or self.projectors or self.directional_lights
+
+    @property
+    def only_surfaces_emit(self) -> bool:
+        """Whether all lights are area lights."""
+        return not (self.posed_lights or self.distant_lights)
 
     @property
     def distant_lights(self) -> bool:

@@ -12,7 +12,7 @@ from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, nearest, positive, register
 from torch_radbp.sensor.independent import Independent
 from torch_radbp.shape.surface import affine
-from torch_radbp.vec import Frame, Ray, Vec3, dot, normalize
+from torch_radbp.vec import Frame, Ray, Vec3, dot, gather, normalize
 
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 
@@ -151,8 +151,8 @@ def camera_ray(camera: PinholeTensors, column: Tensor, row: Tensor, u: Tensor, v
     Returns:
         Rays in world space that start on the near plane; attached to the camera's parameters.
     """
-    u = lookup(camera.inside_x[0], column) + u * lookup(camera.inside_x[1], column)
-    v = lookup(camera.inside_y[0], row) + v * lookup(camera.inside_y[1], row)
+    u = gather(camera.inside_x[0], column) + u * gather(camera.inside_x[1], column)
+    v = gather(camera.inside_y[0], row) + v * gather(camera.inside_y[1], row)
     x = (column + camera.crop_x + 0.5 + quantile(camera.quantiles, u)) / camera.size_x
     y = (row + camera.crop_y + 0.5 + quantile(camera.quantiles, v)) / camera.size_y
     along_x = (1.0 - 2.0 * (x + camera.shift_x)) * camera.tan_x
@@ -169,13 +169,9 @@ def beyond_far_plane(camera: PinholeTensors, p: Vec3) -> Tensor:
     return dot(p - camera.origin, camera.axes.n) > camera.far
 
 
-def lookup(table: Tensor, index: Tensor) -> Tensor:
-    return table.index_select(0, index)
-
-
 def quantile(table: Tensor, u: Tensor) -> Tensor:
     """Linear interpolation of an equally spaced table at `u` in [0, 1]."""
     position = u * (table.shape[0] - 1)
     left = position.to(torch.int32).clamp_max(table.shape[0] - 2)
     fraction = position - left
-    return table.index_select(0, left) * (1.0 - fraction) + table.index_select(0, left + 1) * fraction
+    return gather(table, left) * (1.0 - fraction) + gather(table, left + 1) * fraction

@@ -1,0 +1,79 @@
+"""How a path leaves a vertex, and which derivatives go along.
+
+The next vertex either *slides* or is *glued*. It slides where the direction was not left to chance, or carries derivatives
+itself: then it lies wherever the attached ray meets the surface. Otherwise it is glued to the triangle that the ray met: it
+moves with the triangle, the direction follows both ends, and an integral over directions has become one over surfaces, whose
+element of solid angle
+
+    G = |n' . d| A' / |x' - x|^2
+
+moves too: the weight is multiplied by G over its own value. A direction in which there is nothing stays as it is.
+
+Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4; Worchel et al. 2025, arXiv 2504.05750.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.scene.interaction import SurfaceInteraction
+from torch_radbp.scene.lookup import lookup
+from torch_radbp.scene.material import BSDFSample, Material, evaluate
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
+
+
+def departure(si: SurfaceInteraction, wo: Vec3, epsilon: Tensor) -> Ray:
+    """The ray that leaves the surface in the local direction `wo`, `epsilon` off it."""
+    d = normalize(si.frame.to_world(wo))
+    return Ray(si.offset(d, epsilon), d)
+
+
+def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInteraction, sample: BSDFSample, following,
+                       sampling: str) -> tuple[Vec3, Ray]:
+    """The weight of the sample and the ray that leaves with it, with the derivatives that `sampling` asks for.
+
+    Args:
+        scene: attached; gives the geometry of the next vertex.
+        material, si: of this vertex, attached.
+        sample: the direction.
+        following: a `raycast.Hit`: what the ray meets.
+        sampling: "detached", "hybrid" or "attached".
+
+    Returns:
+        bsdf * |cos| / pdf, and the ray.
+    """
+    ray = departure(si, sample.wo, si.epsilon())
+    if sampling == "attached":
+        return sample.weight, ray
+    ray = Ray(attached(ray.o, si.p), ray.d)  # the offset carries no derivative
+    fixed = ray.d.detach()
+    chance = torch.isfinite(sample.pdf)
+    d, change = glued_direction(scene, ray.o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))
+    value, _ = evaluate(material, si.wi, si.frame.to_local(d))
+    weight = value * (change / sample.pdf.detach().clamp_min(TINY))
+    if not any(kind.delta for kind in material.kinds):
+        return weight, Ray(ray.o, d)
+    specular = ray.d if sampling == "hybrid" else fixed
+    return where(chance, weight, sample.weight), Ray(ray.o, where(chance, d, specular))
+
+
+def glued_direction(scene: SceneTensors, o: Vec3, d: Vec3, hit, glued: Tensor) -> tuple[Vec3, Tensor]:
+    """From `o` to the point of a triangle that `d` met: the direction, and the change of its solid angle, of value 1.
+
+    Args:
+        scene, o: attached.
+        d: (N,) detached.
+        hit: a `raycast.Hit`.
+        glued: (N,) bool: where there is a triangle; elsewhere the direction stays.
+    """
+    triangles, prim = scene.triangles, hit.prim.clamp_min(0)
+    e1, e2 = lookup(triangles.e1, prim), lookup(triangles.e2, prim)
+    reach = lookup(triangles.p0, prim) + e1 * hit.u + e2 * hit.v - o
+    squared = torch.where(glued, dot(reach, reach), 1.0)
+    aim = reach * torch.rsqrt(squared)
+    follow = glued.to(squared.dtype)
+    moved = attached(d, aim * follow)
+    element = torch.where(glued, dot(cross(e1, e2), aim).abs() / squared, 1.0)
+    return moved, element / element.detach()
