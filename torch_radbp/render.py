@@ -64,8 +64,8 @@ class Renderer(nn.Module):
         compile: compile the functions of a bounce; worth it from some dozen renderings on.
         caster: "embree" or "brute"; None picks by device.
 
-    Derivatives reach every parameter of the scene. Those of shapes, poses and cameras lack, so far, what silhouettes and
-    the edges of shadows contribute; a warning says so if there are any in view.
+    Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
+    so far, what silhouettes and the edges of shadows contribute; a warning says so if there are any in view.
 
     Raises:
         ValueError: for settings that make no sense.
