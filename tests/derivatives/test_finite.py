@@ -7,10 +7,10 @@ import torch
 
 import torch_radbp as rb
 from tests.derivatives.extremes import CASES
+from tests.scenes import diffuse, load, rectangle, rgb, sensor
+from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.plugin import REGISTRY
-
-# Parameters that no picture of these scenes can depend on.
-STILL = {"envmap.scale", "projector.scale"}
+from torch_radbp.scene.pack import pack
 
 
 def gradients(scene: rb.Scene, dtype: torch.dtype, sampling: str, **settings) -> dict[str, torch.Tensor]:
@@ -45,3 +45,84 @@ def test_every_plugin_takes_part():
     categories = ("bsdf", "texture", "emitter", "sensor", "shape")
     known = {(category, name) for category in categories for name in REGISTRY[category]}
     assert known - there == {("shape", "obj"), ("shape", "ply")}  # meshes once they are read
+
+
+def test_normals_and_areas_of_triangles_of_a_micrometre_are_right():
+    """The square of such a length squared is no float32."""
+    small = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]) * 1e-10
+    scene = load(torch.float32, camera=sensor(2), lamp={
+        "type": "mesh", "vertex_positions": small, "faces": torch.tensor([[0, 1, 2]]),
+        "emitter": {"type": "area", "radiance": rgb(1, 1, 1)}})
+    triangles = pack(scene).triangles
+    torch.testing.assert_close(triangles.n.stack(), torch.tensor([[0.0, 0, 1]]))
+    torch.testing.assert_close(triangles.inverse_area, torch.tensor([2e20]))
+
+
+METAL = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.3}
+
+
+def mirror_scene() -> rb.Scene:
+    """A picture of a wall, which is lit by a metal panel in front of it: the metal is met at the second bounce."""
+    return load(camera=sensor(3, fov=20), wall=rectangle((0, 0, 0), 2, bsdf=diffuse(0.5, 0.4, 0.3)), metal=METAL,
+                panel=rectangle((0, 0, 5), 20, (0, 1, 0), 180, bsdf={"type": "ref", "id": "metal"}),
+                lamp=rectangle((3, 0, 1), 1, (0, 1, 0), -90, emitter={"type": "area", "radiance": rgb(5, 4, 3)}))
+
+
+def spoil(monkeypatch, factor) -> None:
+    """Multiplies what metal reflects by a function of its first roughness."""
+    plain = RoughConductorKind.eval_pdf
+
+    def spoiled(kind, values, wi, wo):
+        value, pdf = plain(kind, values, wi, wo)
+        return value * factor(values[0].x), pdf
+
+    monkeypatch.setattr(RoughConductorKind, "eval_pdf", spoiled)
+
+
+def value_is_fine_and_derivative_is_not(x: torch.Tensor) -> torch.Tensor:
+    return 1.0 + 0.0 * torch.sqrt(0.0 * x)
+
+
+@pytest.mark.parametrize("settings", [
+    {}, {"sampling": "attached"}, {"adjoint": rb.MemoizedAdjoint("log", keep_hits=False)}, {"adjoint": rb.ReplayAdjoint()},
+    {"adjoint": rb.QuadraticAdjoint()}, {"chunk": 5}], ids=str)
+def test_a_gradient_that_is_not_finite_is_traced_to_parameter_plugin_bounce_and_count(settings, monkeypatch):
+    scene = mirror_scene()
+    for name in ("metal.alpha_u.value", "metal.alpha_v.value", "wall.bsdf.reflectance.value"):
+        scene.get_parameter(name).requires_grad_()
+    image = rb.Renderer(scene, spp=2, max_depth=4, **settings)(seed=1)
+    image.sum().backward()
+    assert all(torch.isfinite(p.grad).all() for p in scene.parameters() if p.grad is not None)
+    spoil(monkeypatch, value_is_fine_and_derivative_is_not)
+    image = rb.Renderer(scene, spp=2, max_depth=4, **settings)(seed=1)
+    with pytest.raises(rb.NonFiniteError) as caught:
+        image.sum().backward()
+    message = str(caught.value)
+    assert message.startswith("the gradient of `metal.alpha_u.value` of the roughconductor `metal` is NaN or infinite in ")
+    assert "paths, on the roughconductor `metal`" in message and "first at bounce 2, in " in message, message
+
+
+def test_a_parametrised_parameter_has_its_own_name(monkeypatch):
+    scene = mirror_scene()
+    scene.get_parameter("metal.alpha_u.value").requires_grad_()
+    torch.nn.utils.parametrize.register_parametrization(scene.metal.alpha_u, "value", torch.nn.Softplus(), unsafe=True)
+    spoil(monkeypatch, value_is_fine_and_derivative_is_not)
+    with pytest.raises(rb.NonFiniteError, match="the gradient of `metal.alpha_u.value` of the roughconductor `metal`"):
+        rb.Renderer(scene, spp=2, max_depth=3)(seed=1).sum().backward()
+
+
+@pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(), rb.TapeAdjoint()], ids=str)
+def test_an_image_that_is_not_finite_is_traced_to_plugin_bounce_and_count(adjoint, monkeypatch):
+    spoil(monkeypatch, lambda x: float("nan"))
+    message = (r"the image is NaN or infinite in \d+ of 27 values: first at bounce 2, in \d+ of \d+ paths, on the "
+               r"roughconductor `metal`; keep the parameters within bounds")
+    with pytest.raises(rb.NonFiniteError, match=message):
+        rb.Renderer(mirror_scene(), spp=2, max_depth=4, adjoint=adjoint)(seed=1)
+
+
+def test_a_loss_that_is_not_finite_is_told_from_a_rendering_that_is_not():
+    scene = mirror_scene()
+    scene.get_parameter("wall.bsdf.reflectance.value").requires_grad_()
+    image = rb.Renderer(scene, spp=1, max_depth=2)()
+    with pytest.raises(FloatingPointError, match="in 3 of 27 values: it is the loss that is not finite"):
+        (image[0, :, 0, 0] * float("nan")).sum().backward()
