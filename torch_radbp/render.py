@@ -118,6 +118,8 @@ class Renderer(nn.Module):
 
         Raises:
             ValueError: for a sensor that does not exist, or sensors of different size.
+            NonFiniteError: if the image, or in the backward pass a gradient, is NaN or infinite; a FloatingPointError that
+                says of which parameter, at which bounce, on which material and on how many paths.
         """
         spp = self.spp if spp is None else spp
         check_count("spp", spp)
