@@ -16,7 +16,7 @@ from torch_radbp.scene.pack import pack
 def gradients(scene: rb.Scene, dtype: torch.dtype, sampling: str, **settings) -> dict[str, torch.Tensor]:
     """Of every parameter, for random cotangents."""
     scene.requires_grad_()
-    renderer = rb.Renderer(scene, spp=3, max_depth=4, rr_depth=3, sampling=sampling, **settings)
+    renderer = rb.Renderer(scene, spp=3, max_depth=3, rr_depth=2, sampling=sampling, **settings)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rb.SilhouetteWarning)
         image = renderer(seed=5)
