@@ -97,9 +97,9 @@ class _Texel(torch.nn.Module):
 def test_textures_may_stand_for_every_number_but_the_index():
     image = Bitmap(data=torch.full((2, 3, 3), 0.2))
     rough = RoughConductor(alpha=image, eta=image, k=image, specular_reflectance=image)
-    assert rough.textures() == (image,) * 4
+    assert rough.textures()[0].texture is image and rough.textures()[1:] == (image,) * 3
     brushed = RoughDielectric(alpha_u=image, alpha_v=0.3, specular_transmittance=image)
-    assert brushed.textures()[0] is image and brushed.kind().anisotropic
+    assert brushed.textures()[0].texture is image and brushed.kind().anisotropic
 
 
 def scene_of(description: dict) -> rb.Scene:

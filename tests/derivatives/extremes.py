@@ -68,6 +68,7 @@ def put(scene: rb.Scene, **values: Any) -> rb.Scene:
 
 BRUSHED = {"type": "roughconductor", "distribution": "ggx", "alpha_u": 0.1, "alpha_v": picture(2, 2, 6),
            "eta": rgb(0.4, 1, 2), "k": rgb(3, 2, 1)}
+POLISHED = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.1, "material": "Au"}
 GLASS = {"type": "dielectric", "int_ior": 1.5}
 
 
@@ -119,6 +120,7 @@ def scaled(factor: float) -> Callable[[torch.dtype], rb.Scene]:
     """The whole scene smaller or larger."""
     def build(dtype: torch.dtype) -> rb.Scene:
         scene = crowd(BRUSHED, dtype)
+        scene.camera.near_clip, scene.camera.far_clip = 0.01 * factor, 1e4 * factor
         with torch.no_grad():
             for name, parameter in scene.named_parameters():
                 if name.endswith("to_world") and name != "sky.to_world":
@@ -144,7 +146,7 @@ def places() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
         "triangles without area": lambda dtype: crowd(BRUSHED, dtype, tent=ragged() | {"bsdf": BRUSHED}),
         "lamp with triangles without area": lambda dtype: crowd(
             BRUSHED, dtype, lamp=ragged() | {"emitter": {"type": "area", "radiance": rgb(1, 2, 3)}}),
-        "small": scaled(1e-4), "large": scaled(1e4),
+        "small": scaled(1e-2), "large": scaled(1e4),
         "coordinates in one point": lambda dtype: put(crowd(BRUSHED, dtype), tent__vertex_texcoords=0.3),
         "coordinates on a line": lambda dtype: put(crowd(BRUSHED, dtype), tent__vertex_texcoords=torch.tensor(
             [[0.1, 0.1], [0.2, 0.2], [0.5, 0.5], [0.9, 0.9]])),
@@ -158,9 +160,14 @@ def places() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
             BRUSHED, dtype, floor=flat, lamp=rectangle((0, 0.4, -0.5), 0.4, emitter=GLOW)),
         "tiny lamp": lambda dtype: crowd(BRUSHED, dtype, lamp=rectangle(
             (0.3, 2, -0.5), 1e-5, (1, 0, 0), 90, emitter={"type": "area", "radiance": rgb(1e10, 1e10, 1e10)})),
-        "everything black but a lamp": lambda dtype: put(
-            crowd(diffuse(0, 0, 0), dtype), sky__data=0.0, sun__irradiance__value=0.0, spot__texture__data=0.0,
-            beamer__irradiance__data=0.0, floor__bsdf__reflectance__data=0.0, point__intensity__value=0.0),
+        "black surfaces, and no light but the lamp": lambda dtype: put(
+            crowd(diffuse(0, 0, 0), dtype, lamp=rectangle((0.3, 1.2, -0.5), 0.4, emitter=GLOW)), sky__data=0.0,
+            sun__irradiance__value=0.0, spot__texture__data=0.0, beamer__irradiance__data=0.0,
+            floor__bsdf__reflectance__data=0.0, point__intensity__value=0.0),
+        "grazing view of a mirror that is hardly rough": lambda dtype: put(
+            crowd(POLISHED, dtype, view((0, 0.02, 3), (0, 0, 0)),
+                  floor=rectangle((0, 0, 0), 9, (1, 0, 0), -90, bsdf={"type": "ref", "id": "material"})),
+            material__alpha__value=1e-4),
         "axes": lambda dtype: crowd(
             BRUSHED, dtype, view((0, 0.5, 3), (0, 0.5, 0)), panel=rectangle((0, 0.5, -1), 0.7, bsdf=BRUSHED),
             cube={"type": "cube", "to_world": scale((0.3, 0.3, 0.3)), "bsdf": GLASS}, floor=flat,
