@@ -75,7 +75,8 @@ class Hit(nn.Module):
     def forward(self, *given):
         o, d = given if len(given) == 2 else (self.o, *given)
         scene, ray = pack(self.scene), Ray(Vec3.of(o), normalize(Vec3.of(d)))
-        si = surface_interaction(scene, ray, self.view.hit)
+        hit = cast(self.scene, detached(self.scene), Ray(ray.o.detach(), ray.d.detach())).hit
+        si = surface_interaction(scene, ray, hit, torch.ones_like(hit.prim, dtype=torch.bool))
         return emitted(scene, ray, si).stack(), emitted_pdf(scene, ray, si, self.proposal)
 
 

@@ -17,7 +17,7 @@ from torch_radbp.sampling.warp import (
 )
 from torch_radbp.vec import Vec3
 
-DIFFUSE = DiffuseKind()
+DIFFUSE, WHITE = DiffuseKind(), (Vec3(*torch.ones(3, 1, dtype=torch.float64)),)
 COUNT = 200_000
 CELLS = (16, 32)  # cosine of the polar angle, azimuth
 
@@ -50,7 +50,7 @@ def diffuse_sample(u, v) -> Vec3:
 
 
 def below(wi_z):
-    return lambda w: DIFFUSE.pdf((), Vec3(torch.zeros_like(w.x), torch.zeros_like(w.x), torch.full_like(w.x, wi_z)), w)
+    return lambda w: DIFFUSE.pdf(WHITE, Vec3(torch.zeros_like(w.x), torch.zeros_like(w.x), torch.full_like(w.x, wi_z)), w)
 
 
 SPHERICAL = {
@@ -93,7 +93,7 @@ def test_corners_of_the_square_are_mapped_to_finite_values():
             for dtype in (torch.float32, torch.float64):
                 numbers = torch.tensor([u], dtype=dtype), torch.tensor([v], dtype=dtype)
                 w = square_to_cosine_hemisphere(*numbers)
-                assert torch.isfinite(w.stack()).all() and w.z > 0 and DIFFUSE.pdf((), w, w) > 0
+                assert torch.isfinite(w.stack()).all() and w.z > 0 and DIFFUSE.pdf(WHITE, w, w) > 0
                 assert torch.isfinite(square_to_uniform_sphere(*numbers).stack()).all()
 
 
@@ -102,7 +102,7 @@ def test_a_diffuse_surface_reflects_what_its_reflectance_says():
     wo = diffuse_sample(*square())
     wi = Vec3(torch.full_like(wo.x, 0.6), torch.zeros_like(wo.x), torch.full_like(wo.x, 0.8))
     colour = Vec3(*(torch.full_like(wo.x, value) for value in (0.0, 0.5, 1.0)))
-    weight = DIFFUSE.eval((colour,), wi, wo).stack() / DIFFUSE.pdf((), wi, wo)[:, None]
+    weight = DIFFUSE.eval((colour,), wi, wo).stack() / DIFFUSE.pdf(WHITE, wi, wo)[:, None]
     torch.testing.assert_close(weight, torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64).expand_as(weight))
 
 
@@ -115,4 +115,4 @@ def test_a_diffuse_surface_is_reciprocal_and_black_below_the_horizon():
     torch.testing.assert_close(forwards, backwards)
     down = a._replace(z=-a.z)
     for wi, wo in ((a, down), (down, a), (down, down)):
-        assert DIFFUSE.eval((colour,), wi, wo).stack().abs().max() == 0 and DIFFUSE.pdf((), wi, wo).abs().max() == 0
+        assert DIFFUSE.eval((colour,), wi, wo).stack().abs().max() == 0 and DIFFUSE.pdf(WHITE, wi, wo).abs().max() == 0

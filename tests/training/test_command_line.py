@@ -81,7 +81,7 @@ def test_info_lists_shapes_sensors_and_parameters(radbp):
     assert "8 x 6" in rows["camera"] and "60.00" in rows["camera"] and "box" in rows["camera"]
     assert "yes" in rows["paint.reflectance.value"]
     assert "4 x 4 x 3" in rows["picture.reflectance.data"] and "yes" in rows["picture.reflectance.data"]
-    assert "not yet" in rows["floor.to_world"]
+    assert "yes" in rows["floor.to_world"]
     assert " 3 " in rows["max_depth"]
     assert "Supported here" in stdout and "diffuse" in stdout
 

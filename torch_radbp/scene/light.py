@@ -64,8 +64,8 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
 
     Args:
         scene: gives geometry and poses.
-        ray, si: what the ray meets. The density is attached if these arguments are, but for that of the environment map,
-            whose samples are directions that nothing moves.
+        ray, si: what the ray meets. The density is attached if these arguments are; that of the environment map to the
+            ray alone, since `sample_light` draws directions that its pose does not move.
         proposal: gives the probabilities of picking a light, or a part of the environment map; None: `scene`. They carry no
             derivative in either case.
     """
@@ -76,7 +76,7 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
     if scene.layout.constant_light:
         return torch.where(si.valid, pdf, surround_pmf * UNIFORM_SPHERE_PDF)
     if scene.layout.environment_map:
-        return torch.where(si.valid, pdf, surround_pmf * environment_pdf(scene, proposal, ray.d).detach())
+        return torch.where(si.valid, pdf, surround_pmf * environment_pdf(proposal, proposal, ray.d))
     return pdf
 
 
