@@ -35,7 +35,6 @@ class MovingScene(NamedTuple):
     step: float  # of central differences, in units of the direction
     max_depth: int = 2
     samplings: tuple[str, ...] = ("hybrid", "attached")  # that give the whole derivative
-    tangent_scale: float = 1.0
 
     def tangent(self, scene: rb.Scene) -> Tensor:
         return self.direction(scene.get_parameter(self.name).detach())
