@@ -21,6 +21,7 @@ from torch_radbp.adjoint.function import (
 )
 from torch_radbp.adjoint.memory import MemoryPlan, parse_budget, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.boundary import SilhouetteWatch
 from torch_radbp.path import Integrand, Settings
 from torch_radbp.plugin import nearest
 from torch_radbp.raycast import make_caster
@@ -64,7 +65,8 @@ class Renderer(nn.Module):
         caster: "embree" or "brute"; None picks by device.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
-    so far, what silhouettes and the edges of shadows contribute; a warning says so if there are any in view.
+    so far, what silhouettes and the edges of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
+    move are in view.
 
     Raises:
         ValueError: for settings that make no sense.
@@ -98,6 +100,7 @@ class Renderer(nn.Module):
         if sampling not in SAMPLINGS:
             raise ValueError(f"sampling={sampling!r} is not known; {nearest(sampling, SAMPLINGS)}")
         self.casters: list = []
+        self.silhouettes = SilhouetteWatch()
 
     def forward(self, seed: int = 0, sensors: Sequence[int] | None = None, spp: int | None = None,
                 seed_grad: int | None = None) -> Tensor:
@@ -115,6 +118,8 @@ class Renderer(nn.Module):
 
         Raises:
             ValueError: for a sensor that does not exist, or sensors of different size.
+            NonFiniteError: if the image, or in the backward pass a gradient, is NaN or infinite; a FloatingPointError that
+                says of which parameter, at which bounce, on which material and on how many paths.
         """
         spp = self.spp if spp is None else spp
         check_count("spp", spp)
@@ -123,6 +128,8 @@ class Renderer(nn.Module):
             return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                       dict(self.named_parameters()))
         call = self.prepare(seed, sensors, spp, seed_grad)
+        seen = self.scene.sensors if sensors is None else [self.scene.sensors[index] for index in sensors]
+        self.silhouettes.look(self.scene, seen, [detached(view.camera) for view in call.views])
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
@@ -167,7 +174,8 @@ class Renderer(nn.Module):
         lanes = sum(view.width * view.height for view in views) * spp
         lanes = self.chunk or min(LANES[self.compile_stages or workers == 1], -(-lanes // workers))
         call = RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
-                          plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers)
+                          plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers, self.scene,
+                          {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad})
         if self.memory_budget is None:
             return call
         plan = self.plan(call)

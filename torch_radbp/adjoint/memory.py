@@ -23,10 +23,10 @@ STEP = (3, 5)  # `Step`: barycentrics and distance; triangle and visibility
 RADIANCE = (3, 0)  # a `Vec3`
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 
-# Numbers per lane that are alive at the worst moment of one bounce, eager and compiled. Eager: resident memory of
-# `python -m benchmarks.memory --chunk 65536`, which holds the allocator's waste too. Compiled: estimated, not measured.
-BOUNCE = {False: 74, True: 36}
-BOUNCE_ADJOINT = {False: 235, True: 120}
+# Numbers per lane that are alive at the worst moment of one bounce, and of its adjoint eager and compiled: so that the peaks
+# of `python -m benchmarks.memory`, which hold the allocator's waste too, are predicted.
+BOUNCE = 74
+BOUNCE_ADJOINT = {False: 200, True: 20}
 TAPE = 32  # that autograd saves per lane and bounce
 
 SMALLEST_CHUNK = 1 << 12
@@ -99,7 +99,7 @@ def predict(fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: 
     bounces = len(fractions)
     if isinstance(adjoint, TapeAdjoint):
         kept = int(lanes * sum(fractions) * TAPE * dtype.itemsize)
-        return MemoryPlan(chunk, adjoint, False, kept, together * BOUNCE[False] * dtype.itemsize)
+        return MemoryPlan(chunk, adjoint, False, kept, together * BOUNCE * dtype.itemsize)
     depths = [depth for depth in adjoint.kept(max_depth) if depth < bounces]
     everything = len(depths) == bounces  # then camera paths are kept as well
     per_lane = sum(fractions[depth] for depth in depths if depth > 0 or everything) * size(STATE)
