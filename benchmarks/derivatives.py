@@ -4,7 +4,7 @@ Every scene of `tests/derivatives/moving_scenes.py` is rendered by finite differ
 sampling that gives the whole derivative, with samples of their own, until the noise is below the target or the rounds are
 used up. A row of the table holds
 
-    error   mean over pixels and channels of |JVP - D| / max(|D|, 0.2 S), D the finite differences, S the 99.5% quantile of |D|
+    error   mean over pixels and channels of |JVP - D| / max(|D|, 0.2 S), D the finite differences, S its 99.5% quantile
     noise   what of it the standard errors explain alone: the same with sqrt(2 / pi) standard errors in place of |JVP - D|
     z       (JVP - D) projected on three cotangents, in standard errors: ones, the normalised derivative image, a smooth
             random field; an asterisk where it is off by more than 3 standard errors and 2% of what nothing cancels in
