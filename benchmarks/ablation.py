@@ -1,7 +1,7 @@
 """What derivatives of moving scenes lack without the parts that make them right: ``python -m benchmarks.ablation``.
 
-Bars: |<w, JVP> - <w, D>| over the sum of |<w, D>| in tiles, D the finite differences, w the normalised derivative image, two standard
-errors as whiskers; with everything, without the area Jacobian, without re-attached directions, without both.
+Bars: |<w, JVP> - <w, D>| over the sum of |<w, D>| in tiles, D the finite differences, w the normalised derivative image;
+whiskers: two standard errors.
 """
 
 from __future__ import annotations

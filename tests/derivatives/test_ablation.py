@@ -1,4 +1,4 @@
-"""Without the area Jacobian, or without directions that follow, derivatives of moving scenes are biased; with both they are not.
+"""Without the area Jacobian, or directions that follow, derivatives of moving scenes are biased; with both they are not.
 
 Reference: Worchel et al. 2025, arXiv 2504.05750.
 """

@@ -73,7 +73,7 @@ def environment_weighing(proposal: SceneTensors, d: Vec3) -> Tensor:
 
 
 def texels_around(environment: EnvironmentMap, uv: Vec2) -> tuple[tuple[Tensor, Tensor, Tensor, Tensor], Tensor, Tensor]:
-    """Indices of the texels above left, above right, below left and below right of a point, and how far it is from the first.
+    """The texels above left, above right, below left and below right of a point, and how far it is from the first.
 
     Returns:
         The indices, int32, and the distances across and down, in [0, 1], attached.
