@@ -229,7 +229,8 @@ def next_event(material: Material, si: SurfaceInteraction, light: LightSample,
     reflected, pdf = evaluate(material, si.wi, si.frame.to_local(light.d))
     connects = si.valid & (light.pdf * pdf > 0)
     chance, connects = torch.where(connects, light.pdf, 1.0), connects.to(pdf.dtype)
-    weight = mis_weight(chance, pdf * light.findable, settings)
+    weighing = chance if light.weighing is light.pdf else torch.where(connects > 0, light.weighing, 1.0)
+    weight = mis_weight(weighing, pdf * light.findable, settings)
     Ld = reflected * light.radiance * (connects * weight / chance)
     return light._replace(pdf=light.pdf.detach() * connects), Ld
 

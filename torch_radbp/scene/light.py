@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere, square_to_uniform_triangle
-from torch_radbp.scene.environment import environment_pdf, environment_radiance, sample_environment
+from torch_radbp.scene.environment import environment_radiance, environment_weighing, sample_environment
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.posed_light import NEAREST, illumination
@@ -26,6 +26,7 @@ class LightSample(NamedTuple):
     d: Vec3  # unit direction towards it; of the surround a fixed one
     radiance: Vec3  # that it sends back (for a light without extent: intensity / distance^2, or irradiance)
     pdf: Tensor  # density over solid angle; probability for a light without extent; 0: cannot be used
+    weighing: Tensor  # what stands for it in weights of multiple importance sampling
     findable: Tensor | float  # 1: BSDF sampling finds it too; 0: it cannot (a light without extent)
     target: Vec3  # the point, world space
     distant: Tensor | None  # bool: it is a direction rather than a point; None: it never is
@@ -62,12 +63,12 @@ def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Vec3:
 def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal: SceneTensors | None = None) -> Tensor:
     """Density over solid angle with which next-event estimation at the ray's origin would have found this point.
 
+    For weights only: that of an environment map is `environment_weighing`.
+
     Args:
-        scene: gives geometry and poses.
-        ray, si: what the ray meets. The density is attached if these arguments are; that of the environment map to the
-            ray alone, since `sample_light` draws directions that its pose does not move.
-        proposal: gives the probabilities of picking a light, or a part of the environment map; None: `scene`. They carry no
-            derivative in either case.
+        scene: gives geometry.
+        ray, si: what the ray meets. The density is attached if these arguments are.
+        proposal: gives the probabilities of picking a light, and the environment map with its pose; None: `scene`.
     """
     proposal = scene if proposal is None else proposal
     pdf = (lookup(proposal.triangles.light_pmf, si.prim) * lookup(scene.triangles.inverse_area, si.prim)
@@ -76,7 +77,7 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
     if scene.layout.constant_light:
         return torch.where(si.valid, pdf, surround_pmf * UNIFORM_SPHERE_PDF)
     if scene.layout.environment_map:
-        return torch.where(si.valid, pdf, surround_pmf * environment_pdf(proposal, proposal, ray.d))
+        return torch.where(si.valid, pdf, surround_pmf * environment_weighing(proposal, ray.d))
     return pdf
 
 
@@ -120,11 +121,14 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     if fixed is not None:
         radiance = where(kind == ENVIRONMENT, environment_radiance(scene, fixed), radiance)
 
+    weighing = aim.pdf
+    if fixed is not None:
+        weighing = torch.where(kind == ENVIRONMENT, pmf * environment_weighing(proposal, fixed), weighing)
     findable = (kind < POINT).to(pmf.dtype) if layout.posed_lights else 1.0
     distant = None
     if layout.distant_lights:
         distant = (kind == CONSTANT) | (kind == ENVIRONMENT) | (kind == DIRECTIONAL)
-    return LightSample(aim.d, radiance, aim.pdf, findable, si.p if aim.target is None else aim.target, distant)
+    return LightSample(aim.d, radiance, aim.pdf, weighing, findable, si.p if aim.target is None else aim.target, distant)
 
 
 def aim_at_area(scene: SceneTensors, p: Vec3, pmf: Tensor, prim: Tensor, b: Vec2) -> Aim:

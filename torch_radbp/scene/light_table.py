@@ -137,20 +137,27 @@ def environment_map(emitter: Envmap, like: Tensor) -> EnvironmentMap:
     half = torch.linspace(0, math.pi / 2, max(rows, 2), dtype=torch.float64, device=like.device)
     edges = torch.sin(half) ** 2
     solid_angle = ((4 * math.pi / columns) * edges.diff()[:, None]).to(like)
-    luminance = data.abs() @ like.new_tensor(LUMINANCE)
-    luminance = luminance.expand(max(rows, 2), columns)
+    texel = data.abs() @ like.new_tensor(LUMINANCE)
+    luminance = texel.expand(max(rows, 2), columns)
     luminance = luminance[:-1] + luminance[1:]
     luminance = luminance + luminance.roll(-1, 1)
     if emitter.mis_compensation:
         average = (luminance * solid_angle).sum() / (4 * math.pi)
-        luminance = (luminance - average * (1 + 1e-6)).clamp_min(0.0)  # a map of one value has nothing above it
-    luminance = torch.where(luminance.amax() > 0, luminance, 1.0)
+        average = average * (1 + 1e-6)  # a map of one value has nothing above it
+        luminance, texel = (luminance - average).clamp_min(0.0), (texel - 0.25 * average).clamp_min(0.0)
+    if not luminance.any():
+        luminance, texel = torch.ones_like(luminance), torch.full_like(texel, 0.25)
     pick, pmf = grid_distribution(luminance * solid_angle)
     name = "to_world of the envmap"
     density = (pmf.reshape(-1, columns) / solid_angle).reshape(-1)
+    picked = pmf.reshape(-1, columns) > 0
+    picked = picked & picked.roll(1, 1)
+    picked = torch.cat([picked[:1], picked[:-1] & picked[1:], picked[-1:]])[:rows]  # all cells around a texel
+    weighing = torch.where(picked, 4 * texel / (luminance * solid_angle).sum(), 0.0)
     integer = {"dtype": torch.int32, "device": like.device}
     return EnvironmentMap(
         to_local=rows_of(linear_inverse(name, emitter.to_world)[None].to(like)),
         to_world=rows_of(emitter.to_world.detach()[None, :3, :3].to(like)),
         rows=torch.tensor([rows], **integer), columns=torch.tensor([columns], **integer), pick=pick,
-        density=density.to(like), edges=edges.to(like))
+        density=density.to(like), edges=edges.to(like),
+        weighing=weighing.reshape(-1).to(like))

@@ -99,6 +99,7 @@ class EnvironmentMap(NamedTuple):
     columns: Tensor  # (1,) int32, C
     pick: GridDistribution  # of the cells
     density: Tensor  # (cells,) over the solid angle of local directions, with which they are picked
+    weighing: Tensor  # (R C,) density at the texels themselves, for weights; 0 by a cell without
     edges: Tensor  # (R,) sin^2(theta / 2) of the rows of texels, from pole to pole
 
 

@@ -1,0 +1,40 @@
+"""The renderer with parts of the derivative of glued vertices taken out, to show what they are for.
+
+`scene/departure.py` and light sampling let directions follow the points at both ends ("directions"), and multiply by the
+change of the element of solid angle ("Jacobian"). Worchel et al. 2025, arXiv 2504.05750, say what is wrong without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from unittest.mock import patch
+
+import torch
+
+from torch_radbp.scene import departure, light
+from torch_radbp.vec import Vec3
+
+WITHOUT = {"nothing": (), "the area Jacobian": ("Jacobian",), "re-attached directions": ("directions",),
+           "both": ("Jacobian", "directions")}
+SCENES = ("wall behind the camera", "plane before a wall", "plane under a soft lamp", "soft lamp moved",
+          "emitter behind rough glass")
+
+
+@contextmanager
+def without(*parts: str) -> Iterator[None]:
+    """Within it, derivatives lack `parts`: "Jacobian", "directions"."""
+    glued_direction, aim_at_area = departure.glued_direction, light.aim_at_area
+
+    def poorer_direction(scene, o, d, hit, glued):
+        direction, change = glued_direction(scene, o, d, hit, glued)
+        return (direction.map(torch.Tensor.detach) if "directions" in parts else direction,
+                change.detach() if "Jacobian" in parts else change)
+
+    def poorer_aim(*arguments):
+        aim = aim_at_area(*arguments)
+        return aim._replace(d=Vec3(*aim.d).detach() if "directions" in parts else aim.d,
+                            pdf=aim.pdf.detach() if "Jacobian" in parts else aim.pdf)
+
+    with patch.object(departure, "glued_direction", poorer_direction), patch.object(light, "aim_at_area", poorer_aim):
+        yield

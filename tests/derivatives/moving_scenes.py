@@ -1,0 +1,267 @@
+"""Scenes in which one thing moves, and no silhouette, no shadow's edge and no lamp's edge moves in view.
+
+So the derivative that the renderer computes is the whole derivative, and finite differences with independent samples must
+agree with it in expectation. Textures are smooth, so that finite differences with a moderate step are accurate; everything
+is turned, so that no symmetry hides an error. Planes are endless: so large that their borders do not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import torch_radbp as rb
+from tests.scenes import diffuse, load, rgb, sensor
+from torch_radbp.io.transform import look_at, rotate, scale, translate
+
+HALF = 40.0  # half the width of an endless plane
+PERIOD = 4.0  # of its texture, in units of length
+TILT, ANGLE = (0.8, 0.5, 0.33), 24.0  # how planes are turned
+SIZE = 16
+TWIST = ((0.31, -0.43, 0.24), (0.37, -0.52, 0.29))  # a rotation vector and a translation, both generic
+SHIFT, TURN = ((0.0, 0.0, 0.0), TWIST[1]), (TWIST[0], (0.0, 0.0, 0.0))
+
+
+class MovingScene(NamedTuple):
+    """A scene, what moves in it and how."""
+
+    build: Callable[[], rb.Scene]
+    name: str  # of the parameter
+    direction: Callable[[Tensor], Tensor]  # from the parameter to the tangent
+    step: float  # of central differences, in units of the direction
+    max_depth: int = 2
+    samplings: tuple[str, ...] = ("hybrid", "attached")  # that give the whole derivative
+
+    def tangent(self, scene: rb.Scene) -> Tensor:
+        return self.direction(scene.get_parameter(self.name).detach())
+
+
+def smooth_noise(seed: int, low: float = 0.1, high: float = 0.9, shape: tuple[int, int] = (48, 48),
+                 blur: float = 3.5) -> np.ndarray:
+    """(H, W, 3) noise from `low` to `high` that repeats without a seam, blurred by a Gaussian of `blur` texels."""
+    noise = np.random.default_rng(seed).standard_normal((*shape, 3))
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(shape[0]), np.fft.fftfreq(shape[1]), indexing="ij"))
+    blurred = np.fft.ifft2(np.fft.fft2(noise, axes=(0, 1)) * np.exp(-2 * (np.pi * blur * frequency[..., None]) ** 2),
+                           axes=(0, 1)).real
+    smallest, largest = blurred.min((0, 1)), blurred.max((0, 1))
+    return low + (high - low) * (blurred - smallest) / (largest - smallest)
+
+
+def endless_texture(seed: int, low: float = 0.1, high: float = 0.9, half: float = HALF) -> dict[str, Any]:
+    """Smooth noise that repeats every `PERIOD` on a rectangle with half width `half`."""
+    repeats = 2 * half / PERIOD
+    return {"type": "bitmap", "data": smooth_noise(seed, low, high),
+            "to_uv": translate((0.13, 0.37, 0)) @ scale((repeats, repeats, 1))}
+
+
+def textured(seed: int = 1, half: float = HALF) -> dict[str, Any]:
+    return {"type": "diffuse", "reflectance": endless_texture(seed, half=half)}
+
+
+def plane(at=(0, 0, 0), axis=TILT, angle: float = ANGLE, half: float = HALF, **attributes: Any) -> dict[str, Any]:
+    """An endless rectangle; faces +z if it is not turned."""
+    return {"type": "rectangle", "to_world": translate(at) @ rotate(axis, angle) @ scale((half, half, half))} | attributes
+
+
+def bright_plane(seed: int, at, axis=TILT, angle: float = ANGLE, high: float = 2.0) -> dict[str, Any]:
+    """An endless textured emitter."""
+    return plane(at, axis, angle, bsdf=diffuse(0, 0, 0),
+                 emitter={"type": "area", "radiance": endless_texture(seed, 0.1, high)})
+
+
+def camera(**attributes: Any) -> dict[str, Any]:
+    return sensor(SIZE, (0.5, -0.4, 2.6), (0.1, 0.15, 0), 40, **{"rfilter": "gaussian"} | attributes)
+
+
+def point(at=(0.7, 0.9, 1.8)) -> dict[str, Any]:
+    return {"type": "point", "position": list(at), "intensity": rgb(9, 7, 5)}
+
+
+def envmap() -> dict[str, Any]:
+    return {"type": "envmap", "bitmap": smooth_noise(5, 0.05, 3.0, (24, 48), 2.5),
+            "to_world": rotate((0.3, 1, 0.4), 40)}
+
+
+def grid_mesh(height: Callable, cells: int = 12, half: float = 5.0, normals: bool = True, at=(0, 0, 0), axis=TILT,
+              angle: float = ANGLE, **attributes: Any) -> dict[str, Any]:
+    """A mesh z = height(x, y) with its exact normals, turned as a plane is."""
+    axis_of_grid = torch.linspace(-half, half, cells + 1, dtype=torch.float64)
+    y, x = torch.meshgrid(axis_of_grid, axis_of_grid, indexing="ij")
+    x, y = x.reshape(-1).requires_grad_(), y.reshape(-1).requires_grad_()
+    z = height(x, y) + 0 * (x + y)
+    slope_x, slope_y = torch.autograd.grad(z.sum(), (x, y))
+    x, y, z = x.detach(), y.detach(), z.detach()
+    normal = torch.stack([-slope_x, -slope_y, torch.ones_like(z)], 1)
+    corner = (torch.arange(cells)[:, None] * (cells + 1) + torch.arange(cells)).reshape(-1)
+    faces = torch.cat([torch.stack([corner, corner + 1, corner + cells + 2], 1),
+                       torch.stack([corner, corner + cells + 2, corner + cells + 1], 1)])
+    pose = torch.as_tensor(translate(at) @ rotate(axis, angle), dtype=torch.float64)
+    mesh = {"type": "mesh", "vertex_positions": torch.stack([x, y, z], 1), "faces": faces, "to_world": pose,
+            "vertex_texcoords": torch.stack([x, y], 1) / PERIOD + 0.2}
+    if normals:
+        mesh["vertex_normals"] = torch.nn.functional.normalize(normal, dim=1)
+    return mesh | attributes
+
+
+def flat(x: Tensor, y: Tensor) -> Tensor:
+    return 0 * x
+
+
+def wavy(x: Tensor, y: Tensor) -> Tensor:
+    return 0.12 * torch.sin(1.1 * x + 0.4) * torch.cos(0.9 * y - 0.3)
+
+
+def bowl(x: Tensor, y: Tensor) -> Tensor:
+    return 0.06 * (x * x + 0.8 * y * y)
+
+
+def rigid(motion, about=(0.1, 0.15, 0.0)) -> Callable[[Tensor], Tensor]:
+    """Tangents of (4, 4) poses that turn about a point and shift: a rotation vector and a translation per unit."""
+    (x, y, z), shift = motion
+    turn = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
+    generator = torch.zeros(4, 4, dtype=torch.float64)
+    generator[:3, :3] = turn
+    generator[:3, 3] = torch.tensor(shift, dtype=torch.float64) - turn @ torch.tensor(about, dtype=torch.float64)
+    return lambda pose: generator.to(pose) @ pose
+
+
+def wave(seed: int = 3, size: float = 1.0) -> Callable[[Tensor], Tensor]:
+    """A different smooth motion of every vertex (V, 3): sine waves of their numbers; the same for any tensor."""
+    def tangent(value: Tensor) -> Tensor:
+        phase = torch.arange(value.numel(), dtype=value.dtype).reshape(value.shape)
+        return size * torch.sin(1.7 * phase + seed)
+
+    return tangent
+
+
+def constant(*value: float) -> Callable[[Tensor], Tensor]:
+    return lambda parameter: torch.tensor(value).to(parameter).reshape(parameter.shape)
+
+
+def scene(**objects: Any) -> Callable[[], rb.Scene]:
+    """Called to build the scene, in float64, with the camera if there is no other."""
+    return lambda: load(torch.float64, **{"sensor": camera()} | objects)
+
+
+def lamp(soft: bool, half: float = 0.8) -> dict[str, Any]:
+    """A textured emitter outside the view that lights it; `soft`: its light fades out before its edges."""
+    data = smooth_noise(8, 2.0, 14.0, (32, 32))
+    if soft:
+        fade = np.sin(np.pi * (np.arange(32) + 0.5) / 32) ** 2
+        data = data * 2.5 * np.clip(fade - fade[1], 0, None)[:, None, None] * np.clip(fade - fade[1], 0, None)[None, :, None]
+    pose = look_at((1.0, 1.3, 1.9), (0.1, 0.1, 0), (0, 0, 1)) @ scale((half, half, half))
+    return {"type": "rectangle", "to_world": pose, "bsdf": diffuse(0, 0, 0),
+            "emitter": {"type": "area", "radiance": {"type": "bitmap", "data": data, "wrap_mode": "clamp"}}}
+
+
+def projector() -> dict[str, Any]:
+    return {"type": "projector", "irradiance": {"type": "bitmap", "data": smooth_noise(6, 0.2, 3.0)}, "scale": 2.0,
+            "to_world": look_at((-0.8, 0.9, 2.4), (0.1, 0.1, 0), (0, 1, 0)), "fov": 90}
+
+
+def window(bsdf: dict[str, Any], front: Callable, back: Callable, thickness: float = 0.5) -> dict[str, Any]:
+    """A sheet of glass between two surfaces, normals outwards, with a bright plane behind it."""
+    far = rotate((0, 1, 0), 180)
+    return {"glass": bsdf,
+            "front": grid_mesh(front, half=7.0, cells=20, at=(0, 0, 0.4), angle=14, bsdf={"type": "ref", "id": "glass"}),
+            "rear": grid_mesh(back, half=7.0, cells=20, at=(0, 0, 0.4 - thickness), angle=14,
+                              bsdf={"type": "ref", "id": "glass"}) | {
+                "to_world": translate((0, 0, 0.4 - thickness)) @ rotate(TILT, 14) @ far},
+            "behind": bright_plane(9, (0, 0, -1.3), angle=20)}
+
+
+def rough_sheet(**attributes: Any) -> dict[str, Any]:
+    """Rough glass without a rear side, as the boundary of a half space, with a bright plane inside it."""
+    return {"sheet": plane((0, 0, 0.3), bsdf={"type": "roughdielectric", "distribution": "ggx", "alpha": 0.25,
+                                              "int_ior": 1.5} | attributes),
+            "behind": bright_plane(9, (0, 0, -0.7), angle=20)}
+
+
+MIRROR_WORLD = {"behind": bright_plane(9, (0.3, 0.2, 4.5), (1, 0.2, 0), 168)}
+METAL = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.3, "material": "Au"}
+POINT, SKY = {"lamp": point()}, {"sky": {"type": "constant", "radiance": rgb(0.9, 1.1, 1.4)}}
+MESH_TEXTURE = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": smooth_noise(1)}}
+FLOOR = {"plane": plane(bsdf=textured())}
+ROOM = FLOOR | {"back": plane((0.2, 0.1, 3.4), (1, 0.2, 0.1), 170, bsdf=textured(4)), "lamp": point((0.6, -0.5, 1.6))}
+
+SCENES = {
+    # A textured plane.
+    "plane shifted": MovingScene(scene(**FLOOR, **POINT), "plane.to_world", rigid(SHIFT), 0.02),
+    "plane turned": MovingScene(scene(**FLOOR, **POINT), "plane.to_world", rigid(TURN), 0.02),
+    "plane under a sky": MovingScene(scene(**FLOOR, **SKY), "plane.to_world", rigid(TWIST), 0.02),
+    "vertices": MovingScene(scene(sheet=grid_mesh(flat, bsdf=MESH_TEXTURE, normals=False), **POINT),
+        "sheet.vertex_positions", wave(), 0.02),
+    "texture coordinates": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), **POINT),
+                                       "sheet.vertex_texcoords", wave(size=0.1), 0.02),
+    # Its shading normals.
+    "normals under a point": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), **POINT),
+                                         "sheet.vertex_normals", wave(), 0.02),
+    "normals under an envmap": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), sky=envmap()),
+                                           "sheet.vertex_normals", wave(), 0.02),
+    # A surround.
+    "plane shifted under an envmap": MovingScene(scene(**FLOOR, sky=envmap()), "plane.to_world", rigid(SHIFT), 0.02),
+    "plane turned under an envmap": MovingScene(scene(**FLOOR, sky=envmap()), "plane.to_world", rigid(TURN), 0.02),
+    "envmap turned": MovingScene(scene(**FLOOR, sky=envmap()), "sky.to_world", rigid(TURN, (0, 0, 0)), 0.02),
+    "envmap seen": MovingScene(scene(speck=plane((0, 0, 9), half=0.01, bsdf=diffuse(0.5, 0.5, 0.5)), sky=envmap()),
+                               "sky.to_world", rigid(TURN, (0, 0, 0)), 0.02),
+    "metal turned under an envmap": MovingScene(scene(plane=plane(bsdf=METAL), sky=envmap()), "plane.to_world",
+                                                rigid(TURN), 0.02),
+    "camera before metal under an envmap": MovingScene(scene(plane=plane(bsdf=METAL), sky=envmap()), "sensor.to_world",
+                                                       rigid(TWIST, (0.5, -0.4, 2.6)), 0.02),
+    # Lights without extent.
+    "point light": MovingScene(scene(**FLOOR, **POINT), "lamp.position", constant(*TWIST[1]), 0.02),
+    "projector": MovingScene(scene(**FLOOR, lamp=projector()), "lamp.to_world", rigid(TWIST, (-0.8, 0.9, 2.4)), 0.02),
+    "plane under a projector": MovingScene(scene(**FLOOR, lamp=projector()), "plane.to_world", rigid(TWIST), 0.02),
+    "spot": MovingScene(scene(**FLOOR, lamp={
+        "type": "spot", "intensity": rgb(12, 9, 7), "cutoff_angle": 50, "beam_width": 2,
+        "to_world": look_at((-0.8, 0.9, 2.4), (0.1, 0.1, 0), (0, 1, 0))}), "lamp.to_world",
+        rigid(TWIST, (-0.8, 0.9, 2.4)), 0.02),
+    "directional light": MovingScene(scene(**FLOOR, lamp={"type": "directional", "direction": [0.4, -0.5, -1],
+                                                           "irradiance": rgb(3, 4, 5)}),
+                                     "lamp.to_world", rigid(TURN, (0, 0, 0)), 0.02),
+    # Lights with extent.
+    "emitter seen": MovingScene(scene(glow=bright_plane(9, (0, 0, 0))), "glow.to_world", rigid(TWIST), 0.02),
+    "soft lamp moved": MovingScene(scene(**FLOOR, lamp=lamp(True)), "lamp.to_world", rigid(TWIST, (1.0, 1.3, 1.9)), 0.02),
+    "plane under a soft lamp": MovingScene(scene(**FLOOR, lamp=lamp(True)), "plane.to_world", rigid(TWIST), 0.02),
+    # Attached BSDF samples slide over a lamp's edge, which is a silhouette to them; glued ones do not.
+    "lamp moved": MovingScene(scene(**FLOOR, lamp=lamp(False)), "lamp.to_world", rigid(TWIST, (1.0, 1.3, 1.9)), 0.02,
+                              samplings=("hybrid",)),
+    "plane under a lamp": MovingScene(scene(**FLOOR, lamp=lamp(False)), "plane.to_world", rigid(TWIST), 0.02,
+                                      samplings=("hybrid",)),
+    "metal under a soft lamp": MovingScene(scene(plane=plane(bsdf=METAL), lamp=lamp(True)), "plane.to_world",
+                                           rigid(TWIST), 0.02),
+    # Light that has bounced.
+    "wall behind the camera": MovingScene(scene(**ROOM), "back.to_world", rigid(TWIST, (0.2, 0.1, 3.4)), 0.02, 3),
+    "plane before a wall": MovingScene(scene(**ROOM), "plane.to_world", rigid(TWIST), 0.02, 3),
+    # Rough glass, mirrors and lenses before a textured emitter.
+    "rough glass shifted": MovingScene(scene(**rough_sheet()), "sheet.to_world", rigid(SHIFT), 0.02),
+    "rough glass turned": MovingScene(scene(**rough_sheet()), "sheet.to_world", rigid(TURN), 0.02),
+    "rough glass, roughness": MovingScene(scene(**rough_sheet()), "sheet.bsdf.alpha.value", constant(1), 0.01),
+    "rough glass, index": MovingScene(scene(**rough_sheet()), "sheet.bsdf.eta", constant(1), 0.06),
+    "emitter behind rough glass": MovingScene(scene(**rough_sheet()), "behind.to_world", rigid(TWIST), 0.02),
+    "mirror, vertices": MovingScene(scene(mirror=grid_mesh(bowl, bsdf={"type": "conductor", "material": "Ag"}),
+                                          **MIRROR_WORLD), "mirror.vertex_positions", wave(size=0.5), 0.02),
+    "mirror, normals": MovingScene(scene(mirror=grid_mesh(bowl, bsdf={"type": "conductor", "material": "Ag"}),
+                                         **MIRROR_WORLD), "mirror.vertex_normals", wave(size=0.2), 0.01),
+    "mirror turned": MovingScene(scene(mirror=plane(bsdf={"type": "conductor", "material": "Ag"}), **MIRROR_WORLD),
+                                 "mirror.to_world", rigid(TWIST), 0.01),
+    "pane, index": MovingScene(scene(**window({"type": "dielectric", "int_ior": 1.5}, flat, flat)), "glass.eta",
+                               constant(1), 0.06, 5),
+    "lens, vertices": MovingScene(scene(**window({"type": "dielectric", "int_ior": 1.5}, wavy, wavy)),
+                                  "front.vertex_positions", wave(size=0.5), 0.02, 4),
+    "lens, normals": MovingScene(scene(**window({"type": "dielectric", "int_ior": 1.5}, wavy, wavy)),
+                                 "front.vertex_normals", wave(size=0.3), 0.02, 4),
+    "lens, index": MovingScene(scene(**window({"type": "dielectric", "int_ior": 1.5}, wavy, wavy)), "glass.eta",
+                               constant(1), 0.06, 4),
+    # The camera.
+    "camera shifted": MovingScene(scene(**FLOOR, **POINT), "sensor.to_world", rigid(SHIFT), 0.02),
+    "camera turned": MovingScene(scene(**FLOOR, **POINT), "sensor.to_world", rigid(TURN, (0.5, -0.4, 2.6)), 0.02),
+    "camera in a room": MovingScene(scene(**ROOM), "sensor.to_world", rigid(TWIST, (0.5, -0.4, 2.6)), 0.02, 3),
+    "principal point x": MovingScene(scene(**FLOOR, **POINT), "sensor.principal_point_offset_x", constant(1), 0.01),
+    "principal point y": MovingScene(scene(**FLOOR, **SKY), "sensor.principal_point_offset_y", constant(1), 0.01),
+    "field of view": MovingScene(scene(sensor=camera(rfilter="box"), **FLOOR, **POINT), "sensor.x_fov", constant(1), 0.5),
+}
