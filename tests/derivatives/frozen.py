@@ -1,8 +1,8 @@
 """Renderings as functions of parameters in which decisions stay what they were.
 
-A detached derivative is that of the integrand with proposal and hits held: it is not the derivative of the image at one seed,
-whose samples move. `Decisions` writes down, at one point, everything that is detached and every answer of the ray caster;
-later renderings get the same again, whatever their parameters. What is left is the function that is differentiated.
+A detached derivative is that of the integrand with proposal and hits held, and not that of the image at one seed, whose
+samples move. `Decisions` writes down, at one point, everything that is detached and every answer of the ray caster; later
+renderings get the same again, whatever their parameters. What is left is the function that is differentiated.
 
 An attached derivative is that of the image itself, but for discrete choices (reflection or transmission, which light, which
 part of the environment), whose probabilities are constants: here only what is detached on behalf of those is held.
@@ -117,19 +117,23 @@ class Rendering:
         return functional_call(self.renderer, self.parameters(values), kwargs={"seed": self.seed})
 
     def with_choices_held(self, values: list[Tensor]) -> Tensor:
-        """The same, as a function of the parameters around the point; for attached sampling."""
-        with self.decisions:
-            return self.live(values)
+        """Its value as a function of the parameters around the point; for attached sampling."""
+        with self.decisions, torch.enable_grad():
+            return self.live(attached(values)).detach()
 
     def with_all_held(self, values: list[Tensor]) -> Tensor:
         """The value of the function that detached and hybrid sampling differentiate; no derivative."""
-        attached = [value.detach().requires_grad_() for value in values]
         with self.decisions, torch.enable_grad():
             return functional_call(HeldImage(self), {f"rendering.{name}": value for name, value in
-                                                     self.parameters(attached).items()})
+                                                     self.parameters(attached(values)).items()})
 
     def parameters(self, values: list[Tensor]) -> dict[str, Tensor]:
         return {f"scene.{name}": value for name, value in zip(self.names, values)}
+
+
+def attached(values: list[Tensor]) -> list[Tensor]:
+    """Values that require grad: what is derived from them is then packed as it is for a derivative."""
+    return [value.detach().requires_grad_() for value in values]
 
 
 class HeldImage(torch.nn.Module):

@@ -1,7 +1,7 @@
 """A tiny scene for every plugin, in which each of its parameters matters.
 
-What is called `subject` is examined, with everything in it; the rest lights it and is seen beside it. Everything is turned by
-odd angles: a basis around a normal has a kink where its z is exactly zero. Nothing ends where a sample falls.
+What is called `subject` is examined, with everything in it; the rest lights it and is seen beside it. All is turned by odd
+angles: a basis around a normal has a kink where its z is exactly zero.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def camera(size: int = 2, fov: float = 34, **attributes: Any) -> dict[str, Any]:
 
 def lamp(**attributes: Any) -> dict[str, Any]:
     """A lamp above that faces down."""
-    return rectangle((0.5, 2.6, 1.7), 0.8, (1, 0.13, 0.21), 119, bsdf=diffuse(0.3, 0.2, 0.4),
-                     **{"emitter": {"type": "area", "radiance": rgb(9, 7, 8)}} | attributes)
+    return rectangle((0.5, 2.6, 1.7), 0.8, (1, 0.13, 0.21), 119, **{
+        "bsdf": diffuse(0.3, 0.2, 0.4), "emitter": {"type": "area", "radiance": rgb(9, 7, 8)}} | attributes)
 
 
 def floor(**attributes: Any) -> dict[str, Any]:
@@ -118,7 +118,8 @@ def glass(**attributes: Any) -> dict[str, Any]:
 
 def light(**attributes: Any) -> dict[str, Any]:
     """A light above a plane and a floor."""
-    return {"sensor": camera(), "floor": floor(), "plane": plane(bsdf=diffuse(0.8, 0.6, 0.4)), SUBJECT: attributes}
+    return {"sensor": camera(), "floor": floor(), "plane": plane(bsdf=diffuse(0.8, 0.6, 0.4)), "dark": diffuse(0.1, 0.2, 0.1),
+            SUBJECT: attributes}
 
 
 def turned(at, *angles: float, size: float = 1.0, **attributes: Any) -> dict[str, Any]:
@@ -159,11 +160,11 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
                            "behind": diffuse(0.8, 0.3, 0.1)},
                  "sheet": plane((-3.0, 0, 0.2), bsdf={"type": "ref", "id": SUBJECT}),
                  "reversed": rectangle((3.1, 0, 0.1), 3.1, (0.23, 1, 0.17), 163, bsdf={"type": "ref", "id": SUBJECT})},
-    "area": light(**lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)})),
+    "area": light(**lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
     "area of a mesh": light(**quadrilateral(
         vertex_positions=[[-0.6, 1.9, 1.6], [0.9, 2.3, 1.5], [0.8, 2.2, 2.7], [-0.7, 2.0, 2.8]],
         vertex_normals=[[-0.2, -0.9, -0.3], [0.1, -1.0, -0.2], [0.2, -0.9, -0.4], [-0.1, -1.0, -0.5]],
-        emitter={"type": "area", "radiance": bitmap(factor=9.0)})),
+        emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
     "constant": light(type="constant", radiance=rgb(0.6, 0.9, 1.4)),
     "directional": light(type="directional", direction=[-0.3, -1.0, -0.9], irradiance=rgb(2.8, 2.7, 2.4)),
     "envmap": light(**sky()),

@@ -1,4 +1,6 @@
-"""Every strategy, stride and schedule gives the derivative that plain autograd gives, of every parameter; so does forward mode.
+"""Every strategy, stride and schedule gives the derivative of plain autograd, for every parameter, and so does forward mode.
+
+Nor does anything depend on chunks, on other sensors or on the ray caster.
 
 Scenes that together have every plugin; for each way of sampling the same paths.
 """
@@ -9,7 +11,7 @@ import torch
 import torch_radbp as rb
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.derivatives.pairs import examined, registered
-from tests.derivatives.scenes import SCENES, build, subjects
+from tests.derivatives.scenes import SCENES, build, camera, subjects
 from tests.gradients import cotangent, image_and_gradients, relative_error
 
 ORACLE, TRANSPOSED = 1e-10, 1e-9
@@ -32,7 +34,8 @@ def assert_same(names, gradients, expected, tolerance: float) -> None:
 
 
 def test_the_scenes_have_everything():
-    assert set().union(*(examined(build_everything(name)) for name in EVERYTHING)) == registered()
+    missing = registered() - set().union(*(examined(build_everything(name)) for name in EVERYTHING))
+    assert not missing, missing
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
@@ -48,7 +51,7 @@ def test_every_strategy_gives_the_gradient_of_the_tape(name, sampling):
         assert torch.isfinite(gradient).all() and gradient.abs().max() > 0, parameter
     for adjoint in STRATEGIES:
         found, gradients = gradients_of(scene, names, sampling=sampling, adjoint=adjoint)
-        assert torch.equal(found, image), adjoint
+        assert relative_error(found, image) < 1e-12, adjoint
         assert_same([f"{adjoint}: {parameter}" for parameter in names], gradients, expected, ORACLE)
 
 
@@ -109,8 +112,6 @@ def test_the_ray_caster_does_not_matter(name, sampling):
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 def test_gradients_of_several_sensors_add_up(sampling):
     """Each camera has its own gradient; what they share has the sum."""
-    from tests.derivatives.scenes import camera
-
     def scene():
         return build("dielectric", subject_left=camera(2, 30), subject_right=camera(2, 50))
 
