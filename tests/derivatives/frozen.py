@@ -106,26 +106,29 @@ class Rendering:
         self.names, self.seed = names, seed
         self.renderer = rb.Renderer(scene, **settings)
         self.decisions = Decisions(CHOICES if settings["sampling"] == "attached" else None)
-        self.held = self.held_caster()
-
-    def held_caster(self) -> HeldCaster:
-        self.renderer.current_caster()  # made now, so that it asks nothing later
-        return HeldCaster(self.renderer.casters[0], self.decisions)
+        # Made now, so that it asks nothing later.
+        self.held = HeldCaster(self.renderer.current_caster(), self.decisions)
 
     def live(self, values: list[Tensor]) -> Tensor:
         """The image with its derivative, as users get it."""
         return functional_call(self.renderer, self.parameters(values), kwargs={"seed": self.seed})
 
     def with_choices_held(self, values: list[Tensor]) -> Tensor:
-        """Its value as a function of the parameters around the point; for attached sampling."""
+        """The image as a function of the parameters around the point, for attached sampling; no derivative."""
+        values = attached(values)
         with self.decisions, torch.enable_grad():
-            return self.live(attached(values)).detach()
+            return self.live(values).detach()
 
-    def with_all_held(self, values: list[Tensor]) -> Tensor:
-        """The value of the function that detached and hybrid sampling differentiate; no derivative."""
+    def along_the_tape(self, values: list[Tensor]) -> Tensor:
+        """The same with the decisions held, of which the forward pass makes no use, by the loop that plain autograd records.
+
+        Detached and hybrid sampling hold everything. Attached sampling holds the choice of a lobe of a rough material: the
+        forward pass has its probability inside of the density, and the derivative takes it out.
+        """
+        parameters = {f"renderer.{name}": value for name, value in self.parameters(attached(values)).items()}
+        caster = None if self.decisions.functions else self.held
         with self.decisions, torch.enable_grad():
-            return functional_call(HeldImage(self), {f"rendering.{name}": value for name, value in
-                                                     self.parameters(attached(values)).items()})
+            return functional_call(TapedImage(self.renderer, self.seed, caster), parameters)
 
     def parameters(self, values: list[Tensor]) -> dict[str, Tensor]:
         return {f"scene.{name}": value for name, value in zip(self.names, values)}
@@ -136,16 +139,17 @@ def attached(values: list[Tensor]) -> list[Tensor]:
     return [value.detach().requires_grad_() for value in values]
 
 
-class HeldImage(torch.nn.Module):
-    """Renders by the loop over bounces that plain autograd records, with the held caster, and records nothing."""
+class TapedImage(torch.nn.Module):
+    """Renders by the loop over bounces that plain autograd records, but records nothing."""
 
-    def __init__(self, rendering: Rendering):
+    def __init__(self, renderer: rb.Renderer, seed: int, caster: HeldCaster | None):
         super().__init__()
-        self.rendering, self.settings = rendering.renderer, rendering
+        self.renderer, self.seed, self.caster = renderer, seed, caster
 
     def forward(self) -> Tensor:
-        renderer = self.rendering
-        call = renderer.prepare(self.settings.seed, None, renderer.spp, None)
-        integrand = call.make_integrand(call.scene)._replace(caster=self.settings.held)
+        call = self.renderer.prepare(self.seed, None, self.renderer.spp, None)
+        integrand = call.make_integrand(call.scene)
+        if self.caster is not None:
+            integrand = integrand._replace(caster=self.caster)
         with torch.no_grad():
             return render_images(call, integrand, record=False, tracer=trace_attached)[0]

@@ -73,9 +73,9 @@ def shape(**attributes: Any) -> dict[str, Any]:
     return {"sensor": camera(), "lamp": lamp(), "floor": floor(), SUBJECT: attributes}
 
 
-def quadrilateral(**attributes: Any) -> dict[str, Any]:
-    return {"type": "mesh", "vertex_positions": CORNERS, "vertex_normals": NORMALS, "vertex_texcoords": TEXCOORDS,
-            "faces": FACES} | attributes
+def quadrilateral(smooth: bool = True, **attributes: Any) -> dict[str, Any]:
+    normals = {"vertex_normals": NORMALS} if smooth else {}
+    return {"type": "mesh", "vertex_positions": CORNERS, "vertex_texcoords": TEXCOORDS, "faces": FACES} | normals | attributes
 
 
 @functools.cache
@@ -112,14 +112,14 @@ def metal(**attributes: Any) -> dict[str, Any]:
 
 def glass(**attributes: Any) -> dict[str, Any]:
     """A boundary between the camera and a textured emitter, under a sky."""
-    return {"sensor": camera(), "sky": sky(), "glowing": glowing(), SUBJECT: attributes,
+    return {"sensor": camera(4), "sky": sky(), "glowing": glowing(), SUBJECT: attributes,
             "subject_plane": plane(bsdf={"type": "ref", "id": SUBJECT})}
 
 
 def light(**attributes: Any) -> dict[str, Any]:
     """A light above a plane and a floor."""
-    return {"sensor": camera(), "floor": floor(), "plane": plane(bsdf=diffuse(0.8, 0.6, 0.4)), "dark": diffuse(0.1, 0.2, 0.1),
-            SUBJECT: attributes}
+    return {"sensor": camera(), "floor": floor(), "plane": plane(bsdf=diffuse(0.8, 0.6, 0.4)),
+            "dark": diffuse(0.1, 0.2, 0.1), SUBJECT: attributes}
 
 
 def turned(at, *angles: float, size: float = 1.0, **attributes: Any) -> dict[str, Any]:
@@ -131,7 +131,9 @@ def turned(at, *angles: float, size: float = 1.0, **attributes: Any) -> dict[str
 
 AIMED = look_at((0.9, 1.5, 2.8), (0.1, 0.05, 0), (0.1, 1, 0.2))
 METAL = {"eta": rgb(0.2, 0.9, 1.1), "k": rgb(3.9, 2.4, 2.2), "specular_reflectance": rgb(0.9, 0.6, 0.8)}
+ROUGH_METAL = {"eta": 0.9, "k": 2.4, "specular_reflectance": 0.8}
 TINTED = {"int_ior": 1.5, "specular_reflectance": rgb(0.9, 0.5, 0.7), "specular_transmittance": rgb(0.4, 0.9, 0.6)}
+ROUGH_GLASS = {"int_ior": 1.5, "specular_reflectance": 0.7, "specular_transmittance": 0.8}
 BRUSHED = {"alpha_u": 0.25, "alpha_v": 0.5}
 
 SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
@@ -146,24 +148,23 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "ply": lambda: shape(type="ply", filename=mesh_file("ply"), bsdf=printed()),
     "diffuse": metal(type="diffuse", reflectance=bitmap(filter_type="nearest")),
     "conductor": metal(type="conductor", **METAL),
-    "rough metal beckmann": metal(type="roughconductor", distribution="beckmann", alpha=0.3, **METAL),
-    "rough metal ggx": metal(type="roughconductor", distribution="ggx", alpha=0.3, **METAL),
-    "brushed metal beckmann": metal(type="roughconductor", distribution="beckmann", **BRUSHED, **METAL),
-    "brushed metal ggx": metal(type="roughconductor", distribution="ggx", **BRUSHED, **METAL),
+    "rough metal beckmann": metal(type="roughconductor", distribution="beckmann", alpha=0.3, **ROUGH_METAL),
+    "rough metal ggx": metal(type="roughconductor", distribution="ggx", alpha=0.3, **ROUGH_METAL),
+    "brushed metal beckmann": metal(type="roughconductor", distribution="beckmann", **BRUSHED, **ROUGH_METAL),
+    "brushed metal ggx": metal(type="roughconductor", distribution="ggx", **BRUSHED, **ROUGH_METAL),
     "dielectric": glass(type="dielectric", **TINTED),
-    "rough glass beckmann": glass(type="roughdielectric", distribution="beckmann", alpha=0.3, **TINTED),
-    "rough glass ggx": glass(type="roughdielectric", distribution="ggx", alpha=0.3, **TINTED),
-    "brushed glass beckmann": glass(type="roughdielectric", distribution="beckmann", **BRUSHED, **TINTED),
-    "brushed glass ggx": glass(type="roughdielectric", distribution="ggx", **BRUSHED, **TINTED),
+    "rough glass beckmann": glass(type="roughdielectric", distribution="beckmann", alpha=0.3, **ROUGH_GLASS),
+    "rough glass ggx": glass(type="roughdielectric", distribution="ggx", alpha=0.3, **ROUGH_GLASS),
+    "brushed glass beckmann": glass(type="roughdielectric", distribution="beckmann", **BRUSHED, **ROUGH_GLASS),
+    "brushed glass ggx": glass(type="roughdielectric", distribution="ggx", **BRUSHED, **ROUGH_GLASS),
     "twosided": {"sensor": camera(), "sky": sky(), "glowing": glowing(),
-                 SUBJECT: {"type": "twosided", "front": {"type": "roughconductor", "alpha": 0.4, **METAL},
+                 SUBJECT: {"type": "twosided", "front": {"type": "roughconductor", "alpha": 0.4, **ROUGH_METAL},
                            "behind": diffuse(0.8, 0.3, 0.1)},
                  "sheet": plane((-3.0, 0, 0.2), bsdf={"type": "ref", "id": SUBJECT}),
                  "reversed": rectangle((3.1, 0, 0.1), 3.1, (0.23, 1, 0.17), 163, bsdf={"type": "ref", "id": SUBJECT})},
     "area": light(**lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
     "area of a mesh": light(**quadrilateral(
-        vertex_positions=[[-0.6, 1.9, 1.6], [0.9, 2.3, 1.5], [0.8, 2.2, 2.7], [-0.7, 2.0, 2.8]],
-        vertex_normals=[[-0.2, -0.9, -0.3], [0.1, -1.0, -0.2], [0.2, -0.9, -0.4], [-0.1, -1.0, -0.5]],
+        smooth=False, vertex_positions=[[-0.6, 1.9, 1.6], [0.9, 2.3, 1.5], [0.8, 2.2, 2.7], [-0.7, 2.0, 2.8]],
         emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
     "constant": light(type="constant", radiance=rgb(0.6, 0.9, 1.4)),
     "directional": light(type="directional", direction=[-0.3, -1.0, -0.9], irradiance=rgb(2.8, 2.7, 2.4)),
