@@ -75,7 +75,7 @@ def shape(**attributes: Any) -> dict[str, Any]:
 
 def quadrilateral(smooth: bool = True, **attributes: Any) -> dict[str, Any]:
     normals = {"vertex_normals": NORMALS} if smooth else {}
-    return {"type": "mesh", "vertex_positions": CORNERS, "vertex_texcoords": TEXCOORDS, "faces": FACES} | normals | attributes
+    return {"type": "mesh", "vertex_positions": CORNERS, "vertex_texcoords": TEXCOORDS, "faces": FACES, **normals} | attributes
 
 
 @functools.cache
