@@ -24,6 +24,7 @@ from torch.utils.checkpoint import checkpoint
 import torch_radbp as rb
 from benchmarks import cornell
 from torch_radbp.adjoint.function import accumulate, start_paths
+from torch_radbp.adjoint.sweep import empty_memo
 from torch_radbp.path import add_at, survivors, take_step
 from torch_radbp.vec import Vec3, masked
 
@@ -85,7 +86,7 @@ def measure(name: str, options: argparse.Namespace) -> dict:
     def make(resolution: int) -> tuple[rb.Renderer, torch.Tensor]:
         scene = cornell.load(resolution, options.depth)
         renderer = rb.Renderer(scene, spp=options.spp, adjoint=STRATEGIES[name], chunk=options.chunk or None,
-                               compile=options.compile)
+                               compile=options.compile, sampling=options.sampling)
         return renderer, torch.from_numpy(cornell.cotangent(resolution)).permute(2, 0, 1)[None]
 
     small, small_cotangent = make(16)
@@ -102,7 +103,7 @@ def measure(name: str, options: argparse.Namespace) -> dict:
 def in_own_process(name: str, options: argparse.Namespace) -> dict:
     """`measure` in a new process."""
     command = [sys.executable, "-m", "benchmarks.memory", "--only", name]
-    for option in ("resolution", "spp", "depth", "chunk"):
+    for option in ("resolution", "spp", "depth", "chunk", "sampling"):
         command += [f"--{option}", str(getattr(options, option))]
     command += ["--compile"] if options.compile else []
     run = subprocess.run(command, stdout=subprocess.PIPE, text=True)
@@ -122,7 +123,7 @@ def report(results: list[dict], options: argparse.Namespace) -> str:
     lanes = options.resolution**2 * options.spp
     mode = "compiled" if options.compile else "eager"
     lines = [f"Cornell box {options.resolution} x {options.resolution}, {options.spp} spp ({lanes} paths), "
-             f"depth {options.depth}, chunk {options.chunk or 'default'}, {mode}", "",
+             f"depth {options.depth}, chunk {options.chunk or 'default'}, {mode}, {options.sampling}", "",
              "| strategy | peak MiB | predicted MiB | predicted / peak | seconds | gradient off by |",
              "|---|---|---|---|---|---|"]
     reference = next((result["gradient"] for result in results if "gradient" in result), None)
@@ -157,17 +158,16 @@ def working_set(options: argparse.Namespace) -> str:
     renderer = rb.Renderer(scene, spp=options.spp, chunk=options.resolution**2 * options.spp, compile=options.compile)
     call = renderer.prepare(0, None, options.spp, None)
     detached = tree_map_only(torch.Tensor, torch.Tensor.detach, call.scene)
-    wanted = tuple(k for k, leaf in enumerate(tree_flatten(call.scene)[0])
-                   if isinstance(leaf, torch.Tensor) and leaf.requires_grad)
+    wanted = tuple(isinstance(leaf, torch.Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
     integrand = call.make_integrand(detached)
     with torch.no_grad():
         state = start_paths(call, call.chunks[0], 0)
         _, step = take_step(integrand, state, 0)
-    adjoint = Vec3.full(state.pdf, 1.0)
+    adjoint, memo = Vec3.full(state.pdf, 1.0), empty_memo(state.pdf, integrand.settings.moving)
     lanes = len(state.lane)
 
     def backward():
-        call.adjoint_of_bounce(detached, wanted, state, step, adjoint, adjoint, integrand.at(0), integrand.settings_at(0))
+        call.adjoint_of_bounce(detached, wanted, state, step, adjoint, memo, integrand.at(0), integrand.settings_at(0))
 
     with torch.no_grad():
         for _ in range(2 if options.compile else 1):
@@ -183,7 +183,9 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=16)
     parser.add_argument("--depth", type=int, default=32)
     parser.add_argument("--chunk", type=int, default=0, help="lanes traced together; 0: the renderer's choice")
+    parser.add_argument("--sampling", default="hybrid", help="attached: rays carry derivatives")
     parser.add_argument("--compile", action="store_true")
+    parser.add_argument("--strategies", nargs="+", choices=STRATEGIES, default=list(STRATEGIES))
     parser.add_argument("--json", help="also write the figures to this file")
     parser.add_argument("--working-set", action="store_true", help="print numbers per lane of one bounce instead")
     parser.add_argument("--only", choices=STRATEGIES, help="measure one strategy in this process and print JSON")
@@ -193,7 +195,7 @@ def main() -> None:
     elif options.only:
         print(json.dumps(measure(options.only, options)))
     else:
-        results = [in_own_process(name, options) for name in STRATEGIES]
+        results = [in_own_process(name, options) for name in options.strategies]
         print(report(results, options))
         if options.json:
             Path(options.json).write_text(json.dumps(results, indent=1))

@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_map
 
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
@@ -286,7 +285,14 @@ def survivors(vertex: Vertex) -> PathState:
     alive = surviving(vertex)
     if len(alive) == len(vertex.next.pdf):
         return vertex.next
-    return tree_map(lambda tensor: tensor.index_select(0, alive), vertex.next)
+    return rows(vertex.next, alive)
+
+
+def rows(record, index: Tensor):
+    """The lanes `index` of a record of tensors."""
+    if isinstance(record, Tensor):
+        return record.index_select(0, index)
+    return type(record)(*(rows(part, index) for part in record))
 
 
 def surviving(vertex: Vertex) -> Tensor:

@@ -21,6 +21,7 @@ from torch_radbp.adjoint.function import (
 )
 from torch_radbp.adjoint.memory import MemoryPlan, parse_budget, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.boundary import SilhouetteWatch
 from torch_radbp.path import Integrand, Settings
 from torch_radbp.plugin import nearest
 from torch_radbp.raycast import make_caster
@@ -38,8 +39,7 @@ SAMPLINGS = ("hybrid", "detached", "attached")
 STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call
-LANES = 1 << 18  # of a chunk if the user does not say; the fastest of 2^15 to 2^18
-LANES_OF_WORKER = 1 << 16  # the same with chunks side by side
+LANES = {True: 1 << 18, False: 1 << 16}  # of a chunk if the user does not say, compiled and eager; the fastest powers of 2
 
 
 class Renderer(nn.Module):
@@ -64,8 +64,9 @@ class Renderer(nn.Module):
         compile: compile the functions of a bounce; worth it from some dozen renderings on.
         caster: "embree" or "brute"; None picks by device.
 
-    Derivatives reach every parameter of the scene. Those of shapes, poses and cameras lack, so far, what silhouettes and
-    the edges of shadows contribute; a warning says so if there are any in view.
+    Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
+    so far, what silhouettes and the edges of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
+    move are in view.
 
     Raises:
         ValueError: for settings that make no sense.
@@ -99,6 +100,7 @@ class Renderer(nn.Module):
         if sampling not in SAMPLINGS:
             raise ValueError(f"sampling={sampling!r} is not known; {nearest(sampling, SAMPLINGS)}")
         self.casters: list = []
+        self.silhouettes = SilhouetteWatch()
 
     def forward(self, seed: int = 0, sensors: Sequence[int] | None = None, spp: int | None = None,
                 seed_grad: int | None = None) -> Tensor:
@@ -116,6 +118,8 @@ class Renderer(nn.Module):
 
         Raises:
             ValueError: for a sensor that does not exist, or sensors of different size.
+            NonFiniteError: if the image, or in the backward pass a gradient, is NaN or infinite; a FloatingPointError that
+                says of which parameter, at which bounce, on which material and on how many paths.
         """
         spp = self.spp if spp is None else spp
         check_count("spp", spp)
@@ -124,6 +128,8 @@ class Renderer(nn.Module):
             return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                       dict(self.named_parameters()))
         call = self.prepare(seed, sensors, spp, seed_grad)
+        seen = self.scene.sensors if sensors is None else [self.scene.sensors[index] for index in sensors]
+        self.silhouettes.look(self.scene, seen, [detached(view.camera) for view in call.views])
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
@@ -164,10 +170,12 @@ class Renderer(nn.Module):
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return Integrand(tensors, detached(tensors), caster, settings, max_depth, self.rr_depth, stages.bounce)
 
-        workers = 1 if self.compile_stages or scene.device.type != "cpu" else torch.get_num_threads()
-        lanes = self.chunk or default_chunk(sum(view.width * view.height for view in views) * spp, workers)
+        workers = torch.get_num_threads() if scene.device.type == "cpu" else 1
+        lanes = sum(view.width * view.height for view in views) * spp
+        lanes = self.chunk or min(LANES[self.compile_stages or workers == 1], -(-lanes // workers))
         call = RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
-                          plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers)
+                          plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers, self.scene,
+                          {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad})
         if self.memory_budget is None:
             return call
         plan = self.plan(call)
@@ -185,7 +193,8 @@ class Renderer(nn.Module):
         lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
         chunk = max(part.pixels * part.samples for part in call.chunks)
         situation = {"fractions": reaching(integrand, pilot_paths(call, PILOT_LANES)), "lanes": lanes, "chunk": chunk,
-                     "max_depth": integrand.max_depth, "dtype": scene.triangles.p0.x.dtype, "compiled": self.compile_stages}
+                     "max_depth": integrand.max_depth, "dtype": scene.triangles.p0.x.dtype, "compiled": self.compile_stages,
+                     "workers": call.workers, "moving": integrand.settings.moving}
         if self.memory_budget is None:
             return predict(adjoint=call.adjoint, retrace=call.retrace, **situation)
         return plan_memory(self.memory_budget, adjoint=self.adjoint if self.adjoint_is_chosen else None, **situation)
@@ -199,11 +208,6 @@ class Renderer(nn.Module):
         else:
             self.casters = [make_caster(self.caster_name, vertices, faces)]
         return self.casters[0]
-
-
-def default_chunk(lanes: int, workers: int) -> int:
-    """Lanes of a chunk if the user does not say."""
-    return LANES if workers == 1 else min(LANES_OF_WORKER, -(-lanes // workers))
 
 
 def check_count(name: str, value: int) -> None:

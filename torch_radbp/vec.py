@@ -12,7 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-TINY = 1e-30  # keeps a division finite where the quotient does not count
+SMALLEST_TANGENT = 1e-8  # squared
+TINY = 1e-24  # keeps a division finite where the quotient does not count; so is the derivative of rsqrt here, in float32
 
 
 class Vec2(NamedTuple):
@@ -160,6 +161,15 @@ class Frame(NamedTuple):
         t = Vec3(b, sign + n.y * n.y * a, -n.y)
         return Frame(s, t, n)
 
+    @staticmethod
+    def along(n: Vec3, direction: Vec3) -> Frame:
+        """A basis around the unit vector `n` whose s is as near to `direction` as can be; `Frame.of` where none is."""
+        across = direction - n * dot(n, direction)
+        squared = dot(across, across)
+        fine = squared > SMALLEST_TANGENT
+        s = where(fine, across * torch.rsqrt(torch.where(fine, squared, 1.0)), Frame.of(n).s)
+        return Frame(s, cross(n, s), n)
+
 
 class LocalVec3:
     """A vector in a shading frame, whose components are computed when they are first read: a diffuse surface reads z only.
@@ -202,10 +212,16 @@ class LocalVec3:
 
 
 class ShadingFrame:
-    """The frame around a unit normal; its tangents are computed when they are first read."""
+    """The frame around a unit normal; its tangents are computed when they are first read.
 
-    def __init__(self, n: Vec3):
-        self.n = n
+    Args:
+        n: the normal.
+        along: direction of the first tangent, before it is made orthogonal to the normal; where it is zero or along the
+            normal, and if it is None, the tangents are those of `Frame.of`.
+    """
+
+    def __init__(self, n: Vec3, along: Vec3 | None = None):
+        self.n, self.along = n, along
         self.tangents: Frame | None = None
 
     @property
@@ -218,7 +234,7 @@ class ShadingFrame:
 
     def whole(self) -> Frame:
         if self.tangents is None:
-            self.tangents = Frame.of(self.n)
+            self.tangents = Frame.of(self.n) if self.along is None else Frame.along(self.n, self.along)
         return self.tangents
 
     def to_local(self, v: Vec3) -> LocalVec3:

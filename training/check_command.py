@@ -161,10 +161,11 @@ def panels(result, number: int) -> list:
 def print_outcome(console: Console, result) -> None:
     """Prints the table of projections, the other figures and the verdict."""
     headings, *rows = result.rows()
-    title = f"{result.name}: step {result.step:.3g}, {result.spp} samples per pixel in {result.batches} batches"
-    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
+    settings = f"step {result.step:.3g}, {result.spp} samples per pixel in {result.batches} batches"
+    console.print(f"[bold]{result.name}[/]: {settings}", soft_wrap=True, highlight=False)
+    table = Table(box=None, padding=(0, 2, 0, 0))
     for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left", overflow="fold")
+        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     console.print(table)

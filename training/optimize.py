@@ -22,7 +22,7 @@ from torch_radbp.training.schedule import make_scheduler
 from torch_radbp.training.targets import read_targets, sensor_films
 
 # Steps in a row without a usable gradient after which a run gives up.
-MAX_SKIPPED_IN_A_ROW = 20
+MAX_SKIPPED_IN_A_ROW = 10
 
 
 class Recovery:
@@ -136,14 +136,11 @@ def train(recovery: Recovery, folder: RunFolder, on_step: Callable[[dict[str, fl
     skipped_in_a_row = 0
     for step in range(recovery.step, recipe.steps):
         started = time.perf_counter()
-        buffers = render_buffers(recovery, step)
-        loss, terms = recovery.objective(buffers, targets)
-        rendered = time.perf_counter()
         recovery.optimizer.zero_grad()
-        loss.backward()
+        loss, terms, rendered, trouble = take_gradient(recovery, step, targets)
         finished = time.perf_counter()
 
-        usable = loss.isfinite().item() and all(_is_finite(each.raw.grad) for each in recovery.parameters)
+        usable = trouble is None
         with deferred_interrupt():
             row = {"step": step, "loss": loss.item()} | {f"loss.{name}": term.item() for name, term in terms.items()}
             row["learning_rate_factor"] = recovery.scheduler.get_last_lr()[0] / recovery.scheduler.base_lrs[0]
@@ -168,14 +165,38 @@ def train(recovery: Recovery, folder: RunFolder, on_step: Callable[[dict[str, fl
         skipped_in_a_row = 0 if usable else skipped_in_a_row + 1
         if not usable:
             warnings.warn(
-                f"step {step}: the loss or a gradient is not finite; the step is skipped ({recovery.skipped} so far)",
+                f"step {step}: {trouble}; the step is skipped ({recovery.skipped} so far)",
                 stacklevel=2,
             )
         if skipped_in_a_row == MAX_SKIPPED_IN_A_ROW:
             raise RuntimeError(
-                f"{skipped_in_a_row} steps in a row had a loss or gradient that is not finite; check the bounds of the "
-                "parameters and the tone mapping of the losses"
+                f"{skipped_in_a_row} steps in a row had a loss or gradient that is not finite, the last because {trouble}; "
+                "give the parameters bounds that keep them off their extremes (roughness above 0.01, say), lower the "
+                "learning rate, and see whether the tone mapping of the losses is defined for every image"
             )
+
+
+def take_gradient(recovery: Recovery, step: int, targets: Tensor) -> tuple[Tensor, dict[str, Tensor], float, str | None]:
+    """Renders, and leaves the gradient in the parameters.
+
+    Returns:
+        the loss and its terms, NaN where there is no image; when the image was there; what is not finite, or None.
+    """
+    try:
+        buffers = render_buffers(recovery, step)
+    except FloatingPointError as error:
+        missing = targets.new_tensor(float("nan"))
+        return missing, {spec.name: missing for spec in recovery.objective.specs}, time.perf_counter(), str(error)
+    loss, terms = recovery.objective(buffers, targets)
+    rendered = time.perf_counter()
+    if not loss.isfinite():
+        return loss, terms, rendered, "the loss is not finite"
+    try:
+        loss.backward()
+    except FloatingPointError as error:
+        return loss, terms, rendered, str(error)
+    bad = [each.name for each in recovery.parameters if not _is_finite(each.raw.grad)]
+    return loss, terms, rendered, f"the gradient of {', '.join(bad)} is not finite" if bad else None
 
 
 def _is_finite(gradient: Tensor | None) -> bool:

@@ -14,7 +14,7 @@ from torch_radbp.training.false_colour import signed_colour
 
 LEAST_WIDTH, LARGEST_ZOOM = 256, 64  # of a panel, pixels, and of a pixel in it
 MARGIN, GAP, TITLE, BAR, FOOT = 14, 18, 26, 12, 24
-PAPER, INK, SOFT = (255, 255, 255), (29, 36, 51), (102, 112, 133)
+PAPER, INK, SOFT, LINE = (255, 255, 255), (29, 36, 51), (102, 112, 133), (227, 230, 236)
 FONT_SIZE = 14
 
 
@@ -44,6 +44,7 @@ def write_panels(path: Path, panels: list[Panel]) -> None:
         left, top = MARGIN + number * (column + GAP), MARGIN + TITLE
         draw.text((left, MARGIN), panel.title, INK, font)
         picture.paste(_as_pixels(panel.values, panel.scale, zoom), (left, top))
+        draw.rectangle((left - 1, top - 1, left + zoom * width, top + row), outline=LINE)
         bar_top = top + row + 8
         ramp = torch.linspace(-1, 1, zoom * width).expand(BAR, -1)
         picture.paste(_as_pixels(ramp, 1.0, 1), (left, bar_top))

@@ -38,17 +38,7 @@ def assert_agrees(comparison: Comparison) -> None:
     assert comparison.bias_error.max() < 0.006, f"too noisy to find an error of 2%: {comparison}"
 
 
-# Cases that are known to differ, and where we are wrong; one that begins to agree fails here until it is taken out.
-WRONG = {
-    "brushed_turned": "brush strokes follow a frame around the normal, not the surface's coordinates (vec.ShadingFrame)",
-    "coloured_roughness": "of a roughness in colour the red channel counts, not the mean (rgb) or the luminance (bitmap)",
-}
-
-
-@pytest.mark.parametrize("name", [
-    pytest.param(name, marks=[pytest.mark.xfail(strict=True, reason=WRONG[name])] if name in WRONG else [])
-    for name in CASES
-])
+@pytest.mark.parametrize("name", CASES)
 def test_image_agrees_with_mitsuba(name, tmp_path):
     assert_agrees(against_reference(name, tmp_path))
 

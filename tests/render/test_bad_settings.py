@@ -3,12 +3,9 @@
 import re
 
 import pytest
-import torch
-from torch.func import functional_call
-from torch.nn.utils import parametrize
 
 import torch_radbp as rb
-from tests.scenes import cornell, load, rectangle, sensor, sky_and_points, textured
+from tests.scenes import cornell, load, rectangle, sensor, textured
 
 CONSTRUCTOR = {
     "spp of zero": ({"spp": 0}, ValueError, "spp must be an integer of at least 1, got 0"),
@@ -23,9 +20,7 @@ CONSTRUCTOR = {
     "adjoint by name": ({"adjoint": "log"}, TypeError, "adjoint must be one of MemoizedAdjoint, QuadraticAdjoint, "
                                                        "ReplayAdjoint, TapeAdjoint, got 'log'"),
     "adjoint as class": ({"adjoint": rb.MemoizedAdjoint}, TypeError, "adjoint must be one of MemoizedAdjoint"),
-    "attached sampling": ({"sampling": "attached"}, ValueError, "sampling='attached' is not available; known: 'detached' "
-                                                               "('attached' and 'hybrid' are planned)"),
-    "unknown sampling": ({"sampling": "both"}, ValueError, "sampling='both' is not available; known: 'detached'"),
+    "unknown sampling": ({"sampling": "both"}, ValueError, "sampling='both' is not known; known: attached"),
     "memory budget": ({"memory_budget": "plenty"}, ValueError, "memory_budget"),
     "memory budget of zero": ({"memory_budget": 0}, ValueError, "memory_budget"),
 }
@@ -86,41 +81,6 @@ def test_a_parameter_that_is_not_finite_is_named(value):
     message = "parameter 'red.reflectance.value' has 1 of 3 values that are NaN or infinite"
     with pytest.raises(ValueError, match=re.escape(message)):
         rb.render(scene, spp=1)
-
-
-GEOMETRY = {
-    "vertices": (cornell, "box.vertex_positions"), "shape's pose": (cornell, "floor.to_world"),
-    "camera's pose": (cornell, "sensor.to_world"), "field of view": (cornell, "sensor.x_fov"),
-    "point light's position": (sky_and_points, "lamp.position"),
-    "texture coordinates": (sky_and_points, "box.vertex_texcoords"),
-}
-
-
-@pytest.mark.parametrize("adjoint", [None, rb.TapeAdjoint()], ids=repr)
-@pytest.mark.parametrize("build, name", GEOMETRY.values(), ids=GEOMETRY)
-def test_a_derivative_that_would_be_missing_is_refused(build, name, adjoint):
-    scene = build()
-    scene.get_parameter(name).requires_grad_()
-    with pytest.raises(ValueError, match=re.escape(f"not available yet, but {name} requires grad")):
-        rb.render(scene, spp=1, adjoint=adjoint)
-
-
-def test_a_derivative_of_a_pose_that_is_a_function_of_something_else_is_refused():
-    renderer = rb.Renderer(cornell(), spp=1)
-    pose = renderer.get_parameter("scene.floor.to_world").detach().clone().requires_grad_()
-    with pytest.raises(ValueError, match="shapes, poses and positions are not available yet"):
-        functional_call(renderer, {"scene.floor.to_world": pose})
-
-    class Shift(torch.nn.Module):
-        def forward(self, matrix):
-            return matrix + 0
-
-    for name, parameter in (("box", "vertex_positions"), ("sensor", "to_world"), ("sensor", "x_fov"), ("lamp", "position")):
-        scene = sky_and_points()
-        parametrize.register_parametrization(scene.get_submodule(name), parameter, Shift())
-        scene.get_submodule(name).parametrizations[parameter].original.requires_grad_()
-        with pytest.raises(ValueError, match="shapes, poses and positions are not available yet"):
-            rb.render(scene, spp=1)
 
 
 def test_an_unknown_parameter_is_answered_with_the_nearest_names():

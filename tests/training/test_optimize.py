@@ -7,8 +7,10 @@ import torch
 from rich.console import Console
 
 import torch_radbp as rb
+from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.io.image import write_image
 from torch_radbp.training import optimize
+from torch_radbp.training.metrics import MetricsFile
 from torch_radbp.training.optimize import Recovery, step_seed
 from torch_radbp.training.recipe import Constant, Cosine, Exponential, Step
 from torch_radbp.training.recipe_file import read_recipe
@@ -82,9 +84,42 @@ def test_steps_with_nan_are_skipped_and_counted(folder, monkeypatch):
     assert recovered.isfinite().all() and not torch.equal(recovered, torch.full((3,), 0.5))
 
 
+@pytest.mark.parametrize("where", ["image", "gradient"])
+def test_a_rendering_that_is_not_finite_skips_its_step_and_says_what_it_was(where, folder, monkeypatch):
+    """The renderer's own errors: a material gives NaN, in its value or in its derivative only, at the third rendering."""
+    sample = DiffuseKind.eval_pdf
+
+    def spoiled(kind, values, wi, wo):
+        value, pdf = sample(kind, values, wi, wo)
+        if step != 2 or (where == "gradient") != value.x.requires_grad:
+            return value, pdf
+        return value * (torch.sqrt(values[0].x * 0.0) * 0.0 + (1.0 if where == "gradient" else float("nan"))), pdf
+
+    render = optimize.render_buffers
+
+    def counted(recovery, number):
+        nonlocal step
+        step = number
+        return render(recovery, number)
+
+    step = -1
+    monkeypatch.setattr(DiffuseKind, "eval_pdf", spoiled)
+    monkeypatch.setattr(optimize, "render_buffers", counted)
+    with pytest.warns(UserWarning, match="the step is skipped") as caught:
+        summary = run_quietly(folder)
+    message, = (str(each.message) for each in caught)
+    assert message.startswith("step 2: the ") and "bounce" in message and "diffuse `" in message
+    assert ("gradient of `paint.reflectance.value`" in message) == (where == "gradient")
+    assert summary["skipped"] == 1 and summary["step"] == 6
+    rows = MetricsFile(folder / "run" / "metrics.csv").rows()
+    assert [row["skipped"] for row in rows] == [0, 0, 1, 1, 1, 1]
+    assert torch.tensor(summary["parameters"][0]["recovered"]).isfinite().all()
+
+
 def test_run_without_any_usable_gradient_gives_up(folder, monkeypatch):
     spoil_gradient(monkeypatch, set(range(100)))
-    with pytest.raises(RuntimeError, match="20 steps in a row"), warnings.catch_warnings():
+    message = "10 steps in a row .* because the loss is not finite; give"
+    with pytest.raises(RuntimeError, match=message), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         run_quietly(folder, ["steps=100"])
 

@@ -66,10 +66,6 @@ MISFITS = {
         "initial = 0.5\nbounds = [0.0, 1.0]", 'initial = 0\nparametrisation = "log"', ["log", "positive"],
     ),
     "no such caster": ('caster = "brute"', 'caster = "brutal"', ["brutal"]),
-    "parameter without a derivative": (
-        'name = "paint.reflectance.value"\ninitial = 0.5\nbounds = [0.0, 1.0]', 'name = "floor.to_world"',
-        ["floor.to_world", "not available yet"],
-    ),
     "no such sampling": ('caster = "brute"', 'sampling = "atached"', ["atached"]),
 }  # fmt: skip
 

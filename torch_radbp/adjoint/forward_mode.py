@@ -41,8 +41,8 @@ def render_tangents(call: RenderCall) -> Tensor:
     Raises:
         RuntimeError: if a leaf requires grad as well, whose derivative would be missing.
     """
-    leaves = [leaf for leaf in tree_flatten(call.scene)[0] if isinstance(leaf, Tensor)]
-    if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves):
+    leaves = tree_flatten((call.scene, [view.camera for view in call.views]))[0]
+    if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves if isinstance(leaf, Tensor)):
         raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
     with torch.no_grad():

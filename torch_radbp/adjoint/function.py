@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_map_only, tree_unflatten
 
+from torch_radbp.adjoint.finite import (
+    CheckedSweep,
+    Finding,
+    NonFiniteError,
+    checked_bounce,
+    count_of_bad,
+    finite,
+    gradient_error,
+    image_error,
+)
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.path import Integrand, PathState, Step, sample_camera, start_path, trace
+from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors
 from torch_radbp.vec import Ray, Vec3
@@ -52,6 +64,8 @@ class RenderCall(NamedTuple):
     spp: int
     retrace: bool  # the backward pass traces its paths anew instead of keeping those of the forward pass
     workers: int  # chunks that are traced side by side
+    module: Scene | None = None  # whose tensors these are; gives names to errors
+    parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
 
 
 def plan_chunks(views: list[View], spp: int, lanes: int) -> list[Chunk]:
@@ -146,7 +160,25 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
     for chunk, (L, _) in zip(call.chunks, traced):
         accumulate(images, chunk, L, call.spp)
     records = [path_record for _, path_record in traced] if record else []
-    return torch.stack(images).reshape(len(call.views), 3, view.height, view.width), records
+    images = torch.stack(images).reshape(len(call.views), 3, view.height, view.width)
+    check_images(call, integrand, images.detach())
+    return images, records
+
+
+def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None:
+    """Raises NonFiniteError if a pixel is NaN or infinite."""
+    if finite([images]):
+        return
+
+    def trace_again(integrand: Integrand, finding: Finding) -> None:
+        for chunk in call.chunks:
+            if finding.depth is None:
+                trace_chunk(call, integrand._replace(bounce=checked_bounce(finding)), chunk,
+                            call.views[chunk.sensor].seed_keys[0], record=False)
+
+    with torch.no_grad():
+        call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
+        raise image_error(images, integrand._replace(scene=integrand.proposal), call.module, trace_again)
 
 
 def lane_adjoint(call: RenderCall, chunk: Chunk, grad_images: Tensor) -> Vec3:
@@ -190,15 +222,27 @@ class RenderFunction(torch.autograd.Function):
                    for leaf, want in zip(tree_flatten(view.camera)[0], wants) if want]
         first = [len(leaves) + sum(map(sum, wanted_of_cameras[:sensor])) for sensor in range(len(call.views))]
 
+        def swept(index: int, gradients: list[Tensor], make_sweep: Callable = Sweep) -> Sweep:
+            chunk = call.chunks[index]
+            seed_key = call.views[chunk.sensor].seed_keys[call.retrace]
+            record = trace_chunk(call, integrand, chunk, seed_key, record=True)[1] if call.retrace else records[index]
+            sweep = make_sweep(integrand_of(call, integrand, chunk), call.adjoint_of_bounce, record,
+                               lane_adjoint(call, chunk, grad_images), wanted, gradients)
+            call.adjoint.backward(sweep)
+            return sweep
+
+        def sweep_again(finding: Finding) -> None:
+            for index in range(len(call.chunks)):
+                if finding.depth is None:
+                    swept(index, [torch.zeros_like(leaf, dtype=torch.float64) for leaf in leaves],
+                          partial(CheckedSweep, finding))
+
         def differentiate_share(share: range) -> list[Tensor]:
             gradients = [torch.zeros_like(leaf, dtype=torch.float64) for leaf in (*leaves, *cameras)]
             for index in share:
                 chunk = call.chunks[index]
                 seed_key = call.views[chunk.sensor].seed_keys[call.retrace]
-                record = trace_chunk(call, integrand, chunk, seed_key, record=True)[1] if call.retrace else records[index]
-                sweep = Sweep(integrand_of(call, integrand, chunk), call.adjoint_of_bounce, record,
-                              lane_adjoint(call, chunk, grad_images), wanted, gradients[:len(leaves)])
-                call.adjoint.backward(sweep)
+                sweep = swept(index, gradients[:len(leaves)])
                 wants = wanted_of_cameras[chunk.sensor]
                 if any(wants):
                     for k, adjoint in enumerate(camera_adjoint(call, chunk, seed_key, wants, sweep.memo.adj_ray)):
@@ -206,8 +250,21 @@ class RenderFunction(torch.autograd.Function):
             return gradients
 
         gradients = [sum(parts) for parts in zip(*in_turns(len(call.chunks), call.workers, differentiate_share))]
-        results = iter(gradient.to(leaf.dtype) for gradient, leaf in zip(gradients, (*leaves, *cameras)))
+        results = [gradient.to(leaf.dtype) for gradient, leaf in zip(gradients, (*leaves, *cameras))]
+        if not finite(results):
+            if not finite([grad_images]):
+                raise NonFiniteError(f"the derivative of the loss with respect to the image is NaN or infinite in "
+                                     f"{count_of_bad(grad_images)}: it is the loss that is not finite, not the rendering")
+            sources = ctx.saved_tensors[:len(ctx.needs_input_grad) - 1]
+            bad = [(source, result) for source, result in zip(wanted_of(ctx, sources), results) if not finite([result])]
+            raise gradient_error(bad, integrand, call.module, call.parameters, sweep_again)
+        results = iter(results)
         return None, *(next(results) if need else None for need in ctx.needs_input_grad[1:])
+
+
+def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
+    """Of the leaves that were handed over, those that a gradient is asked for."""
+    return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 
 def camera_adjoint(call: RenderCall, chunk: Chunk, seed_key: int, wanted: tuple[bool, ...], adj_ray: Ray) -> list[Tensor]:

@@ -19,13 +19,14 @@ from torch_radbp.path import Integrand, PathState, trace
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
 STATE = (10, 8)  # `PathState`: ray, throughput, density; key and lane
-STEP = (2, 5)  # `Step`: barycentrics; triangle and visibility
+STEP = (3, 5)  # `Step`: barycentrics and distance; triangle and visibility
 RADIANCE = (3, 0)  # a `Vec3`
+MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 
-# Numbers per lane that are alive at the worst moment of one bounce, eager and compiled. Eager: resident memory of
-# `python -m benchmarks.memory --chunk 65536`, which holds the allocator's waste too. Compiled: estimated, not measured.
-BOUNCE = {False: 74, True: 36}
-BOUNCE_ADJOINT = {False: 235, True: 120}
+# Numbers per lane that are alive at the worst moment of one bounce, and of its adjoint eager and compiled: so that the peaks
+# of `python -m benchmarks.memory`, which hold the allocator's waste too, are predicted.
+BOUNCE = 74
+BOUNCE_ADJOINT = {False: 200, True: 20}
 TAPE = 32  # that autograd saves per lane and bounce
 
 SMALLEST_CHUNK = 1 << 12
@@ -74,7 +75,7 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
 
 
 def predict(fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: int, dtype: torch.dtype,
-            compiled: bool, retrace: bool = False) -> MemoryPlan:
+            compiled: bool, retrace: bool = False, workers: int = 1, moving: bool = False) -> MemoryPlan:
     """Bytes that a forward and backward pass will need.
 
     Args:
@@ -86,18 +87,22 @@ def predict(fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: 
         dtype: of the scene.
         compiled: whether the bounce is compiled.
         retrace: see `MemoryPlan`.
+        workers: chunks that are traced side by side.
+        moving: whether rays carry derivatives.
     """
 
     def size(record: tuple[int, int]) -> int:
         return record[0] * dtype.itemsize + record[1]
 
     chunk = min(chunk, lanes)
+    together = min(lanes, workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
     if isinstance(adjoint, TapeAdjoint):
         kept = int(lanes * sum(fractions) * TAPE * dtype.itemsize)
-        return MemoryPlan(chunk, adjoint, False, kept, chunk * BOUNCE[False] * dtype.itemsize)
+        return MemoryPlan(chunk, adjoint, False, kept, together * BOUNCE * dtype.itemsize)
     depths = [depth for depth in adjoint.kept(max_depth) if depth < bounces]
-    per_lane = sum(fractions[depth] for depth in depths if depth > 0) * size(STATE)
+    everything = len(depths) == bounces  # then camera paths are kept as well
+    per_lane = sum(fractions[depth] for depth in depths if depth > 0 or everything) * size(STATE)
     per_lane += sum(fractions) * size(STEP) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
     replayed = most = 0.0
     if isinstance(adjoint, MemoizedAdjoint):
@@ -105,9 +110,10 @@ def predict(fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: 
             if action.depth not in depths:
                 replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE)
                 most = max(most, replayed)
-    working = (BOUNCE_ADJOINT[compiled] * dtype.itemsize + 2 * size(RADIANCE) + size(STATE)) * max(fractions) + most
-    kept = int((chunk if retrace else lanes) * per_lane)
-    return MemoryPlan(chunk, adjoint, retrace, kept, int(chunk * working))
+    sweep = size(RADIANCE) + size(MEMO[moving]) + size(STATE)
+    working = (BOUNCE_ADJOINT[compiled] * (1 + moving) * dtype.itemsize + sweep) * max(fractions) + most
+    kept = int((together if retrace else lanes) * per_lane)
+    return MemoryPlan(chunk, adjoint, retrace, kept, int(together * working))
 
 
 def candidates(chunk: int, adjoint) -> Iterator[tuple[int, object, bool]]:
@@ -127,18 +133,19 @@ def candidates(chunk: int, adjoint) -> Iterator[tuple[int, object, bool]]:
 
 
 def plan_memory(budget: int, fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: int, dtype: torch.dtype,
-                compiled: bool) -> MemoryPlan:
+                compiled: bool, workers: int = 1, moving: bool = False) -> MemoryPlan:
     """The fastest chunk and strategy that fit `budget` bytes.
 
     Args:
         budget: bytes.
         adjoint: the strategy if the user chose one: then only the chunk is planned; else None.
-        fractions, lanes, chunk, max_depth, dtype, compiled: as for `predict`; `chunk` is the largest to try.
+        fractions, lanes, chunk, max_depth, dtype, compiled, workers, moving: as for `predict`; `chunk` is the largest to
+            try.
 
     Raises:
         ValueError: if nothing fits; the message says how much the most frugal plan needs.
     """
-    plans = [predict(fractions, lanes, size, strategy, max_depth, dtype, compiled, retrace)
+    plans = [predict(fractions, lanes, size, strategy, max_depth, dtype, compiled, retrace, workers, moving)
              for size, strategy, retrace in candidates(max(chunk, SMALLEST_CHUNK), adjoint)]
     fitting = next((plan for plan in plans if plan.peak <= budget), None)
     if fitting is None:

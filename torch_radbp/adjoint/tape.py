@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_map
 
-from torch_radbp.path import Integrand, PathState, add_at, first_hit, local_map, surviving, take_step, trace
+from torch_radbp.path import Integrand, PathState, add_at, first_hit, local_map, rows, surviving, take_step, trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.vec import Vec3
 
@@ -51,11 +51,6 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
 def detached(state: PathState) -> PathState:
     """The state without derivatives."""
     return tree_map(Tensor.detach, state)
-
-
-def rows(record, index: Tensor):
-    """The lanes `index` of a record."""
-    return tree_map(lambda part: part[index], record)
 
 
 def spread(hit: Hit | None, alive: Tensor, like: Hit) -> Hit | None:

@@ -48,6 +48,7 @@ class Kind(ABC):
 
     delta: ClassVar[bool] = False  # ideal specular: no direction it scatters into can be found otherwise
     discrete: ClassVar[bool] = False  # there is something to `choose`
+    oriented: ClassVar[bool] = False  # turning the surface about its normal makes a difference
     steering: ClassVar[tuple[int, ...]] = ()  # of an ideal specular kind: the values that its directions depend on
 
     @property

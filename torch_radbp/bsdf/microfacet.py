@@ -34,7 +34,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, Values
-from torch_radbp.plugin import Texture, nearest
+from torch_radbp.bsdf.number import NumberOf
+from torch_radbp.plugin import BSDF, Texture, nearest
 from torch_radbp.texture.rgb import as_texture, check_range
 from torch_radbp.vec import TINY, Vec2, Vec3, dot, normalize
 
@@ -139,6 +140,10 @@ class MicrofacetKind(Kind):
     def slots(self) -> int:
         return 4 + self.anisotropic
 
+    @property
+    def oriented(self) -> bool:
+        return self.anisotropic
+
     def facets(self, values: Values) -> Beckmann | GGX:
         """The distribution of microfacets."""
         return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
@@ -241,3 +246,9 @@ def roughness(alpha: Texture | float | None, alpha_u: Texture | float | None,
     else:
         given = {"alpha": 0.1 if alpha is None else alpha}
     return {name: check_range(name, as_texture(name, value)) for name, value in given.items()}
+
+
+def roughness_numbers(owner: BSDF) -> tuple[NumberOf, ...]:
+    """What the functions take of the roughness of `owner`: numbers, though its textures may be in colour."""
+    names = ("alpha",) if owner.alpha is not None else ("alpha_u", "alpha_v")
+    return tuple(NumberOf(owner, name) for name in names)

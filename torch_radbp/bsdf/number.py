@@ -1,10 +1,10 @@
-"""A number of a material that is the same everywhere, handed to the tracer as if it were a texture."""
+"""Numbers of a material, handed to the tracer as textures whose channels are all the same."""
 
 from __future__ import annotations
 
 from torch import Tensor
 
-from torch_radbp.plugin import BSDF, Plugin
+from torch_radbp.plugin import BSDF, Plugin, Texture
 from torch_radbp.texture.rgb import RGB
 
 
@@ -23,3 +23,34 @@ class OwnNumber(RGB):
         """(), attached."""
         owner, name = self.place
         return getattr(owner, name)
+
+
+class NumberOf(Texture):
+    """The texture `name` of `owner` read as a number: what a surface point gets is no colour but its mean or luminance.
+
+    A view: it has the texels, the filter and the coordinates of that texture, and no parameters of its own.
+    """
+
+    def __init__(self, owner: BSDF, name: str):
+        super().__init__()
+        self.place = (owner, name)  # a tuple, so that neither is a submodule
+
+    @property
+    def texture(self) -> Texture:
+        """What it is a view of, now."""
+        owner, name = self.place
+        return getattr(owner, name)
+
+    def texels(self) -> Tensor:
+        """(H, W, 3) the numbers, three times; attached."""
+        return self.texture.scalars()[..., None].expand(-1, -1, 3)
+
+    @property
+    def has_coordinates(self) -> bool:
+        """Whether it varies over the surface."""
+        return not isinstance(self.texture, RGB)
+
+    def __getattr__(self, name: str):
+        if name in ("to_uv", "wrap_mode", "filter_type"):
+            return getattr(self.texture, name)
+        return super().__getattr__(name)

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import Choice, Values, above, reflects
-from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness
+from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness, roughness_numbers
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture, check_range
 from torch_radbp.vec import Vec3, dot
@@ -46,7 +46,8 @@ class RoughConductor(BSDF):
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.
         alpha: roughness, 0.1 by default; for Beckmann the root mean square slope times sqrt(2).
-        alpha_u, alpha_v: instead of it, roughness along the tangent and the bitangent.
+        alpha_u, alpha_v: instead of it, roughness in the direction in which the surface's coordinate u grows, and across.
+            Of a colour the mean counts, of a bitmap in colour the luminance; the same of alpha.
         eta: real part of the index of refraction; 0 by default.
         k: imaginary part, its extinction; 1 by default, so that both together reflect all light.
         material: name of a metal that stands for eta and k (of `ior.CONDUCTORS`), or "none".
@@ -66,6 +67,7 @@ class RoughConductor(BSDF):
         self.sample_visible = sample_visible
         rough = roughness(alpha, alpha_u, alpha_v)
         self.alpha, self.alpha_u, self.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
+        self.rough_numbers = roughness_numbers(self)
         self.eta, self.k = complex_index(material, eta, k)
         self.material = "none"  # its name has become numbers, which may change
         self.specular_reflectance = check_range(
@@ -77,5 +79,4 @@ class RoughConductor(BSDF):
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""
-        rough = (self.alpha,) if self.alpha is not None else (self.alpha_u, self.alpha_v)
-        return *rough, self.eta, self.k, self.specular_reflectance
+        return *self.rough_numbers, self.eta, self.k, self.specular_reflectance

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import Choice, Values, above, side_of
-from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness
+from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness, roughness_numbers
 from torch_radbp.plugin import Texture, register
 from torch_radbp.vec import TINY, Vec3, dot
 
@@ -125,7 +125,8 @@ class RoughDielectric(Dielectric):
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.
         alpha: roughness, 0.1 by default; for Beckmann the root mean square slope times sqrt(2).
-        alpha_u, alpha_v: instead of it, roughness along the tangent and the bitangent.
+        alpha_u, alpha_v: instead of it, roughness in the direction in which the surface's coordinate u grows, and across.
+            Of a colour the mean counts, of a bitmap in colour the luminance; the same of alpha.
         int_ior: index of refraction inside, a number or a material of `ior.DIELECTRICS`.
         ext_ior: the same outside; not the same value.
         specular_reflectance: a factor in [0, 1] on reflected light; physical surfaces have 1.
@@ -148,6 +149,7 @@ class RoughDielectric(Dielectric):
         self.sample_visible = sample_visible
         rough = roughness(alpha, alpha_u, alpha_v)
         self.alpha, self.alpha_u, self.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
+        self.rough_numbers = roughness_numbers(self)
 
     def kind(self) -> RoughDielectricKind:
         """The scattering functions."""
@@ -155,5 +157,4 @@ class RoughDielectric(Dielectric):
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""
-        rough = (self.alpha,) if self.alpha is not None else (self.alpha_u, self.alpha_v)
-        return *rough, *super().textures()
+        return *self.rough_numbers, *super().textures()

@@ -65,7 +65,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
 
     Raises:
         AttributeError: if the scene has no such parameter; the message lists the nearest names.
-        ValueError: if the parameter has no derivative, or an argument makes no sense.
+        ValueError: if an argument makes no sense.
     """
     renderer = Renderer(scene, **settings)
     parameter = scene.get_parameter(name).detach()
@@ -74,12 +74,11 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     if batches < FEWEST_BATCHES:
         raise ValueError(f"batches must be at least {FEWEST_BATCHES}, so that standard errors can be trusted, got {batches}")
     d = checked_direction(name, parameter, direction)
+    finite(f"parameter {name!r}", parameter)
     h = checked_step(parameter, d, step)
-    if not torch.isfinite(parameter).all():
-        raise ValueError(f"parameter {name!r} must be finite to be checked, got values that are NaN or infinite")
     measurement = Measurement(renderer, f"scene.{name}", parameter, d, h, -(-spp // batches), seed, sensors, progress,
                               total=4 * batches + 5)
-    image, tangent = measurement.forward(batches + 1)  # first: refuses what has no derivative
+    image, tangent = measurement.forward(batches + 1)
     reference, _ = measurement.difference(0)
     differences, sizes = zip(*(measurement.difference(k) for k in range(1, batches + 1)))
     tangents = [tangent, *(measurement.forward(k)[1] for k in range(batches + 2, 2 * batches + 1))]
@@ -152,7 +151,7 @@ def informative_cotangents(reference: Tensor, seed: int) -> list[Cotangent]:
     coarse = torch.randn(*reference.shape[:2], 4, 4, generator=generator, dtype=reference.dtype)
     smooth = interpolate(coarse, reference.shape[2:], mode="bilinear", align_corners=True).to(reference.device)
     # Normalised by itself, too, so that a few bright pixels do not drown the others.
-    size = reference.abs() + reference.square().mean().sqrt()
+    size = reference.abs() + reference.abs().mean()
     own = torch.where(size > 0, reference / torch.where(size > 0, size, 1.0), 0.0)
     return [Cotangent("ones", torch.ones_like(reference)), Cotangent("derivative image", own),
             Cotangent("smooth random", smooth)]

@@ -8,12 +8,11 @@ from typing import Any
 
 from torch import Tensor
 
-from torch_radbp.check.statistics import Comparison, Projection
+from torch_radbp.check.statistics import STEP_ERROR, Comparison, Projection
 
 AGREES, BIASED, SILHOUETTES, TOO_NOISY = "agrees", "biased", "biased, probably by silhouettes", "too noisy"
 
 MOST_Z = 4.0  # of a projection; by chance about once in a thousand with 16 batches
-TOLERANCE = 0.01  # relative: what finite differences may be off by their step
 DETECT = 0.05  # the relative error that must not go unnoticed
 MOST_ROUNDINGS = 1e4  # of the dtype's epsilon, between forward and backward pass: sums in another order
 
@@ -64,15 +63,15 @@ class GradientCheck:
 
     def __str__(self) -> str:
         lines = [f"{self.name}, step {self.step:.3g}, {self.spp} samples per pixel in {self.batches} batches",
-                 *("  ".join(f"{cell:>17}" for cell in row) for row in self.rows())]
+                 *("  ".join(f"{cell:>16}" for cell in row) for row in self.rows())]
         lines += [f"{label}: {value}" for label, value in self.summary()]
         return "\n".join([*lines, f"{self.verdict}: {self.explanation}"])
 
     def rows(self) -> list[tuple[str, ...]]:
-        """The table of projections as text, headings first."""
+        """The table of projections as text, headings first; "off by" and "VJP-JVP" are relative."""
         body = [(p.name, f"{p.difference:.5g}", f"{p.jvp:.5g}", f"{p.standard_error:.2g}", f"{p.z:+.2f}",
                  f"{p.relative_error:+.2%}", f"{p.backward_error:.1e}") for p in self.comparison.projections]
-        return [("projected on", "differences", "JVP", "standard error", "z", "relative error", "VJP against JVP"), *body]
+        return [("projected on", "differences", "JVP", "std error", "z", "off by", "VJP-JVP"), *body]
 
     def summary(self) -> list[tuple[str, str]]:
         """The other figures as text: what, and how much."""
@@ -124,9 +123,9 @@ def verdict_on(comparison: Comparison, moves: bool, detectable: float, spp: int)
     if not comparison.difference.any() and not comparison.jvp.any():
         return TOO_NOISY, ("both derivatives are zero everywhere, which tells nothing: the image does not depend on the "
                            "parameter as seen from here; choose another direction, sensor or max_depth")
-    off = [p for p in comparison.projections if abs(p.z) > MOST_Z and abs(p.relative_error) > TOLERANCE]
+    off = [p for p in comparison.projections if abs(p.z) > MOST_Z and abs(p.relative_error) > STEP_ERROR]
     tiles = comparison.tiles
-    if off or (tiles.mean_square_z > tiles.limit and tiles.relative_bias > TOLERANCE):
+    if off or (tiles.mean_square_z > tiles.limit and tiles.relative_bias > STEP_ERROR):
         worst = max(off, key=lambda projection: abs(projection.z)) if off else None
         where = (f"off by {worst.relative_error:+.1%} ({worst.z:+.1f} standard errors) on {worst.name}" if worst
                  else f"off by {tiles.relative_bias:.1%} in tiles of the image, though not in sum")
@@ -137,6 +136,6 @@ def verdict_on(comparison: Comparison, moves: bool, detectable: float, spp: int)
         return BIASED, f"{where}; {held}. If it shrinks with a smaller step, the step was too large"
     if detectable > DETECT:
         more = math.ceil(min((detectable / DETECT) ** 2, 1e9))
-        return TOO_NOISY, (f"an error below {detectable:.0%} would not show; use {more} times the samples (spp={more * spp})"
+        return TOO_NOISY, (f"an error below {detectable:.1%} would not show; use {more} times the samples (spp={more * spp})"
                            f"{', or a larger step' if moves else ''}")
-    return AGREES, f"an error of {max(detectable, TOLERANCE):.1%} of the derivative would have shown"
+    return AGREES, f"an error of {max(detectable, STEP_ERROR):.1%} of the derivative would have shown"

@@ -15,6 +15,7 @@ from torch import Tensor
 
 TILES = 8  # along each side of an image
 FLOOR = 0.2  # of the derivative's size, below which a pixel's error is not divided by the pixel
+STEP_ERROR = 0.01  # relative, that finite differences may have by their step
 BRIGHTEST = 0.995  # quantile that stands for the maximum of an image, so that fireflies do not
 
 
@@ -69,8 +70,9 @@ class Tiles(NamedTuple):
     """Over tiles, 8 x 8 an image, colours added."""
 
     mean_square_z: float
-    limit: float  # what the mean square exceeds by chance once in a million
-    relative_bias: float  # root mean square error without what noise explains, relative to the derivative's
+    limit: float  # of the mean square: five standard deviations above what chance gives
+    # root mean square error without what noise explains, relative to the derivative's; tiles count as they are known
+    relative_bias: float
 
 
 class Comparison(NamedTuple):
@@ -147,8 +149,11 @@ def over_tiles(samples: Samples) -> Tiles:
     # The variance of t^2, from the fourth moment of Student's t.
     spread = 3 * freedom**2 / ((freedom - 2) * (freedom - 4)) - expected_square(len(jvp)) ** 2
     limit = expected_square(len(jvp)) + 5 * math.sqrt(spread / z.numel())
-    bias = float((mean.error.square() - mean.standard_error.square()).sum().clamp_min(0).sqrt())
-    return Tiles(float(z.square().mean()), limit, quotient(bias, float(difference.mean(0).square().sum().sqrt())))
+    # A tile with rare bright paths must not drown the others; none is known better than finite differences are right.
+    noise, size = mean.standard_error.square(), difference.mean(0).square()
+    weight = 1 / (noise + STEP_ERROR**2 * size + 1e-12 * size.mean()).clamp_min(1e-300)
+    bias = float((weight * (mean.error.square() - noise)).sum().clamp_min(0))
+    return Tiles(float(z.square().mean()), limit, math.sqrt(quotient(bias, float((weight * size).sum()))))
 
 
 def tile_sums(images: Tensor) -> Tensor:

@@ -52,7 +52,8 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
     chance = torch.isfinite(sample.pdf)
     d, change = glued_direction(scene, ray.o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))
     value, _ = evaluate(material, si.wi, si.frame.to_local(d))
-    weight = value * (change / sample.pdf.detach().clamp_min(TINY))
+    pdf = sample.pdf.detach()
+    weight = value * (change / torch.where(pdf > 0, pdf, 1.0))  # a path that ends is masked by the caller, if finite
     if not any(kind.delta for kind in material.kinds):
         return weight, Ray(ray.o, d)
     specular = ray.d if sampling == "hybrid" else fixed
@@ -71,9 +72,11 @@ def glued_direction(scene: SceneTensors, o: Vec3, d: Vec3, hit, glued: Tensor) -
     triangles, prim = scene.triangles, hit.prim.clamp_min(0)
     e1, e2 = lookup(triangles.e1, prim), lookup(triangles.e2, prim)
     reach = lookup(triangles.p0, prim) + e1 * hit.u + e2 * hit.v - o
-    squared = torch.where(glued, dot(reach, reach), 1.0)
+    squared = torch.where(glued, dot(reach, reach).clamp_min(TINY), 1.0)
     aim = reach * torch.rsqrt(squared)
     follow = glued.to(squared.dtype)
     moved = attached(d, aim * follow)
-    element = torch.where(glued, dot(cross(e1, e2), aim).abs() / squared, 1.0)
-    return moved, element / element.detach()
+    element = dot(cross(e1, e2), aim).abs() / squared
+    size = element.detach()
+    known = glued & (size > TINY)  # else the triangle is seen edge-on
+    return moved, 1.0 + (element - size) / torch.where(known, size, 1.0) * known.to(size.dtype)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import LocalVec3, Ray, ShadingFrame, Vec2, Vec3, attached, cross, dot, normalize
+from torch_radbp.vec import TINY, LocalVec3, Ray, ShadingFrame, Vec2, Vec3, attached, cross, dot, normalize
 
 
 class SurfaceInteraction(NamedTuple):
@@ -79,7 +79,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         material = material + (~front).to(material.dtype) * (len(scene.materials.kind) // 2)
         side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
         shading, shading_cosine = shading * side, shading_cosine * side
-    frame = ShadingFrame(shading)
+    frame = ShadingFrame(shading, lookup(triangles.along, prim) if scene.layout.anisotropic else None)
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
     return SurfaceInteraction(valid, prim, material, p, n, frame, front, wi, uv, t, cosine)
 
@@ -90,7 +90,9 @@ def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tens
     Reference: Moeller and Trumbore 1997, "Fast, Minimum Storage Ray/Triangle Intersection".
     """
     across, offset = cross(ray.d, e2), ray.o - p0
-    scale = torch.where(slides, dot(e1, across), 1.0).reciprocal()
-    u, v = dot(offset, across) * scale, dot(ray.d, cross(offset, e1)) * scale
+    volume = dot(e1, across)
+    slides = slides & (volume.abs() > TINY)  # else it is seen edge-on
+    volume = torch.where(slides, volume, 1.0)
+    u, v = dot(offset, across) / volume, dot(ray.d, cross(offset, e1)) / volume  # no reciprocal: its square may overflow
     follow = slides.to(u.dtype)
     return hit._replace(u=attached(hit.u, u * follow), v=attached(hit.v, v * follow))

@@ -33,6 +33,7 @@ KINDS = {"constant": CONSTANT, "envmap": ENVIRONMENT, "point": POINT, "spot": SP
          "directional": DIRECTIONAL}
 FLAGS = {CONSTANT: "constant_light", ENVIRONMENT: "environment_map", POINT: "point_lights", SPOT: "spots",
          PROJECTOR: "projectors", DIRECTIONAL: "directional_lights"}
+SMALLEST_SHARE = 1e-12  # of a lamp's area, in one triangle
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear RGB, ITU-R BT.709
 
 
@@ -74,7 +75,9 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitt
     for shape, count, own_texture in zip(scene.shapes, counts, emitted):
         if own_texture >= 0:
             own = area[first:first + count].detach()
-            weights.append(own / own.sum() * shape.emitter.sampling_weight)
+            share = own / own.sum()
+            # What is never picked is left out: the derivative of 1 / area might overflow.
+            weights.append(torch.where(share > SMALLEST_SHARE, share, 0.0) * shape.emitter.sampling_weight)
             pmf[first:first + count] = weights[-1] / total
             kind += [AREA] * count
             prim += range(first, first + count)

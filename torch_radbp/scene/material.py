@@ -11,8 +11,9 @@ from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import TINY, Vec3, where
+from torch_radbp.vec import Vec3, where
 
+LEAST_DENSITY = 1e-15  # of a direction that can be drawn; in float32, the square of its reciprocal is a number
 HARMLESS = 0.5  # a value that every kind of material can take, for lanes of other kinds
 
 
@@ -89,15 +90,15 @@ def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Ten
     decision = kind.choose(fixed, wi, choice, u, v)
     wo = kind.sample(values, wi, decision, u, v) if follow else kind.sample(fixed, wi, decision, u, v).detach()
     if kind.delta:
-        weight = kind.specular(values, wi, decision) * (1.0 / decision.probability.clamp_min(TINY))
+        weight = kind.specular(values, wi, decision) * (1.0 / decision.probability.clamp_min(LEAST_DENSITY))
         return BSDFSample(wo, weight, torch.full_like(u, torch.inf))
     value, pdf = kind.eval_pdf(values, wi, wo)
     if not follow:
         pdf = pdf.detach()
     density = pdf
     if follow and kind.discrete:
-        density = pdf * (decision.probability / kind.probability(values, wi, wo, decision).clamp_min(TINY))
-    return BSDFSample(wo, value * density.clamp_min(TINY).reciprocal(), pdf)
+        density = pdf * (decision.probability / kind.probability(values, wi, wo, decision).clamp_min(LEAST_DENSITY))
+    return BSDFSample(wo, value * density.clamp_min(LEAST_DENSITY).reciprocal(), pdf)
 
 
 def chosen(kind: Tensor | None, parts: list):

@@ -82,11 +82,11 @@ def pack(scene: Scene) -> SceneTensors:
                     for slot in bsdf.kind().steering),
         shading_normals=any(surface.normals is not None for surface in surfaces),
         light_normals=any(surface.normals is not None and texture >= 0 for surface, texture in zip(surfaces, emitted)),
-        back_sides=bool(materials.turned.any()), kinds=kinds,
+        back_sides=bool(materials.turned.any()), kinds=kinds, anisotropic=any(kind.oriented for kind in kinds),
         reflectance_bitmaps=reflectance.has_bitmaps, radiance_bitmaps=radiance.has_bitmaps,
         area_lights=any(texture >= 0 for texture in emitted), **kinds_of(lamps))
     needs_uv = layout.reflectance_bitmaps or layout.radiance_bitmaps
-    triangles = triangle_table(surfaces, layout.shading_normals, needs_uv, dtype, device)
+    triangles = triangle_table(surfaces, layout.shading_normals, needs_uv, layout.anisotropic, dtype, device)
     repeats = torch.tensor(counts, device=device)
     triangles = triangles._replace(
         material=torch.tensor(material, dtype=torch.int32, device=device).repeat_interleave(repeats),
@@ -151,7 +151,7 @@ def geometry(scene: Scene) -> tuple[Tensor, Tensor]:
     return torch.cat(vertices), torch.cat(faces).to(torch.int32)
 
 
-def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, dtype: torch.dtype,
+def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, tangents: bool, dtype: torch.dtype,
                    device: torch.device) -> TriangleTable:
     """Vertices, normals and coordinates of all triangles; materials and lights are filled in by the caller."""
     corners, shading, coordinates = [], [], []
@@ -164,13 +164,35 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, dtype: to
                 shading.append(torch.nn.functional.normalize(face, dim=-1)[:, None].expand(-1, 3, -1))
             else:
                 shading.append(surface.normals.to(dtype)[surface.faces])
-        if uv:
+        if uv or tangents:
             coordinates.append(corner.new_zeros(len(corner), 3, 2) if surface.uv is None
                                else surface.uv.to(dtype)[surface.faces])
     corner = torch.cat(corners) if corners else torch.zeros(0, 3, 3, dtype=dtype, device=device)
     n = [Vec3.of(torch.cat(shading)[:, k]) for k in range(3)] if shading else [None] * 3
-    st = [Vec2.of(torch.cat(coordinates)[:, k]) for k in range(3)] if coordinates else [None] * 3
+    st = [Vec2.of(torch.cat(coordinates)[:, k]) for k in range(3)] if uv and coordinates else [None] * 3
     none = torch.zeros(0, device=device)
     p0, e1, e2 = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    normal = torch.nn.functional.normalize(torch.linalg.cross(e1, e2), dim=-1)
-    return TriangleTable(Vec3.of(p0), Vec3.of(e1), Vec3.of(e2), Vec3.of(normal), *n, *st, none, none, none, none)
+    size = corner_distance(e1, e2)
+    normal = torch.nn.functional.normalize(torch.linalg.cross(e1 / size, e2 / size), dim=-1)
+    along = Vec3.of(growth_of_u(e1, e2, torch.cat(coordinates))) if tangents and coordinates else None
+    return TriangleTable(Vec3.of(p0), Vec3.of(e1), Vec3.of(e2), Vec3.of(normal), *n, *st, along, none, none, none, none)
+
+
+def corner_distance(e1: Tensor, e2: Tensor) -> Tensor:
+    """(T, 1) about the size of triangles, detached: the square of that of a small one is no number that float32 can hold."""
+    size = torch.maximum(e1.abs(), e2.abs()).amax(1, keepdim=True).detach()
+    return torch.where(size > 0, size, 1.0)
+
+
+def growth_of_u(e1: Tensor, e2: Tensor, uv: Tensor) -> Tensor:
+    """(T, 3) the unit direction in a triangle in which u grows and v stays; 0 where they do not tell. Attached.
+
+    Args:
+        e1, e2: (T, 3) edges from the first vertex.
+        uv: (T, 3, 2) coordinates of the vertices.
+    """
+    d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    determinant = (d1[:, :1] * d2[:, 1:] - d1[:, 1:] * d2[:, :1]).detach()
+    tangent = torch.sign(determinant) * (d2[:, 1:] * e1 - d1[:, 1:] * e2)
+    known = (tangent != 0).any(1, keepdim=True)
+    return torch.where(known, torch.nn.functional.normalize(torch.where(known, tangent, 1.0), dim=-1), 0.0)

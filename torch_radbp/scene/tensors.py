@@ -25,6 +25,7 @@ class Layout(NamedTuple):
     light_normals: bool  # the same, on area lights
     back_sides: bool  # some materials are different, or turned, from behind
     kinds: tuple[Kind, ...]  # of materials
+    anisotropic: bool  # some of them are, so that the frame follows the surface's coordinates
     reflectance_bitmaps: bool
     radiance_bitmaps: bool
     area_lights: bool
@@ -64,6 +65,7 @@ class TriangleTable(NamedTuple):
     uv0: Vec2 | None  # surface coordinates, None if no texture reads them
     uv1: Vec2 | None
     uv2: Vec2 | None
+    along: Vec3 | None  # unit direction in which u grows, 0 where it is not defined; None if no material is anisotropic
     material: Tensor  # (T,) int32, row of `MaterialTable`
     radiance: Tensor  # (T,) int32, texture of the light bank; -1: emits nothing
     light_pmf: Tensor  # (T,) probability with which next-event estimation picks it, detached; 0: emits nothing

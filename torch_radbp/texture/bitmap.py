@@ -9,6 +9,7 @@ from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, regi
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest")
+LUMINANCE = (0.212671, 0.715160, 0.072169)  # of linear RGB, ITU-R BT.709 with the digits of Mitsuba
 
 
 @register("texture", "bitmap")
@@ -54,3 +55,7 @@ class Bitmap(Texture):
     def texels(self) -> Tensor:
         """(H, W, 3) linear RGB, attached."""
         return self.data
+
+    def scalars(self) -> Tensor:
+        """(H, W) the values where numbers are wanted: the luminance, as in Mitsuba; attached."""
+        return self.data @ self.data.new_tensor(LUMINANCE)

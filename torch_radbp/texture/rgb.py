@@ -31,6 +31,10 @@ class RGB(Texture):
         """(1, 1, 3) linear RGB, attached."""
         return self.value.expand(3).reshape(1, 1, 3)
 
+    def scalars(self) -> Tensor:
+        """(1, 1) the value where a number is wanted: the mean of the channels, as in Mitsuba; attached."""
+        return self.value.mean().reshape(1, 1)
+
 
 def as_texture(name: str, value: Texture | Tensor | float) -> Texture:
     """A texture from what an attribute accepts: a texture, one number, or three."""

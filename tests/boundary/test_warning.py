@@ -1,0 +1,152 @@
+"""Who is told that silhouettes are missing from a derivative: those who move some that the camera sees, once, by name."""
+
+import warnings
+
+import numpy as np
+import pytest
+import torch
+from torch.autograd import forward_ad
+from torch.func import functional_call
+
+import torch_radbp as rb
+from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor, texels
+from torch_radbp.boundary import SilhouetteWarning
+from torch_radbp.boundary.edges import edges_of, welded
+from torch_radbp.io.transform import rotate, scale, translate
+
+SKY = {"type": "constant", "radiance": rgb(0.5, 0.6, 0.7)}
+PICTURE = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels(4, 4)}}
+CUBE = {"type": "cube", "to_world": translate((0.1, 0.2, 0)) @ rotate((1, 2, 0.5), 40) @ scale((0.4, 0.4, 0.4)),
+        "bsdf": diffuse(0.5)}
+
+
+def bumpy_plane(half: float, divisions: int = 12) -> dict:
+    """A square of many triangles with every third triangle's vertices of its own, slightly wavy, each second one turned."""
+    x, y = np.meshgrid(np.linspace(-half, half, divisions + 1), np.linspace(-half, half, divisions + 1))
+    vertices = np.stack([x, y, 0.02 * np.sin(3 * x + 2 * y)], -1).reshape(-1, 3)
+    corner = (np.arange(divisions)[:, None] * (divisions + 1) + np.arange(divisions)).reshape(-1)
+    faces = np.concatenate([np.stack([corner, corner + 1, corner + divisions + 2], 1),
+                            np.stack([corner, corner + divisions + 2, corner + divisions + 1], 1)])
+    faces[::2] = faces[::2, ::-1]
+    own = vertices[faces[::3]].reshape(-1, 3)
+    faces[::3] = len(vertices) + np.arange(len(own)).reshape(-1, 3)
+    return {"type": "mesh", "vertex_positions": torch.tensor(np.concatenate([vertices, own])), "bsdf": PICTURE,
+            "faces": torch.tensor(faces)}
+
+
+def warnings_of(scene: rb.Scene, *names: str, calls: int = 1, **settings) -> list[str]:
+    """What the renderer says when derivatives of parameters are asked for."""
+    for name in names:
+        scene.get_parameter(name).requires_grad_()
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="brute", **settings)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for seed in range(calls):
+            renderer(seed=seed)
+    caught = [warning for warning in caught if issubclass(warning.category, SilhouetteWarning)]
+    assert all(warning.filename == __file__ for warning in caught)
+    return [str(warning.message) for warning in caught]
+
+
+def scene_of(size: int = 4, view: dict | None = None, **shapes) -> rb.Scene:
+    return load(camera=view or sensor(size), sky=SKY, **shapes)
+
+
+@pytest.mark.parametrize("name", ["plane.to_world", "camera.to_world", "camera.x_fov", "camera.principal_point_offset_x"])
+def test_a_textured_plane_that_fills_the_view_gives_no_warning(name):
+    assert warnings_of(scene_of(plane=rectangle((0, 0, 0), 3, (1, 1, 0), 10, bsdf=PICTURE)), name) == []
+
+
+@pytest.mark.parametrize("name", ["plane.vertex_positions", "camera.to_world"])
+def test_edges_inside_of_a_surface_are_none_even_where_vertices_are_double_and_triangles_turned(name):
+    scene = scene_of(plane=bumpy_plane(3.0))
+    assert warnings_of(scene, name) == []
+    assert warnings_of(scene_of(plane=bumpy_plane(0.8)), name)  # its rim is in view
+
+
+@pytest.mark.parametrize("name", ["box.vertex_positions", "camera.to_world", "camera.x_fov",
+                                  "camera.principal_point_offset_y"])
+def test_a_cube_in_view_is_named(name):
+    message, = warnings_of(scene_of(box=CUBE), name)
+    assert f"`{name}`" in message and "6 edges" in message  # three of its faces are seen, whose outline is a hexagon
+
+
+def test_the_rim_of_a_plane_counts():
+    message, = warnings_of(scene_of(plane=rectangle((0, 0, 0), 0.5, bsdf=PICTURE)), "plane.to_world")
+    assert "4 edges" in message
+
+
+def test_the_outline_of_a_sphere_counts_and_its_inside_does_not():
+    assert warnings_of(scene_of(ball={"type": "sphere", "radius": 0.7}), "ball.to_world")
+    near = sensor(4, (0.3, 0.2, 1.1), (0.1, 0, 0), 30)
+    assert warnings_of(scene_of(view=near, ball={"type": "sphere"}), "ball.to_world", "camera.to_world") == []
+    within = sensor(4, (0.1, 0.2, 0.3), (1, 0.5, 0))
+    assert warnings_of(scene_of(view=within, ball={"type": "sphere"}), "ball.to_world") == []
+
+
+def test_inside_of_a_room_the_camera_moves_no_silhouettes_but_those_of_what_stands_in_it():
+    inside = sensor(4, (0.1, -0.2, 0.3), (0.4, -0.5, -1), 70)
+    assert warnings_of(scene_of(view=inside, room={"type": "cube", "flip_normals": True}), "camera.to_world") == []
+    walls = {f"wall_{k}": rectangle(np.eye(3)[k // 2] * (-1) ** k, 1, ((0, 1, 0), (1, 0, 0), (1, 0, 0))[k // 2],
+                                    (90, 90, 0)[k // 2]) for k in range(6)}  # some normals to the outside
+    assert warnings_of(scene_of(view=inside, **walls), "camera.to_world") == []
+    small = {**CUBE, "to_world": translate((0.3, -0.4, -0.6)) @ scale((0.1, 0.1, 0.1))}
+    assert warnings_of(scene_of(view=inside, **walls, box=small), "camera.to_world")
+    # A wall that moves alone leaves its neighbours.
+    assert warnings_of(scene_of(view=inside, **walls), "wall_5.to_world")
+
+
+def test_what_moves_out_of_view_or_moves_nothing_gives_no_warning():
+    scene = scene_of(box=CUBE, plane=rectangle((0, 0, -1), 9, bsdf=PICTURE),
+                     behind=rectangle((0, 0, 6), 0.5), aside={**CUBE, "to_world": translate((9, 0, 0))})
+    assert warnings_of(scene, "plane.to_world", "behind.to_world", "aside.vertex_positions", "box.vertex_normals",
+                       "plane.bsdf.reflectance.data", "box.bsdf.reflectance.value", "sky.radiance.value") == []
+
+
+def test_a_camera_that_is_not_rendered_does_not_count():
+    scene = load(first=sensor(4), second=sensor(4, (0, 0, 9)), sky=SKY, plane=rectangle((0, 0, 0), 2, bsdf=PICTURE))
+    scene.get_parameter("second.to_world").requires_grad_()
+    renderer = rb.Renderer(scene, spp=1, max_depth=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        renderer(sensors=[0])
+    with pytest.warns(SilhouetteWarning, match="`second.to_world`"):
+        renderer(sensors=[1])
+
+
+def test_the_crop_window_is_what_is_seen():
+    film = {"type": "hdrfilm", "width": 40, "height": 40, "crop_width": 6, "crop_height": 6, "crop_offset_x": 17,
+            "crop_offset_y": 17, "rfilter": {"type": "box"}}
+    assert warnings_of(scene_of(view=sensor(film=film), plane=rectangle((0, 0, 0), 0.5)), "plane.to_world") == []
+    for offset in ("crop_offset_x", "crop_offset_y"):
+        for place in (10, 24):
+            assert warnings_of(scene_of(view=sensor(film=film | {offset: place}), plane=rectangle((0, 0, 0), 0.5)),
+                               "plane.to_world"), (offset, place)
+
+
+def test_a_renderer_warns_once_and_with_all_names():
+    message, = warnings_of(cornell(size=2), "box.vertex_positions", "light.to_world", calls=3)
+    assert "`box.vertex_positions` and `light.to_world`" in message
+
+
+def test_without_gradients_there_is_no_warning_and_forward_mode_has_it_too():
+    scene = scene_of(box=CUBE)
+    scene.get_parameter("box.vertex_positions").requires_grad_()
+    with torch.no_grad():
+        assert warnings_of(scene) == []
+    scene.requires_grad_(False)
+    vertices = scene.get_parameter("box.vertex_positions")
+    with pytest.warns(SilhouetteWarning, match="`box.vertex_positions`"):
+        rb.jvp(scene, {"box.vertex_positions": torch.ones_like(vertices)}, spp=1, max_depth=2)
+    renderer = rb.Renderer(scene, spp=1, max_depth=2)
+    with pytest.warns(SilhouetteWarning, match="`box.vertex_positions`"), forward_ad.dual_level(), torch.no_grad():
+        functional_call(renderer, {"scene.box.vertex_positions": forward_ad.make_dual(vertices, torch.ones_like(vertices))})
+
+
+def test_vertices_in_one_place_are_one_and_a_cube_has_18_edges():
+    cube = rb.load_dict({"type": "scene", "camera": sensor(2), "sky": SKY, "box": CUBE}).box
+    edges = edges_of(cube.vertex_positions.detach(), cube.faces)
+    assert len(torch.unique(welded(cube.vertex_positions.detach()))) == 8
+    assert len(edges.a) == 18 and (torch.bincount(edges.edge) == 2).all()
+    noisy = cube.vertex_positions.detach() * (1 + 1e-7 * torch.randn(24, 3, generator=torch.Generator().manual_seed(0)))
+    assert len(torch.unique(welded(noisy))) == 8

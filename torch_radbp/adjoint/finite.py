@@ -1,0 +1,181 @@
+"""When an image or a gradient is NaN or infinite: where it came from, in words.
+
+Rendering pays for one look at the image and one at the gradients. Only if something is wrong everything is computed once
+more, bounce by bounce and with a look at each, to tell which parameter, which material, which bounce and how many paths.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+from torch.utils._pytree import tree_flatten
+
+from torch_radbp.adjoint.sweep import Sweep, bounce_adjoint
+from torch_radbp.path import Integrand, PathState, Position, Settings, Step, Vertex, bounce
+from torch_radbp.plugin import Plugin, Texture
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene import Scene
+from torch_radbp.scene.tensors import SceneTensors
+
+ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) and smaller steps"
+
+
+class NonFiniteError(FloatingPointError):
+    """An image or a gradient is NaN or infinite; the message says which, and where that began."""
+
+
+def finite(tensors: list[Tensor]) -> bool:
+    """Whether all numbers are."""
+    return all(bool(torch.isfinite(tensor).all()) for tensor in tensors)
+
+
+def count_of_bad(tensor: Tensor) -> str:
+    """How many numbers are not finite, of how many."""
+    return f"{int((~torch.isfinite(tensor)).sum())} of {tensor.numel()} values"
+
+
+class Finding:
+    """The first bounce, in the order of computation, at which numbers were not finite."""
+
+    def __init__(self) -> None:
+        self.depth: int | None = None
+        self.lanes, self.of = 0, 0
+        self.prim: Tensor | None = None  # (lanes,) what the bad lanes had hit
+
+    def look(self, depth: int, bad: Tensor, hit: Hit) -> None:
+        """Notes a bounce whose lanes `bad` (N,) bool are not finite, unless one was found before."""
+        if self.depth is None and bool(bad.any()):
+            self.depth, self.lanes, self.of, self.prim = depth, int(bad.sum()), len(bad), hit.prim[bad]
+
+    def place(self, tensors: SceneTensors, scene: Scene | None) -> str:
+        """What was found, in words."""
+        if self.depth is None:
+            return "in no bounce alone: sums or products of finite numbers overflow"
+        return (f"first at bounce {self.depth + 1}, in {self.lanes} of {self.of} paths, "
+                f"{most_frequent_surface(self.prim, tensors, scene)}")
+
+
+def most_frequent_surface(prim: Tensor, tensors: SceneTensors, scene: Scene | None) -> str:
+    """The material that most of some triangles have."""
+    prim = prim[prim >= 0]
+    if scene is None or not len(prim):
+        return "of which none hit a surface" if not len(prim) else "on some surface"
+    bsdfs = list(scene.bsdfs())
+    row = Counter((tensors.triangles.material[prim.long()] % len(bsdfs)).tolist()).most_common(1)[0][0]
+    return f"on {described(scene, bsdfs[row])}"
+
+
+def described(scene: Scene, plugin: Plugin) -> str:
+    """A plugin by its type and its name in the scene."""
+    return f"the {plugin.type} `{scene.name_of(plugin)}`"
+
+
+def owner_of(scene: Scene, parameter: str) -> str:
+    """The plugin that a parameter belongs to, textures left out, in words."""
+    path = parameter.split(".")[:-1]
+    for length in range(len(path), 0, -1):
+        plugin = scene.get_submodule(".".join(path[:length]))
+        if isinstance(plugin, Plugin) and not isinstance(plugin, Texture):
+            return described(scene, plugin)
+    return described(scene, scene.get_submodule(".".join(path)))
+
+
+def plain_name(parameter: str) -> str:
+    """The name of a parameter as the scene has it, of one that `torch.nn.utils.parametrize` has taken over too."""
+    return parameter.replace("parametrizations.", "").removesuffix(".original")
+
+
+def checked_bounce(finding: Finding) -> Callable[..., Vertex]:
+    """`path.bounce`, which notes the first bounce whose terms are not finite; for one chunk."""
+    depth = -1
+
+    def checked(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
+                settings: Settings) -> Vertex:
+        nonlocal depth
+        depth += 1
+        vertex = bounce(scene, proposal, state, hit, at, settings)
+        terms = torch.stack([*vertex.Le, *vertex.Ld, *vertex.F])
+        finding.look(depth, ~torch.isfinite(terms).all(0), hit)
+        return vertex
+
+    return checked
+
+
+class CheckedSweep(Sweep):
+    """A sweep that notes the first bounce, from the deepest up, whose derivatives are not finite. Eager."""
+
+    def __init__(self, finding: Finding, *arguments):
+        super().__init__(*arguments)
+        self.finding = finding
+
+    def adjoint(self, state: PathState, depth: int) -> None:
+        """Differentiates one bounce, as `Sweep` does."""
+
+        def checked(scene: SceneTensors, wanted: tuple[bool, ...], state: PathState, step: Step, *arguments):
+            above, tables = bounce_adjoint(scene, wanted, state, step, *arguments)
+            bad = torch.zeros_like(step.visible)
+            parts = [part for part in tree_flatten(above)[0] if isinstance(part, Tensor)]
+            for part in [*parts, *(adjoint for _, reads in tables for _, adjoint in reads)]:
+                bad |= ~torch.isfinite(part)
+            self.finding.look(depth, bad, step.hit)
+            return above, tables
+
+        self.adjoint_of_bounce = checked
+        super().adjoint(state, depth)
+
+
+def image_error(images: Tensor, integrand: Integrand, scene: Scene | None, trace_again: Callable[[Integrand, Finding], None]
+                ) -> NonFiniteError:
+    """The error about an image.
+
+    Args:
+        images: (B, 3, H, W).
+        integrand: detached.
+        scene: gives names; None: there are none.
+        trace_again: traces all chunks in turn until the finding has found something.
+    """
+    finding = Finding()
+    trace_again(integrand, finding)
+    return NonFiniteError(f"the image is NaN or infinite in {count_of_bad(images)}: "
+                          f"{finding.place(integrand.scene, scene)}; {ADVICE}")
+
+
+def gradient_error(bad: list[tuple[Tensor, Tensor]], integrand: Integrand, scene: Scene | None,
+                   parameters: dict[str, Tensor], sweep_again: Callable[[Finding], None]) -> NonFiniteError:
+    """The error about a gradient.
+
+    Args:
+        bad: leaves of the scene's tensors with their gradients, of which some numbers are not finite.
+        integrand: detached.
+        scene: gives names; None: there are none.
+        parameters: by name, those that derivatives are wanted of, attached to the leaves.
+        sweep_again: sweeps all chunks in turn until the finding has found something.
+    """
+    finding = Finding()
+    sweep_again(finding)
+    names = parameters_behind(bad, parameters)
+    if scene is not None and names:
+        whose = ", ".join(f"`{plain_name(name)}` of {owner_of(scene, plain_name(name))}" for name in names)
+    else:
+        whose = "the scene"
+    bad_values = sum(int((~torch.isfinite(gradient)).sum()) for _, gradient in bad)
+    return NonFiniteError(f"the gradient of {whose} is NaN or infinite in {bad_values} values: "
+                          f"{finding.place(integrand.scene, scene)}; {ADVICE}")
+
+
+def parameters_behind(bad: list[tuple[Tensor, Tensor]], parameters: dict[str, Tensor]) -> list[str]:
+    """The parameters that entries with bad gradients were made of."""
+    names = []
+    with torch.enable_grad():
+        marked = [(leaf, (~torch.isfinite(gradient)).to(leaf.dtype)) for leaf, gradient in bad if leaf.grad_fn is not None]
+        for name, parameter in parameters.items():
+            if not marked or not parameter.requires_grad:
+                continue
+            leaves, marks = zip(*marked)
+            behind, = torch.autograd.grad(leaves, [parameter], marks, retain_graph=True, allow_unused=True)
+            if behind is not None and bool((behind != 0).any()):
+                names.append(name)
+    return names
