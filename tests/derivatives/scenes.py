@@ -74,8 +74,8 @@ def shape(**attributes: Any) -> dict[str, Any]:
 
 
 def quadrilateral(smooth: bool = True, **attributes: Any) -> dict[str, Any]:
-    normals = {"vertex_normals": NORMALS} if smooth else {}
-    return {"type": "mesh", "vertex_positions": CORNERS, "vertex_texcoords": TEXCOORDS, "faces": FACES, **normals} | attributes
+    mesh = {"type": "mesh", "vertex_positions": CORNERS, "vertex_texcoords": TEXCOORDS, "faces": FACES}
+    return mesh | ({"vertex_normals": NORMALS} if smooth else {}) | attributes
 
 
 @functools.cache

@@ -19,6 +19,7 @@ from tests.derivatives.frozen import Rendering
 from tests.derivatives.scenes import SCENES, build, subjects
 from torch_radbp.scene.pack import pack
 
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 4, "max_depth": 4, "rr_depth": 100}
 SEED = 5
 FEW = 3  # entries of a parameter that are all checked

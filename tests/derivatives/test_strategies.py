@@ -15,6 +15,7 @@ from tests.derivatives.scenes import SCENES, build, camera, subjects
 from tests.gradients import cotangent, image_and_gradients, relative_error
 
 ORACLE, TRANSPOSED = 1e-10, 1e-9
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}
 SAMPLINGS = ("detached", "hybrid", "attached")
 STRATEGIES = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(3), rb.MemoizedAdjoint("sqrt"),
