@@ -1,0 +1,61 @@
+"""Two scenes that together have every plugin, so that one rendering differentiates all parameters at once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+import torch_radbp as rb
+from tests.derivatives.scenes import SCENES, SUBJECT, bitmap, camera, floor, lamp, sky, turned
+from tests.scenes import load, rgb
+
+MATERIALS = ("diffuse", "conductor", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
+             "brushed glass beckmann")
+SHAPES = ("rectangle", "disk", "sphere", "cube", "mesh", "obj", "ply")
+LIGHTS = ("directional", "point", "projector", "spot")
+
+
+def objects(name: str) -> dict[str, Any]:
+    scene = SCENES[name]
+    return scene() if callable(scene) else scene
+
+
+def place(number: int) -> tuple[float, float, float]:
+    """On a grid in front of the camera."""
+    return 0.9 * (number % 3 - 1), 0.8 * (number // 3 - 1), -0.23 * number
+
+
+def materials() -> dict[str, Any]:
+    """Cubes of every material, under a sky and a lamp with an image."""
+    found = {}
+    for number, name in enumerate(MATERIALS):
+        material = f"{SUBJECT}_{name.replace(' ', '_')}"
+        found[material] = objects(name)[SUBJECT]
+        found[f"box_{number}"] = turned(place(number), 20 + 7 * number, 30 - 5 * number, 10, size=0.42, type="cube",
+                                        bsdf={"type": "ref", "id": material})
+    both = {"type": "ref", "id": f"{SUBJECT}_twosided"}
+    return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_sky": sky(), "floor": floor(), **found,
+            f"{SUBJECT}_lamp": lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)}),
+            f"{SUBJECT}_twosided": objects("twosided")[SUBJECT],
+            "sheet": turned((0.9, 0.8, -0.4), 20, 30, 10, size=0.4, type="rectangle", bsdf=both),
+            "reversed": turned((0.1, 0.9, -0.6), 15, 200, 10, size=0.4, type="rectangle", bsdf=both)}
+
+
+def shapes() -> dict[str, Any]:
+    """Every shape, under all other lights."""
+    found = {}
+    for number, name in enumerate(SHAPES):
+        size = 0.2 if name in ("mesh", "obj", "ply") else 0.42
+        found[f"{SUBJECT}_{name}"] = objects(name)[SUBJECT] | turned(
+            place(number), 20 + 7 * number, 30 - 5 * number, 10, size=size)
+    return {f"{SUBJECT}_sensor": camera(16, 50), "floor": floor(), **found,
+            **{f"{SUBJECT}_{name}": objects(name)[SUBJECT] for name in LIGHTS},
+            f"{SUBJECT}_surround": {"type": "constant", "radiance": rgb(0.3, 0.2, 0.4)}}
+
+
+EVERYTHING = {"materials": materials, "shapes": shapes}
+
+
+def build_everything(name: str, dtype: torch.dtype = torch.float64) -> rb.Scene:
+    return load(dtype, **EVERYTHING[name]())

@@ -1,0 +1,155 @@
+"""Renderings as functions of parameters in which decisions stay what they were.
+
+A detached derivative is that of the integrand with proposal and hits held, and not that of the image at one seed, whose
+samples move. `Decisions` writes down, at one point, everything that is detached and every answer of the ray caster; later
+renderings get the same again, whatever their parameters. What is left is the function that is differentiated.
+
+An attached derivative is that of the image itself, but for discrete choices (reflection or transmission, which light, which
+part of the environment), whose probabilities are constants: here only what is detached on behalf of those is held.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+from torch.func import functional_call
+from torch.overrides import TorchFunctionMode
+
+import torch_radbp as rb
+from torch_radbp.adjoint.function import render_images
+from torch_radbp.adjoint.tape import trace_attached
+
+# Functions inside of which something is detached on behalf of a discrete choice: of a lobe, of a light.
+CHOICES = frozenset({"choose", "make_integrand", "emitted_pdf"})
+DEEPEST_CALL = 14  # frames between such a function and what it detaches
+
+
+class Decisions(TorchFunctionMode):
+    """While active, `Tensor.detach` and the ray caster answer as they did the first time that it was active, in order.
+
+    Args:
+        functions: only what these detach; None: everything.
+    """
+
+    def __init__(self, functions: frozenset[str] | None = None):
+        super().__init__()
+        self.functions, self.answers, self.next = functions, [], None
+        self.recording, self.asking = False, False
+
+    def __enter__(self):
+        self.recording = self.next is None
+        self.next = 0
+        return super().__enter__()
+
+    def __exit__(self, *error):
+        super().__exit__(*error)
+        if error[0] is None:
+            assert self.next == len(self.answers), "a rendering took other decisions than the first one"
+
+    def answer(self, ask: Callable):
+        """What was answered the first time."""
+        if self.recording:
+            self.asking = True  # what is detached on the way to the answer is not asked for later
+            self.answers.append(ask())
+            self.asking = False
+        self.next += 1
+        return self.answers[self.next - 1]
+
+    def __torch_function__(self, function, types, arguments=(), keywords=None):
+        if function != Tensor.detach or self.asking or not self.concerned():
+            return function(*arguments, **(keywords or {}))
+        held = self.answer(lambda: function(*arguments).clone())
+        assert held.shape == arguments[0].shape and held.dtype == arguments[0].dtype
+        return held.view_as(held)
+
+    def concerned(self) -> bool:
+        """Whether the call that is going on is to be held."""
+        if self.functions is None:
+            return True
+        frame = inspect.currentframe()
+        for _ in range(DEEPEST_CALL):
+            frame = frame.f_back
+            if frame is None:
+                return False
+            if frame.f_code.co_name in self.functions:
+                return True
+        return False
+
+
+class HeldCaster:
+    """The ray caster of a renderer, whose answers are held."""
+
+    def __init__(self, caster, decisions: Decisions):
+        self.caster, self.decisions, self.vertices, self.faces = caster, decisions, caster.vertices, caster.faces
+
+    def intersect(self, ray):
+        return self.decisions.answer(lambda: self.caster.intersect(ray))
+
+    def occluded(self, ray, tmax):
+        return self.decisions.answer(lambda: self.caster.occluded(ray, tmax))
+
+
+class Rendering:
+    """An image as a function of parameters, at one seed.
+
+    Args:
+        scene: the scene; its parameters give the point around which decisions are held.
+        names: of the parameters.
+        seed: of the random numbers.
+        **settings: of `Renderer`.
+    """
+
+    def __init__(self, scene: rb.Scene, names: list[str], seed: int, **settings):
+        self.names, self.seed = names, seed
+        self.renderer = rb.Renderer(scene, **settings)
+        self.decisions = Decisions(CHOICES if settings["sampling"] == "attached" else None)
+        # Made now, so that it asks nothing later.
+        self.held = HeldCaster(self.renderer.current_caster(), self.decisions)
+
+    def live(self, values: list[Tensor]) -> Tensor:
+        """The image with its derivative, as users get it."""
+        return functional_call(self.renderer, self.parameters(values), kwargs={"seed": self.seed})
+
+    def with_choices_held(self, values: list[Tensor]) -> Tensor:
+        """The image as a function of the parameters around the point, for attached sampling; no derivative."""
+        values = attached(values)
+        with self.decisions, torch.enable_grad():
+            return self.live(values).detach()
+
+    def along_the_tape(self, values: list[Tensor]) -> Tensor:
+        """The same with the decisions held, of which the forward pass makes no use, by the loop that plain autograd records.
+
+        Detached and hybrid sampling hold everything. Attached sampling holds the choice of a lobe of a rough material: the
+        forward pass has its probability inside of the density, and the derivative takes it out.
+        """
+        parameters = {f"renderer.{name}": value for name, value in self.parameters(attached(values)).items()}
+        caster = None if self.decisions.functions else self.held
+        with self.decisions, torch.enable_grad():
+            return functional_call(TapedImage(self.renderer, self.seed, caster), parameters)
+
+    def parameters(self, values: list[Tensor]) -> dict[str, Tensor]:
+        return {f"scene.{name}": value for name, value in zip(self.names, values)}
+
+
+def attached(values: list[Tensor]) -> list[Tensor]:
+    """Values that require grad: what is derived from them is then packed as it is for a derivative."""
+    return [value.detach().requires_grad_() for value in values]
+
+
+class TapedImage(torch.nn.Module):
+    """Renders by the loop over bounces that plain autograd records, but records nothing."""
+
+    def __init__(self, renderer: rb.Renderer, seed: int, caster: HeldCaster | None):
+        super().__init__()
+        self.renderer, self.seed, self.caster = renderer, seed, caster
+
+    def forward(self) -> Tensor:
+        call = self.renderer.prepare(self.seed, None, self.renderer.spp, None)
+        integrand = call.make_integrand(call.scene)
+        if self.caster is not None:
+            integrand = integrand._replace(caster=self.caster)
+        with torch.no_grad():
+            return render_images(call, integrand, record=False, tracer=trace_attached)[0]

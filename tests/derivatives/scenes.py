@@ -1,0 +1,189 @@
+"""A tiny scene for every plugin, in which each of its parameters matters.
+
+What is called `subject` is examined, with everything in it; the rest lights it and is seen beside it. All is turned by odd
+angles: a basis around a normal has a kink where its z is exactly zero.
+"""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import torch_radbp as rb
+from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
+from torch_radbp.io.transform import look_at, rotate, scale, translate
+
+SUBJECT = "subject"
+
+# A quadrilateral that is not flat, with normals that are not its own.
+CORNERS = [[-2.1, -1.9, 0.13], [2.2, -2.0, -0.31], [1.9, 2.3, 0.27], [-2.0, 2.1, -0.22]]
+NORMALS = [[-0.31, -0.22, 0.9], [0.33, -0.17, 0.95], [0.21, 0.34, 0.9], [-0.27, 0.19, 1.0]]
+TEXCOORDS = [[0.11, 0.23], [1.31, 0.07], [1.17, 1.42], [-0.21, 1.13]]
+FACES = [[0, 1, 2], [0, 2, 3]]
+
+
+def bitmap(height: int = 2, width: int = 3, factor: float = 1.0, seed: int = 1, **attributes: Any) -> dict[str, Any]:
+    """An image that is read beyond its border."""
+    to_uv = translate((-0.31, 0.17, 0)) @ rotate((0, 0, 1), 20) @ scale((1.7, 1.4, 1))
+    return {"type": "bitmap", "data": factor * texels(height, width, seed), "raw": True, "to_uv": to_uv} | attributes
+
+
+def printed(**attributes: Any) -> dict[str, Any]:
+    return {"type": "diffuse", "reflectance": bitmap(**attributes)}
+
+
+def camera(size: int = 2, fov: float = 34, **attributes: Any) -> dict[str, Any]:
+    return sensor(size, (0.3, 0.4, 3.5), (0.05, 0.02, 0), fov, **attributes)
+
+
+def lamp(**attributes: Any) -> dict[str, Any]:
+    """A lamp above that faces down."""
+    return rectangle((0.5, 2.6, 1.7), 0.8, (1, 0.13, 0.21), 119, **{
+        "bsdf": diffuse(0.3, 0.2, 0.4), "emitter": {"type": "area", "radiance": rgb(9, 7, 8)}} | attributes)
+
+
+def floor(**attributes: Any) -> dict[str, Any]:
+    """A floor without end in view."""
+    return rectangle((0.1, -1.3, 0.2), 9.0, (1, 0.27, 0.19), -67, **{"bsdf": diffuse(0.5, 0.6, 0.7)} | attributes)
+
+
+def plane(at=(0, 0, 0), **attributes: Any) -> dict[str, Any]:
+    """A plane that fills the view."""
+    return rectangle(at, 3.1, (0.35, 1, 0.23), 24, **attributes)
+
+
+def sky(factor: float = 1.5) -> dict[str, Any]:
+    return {"type": "envmap", "bitmap": factor * texels(4, 5, 3),
+            "to_world": rotate((0.4, 1, 0.3), 50) @ rotate((1, 0.2, 0.1), 20)}
+
+
+def glowing() -> dict[str, Any]:
+    """A textured emitter, seen through glass or in a mirror."""
+    return rectangle((0.2, -0.1, -2.3), 6.0, (0.3, 1, 0.41), 17, bsdf=diffuse(0.4, 0.5, 0.3),
+                     emitter={"type": "area", "radiance": bitmap(factor=3.0, seed=4)})
+
+
+def shape(**attributes: Any) -> dict[str, Any]:
+    """A shape under a lamp, above a floor."""
+    return {"sensor": camera(), "lamp": lamp(), "floor": floor(), SUBJECT: attributes}
+
+
+def quadrilateral(smooth: bool = True, **attributes: Any) -> dict[str, Any]:
+    mesh = {"type": "mesh", "vertex_positions": CORNERS, "vertex_texcoords": TEXCOORDS, "faces": FACES}
+    return mesh | ({"vertex_normals": NORMALS} if smooth else {}) | attributes
+
+
+@functools.cache
+def folder() -> tempfile.TemporaryDirectory:
+    """Where files of meshes are, until the process ends."""
+    return tempfile.TemporaryDirectory()
+
+
+def mesh_file(suffix: str) -> str:
+    """The quadrilateral in a file."""
+    path = Path(folder().name) / f"quadrilateral.{suffix}"
+
+    def lines(prefix: str, rows) -> list[str]:
+        return [" ".join([prefix, *map(str, row)]).strip() for row in rows]
+
+    if suffix == "obj":
+        text = [*lines("v", CORNERS), *lines("vt", TEXCOORDS), *lines("vn", NORMALS),
+                *lines("f", [[f"{k + 1}/{k + 1}/{k + 1}" for k in face] for face in FACES])]
+    else:
+        columns = "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz", "u", "v"))
+        header = (f"ply\nformat ascii 1.0\nelement vertex {len(CORNERS)}\n{columns}element face {len(FACES)}\n"
+                  "property list uchar int vertex_indices\nend_header")
+        text = [header, *lines("", [p + n + uv for p, n, uv in zip(CORNERS, NORMALS, TEXCOORDS)]),
+                *lines("", [[3, *face] for face in FACES])]
+    path.write_text("\n".join(text) + "\n")
+    return str(path)
+
+
+def metal(**attributes: Any) -> dict[str, Any]:
+    """Something that only reflects, under a sky."""
+    return {"sensor": camera(), "sky": sky(), "floor": floor(), SUBJECT: attributes,
+            "subject_plane": plane(bsdf={"type": "ref", "id": SUBJECT})}
+
+
+def glass(**attributes: Any) -> dict[str, Any]:
+    """A boundary between the camera and a textured emitter, under a sky."""
+    return {"sensor": camera(4), "sky": sky(), "glowing": glowing(), SUBJECT: attributes,
+            "subject_plane": plane(bsdf={"type": "ref", "id": SUBJECT})}
+
+
+def light(**attributes: Any) -> dict[str, Any]:
+    """A light above a plane and a floor."""
+    return {"sensor": camera(), "floor": floor(), "plane": plane(bsdf=diffuse(0.8, 0.6, 0.4)),
+            "dark": diffuse(0.1, 0.2, 0.1), SUBJECT: attributes}
+
+
+def turned(at, *angles: float, size: float = 1.0, **attributes: Any) -> dict[str, Any]:
+    """A shape turned by odd angles about x, y and z."""
+    x, y, z = angles
+    pose = translate(at) @ rotate((0, 0, 1), z) @ rotate((0, 1, 0), y) @ rotate((1, 0, 0), x) @ scale((size, size, size))
+    return {"to_world": pose} | attributes
+
+
+AIMED = look_at((0.9, 1.5, 2.8), (0.1, 0.05, 0), (0.1, 1, 0.2))
+METAL = {"eta": rgb(0.2, 0.9, 1.1), "k": rgb(3.9, 2.4, 2.2), "specular_reflectance": rgb(0.9, 0.6, 0.8)}
+ROUGH_METAL = {"eta": 0.9, "k": 2.4, "specular_reflectance": 0.8}
+TINTED = {"int_ior": 1.5, "specular_reflectance": rgb(0.9, 0.5, 0.7), "specular_transmittance": rgb(0.4, 0.9, 0.6)}
+ROUGH_GLASS = {"int_ior": 1.5, "specular_reflectance": 0.7, "specular_transmittance": 0.8}
+BRUSHED = {"alpha_u": 0.25, "alpha_v": 0.5}
+
+SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
+    "rectangle": shape(**plane(bsdf=printed())),
+    "disk": shape(type="disk", **turned((0.1, -0.2, 0), 21, 17, 31, bsdf=printed(wrap_mode="mirror"))),
+    "sphere": {"sensor": camera(fov=16), "sky": sky(),
+               SUBJECT: {"type": "sphere", **turned((0.1, -0.05, 0.1), 11, 23, 37), "bsdf": printed()}},
+    "cube": shape(type="cube", **turned((0.1, -0.1, -1.1), 24, 33, 13), bsdf=printed()) | {"sensor": camera(fov=20)},
+    "mesh": shape(**quadrilateral(bsdf=printed(wrap_mode="clamp"))),
+    "flat mesh": shape(type="mesh", vertex_positions=CORNERS, faces=FACES, bsdf=diffuse(0.7, 0.5, 0.3)),
+    "obj": lambda: shape(type="obj", filename=mesh_file("obj"), bsdf=printed()),
+    "ply": lambda: shape(type="ply", filename=mesh_file("ply"), bsdf=printed()),
+    "diffuse": metal(type="diffuse", reflectance=bitmap(filter_type="nearest")),
+    "conductor": metal(type="conductor", **METAL),
+    "rough metal beckmann": metal(type="roughconductor", distribution="beckmann", alpha=0.3, **ROUGH_METAL),
+    "rough metal ggx": metal(type="roughconductor", distribution="ggx", alpha=0.3, **ROUGH_METAL),
+    "brushed metal beckmann": metal(type="roughconductor", distribution="beckmann", **BRUSHED, **ROUGH_METAL),
+    "brushed metal ggx": metal(type="roughconductor", distribution="ggx", **BRUSHED, **ROUGH_METAL),
+    "dielectric": glass(type="dielectric", **TINTED),
+    "rough glass beckmann": glass(type="roughdielectric", distribution="beckmann", alpha=0.3, **ROUGH_GLASS),
+    "rough glass ggx": glass(type="roughdielectric", distribution="ggx", alpha=0.3, **ROUGH_GLASS),
+    "brushed glass beckmann": glass(type="roughdielectric", distribution="beckmann", **BRUSHED, **ROUGH_GLASS),
+    "brushed glass ggx": glass(type="roughdielectric", distribution="ggx", **BRUSHED, **ROUGH_GLASS),
+    "twosided": {"sensor": camera(), "sky": sky(), "glowing": glowing(),
+                 SUBJECT: {"type": "twosided", "front": {"type": "roughconductor", "alpha": 0.4, **ROUGH_METAL},
+                           "behind": diffuse(0.8, 0.3, 0.1)},
+                 "sheet": plane((-3.0, 0, 0.2), bsdf={"type": "ref", "id": SUBJECT}),
+                 "reversed": rectangle((3.1, 0, 0.1), 3.1, (0.23, 1, 0.17), 163, bsdf={"type": "ref", "id": SUBJECT})},
+    "area": light(**lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
+    "area of a mesh": light(**quadrilateral(
+        smooth=False, vertex_positions=[[-0.6, 1.9, 1.6], [0.9, 2.3, 1.5], [0.8, 2.2, 2.7], [-0.7, 2.0, 2.8]],
+        emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
+    "constant": light(type="constant", radiance=rgb(0.6, 0.9, 1.4)),
+    "directional": light(type="directional", direction=[-0.3, -1.0, -0.9], irradiance=rgb(2.8, 2.7, 2.4)),
+    "envmap": light(**sky()),
+    "point": light(type="point", position=[0.7, 0.9, 1.9], intensity=rgb(9, 8, 7)),
+    "projector": light(type="projector", to_world=AIMED, irradiance=bitmap(factor=2.0), scale=2.0, fov=80.0),
+    "spot": light(type="spot", to_world=AIMED, intensity=rgb(9, 8, 7), cutoff_angle=58.0, beam_width=4.0,
+                  texture=bitmap()),
+    "perspective": {SUBJECT: camera(principal_point_offset_x=0.03, principal_point_offset_y=-0.02, rfilter="gaussian"),
+                    "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
+}
+
+
+def build(name: str, dtype: torch.dtype = torch.float64, **more: Any) -> rb.Scene:
+    """A new scene of `SCENES`; `more` objects in it, or instead of its own."""
+    objects = SCENES[name]
+    return load(dtype, **(objects() if callable(objects) else objects) | more)
+
+
+def subjects(scene: rb.Scene) -> list[str]:
+    """The parameters that are examined."""
+    return [name for name, _ in scene.named_parameters() if name.startswith(SUBJECT)]

@@ -1,0 +1,168 @@
+"""Every strategy, stride and schedule gives the derivative of plain autograd, for every parameter, and so does forward mode.
+
+Nor does anything depend on chunks, on other sensors or on the ray caster.
+
+Scenes that together have every plugin; for each way of sampling the same paths.
+"""
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.derivatives.everything import EVERYTHING, build_everything
+from tests.derivatives.pairs import examined, registered
+from tests.derivatives.scenes import SCENES, build, camera, subjects
+from tests.gradients import cotangent, image_and_gradients, relative_error
+
+ORACLE, TRANSPOSED = 1e-10, 1e-9
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}
+SAMPLINGS = ("detached", "hybrid", "attached")
+STRATEGIES = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(3), rb.MemoizedAdjoint("sqrt"),
+              rb.MemoizedAdjoint("log"), rb.MemoizedAdjoint(2, keep_hits=False), rb.ReplayAdjoint(), rb.QuadraticAdjoint())
+
+
+def gradients_of(build, names, **settings):
+    """The image and the gradients of its product with a fixed cotangent."""
+    return image_and_gradients(build(), names, **SETTINGS | settings)
+
+
+def assert_same(names, gradients, expected, tolerance: float) -> None:
+    for name, gradient, wanted in zip(names, gradients, expected):
+        error = relative_error(gradient, wanted)
+        assert error < tolerance, f"{name}: relative error {error:.1e}"
+
+
+def test_the_scenes_have_everything():
+    missing = registered() - set().union(*(examined(build_everything(name)) for name in EVERYTHING))
+    assert not missing, missing
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("name", EVERYTHING)
+def test_every_strategy_gives_the_gradient_of_the_tape(name, sampling):
+    def scene():
+        return build_everything(name)
+
+    names = subjects(scene())
+    image, expected = gradients_of(scene, names, sampling=sampling, adjoint=rb.TapeAdjoint())
+    assert torch.isfinite(image).all() and image.max() > 0
+    for parameter, gradient in zip(names, expected):
+        assert torch.isfinite(gradient).all() and gradient.abs().max() > 0, parameter
+    for adjoint in STRATEGIES:
+        found, gradients = gradients_of(scene, names, sampling=sampling, adjoint=adjoint)
+        assert relative_error(found, image) < 1e-12, adjoint
+        assert_same([f"{adjoint}: {parameter}" for parameter in names], gradients, expected, ORACLE)
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("name", EVERYTHING)
+def test_forward_is_the_transpose_of_backward(name, sampling):
+    scene = build_everything(name)
+    names = subjects(scene)
+    generator = torch.Generator().manual_seed(4)
+    tangents = {parameter: torch.randn(scene.get_parameter(parameter).shape, generator=generator, dtype=torch.float64)
+                for parameter in names}
+    derivative = rb.jvp(scene, tangents, seed=3, sampling=sampling, **SETTINGS)
+    assert torch.isfinite(derivative).all() and derivative.abs().max() > 0
+    for w in (torch.ones_like(derivative), derivative, cotangent(derivative)):
+        _, gradients = gradients_of(lambda: build_everything(name), names, sampling=sampling, adj_image=w)
+        terms = torch.stack([(tangents[parameter] * gradient).sum() for parameter, gradient in zip(names, gradients)])
+        assert abs(terms.sum() - (w * derivative).sum()) < TRANSPOSED * terms.abs().sum()
+        # A term that one of the two leaves out is seen.
+        assert (terms.abs() > 100 * TRANSPOSED * terms.abs().sum()).all()
+
+
+def test_hybrid_is_detached_but_where_a_mirror_or_glass_is():
+    for name in ("rectangle", "rough metal ggx", "rough glass beckmann", "spot", "perspective"):
+        names = subjects(build(name))
+        _, hybrid = gradients_of(lambda name=name: build(name), names, sampling="hybrid")
+        _, detached = gradients_of(lambda name=name: build(name), names, sampling="detached")
+        assert all(gradient.abs().max() > 0 for gradient in hybrid)
+        assert_same(names, hybrid, detached, 1e-14)
+    for name, parameter in (("conductor", "subject_plane.to_world"), ("dielectric", "subject.eta")):
+        _, (hybrid,) = gradients_of(lambda name=name: build(name), [parameter], sampling="hybrid")
+        _, (detached,) = gradients_of(lambda name=name: build(name), [parameter], sampling="detached")
+        assert relative_error(hybrid, detached) > 0.01
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("name", EVERYTHING)
+def test_chunks_do_not_matter(name, sampling):
+    def scene():
+        return build_everything(name)
+
+    names = subjects(scene())
+    image, expected = gradients_of(scene, names, sampling=sampling)
+    found, gradients = gradients_of(scene, names, sampling=sampling, chunk=300)
+    assert relative_error(found, image) < 1e-14
+    assert_same(names, gradients, expected, 1e-11)
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("name", ["cube", "flat mesh", "dielectric", "brushed glass ggx", "area of a mesh", "projector"])
+def test_the_ray_caster_does_not_matter(name, sampling):
+    names = subjects(build(name))
+    image, expected = gradients_of(lambda: build(name), names, sampling=sampling)
+    found, gradients = gradients_of(lambda: build(name), names, sampling=sampling, caster="brute")
+    assert image.max() > 0 and relative_error(found, image) < 1e-11
+    assert_same(names, gradients, expected, 1e-9)
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_gradients_of_several_sensors_add_up(sampling):
+    """Each camera has its own gradient; what they share has the sum."""
+    def scene():
+        return build("dielectric", subject_left=camera(2, 30), subject_right=camera(2, 50))
+
+    names = subjects(scene())
+    cameras = [n for n in names if n.startswith(("subject_left", "subject_right"))]
+    assert len(cameras) == 8
+    sensors = [1, 2]
+    image, together = gradients_of(scene, names, sampling=sampling, sensors=sensors)
+    w = cotangent(image)
+    parts = []
+    for place, sensor in enumerate(sensors):
+        alone = build("dielectric", subject_left=camera(2, 30), subject_right=camera(2, 50))
+        wanted = [alone.get_parameter(n).requires_grad_() for n in names]
+        found = rb.Renderer(alone, sampling=sampling, **SETTINGS)(seed=3, sensors=[sensor])
+        assert relative_error(found.detach(), image[place:place + 1]) < 1e-14
+        gradients = torch.autograd.grad(found, wanted, w[place:place + 1], allow_unused=True)
+        parts.append([torch.zeros_like(p) if g is None else g for p, g in zip(wanted, gradients)])
+    assert all(gradient.abs().max() > 0 for gradient in together)
+    assert_same(names, together, [a + b for a, b in zip(*parts)], 1e-11)
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("adjoint", STRATEGIES, ids=repr)
+def test_the_backward_pass_casts_no_ray_if_hits_are_kept(adjoint, sampling):
+    scene = build("dielectric")
+    wanted = [scene.get_parameter(name).requires_grad_() for name in subjects(scene)]
+    renderer = rb.Renderer(scene, adjoint=adjoint, sampling=sampling, **SETTINGS)
+    image = renderer(seed=3)
+    before = renderer.casters[0].rays_cast
+    gradients = torch.autograd.grad(image, wanted, cotangent(image.detach()))
+    assert before > 0 and all(gradient.abs().max() > 0 for gradient in gradients)
+    assert (renderer.casters[0].rays_cast == before) == adjoint.keep_hits
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_the_backward_pass_can_have_samples_of_its_own(sampling):
+    names = [*subjects(build("perspective")), "plane.to_world"]
+
+    def gradients(seed, seed_grad):
+        scene = build("perspective")
+        wanted = [scene.get_parameter(name).requires_grad_() for name in names]
+        image = rb.Renderer(scene, sampling=sampling, **SETTINGS)(seed=seed, seed_grad=seed_grad)
+        return image.detach(), torch.autograd.grad(image, wanted, cotangent(image.detach()))
+
+    image, expected = gradients(8, None)
+    other, found = gradients(3, 8)
+    assert not torch.equal(image, other) and all(gradient.abs().max() > 0 for gradient in expected)
+    assert_same(names, found, expected, 1e-14)
+
+
+def test_all_scenes_have_an_image():
+    for name in SCENES:
+        image = rb.render(build(name), seed=3, **SETTINGS)
+        assert torch.isfinite(image).all() and image.max() > 0, name
