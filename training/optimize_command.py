@@ -84,9 +84,14 @@ def recovered_table(summary: dict) -> Table:
         if "largest_error" in each and "truth" not in each:
             truth = f"mean {each['mean_truth']:.4f}"
             error = f"RMSE {each['rmse']:.4f}"
+        if "pose_error" in each:
+            error += "\n{angle:.3f} deg\n{distance:.5f}".format(**each["pose_error"])
         table.add_row(each["name"], recovered, truth, error)
     return table
 
 
 def _numbers(values: list[float]) -> str:
+    """Returns numbers with four decimals; sixteen are a matrix, of which the last row is always the same."""
+    if len(values) == 16:
+        return "\n".join(_numbers(values[row : row + 4]) for row in (0, 4, 8))
     return " ".join(f"{value:.4f}" for value in values)

@@ -96,6 +96,10 @@ def _parameter_summary(parameter: RecoveredParameter) -> dict[str, Any]:
         summary |= {"rmse_before": (parameter.before - truth).square().mean().sqrt().item()}
         if parameter.is_small:
             summary["truth"] = truth.flatten().tolist()
+        if parameter.is_pose:
+            summary["true_motion"] = parameter.true_motion
+            summary["pose_error"] = parameter.pose_error(value)._asdict()
+            summary["pose_error_before"] = parameter.pose_error(parameter.before)._asdict()
     return summary
 
 
