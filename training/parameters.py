@@ -87,10 +87,9 @@ class RecoveredParameter:
         """Whether it is a matrix that a rotation and a translation change."""
         return self.spec.parametrisation == "rigid"
 
-    @property
-    def true_motion(self) -> dict[str, float]:
-        """The motion from the initial to the true pose by component, rotations in degrees."""
-        return components(self.before, self.truth)
+    def motion(self, pose: Tensor) -> dict[str, float]:
+        """The motion from the initial pose to another by component, rotations in degrees."""
+        return components(self.before, pose)
 
     def pose_error(self, pose: Tensor) -> PoseError:
         """Angle and distance between a pose and the true one."""
@@ -103,7 +102,7 @@ class RecoveredParameter:
         """
         value = self.value
         if self.is_pose:
-            columns = {f"{self.name}:{key}": entry for key, entry in components(self.before, value).items()}
+            columns = {f"{self.name}:{key}": entry for key, entry in self.motion(value).items()}
         elif value.dim() == 0:
             columns = {self.name: value.item()}
         elif self.is_small:
