@@ -1,4 +1,4 @@
-"""Draws the textures of textured_room with numpy and Pillow: ``python assets/draw_textures.py``.
+"""Draws the textures of the scenes with numpy and Pillow: ``python assets/draw_textures.py``.
 
 Every picture is a formula of this file, evaluated on a 4 x 4 finer grid and averaged, so it has no other origin.
 """
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-ROOM = Path(__file__).parent / "textured_room"
+ASSETS = Path(__file__).parent
 SUPERSAMPLING = 4
 
 
@@ -31,7 +31,7 @@ def save(name: str, srgb: np.ndarray) -> None:
     s = SUPERSAMPLING
     n = srgb.shape[0] // s
     small = srgb.reshape(n, s, n, s, 3).mean(axis=(1, 3))
-    Image.fromarray((small.clip(0, 1) * 255 + 0.5).astype(np.uint8)).save(ROOM / name, optimize=True)
+    Image.fromarray((small.clip(0, 1) * 255 + 0.5).astype(np.uint8)).save(ASSETS / name, optimize=True)
 
 
 def painting(size: int = 64) -> np.ndarray:
@@ -79,6 +79,19 @@ def parquet(size: int = 64) -> np.ndarray:
     return np.where(joint[..., None], [0.16, 0.10, 0.06], wood)
 
 
+def patches(size: int = 64) -> np.ndarray:
+    """Soft patches of all colours, coarse and fine, without an edge: what a pose can be found by from afar and from near."""
+    u, v = grid(size)
+    waves = [
+        np.sin(9 * u + 4 * v + 1) * np.sin(7 * v - 3 * u),
+        np.sin(8 * v + 2) * np.cos(10 * u - 5 * v),
+        np.sin(12 * u * v + 9 * u),
+    ]
+    noise = [smooth_noise(size, 7, seed=20 + k) + 0.5 * smooth_noise(size, 14, seed=30 + k) for k in range(3)]
+    return np.stack([0.55 + 0.2 * wave + 0.22 * rough for wave, rough in zip(waves, noise)], -1)
+
+
 if __name__ == "__main__":
     for picture in (painting, plaster, parquet):
-        save(f"{picture.__name__}.png", picture())
+        save(f"textured_room/{picture.__name__}.png", picture())
+    save("patches.png", patches())

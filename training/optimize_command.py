@@ -84,8 +84,19 @@ def recovered_table(summary: dict) -> Table:
         if "largest_error" in each and "truth" not in each:
             truth = f"mean {each['mean_truth']:.4f}"
             error = f"RMSE {each['rmse']:.4f}"
+        if "motion" in each:
+            recovered = _motion(each["motion"])
+        if "pose_error" in each:
+            truth = _motion(each["true_motion"])
+            error += "\n{angle:.3f} deg\n{distance:.5f}".format(**each["pose_error"])
         table.add_row(each["name"], recovered, truth, error)
     return table
+
+
+def _motion(components: dict[str, float]) -> str:
+    """Returns rotation vector in degrees and translation, from the initial pose, on a line each."""
+    numbers = list(components.values())
+    return f"from the start:\n{_numbers(numbers[:3])} deg\n{_numbers(numbers[3:])}"
 
 
 def _numbers(values: list[float]) -> str:

@@ -89,6 +89,8 @@ def _parameter_summary(parameter: RecoveredParameter) -> dict[str, Any]:
     summary |= {"mean_before": parameter.before.mean().item(), "mean": value.mean().item()}
     if parameter.is_small:
         summary |= {"before": parameter.before.flatten().tolist(), "recovered": value.flatten().tolist()}
+    if parameter.is_pose:
+        summary["motion"] = parameter.motion(value)
     if truth is not None:
         difference = (value - truth).abs()
         summary |= {"mean_truth": truth.mean().item(), "largest_error": difference.max().item()}
@@ -96,6 +98,10 @@ def _parameter_summary(parameter: RecoveredParameter) -> dict[str, Any]:
         summary |= {"rmse_before": (parameter.before - truth).square().mean().sqrt().item()}
         if parameter.is_small:
             summary["truth"] = truth.flatten().tolist()
+        if parameter.is_pose:
+            summary["true_motion"] = parameter.motion(truth)
+            summary["pose_error"] = parameter.pose_error(value)._asdict()
+            summary["pose_error_before"] = parameter.pose_error(parameter.before)._asdict()
     return summary
 
 

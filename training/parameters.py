@@ -11,6 +11,7 @@ from torch.nn.utils import parametrize
 from torch_radbp.io.image import read_image
 from torch_radbp.plugin import nearest
 from torch_radbp.training import recipe
+from torch_radbp.training.rigid import PoseError, Rigid, components, moved
 
 
 class Sigmoid(nn.Module):
@@ -81,10 +82,28 @@ class RecoveredParameter:
         """Whether it is a bitmap, (H, W, 1 or 3)."""
         return not self.is_small and self.before.dim() == 3 and self.before.shape[-1] in (1, 3)
 
+    @property
+    def is_pose(self) -> bool:
+        """Whether it is a matrix that a rotation and a translation change."""
+        return self.spec.parametrisation == "rigid"
+
+    def motion(self, pose: Tensor) -> dict[str, float]:
+        """The motion from the initial pose to another by component, rotations in degrees."""
+        return components(self.before, pose)
+
+    def pose_error(self, pose: Tensor) -> PoseError:
+        """Angle and distance between a pose and the true one."""
+        return PoseError.between(pose, self.truth)
+
     def metrics(self) -> dict[str, float]:
-        """Returns columns of metrics.csv: every entry of a small parameter, the mean of a large one, the error."""
+        """Returns columns of metrics.csv: every entry of a small parameter, the mean of a large one, the error.
+
+        Of a pose, the motion from the initial one: rotation vector in degrees and translation.
+        """
         value = self.value
-        if value.dim() == 0:
+        if self.is_pose:
+            columns = {f"{self.name}:{key}": entry for key, entry in self.motion(value).items()}
+        elif value.dim() == 0:
             columns = {self.name: value.item()}
         elif self.is_small:
             columns = {f"{self.name}[{index}]": entry for index, entry in enumerate(value.flatten().tolist())}
@@ -133,7 +152,7 @@ def choose_parameters(scene: nn.Module, specs: list[recipe.Parameter]) -> list[R
 
 def _choose(scene: nn.Module, name: str, held: Tensor, spec: recipe.Parameter) -> RecoveredParameter:
     path, _, attribute = name.rpartition(".")
-    before = held.detach().clone() if spec.initial is None else _tensor_like(held, spec.initial, name, "initial")
+    before = _initial(held, spec, name)
     if spec.truth is None or spec.truth == "scene":
         truth = None if spec.truth is None else held.detach().clone()
     else:
@@ -148,7 +167,35 @@ def _choose(scene: nn.Module, name: str, held: Tensor, spec: recipe.Parameter) -
             )
     if spec.parametrisation == "log" and not (before > 0).all():
         raise ValueError(f'parameter {name!r}: parametrisation = "log" needs positive initial values')
+    if spec.parametrisation == "rigid":
+        _check_poses(name, before, truth)
     return RecoveredParameter(name, scene.get_submodule(path), attribute, spec, before, truth)
+
+
+def _initial(held: Tensor, spec: recipe.Parameter, name: str) -> Tensor:
+    """Returns the value that a recipe starts from."""
+    if spec.parametrisation == "rigid" and held.shape != (4, 4):
+        raise ValueError(f'parameter {name!r}: parametrisation = "rigid" is for matrices of shape (4, 4), this one has '
+                         f"{tuple(held.shape)}; leave it out or name a to_world")
+    if spec.initial is None:
+        return held.detach().clone()
+    if isinstance(spec.initial, recipe.Offset):
+        rotation, translation = torch.tensor([spec.initial.rotation, spec.initial.translation]).to(held)
+        return moved(held.detach(), torch.deg2rad(rotation), translation)
+    return _tensor_like(held, spec.initial, name, "initial")
+
+
+def _check_poses(name: str, before: Tensor, truth: Tensor | None) -> None:
+    """Raises ValueError unless the matrices are affine, and differ by a rigid motion."""
+    for role, matrix in (("initial", before), ("truth", truth)):
+        if matrix is not None and not torch.equal(matrix[3], matrix.new_tensor([0.0, 0.0, 0.0, 1.0])):
+            raise ValueError(f"parameter {name!r}: the last row of {role} must be 0 0 0 1, got {matrix[3].tolist()}")
+    if truth is None:
+        return
+    turn = (before[:3, :3].double() @ torch.linalg.inv(truth[:3, :3].double()))
+    if (turn @ turn.T - torch.eye(3).to(turn)).abs().max() > 1e-4 or torch.linalg.det(turn) < 0:
+        raise ValueError(f'parameter {name!r}: parametrisation = "rigid" rotates and moves, but initial and truth differ '
+                         "in scale, shear or handedness too; use another parametrisation or a matching initial value")
 
 
 def _tensor_like(held: Tensor, value: recipe.Value, name: str, role: str) -> Tensor:
@@ -182,3 +229,5 @@ def _start(parameter: RecoveredParameter) -> None:
         parametrize.register_parametrization(parameter.module, parameter.attribute, Sigmoid(*spec.bounds))
     elif spec.parametrisation == "log":
         parametrize.register_parametrization(parameter.module, parameter.attribute, Exponential())
+    elif spec.parametrisation == "rigid":
+        parametrize.register_parametrization(parameter.module, parameter.attribute, Rigid(parameter.before))

@@ -4,7 +4,17 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PlainSerializer,
+    Tag,
+    model_validator,
+)
 
 from torch_radbp.plugin import nearest
 
@@ -60,16 +70,35 @@ class Target(Table):
     sensor: str | None = None
 
 
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class Offset(Table):
+    """An initial pose: that of the scene file, turned about its own origin, then moved, both along world axes."""
+
+    rotation: Vector = [0.0, 0.0, 0.0]  # rotation vector: axis times angle in degrees
+    translation: Vector = [0.0, 0.0, 0.0]
+
+
+# The name of a union's branch in the places of pydantic's errors; no key of a table.
+VALUE, OFFSET = "<value>", "<offset>"
+Initial = Annotated[
+    Annotated[Value, Tag(VALUE)] | Annotated[Offset, Tag(OFFSET)],
+    Discriminator(lambda given: OFFSET if isinstance(given, (dict, Offset)) else VALUE),
+]
+
+
 class Parameter(Table):
     """Parameters to recover: a name as `radbp info` prints it, or a glob such as `*.reflectance.value`."""
 
     name: str
-    initial: Value | None = None  # None: the value in the scene file
+    initial: Initial | None = None  # None: the value in the scene file
     bounds: tuple[float, float] | None = None
     learning_rate: Positive | None = None  # None: the optimiser's
     # How the bounds are kept: projected back after every step, or never left because a sigmoid (log) of the
-    # parameter is what the optimiser sees.
-    parametrisation: Literal["clamp", "sigmoid", "log"] = "clamp"
+    # parameter is what the optimiser sees. "rigid" is for (4, 4) matrices, which have no bounds: the optimiser sees a
+    # rotation vector (radians) and a translation, see `rigid`.
+    parametrisation: Literal["clamp", "sigmoid", "log", "rigid"] = "clamp"
     truth: Literal["scene"] | Value | None = None  # for reports only; "scene": the value in the scene file
 
     @model_validator(mode="after")
@@ -80,6 +109,10 @@ class Parameter(Table):
             raise ValueError('parametrisation = "sigmoid" needs bounds = [lower, upper]')
         if self.parametrisation == "log" and self.bounds is not None:
             raise ValueError('parametrisation = "log" keeps a value positive and takes no bounds')
+        if self.parametrisation == "rigid" and self.bounds is not None:
+            raise ValueError('parametrisation = "rigid" is a rotation and a translation and takes no bounds')
+        if isinstance(self.initial, Offset) and self.parametrisation != "rigid":
+            raise ValueError('initial = { rotation = ..., translation = ... } needs parametrisation = "rigid"')
         return self
 
 
@@ -104,7 +137,7 @@ class Render(Table):
     max_depth: int | None = Field(None, ge=-1)
     rr_depth: Count | None = None
     adjoint: Adjoint = Adjoint()
-    sampling: str = "detached"
+    sampling: str = "hybrid"
     chunk: Count | None = None
     compile: bool = False
     caster: str | None = None

@@ -7,7 +7,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from torch_radbp.io.atomic import replacing
-from torch_radbp.training.recipe import Recipe
+from torch_radbp.training.recipe import OFFSET, VALUE, Recipe
 
 try:
     import tomllib
@@ -118,6 +118,8 @@ def _place(location: tuple, data) -> str:
     """Says where in the TOML text a pydantic location is, without the names of union branches."""
     parts = []
     for name in location:
+        if name in (VALUE, OFFSET):
+            continue
         if isinstance(name, int):
             if parts:
                 parts[-1] += f"[{name}]"

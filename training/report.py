@@ -13,6 +13,7 @@ from torch_radbp.io.image import linear_to_srgb
 from torch_radbp.training.chart import Line, line_chart
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.report_style import STYLE
+from torch_radbp.training.rigid import COMPONENTS
 from torch_radbp.training.run_folder import RunFolder
 
 CHANNEL_COLOURS = ("#c8383a", "#2e8b4f", "#2f6fb5")
@@ -52,6 +53,9 @@ def _headline(summary: dict[str, Any]) -> str:
     status, step, steps = summary["status"], summary["step"], summary["steps"]
     state = f"{step} steps" if status == "finished" else f"{status} at step {step} of {steps}"
     cells = [("state", state), ("time", duration(summary["cost"]["seconds"]))]
+    for each in summary["parameters"]:
+        if "pose_error" in each:
+            cells.append((f"pose of {each['name']}", _pose_errors(each)))
     errors = [each["largest_error"] for each in summary["parameters"] if "truth" in each]
     if errors:
         cells.append(("largest parameter error", f"{max(errors):.4f}"))
@@ -65,6 +69,12 @@ def _headline(summary: dict[str, Any]) -> str:
         cells.append(("skipped steps", str(summary["skipped"])))
     facts = "".join(f"<div><dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd></div>" for k, v in cells)
     return f"<header><h1>{html.escape(summary['title'])}</h1><dl>{facts}</dl></header>"
+
+
+def _pose_errors(parameter: dict[str, Any]) -> str:
+    now, before = parameter["pose_error"], parameter["pose_error_before"]
+    return (f"off by {now['angle']:.3f}° and {now['distance']:.5f} "
+            f"(was {before['angle']:.2f}° and {before['distance']:.3f})")
 
 
 def _pictures(folder: RunFolder, summary: dict[str, Any]) -> str:
@@ -125,6 +135,9 @@ def _value(entries: list[float]) -> str:
     swatch = ""
     if len(entries) == 3:
         swatch = f'<i class="swatch" style="background:{css_colour(entries)}"></i>'
+    if len(entries) == 16:
+        rows = ("&ensp;".join(f"{entry:.4f}" for entry in entries[first : first + 4]) for first in range(0, 16, 4))
+        return f"<td class=number>{'<br>'.join(rows)}</td>"
     return f"<td class=number>{swatch}{'&ensp;'.join(f'{entry:.4f}' for entry in entries)}</td>"
 
 
@@ -176,6 +189,8 @@ def running_mean(values: list[float]) -> list[float]:
 
 def _parameter_charts(parameter: dict[str, Any], steps: list[float], rows: list[dict[str, float]]) -> list[str]:
     name, truth = parameter["name"], parameter.get("truth", [])
+    if f"{name}:{COMPONENTS[0]}" in rows[0]:
+        return _pose_charts(parameter, steps, rows)
     columns = [key for key in rows[0] if key == name or key.startswith(f"{name}[")]
     charts = []
     if columns:
@@ -190,6 +205,19 @@ def _parameter_charts(parameter: dict[str, Any], steps: list[float], rows: list[
     elif f"{name}:rmse" not in rows[0]:
         lines = [Line("mean", OTHER_COLOURS[0], steps, [row[f"{name}:mean"] for row in rows])]
         charts.append(line_chart(f"{name}, mean", lines))
+    return charts
+
+
+def _pose_charts(parameter: dict[str, Any], steps: list[float], rows: list[dict[str, float]]) -> list[str]:
+    """Charts of the rotation vector and the translation from the initial pose."""
+    name, goals = parameter["name"], parameter.get("true_motion", {})
+    charts = []
+    for keys, unit in ((COMPONENTS[:3], ", degrees"), (COMPONENTS[3:], "")):
+        lines = [
+            Line(key[-2], colour, steps, [row[f"{name}:{key}"] for row in rows], goals.get(key))
+            for key, colour in zip(keys, CHANNEL_COLOURS)
+        ]
+        charts.append(line_chart(f"{name}, {keys[0][:-3]} from the start{unit}", lines))
     return charts
 
 

@@ -1,0 +1,119 @@
+"""Recipes that recover poses: six numbers in the place of a (4, 4) matrix."""
+
+import math
+
+import pytest
+import torch
+from rich.console import Console
+
+import torch_radbp as rb
+from torch_radbp.io.image import write_image
+from torch_radbp.training.optimize import Recovery
+from torch_radbp.training.optimize_command import recovered_table
+from torch_radbp.training.recipe_file import read_recipe, write_recipe
+from torch_radbp.training.rigid import PoseError, Rigid, motion_between, moved
+from torch_radbp.training.run import run
+
+COLOUR = 'name = "paint.reflectance.value"\ninitial = 0.5\nbounds = [0.0, 1.0]'
+POSE = """name = "wall.to_world"
+parametrisation = "rigid"
+initial = { rotation = [2.0, -3.0, 4.0], translation = [0.05, 0.1, -0.04] }"""
+MATRIX = rb.se3(torch.tensor([0.3, -0.8, 0.5]).double(), torch.tensor([1.0, 2.0, -0.5]).double()) @ torch.diag(
+    torch.tensor([2.0, 0.5, 1.5, 1.0]).double()
+)
+
+
+def vector(*entries):
+    return torch.tensor(entries, dtype=torch.float64)
+
+
+def test_rotation_leaves_the_own_origin_where_it_is():
+    turned = moved(MATRIX, vector(0.1, 0.2, -0.3), vector(0, 0, 0))
+    assert torch.equal(turned[:, 3], MATRIX[:, 3])
+    expected = torch.linalg.matrix_exp(torch.tensor([[0, 0.3, 0.2], [-0.3, 0, -0.1], [-0.2, 0.1, 0]]).double())
+    torch.testing.assert_close(turned[:3, :3], expected @ MATRIX[:3, :3], atol=1e-7, rtol=0)
+
+
+def test_translation_is_along_world_axes():
+    shifted = moved(MATRIX, vector(0, 0, 0), vector(1, -2, 3))
+    torch.testing.assert_close(shifted[:3, 3], MATRIX[:3, 3] + vector(1, -2, 3))
+    torch.testing.assert_close(shifted[:3, :3], MATRIX[:3, :3])
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, 3.1])
+def test_motion_between_two_matrices_is_the_one_that_moved_them(angle):
+    rotation = angle * torch.nn.functional.normalize(vector(1.0, -2.0, 0.7), dim=0)
+    translation = vector(0.3, -0.1, 0.2)
+    motion = motion_between(MATRIX, moved(MATRIX, rotation, translation))
+    torch.testing.assert_close(motion, torch.stack([rotation, translation]), atol=1e-12, rtol=0)
+    torch.testing.assert_close(Rigid(MATRIX).right_inverse(Rigid(MATRIX)(motion)), motion, atol=1e-12, rtol=0)
+
+
+def test_pose_error_is_angle_and_distance():
+    error = PoseError.between(moved(MATRIX, vector(0, math.radians(2), 0), vector(0.3, 0, 0.4)), MATRIX)
+    assert error == pytest.approx((2.0, 0.5))
+
+
+def test_gradient_at_the_start_is_that_of_the_six_numbers():
+    raw = torch.zeros(2, 3, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(Rigid(MATRIX), (raw,))
+
+
+@pytest.fixture
+def pose_recipe(folder, edit_recipe):
+    """A recipe for the pose of the wall, its target from the true pose, the wall larger than the view."""
+    text = (folder / "scene.xml").read_text()
+    assert text.count('<translate y="1" z="-1"/>') == 1
+    wall = '<scale value="4"/><rotate x="0.3" y="1" z="0.4" angle="10"/><translate y="1" z="0.4"/>'
+    (folder / "scene.xml").write_text(text.replace('<translate y="1" z="-1"/>', wall))
+    scene = rb.load(folder / "scene.xml")
+    image = rb.render(scene, spp=256, seed=9, max_depth=2, caster="brute")[0].detach()
+    assert image.mean() > 0.01
+    write_image(folder / "target.exr", image)
+    return edit_recipe(COLOUR, POSE)
+
+
+def test_initial_offset_is_applied_to_the_matrix_of_the_scene(pose_recipe, folder):
+    parameter = Recovery(read_recipe(pose_recipe)).parameters[0]
+    held = rb.load(folder / "scene.xml").get_parameter("wall.to_world").detach()
+    expected = moved(held, torch.deg2rad(torch.tensor([2.0, -3.0, 4.0])), torch.tensor([0.05, 0.1, -0.04]))
+    torch.testing.assert_close(parameter.value, expected)
+    assert parameter.raw.shape == (2, 3)
+    assert parameter.raw.detach().abs().max() < 1e-6
+
+
+def test_pose_is_recovered_and_written(pose_recipe, folder):
+    overrides = ["steps=60", "optimizer.learning_rate=0.01", "render.spp=8", "render.max_depth=2"]
+    summary, report = run(pose_recipe, overrides, folder / "run", False, Console(quiet=True))
+    pose = summary["parameters"][0]
+    before, after = pose["pose_error_before"], pose["pose_error"]
+    assert before["angle"] == pytest.approx(math.sqrt(29), rel=1e-4)
+    assert before["distance"] == pytest.approx(math.sqrt(0.0141), rel=1e-4)
+    # 48 noisy pixels of a 4 x 4 picture do not tell a pose any better.
+    assert summary["images"][0]["mean_error"] < 0.02 and after["angle"] < 0.6 * before["angle"]
+    written = rb.load(folder / "run" / "scene" / "scene.xml").get_parameter("wall.to_world").detach()
+    torch.testing.assert_close(written.flatten(), torch.tensor(pose["recovered"]))
+    text = report.read_text(encoding="utf-8")
+    assert "off by" in text and "wall.to_world, rotation from the start, degrees" in text
+    console = Console(width=100, record=True, file=open("/dev/null", "w"))
+    console.print(recovered_table(summary))
+    table = console.export_text()
+    assert "from the start" in table and f"{after['angle']:.3f} deg" in table
+
+
+def test_offset_survives_writing_the_recipe(pose_recipe, folder):
+    recipe = read_recipe(pose_recipe)
+    (folder / "copy").mkdir()
+    write_recipe(recipe, folder / "copy" / "recipe.toml")
+    assert read_recipe(folder / "copy" / "recipe.toml") == recipe
+
+
+def test_pose_of_another_scale_than_the_truth_is_refused(pose_recipe):
+    with pytest.raises(ValueError, match="differ in scale"):
+        Recovery(read_recipe(pose_recipe, [
+            "parameters.0.initial=[[1.0, 0, 0, 0], [0, 1.0, 0, 1], [0, 0, 1.0, 0.4], [0, 0, 0, 1]]"]))
+
+
+def test_matrix_that_is_not_affine_is_refused(pose_recipe):
+    with pytest.raises(ValueError, match="last row of initial must be 0 0 0 1"):
+        Recovery(read_recipe(pose_recipe, ["parameters.0.initial=1.0"]))
