@@ -17,13 +17,17 @@ import torch
 from torch import Tensor
 from torch.func import functional_call
 from torch.overrides import TorchFunctionMode
+from torch.utils._pytree import tree_leaves
 
 import torch_radbp as rb
 from torch_radbp.adjoint.function import render_images
 from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.scene.tensors import SceneTensors
 
-# Functions inside of which something is detached on behalf of a discrete choice: of a lobe, of a light.
-CHOICES = frozenset({"choose", "make_integrand", "emitted_pdf"})
+# Functions inside of which something is detached on behalf of a discrete choice: of a lobe, of a light. Of a whole scene, which
+# is detached in the first, only the tables from which lights are chosen.
+PROPOSAL = "make_integrand"
+CHOICES = frozenset({"choose", PROPOSAL})
 DEEPEST_CALL = 14  # frames between such a function and what it detaches
 
 
@@ -59,14 +63,14 @@ class Decisions(TorchFunctionMode):
         return self.answers[self.next - 1]
 
     def __torch_function__(self, function, types, arguments=(), keywords=None):
-        if function != Tensor.detach or self.asking or not self.concerned():
+        if function != Tensor.detach or self.asking or not self.concerned(*arguments):
             return function(*arguments, **(keywords or {}))
         held = self.answer(lambda: function(*arguments).clone())
         assert held.shape == arguments[0].shape and held.dtype == arguments[0].dtype
         return held.view_as(held)
 
-    def concerned(self) -> bool:
-        """Whether the call that is going on is to be held."""
+    def concerned(self, value: Tensor) -> bool:
+        """Whether a value that is being detached is to be held."""
         if self.functions is None:
             return True
         frame = inspect.currentframe()
@@ -74,9 +78,15 @@ class Decisions(TorchFunctionMode):
             frame = frame.f_back
             if frame is None:
                 return False
-            if frame.f_code.co_name in self.functions:
-                return True
+            name = frame.f_code.co_name
+            if name in self.functions:
+                return name != PROPOSAL or any(value is table for table in choice_tables(frame.f_locals["tensors"]))
         return False
+
+
+def choice_tables(scene: SceneTensors) -> list[Tensor]:
+    """Of which lights, and which parts of the environment, are chosen."""
+    return [scene.triangles.light_pmf, *(leaf for leaf in tree_leaves(scene.lights) if isinstance(leaf, Tensor))]
 
 
 class HeldCaster:

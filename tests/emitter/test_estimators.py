@@ -29,7 +29,7 @@ def irradiance(scene: rb.Scene) -> dict[str, torch.Tensor]:
     usable = (light.pdf > 0) & (wo.z > 0)
     bsdf_pdf = cosine_hemisphere_pdf(wo)
     by_light = light.radiance * (bsdf_pdf * usable / light.pdf.clamp_min(1e-30))
-    weight = power_heuristic(light.pdf.clamp_min(1e-30), bsdf_pdf * light.findable)
+    weight = power_heuristic(light.weighing.clamp_min(1e-30), bsdf_pdf * light.findable)
 
     wo = square_to_cosine_hemisphere(*uniform(COUNT, 3, dimensions=2))
     d = si.frame.to_world(wo)
