@@ -24,8 +24,8 @@ from torch_radbp.adjoint.function import render_images
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.scene.tensors import SceneTensors
 
-# Functions inside of which something is detached on behalf of a discrete choice: of a lobe, of a light. Of a whole scene, which
-# is detached in the first, only the tables from which lights are chosen.
+# Functions inside of which something is detached on behalf of a discrete choice: of a lobe, of a light. Of the whole scene
+# that the second one detaches, only the tables from which lights are chosen.
 PROPOSAL = "make_integrand"
 CHOICES = frozenset({"choose", PROPOSAL})
 DEEPEST_CALL = 14  # frames between such a function and what it detaches

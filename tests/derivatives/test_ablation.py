@@ -10,7 +10,7 @@ from tests.derivatives.in_expectation import Effort, Estimate
 from tests.derivatives.moving_scenes import SCENES
 
 EFFORT = Effort(spp=64, batches=8)
-SCENES_OF_THE_TEST = ("plane before a wall", "plane under a soft lamp")
+SCENES_OF_THE_TEST = ("wall behind the camera", "plane under a soft lamp")
 
 
 @pytest.mark.parametrize("name", SCENES_OF_THE_TEST)

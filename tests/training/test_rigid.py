@@ -63,6 +63,11 @@ def test_gradient_at_the_start_is_that_of_the_six_numbers():
 def pose_recipe(folder, edit_recipe):
     """A recipe for the pose of the wall, its target from the true pose, the wall larger than the view."""
     text = (folder / "scene.xml").read_text()
+    for old, new in {
+            'name="width" value="8"': 'name="width" value="32"', 'name="height" value="6"': 'name="height" value="24"',
+            'value="picture.png"/>': 'value="picture.png"/><transform name="to_uv"><scale value="5"/></transform>'}.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
     assert text.count('<translate y="1" z="-1"/>') == 1
     wall = '<scale value="4"/><rotate x="0.3" y="1" z="0.4" angle="10"/><translate y="1" z="0.4"/>'
     (folder / "scene.xml").write_text(text.replace('<translate y="1" z="-1"/>', wall))
@@ -89,8 +94,7 @@ def test_pose_is_recovered_and_written(pose_recipe, folder):
     before, after = pose["pose_error_before"], pose["pose_error"]
     assert before["angle"] == pytest.approx(math.sqrt(29), rel=1e-4)
     assert before["distance"] == pytest.approx(math.sqrt(0.0141), rel=1e-4)
-    # 48 noisy pixels of a 4 x 4 picture do not tell a pose any better.
-    assert summary["images"][0]["mean_error"] < 0.02 and after["angle"] < 0.6 * before["angle"]
+    assert after["angle"] < 0.5 * before["angle"] and after["distance"] < 0.5 * before["distance"]
     written = rb.load(folder / "run" / "scene" / "scene.xml").get_parameter("wall.to_world").detach()
     torch.testing.assert_close(written.flatten(), torch.tensor(pose["recovered"]))
     text = report.read_text(encoding="utf-8")
