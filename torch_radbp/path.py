@@ -24,7 +24,7 @@ from torch import Tensor
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import CAMERA_DEPTH, bounce_key, depth_counter, lane_key, uniform
-from torch_radbp.scene.departure import attached_departure, departure
+from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
@@ -193,34 +193,6 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
     alive = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
     chosen = chosen._replace(pdf=torch.where(alive, chosen.pdf, 0.0))  # not a product: it may be infinite
     return Scattering(Le, Ld, si, light, material, chosen, alive.to(zero.dtype) / survival)
-
-
-class LocalMap(NamedTuple):
-    """The terms of L_k = E_k + F_k L_{k+1} as functions of what a bounce is attached to."""
-
-    E: Vec3
-    F: Vec3
-    ray: Ray | None  # ray_{k+1}; None if rays carry no derivatives, or the path ends
-    pdf: Tensor | None  # density of its direction
-
-
-def local_map(scene: SceneTensors, proposal: SceneTensors, state: PathState, step: Step, following: Hit | None, at: Position,
-              settings: Settings) -> LocalMap:
-    """What the derivative of a bounce is taken of: from parameters, and from the ray if it is moving, to E_k and F_k.
-
-    Args:
-        scene, proposal, state, at, settings: as for `bounce`.
-        step: what was decided.
-        following: what the next ray meets, triangle -1 where it meets nothing or there is none.
-    """
-    local = scattering(scene, proposal, state, step.hit, at, settings)
-    E = local.Le + masked(step.visible, local.Ld)
-    if local.sample is None:
-        return LocalMap(E, E.map(torch.zeros_like), None, None)
-    if not settings.moving:
-        return LocalMap(E, local.sample.weight * local.thinning, None, None)
-    weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling)
-    return LocalMap(E, weight * local.thinning, ray, local.sample.pdf)
 
 
 def next_event(material: Material, si: SurfaceInteraction, light: LightSample,

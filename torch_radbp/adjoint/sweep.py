@@ -23,7 +23,8 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_map, tree_map_only, tree_unflatten
 
-from torch_radbp.path import Integrand, PathState, Position, Settings, Step, local_map, survivors, take_step
+from torch_radbp.adjoint.local_map import local_map
+from torch_radbp.path import Integrand, PathState, Position, Settings, Step, survivors, take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.lookup import Tap, lookup, tapped
 from torch_radbp.scene.tensors import SceneTensors

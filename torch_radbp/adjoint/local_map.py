@@ -1,0 +1,42 @@
+"""What the derivative of a bounce is taken of, the same for reverse mode, forward mode and plain autograd."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.path import PathState, Position, Settings, Step, scattering
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.departure import attached_departure
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import Ray, Vec3, masked
+
+
+class LocalMap(NamedTuple):
+    """The terms of L_k = E_k + F_k L_{k+1} as functions of what a bounce is attached to."""
+
+    E: Vec3
+    F: Vec3
+    ray: Ray | None  # ray_{k+1}; None if rays carry no derivatives, or the path ends
+    pdf: Tensor | None  # density of its direction
+
+
+def local_map(scene: SceneTensors, proposal: SceneTensors, state: PathState, step: Step, following: Hit | None, at: Position,
+              settings: Settings) -> LocalMap:
+    """From parameters, and from the ray if it is moving, to E_k and F_k, and to the next ray.
+
+    Args:
+        scene, proposal, state, at, settings: as for `bounce`.
+        step: what was decided.
+        following: what the next ray meets, triangle -1 where it meets nothing or there is none.
+    """
+    local = scattering(scene, proposal, state, step.hit, at, settings)
+    E = local.Le + masked(step.visible, local.Ld)
+    if local.sample is None:
+        return LocalMap(E, E.map(torch.zeros_like), None, None)
+    if not settings.moving:
+        return LocalMap(E, local.sample.weight * local.thinning, None, None)
+    weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling)
+    return LocalMap(E, weight * local.thinning, ray, local.sample.pdf)
