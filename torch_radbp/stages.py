@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import torch
 from torch._inductor.codecache import cache_dir
+from torch.utils._pytree import tree_map_only
 
 from torch_radbp import vec
 from torch_radbp.adjoint.sweep import FEW_ENTRIES, bounce_adjoint
@@ -88,6 +89,8 @@ class CompiledStage:
             return self.stage(*arguments)
         case = tuple(self.case_of(argument) if isinstance(argument, SceneTensors) else special_case((argument,))
                      for argument in arguments)
+        if any(torch.float64 in part for part in case):
+            arguments = tree_map_only(torch.Tensor, with_an_axis, arguments)
         functions = self.functions.setdefault(case, [])
         for number in itertools.count():
             if number == len(functions):
@@ -124,6 +127,11 @@ class CompiledStage:
             raise RuntimeError(f"the compiled {self.stage.__name__} refuses the arguments that it was compiled for; "
                                "use compile=False")
         return function
+
+
+def with_an_axis(value: torch.Tensor) -> torch.Tensor:
+    """`value`, but (1,) for a () number in float64, which the compiler takes for a Python number, and fails."""
+    return value.reshape(1) if value.dim() == 0 and value.dtype is torch.float64 else value
 
 
 @functools.cache
