@@ -18,6 +18,7 @@ TARGETS = {
     "cornell_box/target_128.exr": ("cornell_box/scene.xml", 128, 4096),
     "textured_room/target.exr": ("textured_room/scene.xml", 128, 4096),
     "poster/target.exr": ("poster/scene.xml", 96, 4096),
+    "round_room/target.exr": ("round_room/scene.xml", 64, 8192),
     "glass_slab/target.exr": ("glass_slab/scene.xml", 64, 4096),
     "metal_plate/target.exr": ("metal_plate/scene.xml", 64, 8192),
     "point_light/target.exr": ("point_light/scene.xml", 64, 8192),
