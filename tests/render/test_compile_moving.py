@@ -1,6 +1,6 @@
-"""Compiled gradients of what moves, of a surface with a direction, and in double precision: those of the eager functions.
+"""Compiled gradients of what moves, in double precision: those of the eager functions.
 
-What a scene contains decides what is compiled; compilation takes about a minute where the compiler's cache is empty.
+Compilation takes a minute or two where the compiler's cache is empty.
 """
 
 import pytest
@@ -11,15 +11,14 @@ from tests.gradients import assert_informative, image_and_gradients, relative_er
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-BRUSHED = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.5, "eta": 0.9, "k": 2.4}
-NAMES = ("plate.to_world", "plate.bsdf.alpha_u.value", "floor.bsdf.reflectance.value", "sensor.x_fov")
+NAMES = ("plate.to_world", "floor.bsdf.reflectance.value", "lamp.position", "sensor.x_fov")
 SETTINGS = {"spp": 16, "max_depth": 3, "rr_depth": 100}
 
 
 def scene(dtype: torch.dtype) -> rb.Scene:
-    """A brushed plate above a floor, under a point of light."""
+    """A plate above a floor, under a point of light."""
     return load(dtype, sensor=sensor(8, (0.3, 0.4, 3.5)),
-                plate=rectangle((0.1, 0, 0), 1.2, (1, 0.3, 0.2), -40, bsdf=BRUSHED),
+                plate=rectangle((0.1, 0, 0), 1.2, (1, 0.3, 0.2), -40, bsdf=diffuse(0.8, 0.4, 0.2)),
                 floor=rectangle((0, -1, 0), 4.0, (1, 0.2, 0.1), -80, bsdf=diffuse(0.5, 0.6, 0.7)),
                 lamp={"type": "point", "position": [0.7, 1.4, 1.9], "intensity": rgb(9, 8, 7)})
 
