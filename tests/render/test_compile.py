@@ -7,9 +7,10 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.gradients import assert_informative, cotangent, relative_error
+from tests.gradients import assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters
 from torch_radbp import stages
+from torch_radbp.adjoint.function import detached
 
 SIZE, NAMES = 16, CASES["cornell"].parameters
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 3}
@@ -45,6 +46,30 @@ def test_the_compiled_image_and_gradient_are_the_eager_ones(compiled):
     for name, gradient, wanted in zip(NAMES, found, gradients):
         # One lane of 1024 that takes another way changes a gradient by about a thousandth.
         assert relative_error(gradient, wanted) < (1e-3 if differs.any() else 1e-4), name
+
+
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+def test_compiled_gradients_of_what_moves_are_the_eager_ones():
+    names, scenes = ("light.to_world", "white.reflectance.value", "sensor.x_fov"), [cornell(torch.float32, SIZE), cornell(
+        torch.float32, SIZE)]
+    (image, gradients), (found_image, found) = (
+        image_and_gradients(scene, names, compile=compiled, **SETTINGS) for scene, compiled in zip(scenes, (False, True)))
+    assert_informative(image, list(gradients))
+    differs = ((found_image - image).abs() > 1e-4 * image.max()).any(dim=1)
+    assert differs.sum() <= 2
+    for name, gradient, wanted in zip(names, found, gradients):
+        assert relative_error(gradient, wanted) < (1e-2 if differs.any() else 1e-3), name
+
+
+def test_double_precision_compiles():
+    """The compiler takes a () number in float64 for a Python number, and fails, unless it is told not to."""
+    camera = detached(cornell(torch.float64, SIZE).sensors[0].tensors())
+    numbers = torch.arange(256, dtype=torch.int32)
+    arguments = camera, torch.tensor(SIZE, dtype=torch.int32), numbers, numbers % 7, torch.tensor(3, dtype=torch.int32)
+    (expected, _), (ray, _) = (stage.sample_camera(*arguments) for stage in (stages.EAGER, stages.compiled()))
+    for part, wanted in zip((*ray.o, *ray.d), (*expected.o, *expected.d)):
+        assert part.dtype == torch.float64 and (part - wanted).abs().max() < 1e-14
+    assert expected.d.x.std() > 0.01
 
 
 def functions() -> int:
