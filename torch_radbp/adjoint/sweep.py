@@ -192,13 +192,15 @@ def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor, places: dict[t
         places: what was made of indices before, for several tables are read at the same ones.
     """
     entries = len(gradient)
-    blocks = min(MOST_BLOCKS, len(index), MOST_PARTIAL_SUMS // entries)
-    whole = len(index) // blocks * blocks if blocks > 1 else 0
-    if whole:
-        partial = adjoint.new_zeros(blocks, entries)
-        if (id(index), blocks) not in places:
-            places[id(index), blocks] = index[:whole].view(blocks, -1).long()
-        partial.scatter_add_(1, places[id(index), blocks], adjoint[:whole].view(blocks, -1))
-        gradient += partial.sum(0, dtype=gradient.dtype)
+    blocks = max(1, min(MOST_BLOCKS, len(index), MOST_PARTIAL_SUMS // entries))
+    whole = len(index) // blocks * blocks
+    if (id(index), blocks) not in places:
+        places[id(index), blocks] = index[:whole].view(blocks, -1).long()
+    place = places[id(index), blocks]
+    if blocks == 1:
+        gradient.scatter_add_(0, place[0], adjoint.to(gradient.dtype))
+        return
+    partial = adjoint.new_zeros(blocks, entries)
+    partial.scatter_add_(1, place, adjoint[:whole].view(blocks, -1))
+    gradient += partial.sum(0, dtype=gradient.dtype)
     gradient.index_add_(0, index[whole:], adjoint[whole:].to(gradient.dtype))
-
