@@ -40,7 +40,7 @@ def draw(path: Path, found: dict[str, dict[str, Projection]]) -> None:
     for k, (what, colour) in enumerate(zip(WITHOUT, COLOURS)):
         x, y = LEFT + k % 2 * 260, 10 + k // 2 * 18
         pen.rectangle((x, y, x + 12, y + 10), fill=colour)
-        pen.text((x + 18, y - 1), f"without {what}", fill="black")
+        pen.text((x + 18, y - 1), "with all parts" if what == "nothing" else f"without {what}", fill="black")
     y = TOP
     for name, projections in found.items():
         pen.text((10, y + 2 * BAR - 8), name, fill="black")
