@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
-from torch_radbp.sampling.sampler import CAMERA_DEPTH, bounce_key, depth_counter, lane_key, uniform
+from torch_radbp.sampling.sampler import CAMERA_DEPTH, LaneKey, SampleKey, bounce_key, depth_counter, lane_key, uniform
 from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
@@ -32,8 +32,8 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane, camera_ray
 from torch_radbp.vec import Ray, Vec3, dot, masked, max_component
 
-# The random numbers of one bounce.
-LIGHT_CHOICE, LIGHT_U, LIGHT_V, BSDF_U, BSDF_V, ROULETTE, BSDF_CHOICE = range(7)
+# The random numbers of one bounce, four coordinates of a point at a time.
+BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE = range(7)
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
@@ -62,7 +62,7 @@ class PathState(NamedTuple):
     ray: Ray
     beta: Vec3  # throughput
     pdf: Tensor  # density over solid angle of the ray's direction; infinite: not left to chance; 0: the path has ended
-    key: Tensor  # int32, of the lane's random numbers
+    key: LaneKey  # of the lane's random numbers
     lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
 
 
@@ -99,27 +99,28 @@ class Vertex(NamedTuple):
     next: PathState  # its `pdf` is 0 where the path ends
 
 
-def sample_camera(camera: PinholeTensors, width: Tensor, pixel: Tensor, sample: Tensor, seed: Tensor) -> tuple[Ray, Tensor]:
+def sample_camera(camera: PinholeTensors, width: Tensor, pixel: Tensor, sample: Tensor,
+                  key: SampleKey) -> tuple[Ray, LaneKey]:
     """One camera ray per lane, and the lane's key of random numbers.
 
     Args:
         camera: the sensor.
         width: () int32, of the crop window, pixels.
         pixel, sample: (N,) int32, row-major pixel of the crop window and number of the sample in it.
-        seed: () int32.
+        key: of the call.
     """
-    key = lane_key(seed, pixel, sample)
-    camera_key = bounce_key(key, depth_counter(CAMERA_DEPTH, pixel.device))
+    lane = lane_key(key, pixel, sample)
+    camera_key = bounce_key(lane, depth_counter(CAMERA_DEPTH, pixel.device))
     dtype = camera.tan_x.dtype
     row = torch.div(pixel, width, rounding_mode="floor")
     column = pixel - row * width
-    return camera_ray(camera, column, row, uniform(camera_key, 0, dtype), uniform(camera_key, 1, dtype)), key
+    return camera_ray(camera, column, row, uniform(camera_key, 0, dtype), uniform(camera_key, 1, dtype)), lane
 
 
-def start_path(ray: Ray, key: Tensor) -> PathState:
+def start_path(ray: Ray, key: LaneKey) -> PathState:
     """The state before the first bounce: throughput 1, every lane in its place."""
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
-    lane = torch.arange(len(key), dtype=torch.int32, device=key.device)
+    lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane)
 
 

@@ -97,7 +97,21 @@ class ReconstructionFilter(Plugin):
 
 
 class Sampler(Plugin):
+    """Gives the samples of a pixel their random numbers.
+
+    Args:
+        sample_count: default number of samples per pixel.
+        seed: added to the seed of a call.
+    """
+
     category = "sampler"
+    low_discrepancy: bool  # whether the samples of a pixel keep out of each other's way
+
+    def __init__(self, *, sample_count: int = 4, seed: int = 0):
+        super().__init__()
+        if sample_count < 1:
+            raise ValueError(f"sample_count must be at least 1, got {sample_count}")
+        self.sample_count, self.seed = sample_count, seed
 
 
 class Integrator(Plugin):

@@ -25,7 +25,7 @@ from torch_radbp.boundary import SilhouetteWatch
 from torch_radbp.path import Integrand, Settings
 from torch_radbp.plugin import nearest
 from torch_radbp.raycast import make_caster
-from torch_radbp.sampling.sampler import seed_key
+from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import any_differentiated
 from torch_radbp.scene.integrator import check_depths
@@ -159,9 +159,11 @@ class Renderer(nn.Module):
             self.sampling == "hybrid" and scene.layout.bending)
         seeds = (seed, seed if seed_grad is None else seed_grad)
         vertices = Vec3.of(caster.vertices)
-        views = [View(camera, width, height, tuple(seed_key(s + available[index].sampler.seed, index) for s in seeds),
+        samplers = [available[index].sampler for index in indices]
+        views = [View(camera, width, height,
+                      tuple(sample_key(s + sampler.seed, index, sampler.low_discrepancy, scene.device) for s in seeds),
                       clips=bool(beyond_far_plane(detached(camera), vertices).any()))
-                 for index, camera in zip(indices, cameras)]
+                 for index, camera, sampler in zip(indices, cameras, samplers)]
         stages = compiled() if self.compile_stages else EAGER
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
         settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,

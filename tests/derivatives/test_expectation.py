@@ -9,7 +9,7 @@ from tests.derivatives.in_expectation import Effort, Estimate
 from tests.derivatives.moving_scenes import FLOOR, SCENES, TURN, rigid, scene, sensor
 from torch_radbp.io.transform import rotate
 
-FAST = Effort(spp=8, batches=8)
+FAST = Effort(spp=16, batches=8)
 
 
 @pytest.mark.parametrize("name", SCENES)

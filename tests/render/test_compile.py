@@ -11,6 +11,7 @@ from tests.gradients import assert_informative, cotangent, image_and_gradients, 
 from tests.scenes import CASES, cornell, parameters
 from torch_radbp import stages
 from torch_radbp.adjoint.function import detached
+from torch_radbp.sampling.sampler import sample_key
 
 SIZE, NAMES = 16, CASES["cornell"].parameters
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 3}
@@ -65,7 +66,7 @@ def test_double_precision_compiles():
     """The compiler takes a () number in float64 for a Python number, and fails, unless it is told not to."""
     camera = detached(cornell(torch.float64, SIZE).sensors[0].tensors())
     numbers = torch.arange(256, dtype=torch.int32)
-    arguments = camera, torch.tensor(SIZE, dtype=torch.int32), numbers, numbers % 7, torch.tensor(3, dtype=torch.int32)
+    arguments = camera, torch.tensor(SIZE, dtype=torch.int32), numbers, numbers % 7, sample_key(3, 0, True, numbers.device)
     (expected, _), (ray, _) = (stage.sample_camera(*arguments) for stage in (stages.EAGER, stages.compiled()))
     for part, wanted in zip((*ray.o, *ray.d), (*expected.o, *expected.d)):
         assert part.dtype == torch.float64 and (part - wanted).abs().max() < 1e-14

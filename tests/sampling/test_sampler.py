@@ -1,4 +1,8 @@
-"""The counter-based random numbers: uniform, uncorrelated along every address, the same in both precisions."""
+"""The counter-based random numbers: uniform, uncorrelated along every address, the same in both precisions.
+
+Samples of low discrepancy share all this but for those of one pixel, which are spread evenly, as is tested at the end. So
+the other tests take one sample of each of many pixels where they take many independent samples of few.
+"""
 
 import itertools
 
@@ -10,30 +14,45 @@ from tests.sampling.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.sampling.sampler import (
     CAMERA_DEPTH,
     DIMENSIONS_PER_BOUNCE,
+    LaneKey,
     bounce_key,
     depth_counter,
     hash32,
     lane_key,
+    sample_key,
     seed_key,
     uniform,
 )
 
 PIXELS, SAMPLES = 256, 256
+LOW_DISCREPANCY = False  # set by the fixture
 
 
-def numbers(seed=0, depth=0, dimension=0, dtype=torch.float64, sensor=0):
-    """(PIXELS, SAMPLES) numbers of one dimension of one bounce."""
+@pytest.fixture(params=[False, True], ids=["independent", "low discrepancy"], autouse=True)
+def low_discrepancy(request, monkeypatch):
+    """Every test is of both kinds of samples."""
+    monkeypatch.setitem(globals(), "LOW_DISCREPANCY", request.param)
+    return request.param
+
+
+def lanes(seed=0, sensor=0, together=False):
+    """The keys of PIXELS x SAMPLES lanes; of low discrepancy each of a pixel of its own, unless `together`."""
     index = torch.arange(PIXELS * SAMPLES, dtype=torch.int32)
-    key = lane_key(torch.tensor(seed_key(seed, sensor), dtype=torch.int32), index // SAMPLES, index % SAMPLES)
-    return draw(key, depth, dimension, dtype).reshape(PIXELS, SAMPLES)
+    pixel = index if LOW_DISCREPANCY and not together else index // SAMPLES
+    return lane_key(sample_key(seed, sensor, LOW_DISCREPANCY, index.device), pixel, index % SAMPLES)
+
+
+def numbers(seed=0, depth=0, dimension=0, dtype=torch.float64, sensor=0, together=False):
+    """(PIXELS, SAMPLES) numbers of one dimension of one bounce."""
+    return draw(lanes(seed, sensor, together), depth, dimension, dtype).reshape(PIXELS, SAMPLES)
 
 
 def draw(key, depth, dimension, dtype=torch.float64):
     """One dimension of one bounce of each lane."""
-    return uniform(bounce_key(key, depth_counter(depth, key.device)), dimension, dtype)
+    return uniform(bounce_key(key, depth_counter(depth, key.shift.device)), dimension, dtype)
 
 
-ADDRESSES = [(seed, depth, dimension) for seed in (0, 1, 12345) for depth in (CAMERA_DEPTH, 0, 3) for dimension in (0, 1, 5)]
+ADDRESSES = list(itertools.product((0, 1, 12345), (CAMERA_DEPTH, 0, 3), (0, 1, 3, 6)))
 
 
 @pytest.mark.parametrize("seed, depth, dimension", ADDRESSES)
@@ -46,12 +65,13 @@ def test_numbers_are_uniform(seed, depth, dimension):
     assert p_value(np.bincount(low, minlength=256), np.full(256, u.size / 256)) > SIGNIFICANCE
 
 
-@pytest.mark.parametrize("dimensions", itertools.combinations(range(6), 3))
+@pytest.mark.parametrize("dimensions", itertools.combinations(range(7), 3))
 def test_three_dimensions_fill_the_cube(dimensions):
     """The dimensions of a bounce lie on a lattice; at 2 million points nothing of it may be seen in 32 x 32 x 32 cells."""
-    key = hash32(torch.arange(1 << 21, dtype=torch.int32))
+    index = torch.arange(1 << 21, dtype=torch.int32)
+    key = lane_key(sample_key(0, 0, LOW_DISCREPANCY, index.device), index, index % 16)
     cells = sum((draw(key, 0, dimension) * 32).long() * 32**place for place, dimension in enumerate(dimensions))
-    assert p_value(torch.bincount(cells, minlength=32**3).numpy(), np.full(32**3, len(key) / 32**3)) > SIGNIFICANCE
+    assert p_value(torch.bincount(cells, minlength=32**3).numpy(), np.full(32**3, len(index) / 32**3)) > SIGNIFICANCE
 
 
 def assert_independent(a, b, what):
@@ -76,7 +96,7 @@ def test_a_pixel_and_a_sample_of_exchanged_numbers_are_independent():
     assert_independent(u[above], u.T[above], "pixel and sample exchanged")
 
 
-@pytest.mark.parametrize("first, second", itertools.combinations(range(6), 2))
+@pytest.mark.parametrize("first, second", itertools.combinations(range(7), 2))
 def test_dimensions_are_independent(first, second):
     assert_independent(numbers(dimension=first), numbers(dimension=second), "dimensions")
 
@@ -102,9 +122,7 @@ def test_seeds_do_not_share_paths():
 
     65536 of 2^32 keys drawn twice: 1 in common is expected.
     """
-    index = torch.arange(PIXELS * SAMPLES, dtype=torch.int32)
-    keys = [set(lane_key(torch.tensor(seed_key(seed, 0), dtype=torch.int32), index // SAMPLES, index % SAMPLES).tolist())
-            for seed in range(4)]
+    keys = [set(zip(*(part.tolist() for part in lanes(seed)))) for seed in range(4)]
     assert all(len(k) > 0.9999 * PIXELS * SAMPLES for k in keys)
     for a, b in itertools.combinations(keys, 2):
         assert len(a & b) < 12
@@ -117,7 +135,7 @@ def test_sensors_are_independent():
 
 def test_sums_along_a_path_have_the_variance_of_independent_numbers():
     """What a path tracer adds up: numbers of all dimensions and depths of a lane."""
-    addresses = [(depth, dimension) for depth in range(-1, 7) for dimension in range(6)]
+    addresses = [(depth, dimension) for depth in range(-1, 7) for dimension in range(7)]
     total = sum(numbers(depth=depth, dimension=dimension) for depth, dimension in addresses).numpy()
     expected = len(addresses) / 12
     # The sample variance of 65536 nearly normal sums is known to sqrt(2 / 65536) = 0.55 per cent.
@@ -135,9 +153,8 @@ def test_both_precisions_use_the_same_24_bits():
 def test_numbers_are_a_pure_function_of_their_address():
     everything = numbers(seed=3, depth=2, dimension=4)
     assert torch.equal(everything, numbers(seed=3, depth=2, dimension=4))
-    key = lane_key(torch.tensor(seed_key(3, 0), dtype=torch.int32), torch.tensor([17], dtype=torch.int32),
-                   torch.tensor([5], dtype=torch.int32))
-    assert draw(key, 2, 4) == everything[17, 5]
+    key = lane_key(sample_key(3, 0, LOW_DISCREPANCY, everything.device), *torch.tensor([17, 5], dtype=torch.int32)[:, None])
+    assert draw(key, 2, 4) == numbers(seed=3, depth=2, dimension=4, together=True)[17, 5]
 
 
 def test_the_hash_is_a_permutation():
@@ -162,8 +179,48 @@ def test_seed_keys_fit_into_int32_and_differ():
 
 
 def test_no_two_addresses_of_a_bounce_coincide():
-    assert DIMENSIONS_PER_BOUNCE >= 6
-    key = torch.arange(4, dtype=torch.int32)
+    assert DIMENSIONS_PER_BOUNCE >= 7
+    key = LaneKey(torch.arange(4, dtype=torch.int32), torch.zeros(4, dtype=torch.int32))
     seen = {tuple(draw(key, depth, dimension).tolist())
-            for depth in range(-1, 40) for dimension in range(6)}
-    assert len(seen) == 41 * 6
+            for depth in range(-1, 40) for dimension in range(7)}
+    assert len(seen) == 41 * 7
+
+
+@pytest.mark.parametrize("depth", [CAMERA_DEPTH, 0, 3])
+@pytest.mark.parametrize("dimension", range(7))
+def test_samples_of_a_pixel_are_stratified(low_discrepancy, depth, dimension):
+    """Of every 2^k samples from a multiple of 2^k on, one lies in each of 2^k intervals, counted from some start."""
+    u = numbers(depth=depth, dimension=dimension, together=True)
+    for count in (2, 8, 32, 256):
+        blocks = u.reshape(-1, count).sort(1).values
+        gaps = torch.diff(blocks, dim=1, append=blocks[:, :1] + 1)
+        evenly = (blocks * count).floor().eq(torch.arange(count)).all() if dimension % 4 < 2 else (
+            (gaps * count - 1).abs().max() < 1e-4)
+        assert bool(evenly) == low_discrepancy
+
+
+@pytest.mark.parametrize("depth", [CAMERA_DEPTH, 0, 3])
+@pytest.mark.parametrize("dimension", [0, 4])
+def test_pairs_of_dimensions_fill_every_elementary_interval(low_discrepancy, depth, dimension):
+    u, v = (numbers(depth=depth, dimension=dimension + k, together=True).reshape(-1, 64) for k in (0, 1))
+    for across in range(7):
+        cell = (u * 2**across).long() * 2**(6 - across) + (v * 2**(6 - across)).long()
+        assert cell.sort(1).values.eq(torch.arange(64)).all() == low_discrepancy
+
+
+def test_means_of_smooth_functions_are_less_noisy(low_discrepancy):
+    """By at least a factor of 8 at 256 samples, against the noise of as many independent samples."""
+    u, v, w = (numbers(depth=2, dimension=k, together=True) for k in (4, 5, 6))
+    for value in (torch.exp(u + v), torch.sin(3 * u) * v, (w + 0.3 * u) ** 2):
+        error = value.mean(1).std() / (value.std() / np.sqrt(SAMPLES))
+        assert error < 1 / 8 if low_discrepancy else abs(error - 1) < 0.25
+
+
+def test_products_over_depths_keep_their_mean_and_are_not_noisier():
+    """What a path multiplies up; odd functions of two depths, which are the worst that orders of their own can meet."""
+    for dimension, other in ((0, 0), (0, 1), (4, 1), (2, 2)):
+        product = 12 * (numbers(depth=1, dimension=dimension, together=True) - 0.5) * (
+            numbers(depth=2, dimension=other, together=True) - 0.5)
+        means = product.mean(1) * np.sqrt(SAMPLES)
+        assert abs(means.mean()) < 5 / np.sqrt(PIXELS)
+        assert means.std() < 1.35

@@ -23,6 +23,7 @@ from torch_radbp.adjoint.finite import (
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.path import Integrand, PathState, Step, sample_camera, start_path, trace
+from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors
@@ -47,7 +48,7 @@ class View(NamedTuple):
     camera: PinholeTensors  # attached
     width: int  # of the crop window, pixels
     height: int
-    seed_keys: tuple[int, int]  # of the forward pass, and of the backward pass
+    sample_keys: tuple[SampleKey, SampleKey]  # of the forward pass, and of the backward pass
     clips: bool  # whether something lies beyond the far plane
 
 
@@ -79,25 +80,24 @@ def plan_chunks(views: list[View], spp: int, lanes: int) -> list[Chunk]:
             for first_sample in range(0, spp, samples)]
 
 
-def start_paths(call: RenderCall, chunk: Chunk, seed_key: int) -> PathState:
+def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
     """The camera paths of a chunk, pixel by pixel."""
     device = call.scene.triangles.material.device
     lane = torch.arange(chunk.pixels * chunk.samples, dtype=torch.int32, device=device)
     offset = torch.div(lane, chunk.samples, rounding_mode="floor")
     view = call.views[chunk.sensor]
-    seed = torch.tensor(seed_key, dtype=torch.int32, device=device)
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
     return start_path(*call.sample_camera(view.camera, width, offset + chunk.first_pixel,
-                                          lane - offset * chunk.samples + chunk.first_sample, seed))
+                                          lane - offset * chunk.samples + chunk.first_sample, key))
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     """Some camera paths of the first sensor, spread over its image."""
     view, device = call.views[0], call.scene.triangles.material.device
     pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
-    sample, (width, seed) = torch.arange(lanes, dtype=torch.int32, device=device), torch.tensor(
-        [view.width, view.seed_keys[0]], dtype=torch.int32, device=device).unbind()
-    return start_path(*call.sample_camera(view.camera, width, pixel, sample, seed))
+    sample = torch.arange(lanes, dtype=torch.int32, device=device)
+    width = torch.tensor(view.width, dtype=torch.int32, device=device)
+    return start_path(*call.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0]))
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:
@@ -116,7 +116,7 @@ def differentiable(tensors) -> list[Tensor]:
     return [leaf for leaf in tree_flatten(tensors)[0] if isinstance(leaf, Tensor) and leaf.requires_grad]
 
 
-def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: int, record: bool,
+def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey, record: bool,
                 tracer: Callable = trace) -> tuple[Vec3, PathRecord]:
     """Radiance of each lane, and what the backward pass will need of it."""
     strategy = call.adjoint
@@ -133,9 +133,9 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, seed_key: 
         if record and strategy.keep_hits:
             steps[depth] = step
 
-    L = tracer(integrand_of(call, integrand, chunk), start_paths(call, chunk, seed_key), visit)
+    L = tracer(integrand_of(call, integrand, chunk), start_paths(call, chunk, key), visit)
     radiance = L if record and strategy.keep_radiance else None
-    return L, PathRecord(lambda: start_paths(call, chunk, seed_key), radiance, states, steps, bounces)
+    return L, PathRecord(lambda: start_paths(call, chunk, key), radiance, states, steps, bounces)
 
 
 def accumulate(images: list[Tensor], chunk: Chunk, L: Vec3, spp: int) -> None:
@@ -152,7 +152,7 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
     images = [call.scene.triangles.p0.x.new_zeros(3, view.height * view.width) for _ in call.views]
 
     def trace_share(share: range) -> list[tuple[Vec3, PathRecord]]:
-        return [trace_chunk(call, integrand, chunk, call.views[chunk.sensor].seed_keys[0], record, tracer)
+        return [trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], record, tracer)
                 for chunk in (call.chunks[index] for index in share)]
 
     shares = in_turns(len(call.chunks), call.workers, trace_share)
@@ -174,7 +174,7 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
         for chunk in call.chunks:
             if finding.depth is None:
                 trace_chunk(call, integrand._replace(bounce=checked_bounce(finding)), chunk,
-                            call.views[chunk.sensor].seed_keys[0], record=False)
+                            call.views[chunk.sensor].sample_keys[0], record=False)
 
     with torch.no_grad():
         call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
@@ -224,8 +224,8 @@ class RenderFunction(torch.autograd.Function):
 
         def swept(index: int, gradients: list[Tensor], make_sweep: Callable = Sweep) -> Sweep:
             chunk = call.chunks[index]
-            seed_key = call.views[chunk.sensor].seed_keys[call.retrace]
-            record = trace_chunk(call, integrand, chunk, seed_key, record=True)[1] if call.retrace else records[index]
+            key = call.views[chunk.sensor].sample_keys[call.retrace]
+            record = trace_chunk(call, integrand, chunk, key, record=True)[1] if call.retrace else records[index]
             sweep = make_sweep(integrand_of(call, integrand, chunk), call.adjoint_of_bounce, record,
                                lane_adjoint(call, chunk, grad_images), wanted, gradients)
             call.adjoint.backward(sweep)
@@ -241,11 +241,11 @@ class RenderFunction(torch.autograd.Function):
             gradients = [torch.zeros_like(leaf, dtype=torch.float64) for leaf in (*leaves, *cameras)]
             for index in share:
                 chunk = call.chunks[index]
-                seed_key = call.views[chunk.sensor].seed_keys[call.retrace]
+                key = call.views[chunk.sensor].sample_keys[call.retrace]
                 sweep = swept(index, gradients[:len(leaves)])
                 wants = wanted_of_cameras[chunk.sensor]
                 if any(wants):
-                    for k, adjoint in enumerate(camera_adjoint(call, chunk, seed_key, wants, sweep.memo.adj_ray)):
+                    for k, adjoint in enumerate(camera_adjoint(call, chunk, key, wants, sweep.memo.adj_ray)):
                         gradients[first[chunk.sensor] + k] += adjoint
             return gradients
 
@@ -267,7 +267,7 @@ def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 
-def camera_adjoint(call: RenderCall, chunk: Chunk, seed_key: int, wanted: tuple[bool, ...], adj_ray: Ray) -> list[Tensor]:
+def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple[bool, ...], adj_ray: Ray) -> list[Tensor]:
     """What the camera rays of a chunk add to the gradients of the wanted leaves of their camera."""
     view = call.views[chunk.sensor]
     leaves, structure = tree_flatten(view.camera)
@@ -275,7 +275,7 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, seed_key: int, wanted: tuple[
     sensors = [view._replace(camera=tree_unflatten(leaves, structure)) if number == chunk.sensor else other
                for number, other in enumerate(call.views)]
     with torch.enable_grad():
-        ray = start_paths(call._replace(views=sensors, sample_camera=sample_camera), chunk, seed_key).ray
+        ray = start_paths(call._replace(views=sensors, sample_camera=sample_camera), chunk, key).ray
         inputs = [leaf for leaf in leaves if leaf.requires_grad]
         adjoints = vector_jacobian_product([*ray.o, *ray.d], inputs, [*adj_ray.o, *adj_ray.d])
     return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]

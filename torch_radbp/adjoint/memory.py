@@ -18,7 +18,7 @@ from torch_radbp.adjoint.tape import TapeAdjoint
 from torch_radbp.path import Integrand, PathState, trace
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
-STATE = (10, 8)  # `PathState`: ray, throughput, density; key and lane
+STATE = (10, 12)  # `PathState`: ray, throughput, density; key and lane
 STEP = (3, 5)  # `Step`: barycentrics and distance; triangle and visibility
 RADIANCE = (3, 0)  # a `Vec3`
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too

@@ -1,13 +1,23 @@
 """Counter-based random numbers: a pure function of (seed, sensor, pixel, sample, depth, dimension).
 
-Nothing is stored or restored for a replay, and results do not depend on chunk size, schedule or order of execution. The
-generator is an integer hash in int32 arithmetic, which wraps in torch on every device. float32 and float64 renderings use
-the same 24 random bits, so that both follow the same paths.
+Nothing is stored or restored for a replay, and results do not depend on chunk size, schedule or order of execution. All is
+int32 arithmetic, which wraps in torch on every device. float32 and float64 renderings use the same 24 random bits, so that
+both follow the same paths.
+
+The samples of a pixel are points of low discrepancy: at every bounce, four dimensions at a time, the points of a sequence in
+an order of that pixel and bounce, moved by a random shift of that pixel, bounce and dimension. The first two dimensions are
+those of Sobol', of which every 2^k samples leave no elementary interval of area 2^-k empty; the other two form a lattice.
+Each number by itself, and all numbers of a path together, are distributed as if they were independent, and so is what
+belongs to different pixels, sensors and seeds. Independent samples are the same with one point for all and a shift for each.
+
+References: Sobol' 1967; Cranley and Patterson 1976 (shifts); Burley 2020, "Practical Hash-based Owen Scrambling" (orders);
+Vegdahl 2021, "Building a Better LK Hash" (constants); Cools, Kuo and Nuyens 2006 (the lattice).
 """
 
 from __future__ import annotations
 
 import hashlib
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,8 +26,31 @@ from torch import Tensor
 MULTIPLIERS = tuple(
     int.from_bytes(hashlib.sha256(f"torch_radbp dimension {k}".encode()).digest()[:4], "little", signed=True) | 1
     for k in range(16))
+LATTICE = (182667, 469891)  # of the third and fourth dimension
 DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
 CAMERA_DEPTH = -1  # the depth under which the camera draws its numbers
+
+
+class SampleKey(NamedTuple):
+    """What the random numbers of a call depend on; () int32 each."""
+
+    seed: Tensor  # from `seed_key`
+    shared: Tensor  # -1: the samples of a pixel are points of one sequence; 0: they are independent
+
+
+class LaneKey(NamedTuple):
+    """What all random numbers of a lane depend on; (N,) int32 each."""
+
+    shift: Tensor  # one for all samples of a pixel, or for each
+    point: Tensor  # its place in the sequence, with the bits reversed: the first coordinate as a fraction of 2^32
+
+
+class BounceKey(NamedTuple):
+    """What the random numbers of a lane at one bounce depend on; (N,) int32 each."""
+
+    shift: Tensor
+    first: Tensor  # coordinates of the point
+    second: Tensor
 
 
 def hash32(x: Tensor) -> Tensor:
@@ -38,9 +71,45 @@ def seed_key(seed: int, sensor: int) -> int:
     return int(hash32(hash32(hash32(low) + high) + sensor_key))
 
 
-def lane_key(seed: Tensor, pixel: Tensor, sample: Tensor) -> Tensor:
-    """The int32 key of each lane's random numbers."""
-    return hash32(hash32(hash32(pixel) + seed) + hash32(sample ^ 0x5BD1E995))
+def sample_key(seed: int, sensor: int, low_discrepancy: bool, device: torch.device) -> SampleKey:
+    """The key of a call's random numbers for one sensor."""
+    key = torch.tensor([seed_key(seed, sensor), -int(low_discrepancy)], dtype=torch.int32, device=device)
+    return SampleKey(*key.unbind())
+
+
+def lane_key(key: SampleKey, pixel: Tensor, sample: Tensor) -> LaneKey:
+    """The key of each lane's random numbers, from its pixel and the number of the sample in it, (N,) int32."""
+    ours = hash32(pixel) + key.seed
+    return LaneKey(hash32(hash32(ours) + (hash32(sample ^ 0x5BD1E995) & ~key.shared)), reversed_bits(sample) & key.shared)
+
+
+def reversed_bits(x: Tensor) -> Tensor:
+    """The 32 bits of int32 values in the opposite order."""
+    for distance, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF)):
+        x = ((x >> distance) & mask) | ((x & mask) << distance)
+    return x
+
+
+def reordered(point: Tensor, order: Tensor) -> Tensor:
+    """Points of a sequence in another order: of any 2^k that follow each other from a multiple of 2^k on, none is doubled.
+
+    Each bit is flipped or not depending on all that are less significant, which are those of greater indices.
+
+    Args:
+        point: (N,) int32, bit-reversed indices.
+        order: (N,) int32, random.
+    """
+    point = (point ^ (point * 0x3D20ADEA)) + order
+    point = point * ((order >> 16) | 1)
+    point = point ^ (point * 0x05526C56)
+    return point ^ (point * 0x53A22864)
+
+
+def second_coordinate(first: Tensor) -> Tensor:
+    """The second coordinate of points of the Sobol' sequence: bits times Pascal's triangle modulo 2; fractions of 2^32."""
+    for distance, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF)):
+        first = first ^ ((first & mask) << distance)
+    return first
 
 
 def depth_counter(depth: int, device: torch.device) -> Tensor:
@@ -48,26 +117,33 @@ def depth_counter(depth: int, device: torch.device) -> Tensor:
     return hash32(torch.tensor(depth + 1, dtype=torch.int32, device=device) ^ 0x3C6EF35F)
 
 
-def bounce_key(key: Tensor, counter: Tensor) -> Tensor:
-    """The int32 key of each lane's random numbers at one bounce.
+def bounce_key(key: LaneKey, counter: Tensor) -> BounceKey:
+    """The key of each lane's random numbers at one bounce.
 
     Args:
-        key: (N,) int32, from `lane_key`.
+        key: from `lane_key`.
         counter: () int32, from `depth_counter`.
     """
-    return hash32(key + counter)
+    shift = hash32(key.shift + counter)
+    first = reordered(key.point, shift)
+    return BounceKey(shift, first, second_coordinate(first))
 
 
-def uniform(key: Tensor, dimension: int, dtype: torch.dtype) -> Tensor:
+def uniform(key: BounceKey, dimension: int, dtype: torch.dtype) -> Tensor:
     """Uniform numbers in [0, 1), one per lane.
 
-    The dimensions of a bounce are the coordinates of one point of a lattice of 2^32 points (key times an odd multiplier,
-    modulo 2^32), picked by a hash: far finer than any number of samples resolves, and a quarter of the work of a hash each.
+    Four dimensions from a multiple of four on are the coordinates of one point. Shifts are the coordinates of one point of a
+    lattice of 2^32 points (a hash times odd multipliers, modulo 2^32): far finer than any number of samples resolves, and a
+    quarter of the work of a hash each.
 
     Args:
-        key: (N,) int32, from `bounce_key`.
+        key: from `bounce_key`.
         dimension: less than `DIMENSIONS_PER_BOUNCE`.
         dtype: of the result.
     """
-    bits = ((key * MULTIPLIERS[dimension]) >> 8).to(dtype)  # -2^23 to 2^23 - 1
-    return torch.rsub(bits, 0.5, alpha=-1.0 / (1 << 24))  # 0.5 + bits / 2^24, exact
+    shift, coordinate = key.shift * MULTIPLIERS[dimension], dimension % 4
+    if coordinate < 2:
+        bits = shift ^ (key.first, key.second)[coordinate]
+    else:
+        bits = torch.add(shift, key.first, alpha=LATTICE[coordinate - 2])
+    return torch.rsub((bits >> 8).to(dtype), 0.5, alpha=-1.0 / (1 << 24))  # 0.5 + (-2^23 to 2^23 - 1) / 2^24, exact

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, nearest, positive, register
-from torch_radbp.sensor.independent import Independent
+from torch_radbp.sensor.sampler import LowDiscrepancy
 from torch_radbp.shape.surface import affine
 from torch_radbp.vec import Frame, Ray, Vec3, dot, gather, normalize
 
@@ -59,7 +59,7 @@ class Perspective(Sensor):
                  film: Film | None = None, sampler: Sampler | None = None):
         super().__init__()
         self.film = HDRFilm() if film is None else film
-        self.sampler = Independent() if sampler is None else sampler
+        self.sampler = LowDiscrepancy() if sampler is None else sampler
         fov, fov_axis = field_of_view(fov, focal_length, fov_axis)
         if not 0 < near_clip < far_clip:
             raise ValueError(f"near_clip must be positive and less than far_clip, got {near_clip} and {far_clip}")
