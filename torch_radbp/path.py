@@ -30,7 +30,7 @@ from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_li
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane, camera_ray
-from torch_radbp.vec import Ray, Vec3, dot, masked, max_component
+from torch_radbp.vec import Ray, Vec3, dot, masked, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE = range(7)
@@ -260,13 +260,6 @@ def survivors(vertex: Vertex) -> PathState:
     if len(alive) == len(vertex.next.pdf):
         return vertex.next
     return rows(vertex.next, alive)
-
-
-def rows(record, index: Tensor):
-    """The lanes `index` of a record of tensors."""
-    if isinstance(record, Tensor):
-        return record.index_select(0, index)
-    return type(record)(*(rows(part, index) for part in record))
 
 
 def surviving(vertex: Vertex) -> Tensor:

@@ -117,6 +117,13 @@ def gather(table: Tensor, index: Tensor) -> Tensor:
     return table.index_select(0, index)
 
 
+def rows(record, index: Tensor):
+    """The rows `index` of every tensor of a record."""
+    if isinstance(record, Tensor):
+        return record.index_select(0, index)
+    return record if record is None else type(record)(*(rows(part, index) for part in record))
+
+
 def attached(value: Tensor | Vec3, source: Tensor | Vec3) -> Tensor | Vec3:
     """`value` with the derivative of `source`, which is the same number but for rounding."""
     if isinstance(value, Vec3):

@@ -105,7 +105,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     # Let each kind of light that there is decide where to look.
     aim, fixed = None, None
     if layout.area_lights:
-        aim = aim_at_area(scene, si.p, pmf, lookup(lights.prim, element), square_to_uniform_triangle(u, v))
+        aim = aim_at_area(scene, si.p, pmf, lookup(lights.surface, element), square_to_uniform_triangle(u, v))
     if layout.posed_lights:
         aim = mixed(kind >= POINT, aim_at_posed(scene, si.p, pmf, lookup(lights.pose, element), kind), aim)
     if layout.constant_light:
@@ -131,24 +131,24 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     return LightSample(aim.d, radiance, aim.pdf, weighing, findable, si.p if aim.target is None else aim.target, distant)
 
 
-def aim_at_area(scene: SceneTensors, p: Vec3, pmf: Tensor, prim: Tensor, b: Vec2) -> Aim:
-    """From `p` at the point of triangles `prim` with barycentric coordinates `b`, attached to both ends."""
-    layout, triangles = scene.layout, scene.triangles
-    target = lookup(triangles.p0, prim) + lookup(triangles.e1, prim) * b.x + lookup(triangles.e2, prim) * b.y
+def aim_at_area(scene: SceneTensors, p: Vec3, pmf: Tensor, row: Tensor, b: Vec2) -> Aim:
+    """From `p` at the point of the emitting triangles `row` with barycentric coordinates `b`, attached to both ends."""
+    layout, triangles = scene.layout, scene.lights.surfaces
+    target = lookup(triangles.p0, row) + lookup(triangles.e1, row) * b.x + lookup(triangles.e2, row) * b.y
     reach = target - p
     squared = dot(reach, reach).clamp_min(NEAREST**2)
     d = reach * torch.rsqrt(squared)
-    cosine = -dot(d, lookup(triangles.n, prim))
+    cosine = -dot(d, lookup(triangles.n, row))
     facing = cosine > 0
     if layout.light_normals:
         w = 1.0 - b.x - b.y
-        shading = lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * b.x + lookup(triangles.n2, prim) * b.y
+        shading = lookup(triangles.n0, row) * w + lookup(triangles.n1, row) * b.x + lookup(triangles.n2, row) * b.y
         facing = dot(shading, d) < 0
     uv = None
     if layout.radiance_bitmaps:
         w = 1.0 - b.x - b.y
-        uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * b.x + lookup(triangles.uv2, prim) * b.y
-    pdf = pmf * lookup(triangles.inverse_area, prim) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
+        uv = lookup(triangles.uv0, row) * w + lookup(triangles.uv1, row) * b.x + lookup(triangles.uv2, row) * b.y
+    pdf = pmf * lookup(triangles.inverse_area, row) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
     return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv)
 
 

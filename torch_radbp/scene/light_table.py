@@ -27,7 +27,7 @@ from torch_radbp.scene.tensors import (
     PosedLights,
     TriangleTable,
 )
-from torch_radbp.vec import Frame, Vec2, Vec3
+from torch_radbp.vec import Frame, Vec2, Vec3, rows
 
 KINDS = {"constant": CONSTANT, "envmap": ENVIRONMENT, "point": POINT, "spot": SPOT, "projector": PROJECTOR,
          "directional": DIRECTIONAL}
@@ -71,7 +71,7 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitt
     area = 0.5 * torch.linalg.vector_norm(torch.linalg.cross(triangles.e1.stack(), triangles.e2.stack()), dim=-1)
     total = sum(emitter.sampling_weight for emitter in scene.emitters)
     pmf = torch.zeros_like(area)
-    weights, kind, prim, texture, first = [], [], [], [], 0
+    weights, kind, emitting, texture, first = [], [], [], [], 0
     for shape, count, own_texture in zip(scene.shapes, counts, emitted):
         if own_texture >= 0:
             own = area[first:first + count].detach()
@@ -80,7 +80,7 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitt
             weights.append(torch.where(share > SMALLEST_SHARE, share, 0.0) * shape.emitter.sampling_weight)
             pmf[first:first + count] = weights[-1] / total
             kind += [AREA] * count
-            prim += range(first, first + count)
+            emitting += range(first, first + count)
             texture += [own_texture] * count
         first += count
     posed = [lamp for lamp in lamps if lamp.kind >= POINT]
@@ -88,7 +88,6 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitt
     for lamp in lamps:
         weights.append(area.new_full((1,), lamp.emitter.sampling_weight))
         kind.append(lamp.kind)
-        prim.append(0)
         texture.append(lamp.texture)
         pose.append(posed.index(lamp) if lamp.kind >= POINT else 0)
     surround = next((lamp for lamp in lamps if lamp.kind in (CONSTANT, ENVIRONMENT)), None)
@@ -99,16 +98,18 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitt
     environment = None
     if surround is not None and surround.kind == ENVIRONMENT:
         environment = environment_map(surround.emitter, area)
+    # A triangle without area is never picked, and must not make others infinite.
+    picked = pmf > 0
+    inverse_area = torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0)
+    triangles = triangles._replace(light_pmf=pmf, inverse_area=inverse_area)
     table = LightTable(
-        choice=alias_table(torch.cat(weights)), kind=integers(*kind), prim=integers(*prim), pose=integers(*pose),
+        choice=alias_table(torch.cat(weights)), kind=integers(*kind), surfaces=rows(triangles, integers(*emitting).long()),
+        surface=integers(*range(len(emitting)), *(0 for _ in lamps)), pose=integers(*pose),
         radiance=integers(*texture), posed=posed_lights(posed, area) if posed else None,
         surround=integers(0 if surround is None else surround.texture),
         surround_pmf=area.new_tensor([0.0 if surround is None else surround.emitter.sampling_weight / total]),
         environment=environment)
-    # A triangle without area is never picked, and must not make others infinite.
-    picked = pmf > 0
-    inverse_area = torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0)
-    return triangles._replace(light_pmf=pmf, inverse_area=inverse_area), table
+    return triangles, table
 
 
 def posed_lights(lamps: list[Lamp], like: Tensor) -> PosedLights:

@@ -108,7 +108,8 @@ class LightTable(NamedTuple):
 
     choice: AliasTable
     kind: Tensor  # (E,) int32: AREA, CONSTANT, ...
-    prim: Tensor  # (E,) int32 triangle of an area light, else 0
+    surfaces: TriangleTable  # the triangles that emit, for light samples: few, where the scene has many; attached
+    surface: Tensor  # (E,) int32 row of `surfaces` of an area light, else 0
     pose: Tensor  # (E,) int32 row of `posed`, else 0
     radiance: Tensor  # (E,) int32 texture of the light bank
     posed: PosedLights | None  # None if there are none
