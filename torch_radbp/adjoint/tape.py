@@ -11,7 +11,7 @@ from torch.utils._pytree import tree_map
 from torch_radbp.adjoint.local_map import local_map
 from torch_radbp.path import Integrand, PathState, add_at, first_hit, surviving, take_step, trace
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.vec import Vec3
+from torch_radbp.vec import Vec3, rows
 
 
 @dataclass(frozen=True)
