@@ -135,6 +135,17 @@ def max_component(a: Vec3) -> Tensor:
     return torch.maximum(a.x, torch.maximum(a.y, a.z))
 
 
+def unit_normal(e1: Vec3, e2: Vec3) -> Vec3:
+    """The unit normal of triangles with these edges; the squares of small ones are no numbers that float32 can hold."""
+    return normalize(cross(scaled(e1), scaled(e2)))
+
+
+def scaled(a: Vec3) -> Vec3:
+    """`a` with a largest component of one, by a factor without derivative; a vector of length zero stays zero."""
+    size = max_component(a.detach().map(torch.abs))
+    return a * torch.where(size > 0, size, 1.0).reciprocal()
+
+
 class Ray(NamedTuple):
     """Half lines o + t d with t > 0, world space."""
 

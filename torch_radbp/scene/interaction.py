@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import TINY, LocalVec3, Ray, ShadingFrame, Vec2, Vec3, attached, cross, dot, normalize
+from torch_radbp.vec import TINY, LocalVec3, Ray, ShadingFrame, Vec2, Vec3, attached, cross, dot, normalize, unit_normal
 
 
 class SurfaceInteraction(NamedTuple):
@@ -55,13 +55,13 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     triangles = scene.triangles
     valid = hit.prim >= 0
     prim = hit.prim.clamp_min(0)
-    p, t = ray.o + ray.d * hit.t, hit.t
+    p, t, n = ray.o + ray.d * hit.t, hit.t, lookup(triangles.n, prim)
     if slides is not None:
         p0, e1, e2 = (lookup(table, prim) for table in (triangles.p0, triangles.e1, triangles.e2))
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
         p = attached(p, p0 + e1 * hit.u + e2 * hit.v)
         t = attached(t, dot(p - ray.o, ray.d))
-    n = lookup(triangles.n, prim)
+        n = attached(n, unit_normal(e1, e2))
     cosine = dot(n, ray.d)
     shading, shading_cosine = n, cosine
     if scene.layout.shading_normals:

@@ -27,7 +27,7 @@ from torch_radbp.scene.tensors import (
     PosedLights,
     TriangleTable,
 )
-from torch_radbp.vec import Frame, Vec2, Vec3, rows
+from torch_radbp.vec import Frame, Vec2, Vec3, attached, rows, unit_normal
 
 KINDS = {"constant": CONSTANT, "envmap": ENVIRONMENT, "point": POINT, "spot": SPOT, "projector": PROJECTOR,
          "directional": DIRECTIONAL}
@@ -54,7 +54,7 @@ def kinds_of(lamps: list[Lamp]) -> dict[str, bool]:
     return {flag: kind in found for kind, flag in FLAGS.items()}
 
 
-def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitted: list[int],
+def light_table(scene: Scene, triangles: TriangleTable, counts: list[int],
                 lamps: list[Lamp]) -> tuple[TriangleTable, LightTable]:
     """The elements that next-event estimation picks from.
 
@@ -62,29 +62,32 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitt
         scene: its shapes and emitters.
         triangles: of all shapes, attached.
         counts: triangles of each shape.
-        emitted: texture of the light bank of each shape, -1 if it emits nothing.
         lamps: the other emitters.
 
     Returns:
         The triangles, with the columns about lights, and the table of lights.
     """
-    area = 0.5 * torch.linalg.vector_norm(torch.linalg.cross(triangles.e1.stack(), triangles.e2.stack()), dim=-1)
+    emitting = (triangles.radiance >= 0).nonzero().squeeze(1)
+    surfaces = rows(triangles, emitting)
+    area = 0.5 * torch.linalg.vector_norm(torch.linalg.cross(surfaces.e1.stack(), surfaces.e2.stack()), dim=-1)
     total = sum(emitter.sampling_weight for emitter in scene.emitters)
-    pmf = torch.zeros_like(area)
-    weights, kind, emitting, texture, first = [], [], [], [], 0
-    for shape, count, own_texture in zip(scene.shapes, counts, emitted):
-        if own_texture >= 0:
-            own = area[first:first + count].detach()
-            share = own / own.sum()
-            # What is never picked is left out: the derivative of 1 / area might overflow.
-            weights.append(torch.where(share > SMALLEST_SHARE, share, 0.0) * shape.emitter.sampling_weight)
-            pmf[first:first + count] = weights[-1] / total
-            kind += [AREA] * count
-            emitting += range(first, first + count)
-            texture += [own_texture] * count
-        first += count
+    shapes = [(shape, count) for shape, count in zip(scene.shapes, counts) if shape.emitter is not None]
+    weights = [area.new_zeros(0)]
+    for (shape, _), own in zip(shapes, area.detach().split([count for _, count in shapes])):
+        share = own / own.sum()
+        # What is never picked is left out: the derivative of 1 / area might overflow.
+        weights.append(torch.where(share > SMALLEST_SHARE, share, 0.0) * shape.emitter.sampling_weight)
+    pmf = torch.cat(weights) / (total or 1.0)
+    # A triangle without area is never picked, and must not make others infinite.
+    picked = pmf > 0
+    inverse_area = torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0)
+    surfaces = surfaces._replace(n=attached(surfaces.n, unit_normal(surfaces.e1, surfaces.e2)), light_pmf=pmf,
+                                 inverse_area=inverse_area)
+    dark = area.new_zeros(len(triangles.radiance))
+    triangles = triangles._replace(light_pmf=dark.index_copy(0, emitting, pmf),
+                                   inverse_area=dark.index_copy(0, emitting, inverse_area))
+    kind, texture, pose = [AREA] * len(emitting), surfaces.radiance.tolist(), [0] * len(emitting)
     posed = [lamp for lamp in lamps if lamp.kind >= POINT]
-    pose = [0] * len(kind)
     for lamp in lamps:
         weights.append(area.new_full((1,), lamp.emitter.sampling_weight))
         kind.append(lamp.kind)
@@ -98,12 +101,8 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int], emitt
     environment = None
     if surround is not None and surround.kind == ENVIRONMENT:
         environment = environment_map(surround.emitter, area)
-    # A triangle without area is never picked, and must not make others infinite.
-    picked = pmf > 0
-    inverse_area = torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0)
-    triangles = triangles._replace(light_pmf=pmf, inverse_area=inverse_area)
     table = LightTable(
-        choice=alias_table(torch.cat(weights)), kind=integers(*kind), surfaces=rows(triangles, integers(*emitting).long()),
+        choice=alias_table(torch.cat(weights)), kind=integers(*kind), surfaces=surfaces,
         surface=integers(*range(len(emitting)), *(0 for _ in lamps)), pose=integers(*pose),
         radiance=integers(*texture), posed=posed_lights(posed, area) if posed else None,
         surround=integers(0 if surround is None else surround.texture),

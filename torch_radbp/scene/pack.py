@@ -16,7 +16,7 @@ from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors, Trian
 from torch_radbp.shape.surface import Triangles
 from torch_radbp.texture.bitmap import WRAP_MODES
 from torch_radbp.texture.rgb import RGB
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.vec import Vec2, Vec3, unit_normal
 
 
 class BankBuilder:
@@ -91,7 +91,7 @@ def pack(scene: Scene) -> SceneTensors:
     triangles = triangles._replace(
         material=torch.tensor(material, dtype=torch.int32, device=device).repeat_interleave(repeats),
         radiance=torch.tensor(emitted, dtype=torch.int32, device=device).repeat_interleave(repeats))
-    triangles, lights = light_table(scene, triangles, counts, emitted, lamps)
+    triangles, lights = light_table(scene, triangles, counts, lamps)
     return SceneTensors(triangles, materials, reflectance.build(dtype, device), lights,
                         radiance.build(dtype, device), layout)
 
@@ -170,18 +170,10 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, tangents:
     corner = torch.cat(corners) if corners else torch.zeros(0, 3, 3, dtype=dtype, device=device)
     n = [Vec3.of(torch.cat(shading)[:, k]) for k in range(3)] if shading else [None] * 3
     st = [Vec2.of(torch.cat(coordinates)[:, k]) for k in range(3)] if uv and coordinates else [None] * 3
-    none = torch.zeros(0, device=device)
     p0, e1, e2 = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    size = corner_distance(e1, e2)
-    normal = torch.nn.functional.normalize(torch.linalg.cross(e1 / size, e2 / size), dim=-1)
     along = Vec3.of(growth_of_u(e1, e2, torch.cat(coordinates))) if tangents and coordinates else None
-    return TriangleTable(Vec3.of(p0), Vec3.of(e1), Vec3.of(e2), Vec3.of(normal), *n, *st, along, none, none, none, none)
-
-
-def corner_distance(e1: Tensor, e2: Tensor) -> Tensor:
-    """(T, 1) about the size of triangles, detached: the square of that of a small one is no number that float32 can hold."""
-    size = torch.maximum(e1.abs(), e2.abs()).amax(1, keepdim=True).detach()
-    return torch.where(size > 0, size, 1.0)
+    p0, e1, e2 = Vec3.of(p0), Vec3.of(e1), Vec3.of(e2)
+    return TriangleTable(p0, e1, e2, unit_normal(e1.detach(), e2.detach()), *n, *st, along, *[None] * 4)
 
 
 def growth_of_u(e1: Tensor, e2: Tensor, uv: Tensor) -> Tensor:

@@ -58,7 +58,7 @@ class TriangleTable(NamedTuple):
     p0: Vec3  # (T,) each; first vertex, world space
     e1: Vec3  # to the second vertex
     e2: Vec3  # to the third vertex
-    n: Vec3  # unit geometric normal
+    n: Vec3  # unit geometric normal, detached: its derivative is that of `unit_normal` of the edges
     n0: Vec3 | None  # unit shading normals at the vertices, None if the scene has none
     n1: Vec3 | None
     n2: Vec3 | None
