@@ -107,6 +107,11 @@ def grid_mesh(height: Callable, cells: int = 12, half: float = 5.0, normals: boo
     return mesh | attributes
 
 
+def shaded_as(height: Callable) -> dict[str, Any]:
+    """A flat textured mesh with the normals of another."""
+    return grid_mesh(flat, bsdf=MESH_TEXTURE, vertex_normals=grid_mesh(height)["vertex_normals"])
+
+
 def flat(x: Tensor, y: Tensor) -> Tensor:
     return 0 * x
 
@@ -200,7 +205,8 @@ SCENES = {
     # Its shading normals.
     "normals under a point": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), **POINT),
                                          "sheet.vertex_normals", wave(), 0.005),
-    "normals under an envmap": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), sky=envmap()),
+    # Flat but for its normals: over a sheet with waves attached directions would slide over the waves' outlines.
+    "normals under an envmap": MovingScene(scene(sheet=shaded_as(wavy), sky=envmap()),
                                            "sheet.vertex_normals", wave(), 0.005),
     # A surround.
     "plane shifted under an envmap": MovingScene(scene(**FLOOR, sky=envmap()), "plane.to_world", rigid(SHIFT), 0.005),
