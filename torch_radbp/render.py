@@ -66,8 +66,8 @@ class Renderer(nn.Module):
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, what silhouettes and the edges of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
-    move are in view. With attached sampling that holds for whatever directions depend on (roughness, normals): they slide over
-    the edges of what they meet.
+    move are in view. With attached sampling that holds for whatever directions depend on (roughness, normals): they slide
+    over the edges of what they meet.
 
     Raises:
         ValueError: for settings that make no sense.
