@@ -13,7 +13,7 @@ The pipeline, in the order of data:
 from torch_radbp import bsdf, emitter, film, sensor, shape, texture  # noqa: F401 (registers the plugins)
 from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.adjoint.finite import NonFiniteError
-from torch_radbp.boundary import SilhouetteWarning
+from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.check import GradientCheck, check_gradient
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.write import save
@@ -23,6 +23,6 @@ from torch_radbp.pose import se3
 from torch_radbp.render import Renderer, render
 from torch_radbp.scene import Scene
 
-__all__ = ["GradientCheck", "MemoizedAdjoint", "NonFiniteError", "QuadraticAdjoint", "Renderer", "ReplayAdjoint", "Scene",
-           "SceneError", "SilhouetteWarning", "TapeAdjoint", "check_gradient", "jvp", "load", "load_dict", "render", "save",
-           "se3"]
+__all__ = ["GradientCheck", "JumpWarning", "MemoizedAdjoint", "NonFiniteError", "QuadraticAdjoint", "Renderer",
+           "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint", "check_gradient", "jvp", "load",
+           "load_dict", "render", "save", "se3"]

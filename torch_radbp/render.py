@@ -67,7 +67,7 @@ class Renderer(nn.Module):
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, what silhouettes and the edges of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
     move are in view. With attached sampling that holds for whatever directions depend on (roughness, normals): they slide
-    over the edges of what they meet.
+    over the edges of what they meet. The other samplings miss a jump of GGX rough glass; a `JumpWarning` says so.
 
     Raises:
         ValueError: for settings that make no sense.
@@ -131,6 +131,8 @@ class Renderer(nn.Module):
         call = self.prepare(seed, sensors, spp, seed_grad)
         seen = self.scene.sensors if sensors is None else [self.scene.sensors[index] for index in sensors]
         self.silhouettes.look(self.scene, seen, [detached(view.camera) for view in call.views])
+        if self.sampling != "attached":
+            self.silhouettes.look_for_jumps(self.scene, seen)
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")

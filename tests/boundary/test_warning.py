@@ -150,3 +150,23 @@ def test_vertices_in_one_place_are_one_and_a_cube_has_18_edges():
     assert len(edges.a) == 18 and (torch.bincount(edges.edge) == 2).all()
     noisy = cube.vertex_positions.detach() * (1 + 1e-7 * torch.randn(24, 3, generator=torch.Generator().manual_seed(0)))
     assert len(torch.unique(welded(noisy))) == 8
+
+
+def glass(**attributes) -> rb.Scene:
+    """A sheet of rough glass that fills the view, before a wall that does."""
+    return load(camera=sensor(4), wall=rectangle((0, 0, -1), 40, bsdf=PICTURE), sky=SKY,
+                sheet=rectangle((0, 0, 0), 40, bsdf={"type": "roughdielectric", "distribution": "ggx"} | attributes))
+
+
+@pytest.mark.parametrize("name", ["sheet.to_world", "wall.to_world", "camera.to_world", "sheet.bsdf.eta"])
+@pytest.mark.parametrize("sampling", ["hybrid", "detached"])
+def test_the_jump_of_ggx_glass_is_warned_of_by_name(name, sampling):
+    message, = warnings_of(glass(), name, calls=3, sampling=sampling)
+    assert message.startswith(f"derivatives of `{name}` lack a part at the roughdielectric `sheet.bsdf`")
+    assert "sampling='attached'" in message
+
+
+def test_without_a_jump_there_is_nothing_to_warn_of():
+    assert not warnings_of(glass(), "sheet.to_world", sampling="attached")
+    assert not warnings_of(glass(distribution="beckmann"), "sheet.to_world")
+    assert not warnings_of(glass(), "sheet.bsdf.alpha.value", "wall.bsdf.reflectance.data")

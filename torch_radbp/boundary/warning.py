@@ -1,4 +1,4 @@
-"""The warning that a derivative lacks what silhouettes contribute.
+"""The warnings that a derivative lacks what silhouettes, or jumps of a BSDF, contribute.
 
 A derivative of the image is a derivative of its pixels, plus what is gained and lost where one surface ends and another is
 seen behind it. The second part is not computed yet. It is missing if a shape, or the camera, moves and silhouettes are in
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.silhouette import silhouettes_in_view
-from torch_radbp.plugin import Plugin, Sensor
+from torch_radbp.plugin import BSDF, Plugin, Sensor
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import tangent_of
 from torch_radbp.sensor.perspective import PinholeTensors
@@ -29,11 +29,15 @@ class SilhouetteWarning(UserWarning):
     """Derivatives are asked for that lack what silhouettes contribute."""
 
 
+class JumpWarning(SilhouetteWarning):
+    """Derivatives are asked for that lack what the jump of a BSDF contributes, a silhouette of its microfacets."""
+
+
 class SilhouetteWatch:
-    """Looks at every rendering until there is something to warn of; then it has warned, once."""
+    """Looks at every rendering until there is something to warn of; then it has warned, once of each kind."""
 
     def __init__(self) -> None:
-        self.warned = False
+        self.warned = self.warned_of_jumps = False
         self.known: dict[object, tuple[Tensor, Edges]] = {}  # edges of what was looked at, and the faces that made them
 
     def look(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors]) -> None:
@@ -54,6 +58,22 @@ class SilhouetteWatch:
                           f"in view, where the image changes by a jump. A loss that depends on outlines, such as that of a "
                           f"shape before a background, has a biased gradient; check_gradient tells by how much",
                           SilhouetteWarning, stacklevel=level_of_the_caller())
+
+    def look_for_jumps(self, scene: Scene, sensors: Sequence[Sensor]) -> None:
+        """Warns if directions turn at rough glass that jumps with them, and do not carry derivatives; see `Kind.jumps`."""
+        if self.warned_of_jumps:
+            return
+        one_sided = [plugin for plugin in scene.modules() if isinstance(plugin, BSDF) and hasattr(plugin, "kind")]
+        jumping = [bsdf for bsdf in one_sided if bsdf.kind().jumps]
+        turning = [name for plugins, attributes in ((scene.shapes, MOVE_SHAPES), (sensors, MOVE_VIEWS), (jumping, ("eta",)))
+                   for plugin in plugins for name in moving(scene, plugin, attributes)]
+        if jumping and turning:
+            self.warned_of_jumps = True
+            named = " and ".join(f"`{name}`" for name in turning)
+            warnings.warn(f"derivatives of {named} lack a part at the {jumping[0].type} "
+                          f"`{scene.name_of(jumping[0])}`: light refracted by GGX facets ends with a jump, which directions "
+                          f"that carry no derivative miss. Use sampling='attached', or the distribution 'beckmann', which "
+                          f"has no jump", JumpWarning, stacklevel=level_of_the_caller())
 
     def missing(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors]) -> dict[str, int]:
         """The parameters that move silhouettes in view, and how many edges each."""

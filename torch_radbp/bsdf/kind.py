@@ -52,6 +52,11 @@ class Kind(ABC):
     steering: ClassVar[tuple[int, ...]] = ()  # of an ideal specular kind: the values that its directions depend on
 
     @property
+    def jumps(self) -> bool:
+        """Whether `eval_pdf` jumps somewhere as directions turn, which derivatives at fixed directions miss."""
+        return False
+
+    @property
     @abstractmethod
     def slots(self) -> int:
         """How many values the functions take."""

@@ -48,6 +48,11 @@ class RoughDielectricKind(MicrofacetKind):
 
     discrete: ClassVar[bool] = True
 
+    @property
+    def jumps(self) -> bool:
+        """Of GGX: see above."""
+        return self.distribution == "ggx"
+
     def index(self, values: Values, side: Tensor) -> Tensor:
         """Index of refraction of the far side over the near side."""
         return relative_index(apart_from_one(values[-3].x), side)
