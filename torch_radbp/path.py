@@ -309,7 +309,7 @@ def behind_emitters(integrand: Integrand, ray: Ray, hit: Hit) -> Hit:
     """The closest surface that is no emitter."""
     triangles = integrand.proposal.triangles
     while True:
-        hidden = ((hit.prim >= 0) & (triangles.radiance[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)
+        hidden = ((hit.prim >= 0) & (triangles.emitter[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)
         if len(hidden) == 0:
             return hit
         seen = Ray(*(Vec3(*(component[hidden] for component in vector)) for vector in ray))

@@ -21,7 +21,7 @@ from torch_radbp.adjoint.function import (
 )
 from torch_radbp.adjoint.memory import MemoryPlan, parse_budget, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.boundary import SilhouetteWatch
+from torch_radbp.boundary import JumpWatch
 from torch_radbp.path import Integrand, Settings
 from torch_radbp.plugin import nearest
 from torch_radbp.raycast import make_caster
@@ -67,7 +67,8 @@ class Renderer(nn.Module):
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, what silhouettes and the edges of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
     move are in view. With attached sampling that holds for whatever directions depend on (roughness, normals): they slide
-    over the edges of what they meet. The other samplings miss a jump of GGX rough glass; a `JumpWarning` says so.
+    over the edges of what they meet, and are warned of. The other samplings miss a jump of GGX rough glass; a `JumpWarning`
+    says so.
 
     Raises:
         ValueError: for settings that make no sense.
@@ -101,7 +102,7 @@ class Renderer(nn.Module):
         if sampling not in SAMPLINGS:
             raise ValueError(f"sampling={sampling!r} is not known; {nearest(sampling, SAMPLINGS)}")
         self.casters: list = []
-        self.silhouettes = SilhouetteWatch()
+        self.jump_watch = JumpWatch()
 
     def forward(self, seed: int = 0, sensors: Sequence[int] | None = None, spp: int | None = None,
                 seed_grad: int | None = None) -> Tensor:
@@ -130,9 +131,7 @@ class Renderer(nn.Module):
                                       dict(self.named_parameters()))
         call = self.prepare(seed, sensors, spp, seed_grad)
         seen = self.scene.sensors if sensors is None else [self.scene.sensors[index] for index in sensors]
-        self.silhouettes.look(self.scene, seen, [detached(view.camera) for view in call.views])
-        if self.sampling != "attached":
-            self.silhouettes.look_for_jumps(self.scene, seen)
+        self.jump_watch.look(self.scene, seen, [detached(view.camera) for view in call.views], self.sampling)
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
@@ -198,7 +197,7 @@ class Renderer(nn.Module):
         lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
         chunk = max(part.pixels * part.samples for part in call.chunks)
         situation = {"fractions": reaching(integrand, pilot_paths(call, PILOT_LANES)), "lanes": lanes, "chunk": chunk,
-                     "max_depth": integrand.max_depth, "dtype": scene.triangles.p0.x.dtype, "compiled": self.compile_stages,
+                     "max_depth": integrand.max_depth, "dtype": scene.dtype, "compiled": self.compile_stages,
                      "workers": call.workers, "moving": integrand.settings.moving}
         if self.memory_budget is None:
             return predict(adjoint=call.adjoint, retrace=call.retrace, **situation)

@@ -170,3 +170,26 @@ def test_without_a_jump_there_is_nothing_to_warn_of():
     assert not warnings_of(glass(), "sheet.to_world", sampling="attached")
     assert not warnings_of(glass(distribution="beckmann"), "sheet.to_world")
     assert not warnings_of(glass(), "sheet.bsdf.alpha.value", "wall.bsdf.reflectance.data")
+
+
+METAL = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.3}
+
+
+@pytest.mark.parametrize("name, named", [
+    ("plate.bsdf.brdf_0.alpha_v.value", "plate.bsdf.brdf_0.alpha_v"), ("box.vertex_normals", "box.vertex_normals"),
+    ("pane.bsdf.eta", "pane.bsdf.eta"), ("plate.bsdf.brdf_0.eta.value", None),
+    ("plate.bsdf.brdf_0.specular_reflectance.value", None)])
+def test_attached_directions_that_slide_over_edges_are_warned_of_by_name(name, named):
+    def scene() -> rb.Scene:
+        return scene_of(box=CUBE, plate=rectangle((0, 0, -1), 9, bsdf={"type": "twosided", "bsdf": METAL}),
+                        pane=rectangle((0, 0, 1), 9, bsdf={"type": "roughdielectric"}))
+
+    assert not warnings_of(scene(), name)
+    messages = warnings_of(scene(), name, calls=2, sampling="attached")
+    assert len(messages) == (named is not None)
+    assert all(f"derivatives of `{named}` lack what edges contribute" in message for message in messages)
+
+
+def test_directions_from_a_single_plane_meet_no_edges():
+    scene = scene_of(plate=rectangle((0, 0, 0), 9, (1, 2, 0), 20, bsdf=METAL))
+    assert not warnings_of(scene, "plate.bsdf.alpha_u.value", sampling="attached")

@@ -86,7 +86,7 @@ class Decisions(TorchFunctionMode):
 
 def choice_tables(scene: SceneTensors) -> list[Tensor]:
     """Of which lights, and which parts of the environment, are chosen."""
-    return [scene.triangles.light_pmf, *(leaf for leaf in tree_leaves(scene.lights) if isinstance(leaf, Tensor))]
+    return [leaf for leaf in tree_leaves(scene.lights) if isinstance(leaf, Tensor)]
 
 
 class HeldCaster:

@@ -11,7 +11,7 @@ from tests.gradients import assert_informative, image_and_gradients
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
 from torch_radbp.scene.pack import growth_of_u, pack
 from torch_radbp.texture.bitmap import LUMINANCE
-from torch_radbp.vec import Frame, Vec3, cross, dot
+from torch_radbp.vec import Frame, Vec2, Vec3, cross, dot
 
 BRUSHED = {"type": "roughconductor", "distribution": "ggx", "alpha_u": 0.15, "alpha_v": 0.5, "eta": rgb(0.4, 1, 2), "k": 2.0}
 SKY = {"type": "envmap", "bitmap": texels(5, 8, 3)}
@@ -50,7 +50,7 @@ def test_the_brush_strokes_follow_coordinates_and_vertices(name, distribution):
 def test_what_does_not_follow_them_costs_nothing():
     assert pack(scene_of(BRUSHED)).triangles.along is not None
     plain = pack(scene_of({"type": "roughconductor", "alpha": 0.2}))
-    assert plain.triangles.along is None and plain.triangles.uv0 is None and not plain.layout.anisotropic
+    assert plain.triangles.along is None and plain.triangles.vertices.uv is None and not plain.layout.anisotropic
 
 
 def frames(count: int = 200) -> tuple[Vec3, Vec3]:
@@ -76,11 +76,11 @@ def test_where_u_does_not_tell_the_frame_is_the_one_around_the_normal():
 
 
 def test_u_grows_the_same_way_whichever_way_round_a_triangle_is_numbered():
-    e1, e2 = torch.tensor([[2.0, 0, 0]]), torch.tensor([[0.0, 3, 0]])
-    uv = torch.tensor([[[0.1, 0.2], [0.1, 0.7], [-0.4, 0.2]]])
-    for first, second, order in ((e1, e2, [0, 1, 2]), (e2, e1, [0, 2, 1])):
-        torch.testing.assert_close(growth_of_u(first, second, uv[:, order]), torch.tensor([[0.0, -1, 0]]))
-    assert (growth_of_u(e1, e2, torch.full((1, 3, 2), 0.3)) == 0).all()
+    e1, e2 = Vec3.of(torch.tensor([[2.0, 0, 0]])), Vec3.of(torch.tensor([[0.0, 3, 0]]))
+    a, b, c = (Vec2.of(torch.tensor([uv])) for uv in ([0.1, 0.2], [0.1, 0.7], [-0.4, 0.2]))
+    for first, second, uv in ((e1, e2, (a, b, c)), (e2, e1, (a, c, b))):
+        torch.testing.assert_close(growth_of_u(first, second, *uv).stack(), torch.tensor([[0.0, -1, 0]]))
+    assert (growth_of_u(e1, e2, a, a, a).stack() == 0).all()
 
 
 @pytest.mark.parametrize("material", ["roughconductor", "roughdielectric"])

@@ -53,9 +53,9 @@ def test_normals_and_areas_of_very_small_triangles_are_right():
     scene = load(torch.float32, camera=sensor(2), lamp={
         "type": "mesh", "vertex_positions": small, "faces": torch.tensor([[0, 1, 2]]),
         "emitter": {"type": "area", "radiance": rgb(1, 1, 1)}})
-    triangles = pack(scene).triangles
-    torch.testing.assert_close(triangles.n.stack(), torch.tensor([[0.0, 0, 1]]))
-    torch.testing.assert_close(triangles.inverse_area, torch.tensor([2e16]))
+    surfaces = pack(scene).lights.surfaces
+    torch.testing.assert_close(surfaces.n.stack(), torch.tensor([[0.0, 0, 1]]))
+    torch.testing.assert_close(surfaces.inverse_area, torch.tensor([2e16]))
 
 
 METAL = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.3}

@@ -96,7 +96,7 @@ def cast(scene: rb.Scene, tensors: SceneTensors, ray: Ray) -> View:
 
 def on_the_floor(scene: rb.Scene, tensors: SceneTensors, count: int, seed: int, spread: float = 1.0) -> View:
     """Surface points of the floor, seen from just above it."""
-    x, y, _ = uniform(count, seed, tensors.triangles.p0.x.dtype)
+    x, y, _ = uniform(count, seed, tensors.dtype)
     o = Vec3(spread * (x - 0.5), torch.full_like(x, -0.5), spread * (y - 0.5))
     return cast(scene, tensors, Ray(o, Vec3(torch.zeros_like(x), torch.full_like(x, -1.0), torch.zeros_like(x))))
 

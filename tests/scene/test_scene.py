@@ -10,6 +10,7 @@ from torch_radbp.emitter.constant import Constant
 from torch_radbp.scene.pack import geometry, pack
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.shape.rectangle import Rectangle
+from torch_radbp.vec import rows
 
 
 def test_a_shared_material_is_registered_once_under_its_own_name():
@@ -50,9 +51,8 @@ def test_triangles_are_packed_in_the_order_of_the_caster():
     scene = cornell()
     triangles, (vertices, faces) = pack(scene).triangles, geometry(scene)
     corners = vertices[faces.long()]
-    torch.testing.assert_close(triangles.p0.stack(), corners[:, 0], rtol=0, atol=0)
-    torch.testing.assert_close(triangles.e1.stack(), corners[:, 1] - corners[:, 0], rtol=0, atol=0)
-    torch.testing.assert_close(triangles.e2.stack(), corners[:, 2] - corners[:, 0], rtol=0, atol=0)
+    for k, corner in enumerate(triangles.corners):
+        torch.testing.assert_close(rows(triangles.vertices.p, corner).stack(), corners[:, k], rtol=0, atol=0)
     assert len(faces) == 6 * 2 + 12
 
 
@@ -63,7 +63,7 @@ def test_next_event_estimation_chooses_area_by_area_and_lights_by_weight():
     packed = pack(scene)
     torch.testing.assert_close(packed.lights.choice.pmf, torch.tensor([0.125, 0.125, 0.75], dtype=torch.float64))
     # Density over area: a quarter of the choices, spread over 4 x 6.
-    density = packed.triangles.light_pmf * packed.triangles.inverse_area
+    density = packed.lights.surfaces.pmf * packed.lights.surfaces.inverse_area
     torch.testing.assert_close(density, torch.full((2,), 0.25 / 24, dtype=torch.float64))
 
 
@@ -74,8 +74,8 @@ def test_colours_poses_and_areas_are_attached_and_choices_are_not():
     packed = pack(scene)
     lights = packed.lights
     assert all(component.requires_grad for component in (*packed.reflectance.texels, *packed.radiance.texels,
-                                                         *lights.posed.place, packed.triangles.inverse_area))
-    assert not any(tensor.requires_grad for tensor in (*lights.choice, lights.surround_pmf, packed.triangles.light_pmf))
+                                                         *lights.posed.place, lights.surfaces.inverse_area))
+    assert not any(tensor.requires_grad for tensor in (*lights.choice, lights.surround_pmf, lights.surfaces.pmf))
 
 
 def test_a_texture_used_by_two_materials_is_stored_once():

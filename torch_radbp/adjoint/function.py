@@ -82,7 +82,7 @@ def plan_chunks(views: list[View], spp: int, lanes: int) -> list[Chunk]:
 
 def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
     """The camera paths of a chunk, pixel by pixel."""
-    device = call.scene.triangles.material.device
+    device = call.scene.device
     lane = torch.arange(chunk.pixels * chunk.samples, dtype=torch.int32, device=device)
     offset = torch.div(lane, chunk.samples, rounding_mode="floor")
     view = call.views[chunk.sensor]
@@ -93,7 +93,7 @@ def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     """Some camera paths of the first sensor, spread over its image."""
-    view, device = call.views[0], call.scene.triangles.material.device
+    view, device = call.views[0], call.scene.device
     pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
@@ -149,7 +149,8 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
                   tracer: Callable = trace) -> tuple[Tensor, list[PathRecord]]:
     """(B, 3, H, W) linear RGB, and the records of the chunks if asked for."""
     view = call.views[0]
-    images = [call.scene.triangles.p0.x.new_zeros(3, view.height * view.width) for _ in call.views]
+    images = [torch.zeros(3, view.height * view.width, dtype=call.scene.dtype, device=call.scene.device)
+              for _ in call.views]
 
     def trace_share(share: range) -> list[tuple[Vec3, PathRecord]]:
         return [trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], record, tracer)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
@@ -19,9 +19,11 @@ from torch_radbp.boundary.silhouette import silhouettes_in_view
 from torch_radbp.plugin import BSDF, Plugin, Sensor
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import tangent_of
+from torch_radbp.scene.pack import geometry
 from torch_radbp.sensor.perspective import PinholeTensors
 
 MOVE_SHAPES = ("to_world", "vertex_positions")
+FLAT = 1e-6  # thickness over extent
 MOVE_VIEWS = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y")
 
 
@@ -33,47 +35,66 @@ class JumpWarning(SilhouetteWarning):
     """Derivatives are asked for that lack what the jump of a BSDF contributes, a silhouette of its microfacets."""
 
 
-class SilhouetteWatch:
-    """Looks at every rendering until there is something to warn of; then it has warned, once of each kind."""
+class JumpWatch:
+    """Looks at every rendering for jumps whose part is missing from the derivative; warns once of each sort."""
 
     def __init__(self) -> None:
-        self.warned = self.warned_of_jumps = False
+        self.looks = [self.silhouettes_in_view, self.jumps_of_a_bsdf, self.edges_slid_over]  # which have not warned yet
         self.known: dict[object, tuple[Tensor, Edges]] = {}  # edges of what was looked at, and the faces that made them
 
-    def look(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors]) -> None:
-        """Warns if derivatives are asked for of what moves silhouettes that are seen. Hidden ones count as seen.
+    def look(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors], sampling: str) -> None:
+        """Warns if derivatives are asked for that lack something.
 
         Args:
             scene: with the parameters of this rendering.
             sensors: that are rendered.
             cameras: the same as tensors.
+            sampling: "detached", "hybrid" or "attached".
         """
-        if self.warned:
-            return
-        missing = self.missing(scene, sensors, cameras)
-        if missing:
-            self.warned = True
-            named = " and ".join(f"`{name}`" for name in missing)
-            warnings.warn(f"derivatives of {named} lack what its silhouettes contribute: {max(missing.values())} edges move "
-                          f"in view, where the image changes by a jump. A loss that depends on outlines, such as that of a "
-                          f"shape before a background, has a biased gradient; check_gradient tells by how much",
-                          SilhouetteWarning, stacklevel=level_of_the_caller())
+        for look in self.looks[:]:
+            warning = look(scene, sensors, cameras, sampling)
+            if warning is not None:
+                self.looks.remove(look)
+                warnings.warn(warning, stacklevel=level_of_the_caller())
 
-    def look_for_jumps(self, scene: Scene, sensors: Sequence[Sensor]) -> None:
-        """Warns if directions turn at rough glass that jumps with them, and do not carry derivatives; see `Kind.jumps`."""
-        if self.warned_of_jumps:
-            return
-        one_sided = [plugin for plugin in scene.modules() if isinstance(plugin, BSDF) and hasattr(plugin, "kind")]
-        jumping = [bsdf for bsdf in one_sided if bsdf.kind().jumps]
+    def silhouettes_in_view(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors],
+                            sampling: str) -> SilhouetteWarning | None:
+        """Of the shapes and cameras that move. Hidden silhouettes count as seen."""
+        missing = self.missing(scene, sensors, cameras)
+        if not missing:
+            return None
+        return SilhouetteWarning(f"derivatives of {listed(missing)} lack what its silhouettes contribute: "
+                                 f"{max(missing.values())} edges move in view, where the image changes by a jump. A loss "
+                                 f"that depends on outlines, such as that of a shape before a background, has a biased "
+                                 f"gradient; check_gradient tells by how much")
+
+    def jumps_of_a_bsdf(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors],
+                        sampling: str) -> JumpWarning | None:
+        """Directions turn at rough glass that jumps with them, and do not carry derivatives; see `Kind.jumps`."""
+        jumping = [bsdf for bsdf in one_sided(scene) if bsdf.kind().jumps and sampling != "attached"]
         turning = [name for plugins, attributes in ((scene.shapes, MOVE_SHAPES), (sensors, MOVE_VIEWS), (jumping, ("eta",)))
                    for plugin in plugins for name in moving(scene, plugin, attributes)]
-        if jumping and turning:
-            self.warned_of_jumps = True
-            named = " and ".join(f"`{name}`" for name in turning)
-            warnings.warn(f"derivatives of {named} lack a part at the {jumping[0].type} "
-                          f"`{scene.name_of(jumping[0])}`: light refracted by GGX facets ends with a jump, which directions "
-                          f"that carry no derivative miss. Use sampling='attached', or the distribution 'beckmann', which "
-                          f"has no jump", JumpWarning, stacklevel=level_of_the_caller())
+        if not (jumping and turning):
+            return None
+        bsdf = f"{jumping[0].type} `{scene.name_of(jumping[0])}`"
+        return JumpWarning(f"derivatives of {listed(turning)} lack a part at the {bsdf}: light refracted by GGX facets "
+                           f"ends with a jump, which directions that carry no derivative miss. Use sampling='attached', or "
+                           f"the distribution 'beckmann', which has no jump")
+
+    def edges_slid_over(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors],
+                        sampling: str) -> SilhouetteWarning | None:
+        """Directions turn with roughness, index or normals of a surface, and there are edges that they may slide over."""
+        if sampling != "attached":
+            return None
+        turning = [f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}" for bsdf in one_sided(scene)
+                   for slot in bsdf.kind().steering if asks_for_derivatives(bsdf.textures()[slot].texels())]
+        turning += [name for shape in scene.shapes for name in moving(scene, shape, ("vertex_normals",))]
+        if not turning or flat(geometry(scene)[0]):
+            return None
+        return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute: with sampling='attached' "
+                                 f"directions turn with them and slide over the edges of what they meet, where radiance "
+                                 f"changes by a jump. With sampling='hybrid' they do not, but for ideal mirrors and glass; "
+                                 f"check_gradient tells by how much it matters")
 
     def missing(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors]) -> dict[str, int]:
         """The parameters that move silhouettes in view, and how many edges each."""
@@ -86,7 +107,7 @@ class SilhouetteWatch:
                 missing |= {name: count for name in names}
         turned = [(sensor, camera) for sensor, camera in zip(sensors, cameras) if moving(scene, sensor, MOVE_VIEWS)]
         if turned:
-            vertices, faces = world(scene)
+            vertices, faces = geometry(scene)
             for sensor, camera in turned:
                 count = self.count("world", vertices, faces, [sensor], [camera])
                 missing |= {name: count for name in moving(scene, sensor, MOVE_VIEWS)}
@@ -102,6 +123,22 @@ class SilhouetteWatch:
                    for sensor, camera in zip(sensors, cameras))
 
 
+def one_sided(scene: Scene) -> list[BSDF]:
+    """The materials of a scene without their wrappers."""
+    return [plugin for plugin in scene.modules() if isinstance(plugin, BSDF) and hasattr(plugin, "kind")]
+
+
+def listed(names: Iterable[str]) -> str:
+    """`a` and `b`."""
+    return " and ".join(f"`{name}`" for name in dict.fromkeys(names))
+
+
+def flat(vertices: Tensor) -> bool:
+    """Whether all vertices, (V, 3), lie in one plane, so that no ray from one surface meets another."""
+    extent = torch.linalg.svdvals((vertices - vertices.mean(0)).double())
+    return bool(extent[-1] <= FLAT * extent[0])
+
+
 def moving(scene: Scene, plugin: Plugin, attributes: Sequence[str]) -> list[str]:
     """The names of those attributes of a plugin that derivatives are asked for."""
     asked = [name for name in attributes if asks_for_derivatives(getattr(plugin, name, None))]
@@ -113,14 +150,6 @@ def asks_for_derivatives(value) -> bool:
     if not isinstance(value, Tensor):
         return False
     return (value.requires_grad and torch.is_grad_enabled()) or tangent_of(value) is not None
-
-
-def world(scene: Scene) -> tuple[Tensor, Tensor]:
-    """All vertices (V, 3), detached, and faces (F, 3) of a scene."""
-    surfaces = [shape.oriented() for shape in scene.shapes]
-    firsts = torch.tensor([0] + [len(surface.vertices) for surface in surfaces]).cumsum(0).tolist()
-    return (torch.cat([surface.vertices.detach() for surface in surfaces]),
-            torch.cat([surface.faces + first for surface, first in zip(surfaces, firsts)]))
 
 
 def level_of_the_caller() -> int:

@@ -43,7 +43,10 @@ class DielectricKind(DeltaKind):
     """
 
     discrete: ClassVar[bool] = True
-    steering: ClassVar[tuple[int, ...]] = (0,)
+
+    @property
+    def steering(self) -> tuple[int, ...]:
+        return (0,)
 
     @property
     def slots(self) -> int:

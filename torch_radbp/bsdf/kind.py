@@ -49,7 +49,11 @@ class Kind(ABC):
     delta: ClassVar[bool] = False  # ideal specular: no direction it scatters into can be found otherwise
     discrete: ClassVar[bool] = False  # there is something to `choose`
     oriented: ClassVar[bool] = False  # turning the surface about its normal makes a difference
-    steering: ClassVar[tuple[int, ...]] = ()  # of an ideal specular kind: the values that its directions depend on
+
+    @property
+    def steering(self) -> tuple[int, ...]:
+        """The values that sampled directions depend on: numbers of the material."""
+        return ()
 
     @property
     def jumps(self) -> bool:

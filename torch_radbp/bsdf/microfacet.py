@@ -144,6 +144,10 @@ class MicrofacetKind(Kind):
     def oriented(self) -> bool:
         return self.anisotropic
 
+    @property
+    def steering(self) -> tuple[int, ...]:
+        return tuple(range(1 + self.anisotropic))
+
     def facets(self, values: Values) -> Beckmann | GGX:
         """The distribution of microfacets."""
         return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)

@@ -49,6 +49,10 @@ class RoughDielectricKind(MicrofacetKind):
     discrete: ClassVar[bool] = True
 
     @property
+    def steering(self) -> tuple[int, ...]:
+        return *super().steering, 1 + self.anisotropic
+
+    @property
     def jumps(self) -> bool:
         """Of GGX: see above."""
         return self.distribution == "ggx"

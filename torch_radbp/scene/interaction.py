@@ -8,8 +8,21 @@ import torch
 from torch import Tensor
 
 from torch_radbp.scene.lookup import lookup
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import TINY, LocalVec3, Ray, ShadingFrame, Vec2, Vec3, attached, cross, dot, normalize, unit_normal
+from torch_radbp.scene.tensors import EmittingTriangles, SceneTensors, TriangleTable, VertexTable
+from torch_radbp.vec import (
+    TINY,
+    LocalVec3,
+    Ray,
+    ShadingFrame,
+    Vec2,
+    Vec3,
+    attached,
+    cross,
+    dot,
+    normalize,
+    unit_normal,
+    where,
+)
 
 
 class SurfaceInteraction(NamedTuple):
@@ -55,9 +68,10 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     triangles = scene.triangles
     valid = hit.prim >= 0
     prim = hit.prim.clamp_min(0)
+    corners = corners_of(triangles, prim)
     p, t, n = ray.o + ray.d * hit.t, hit.t, lookup(triangles.n, prim)
     if slides is not None:
-        p0, e1, e2 = (lookup(table, prim) for table in (triangles.p0, triangles.e1, triangles.e2))
+        p0, e1, e2 = edges(triangles.vertices, corners)
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
         p = attached(p, p0 + e1 * hit.u + e2 * hit.v)
         t = attached(t, dot(p - ray.o, ray.d))
@@ -65,14 +79,9 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     cosine = dot(n, ray.d)
     shading, shading_cosine = n, cosine
     if scene.layout.shading_normals:
-        w = 1.0 - hit.u - hit.v
-        shading = normalize(lookup(triangles.n0, prim) * w + lookup(triangles.n1, prim) * hit.u
-                            + lookup(triangles.n2, prim) * hit.v)
+        shading = shading_normal(triangles, prim, corners, hit.u, hit.v, n)
         shading_cosine = dot(shading, ray.d)
-    uv = None
-    if triangles.uv0 is not None:
-        w = 1.0 - hit.u - hit.v
-        uv = lookup(triangles.uv0, prim) * w + lookup(triangles.uv1, prim) * hit.u + lookup(triangles.uv2, prim) * hit.v
+    uv = None if triangles.vertices.uv is None else interpolated(triangles.vertices.uv, corners, hit.u, hit.v)
     front = shading_cosine < 0
     material = lookup(triangles.material, prim)
     if scene.layout.back_sides:
@@ -82,6 +91,30 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     frame = ShadingFrame(shading, lookup(triangles.along, prim) if scene.layout.anisotropic else None)
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
     return SurfaceInteraction(valid, prim, material, p, n, frame, front, wi, uv, t, cosine)
+
+
+def corners_of(triangles: TriangleTable | EmittingTriangles, row: Tensor) -> tuple[Tensor, ...]:
+    """The rows of the three vertices of triangles, int32 (N,) each."""
+    return tuple(lookup(corner, row) for corner in triangles.corners)
+
+
+def edges(vertices: VertexTable, corners: tuple[Tensor, ...]) -> tuple[Vec3, Vec3, Vec3]:
+    """The first vertices of triangles, and the edges from there to the second and the third."""
+    p0, p1, p2 = (lookup(vertices.p, corner) for corner in corners)
+    return p0, p1 - p0, p2 - p0
+
+
+def interpolated(table: Vec2 | Vec3, corners: tuple[Tensor, ...], u: Tensor, v: Tensor) -> Vec2 | Vec3:
+    """What the vertices of triangles have, at barycentric coordinates."""
+    first, second, third = (lookup(table, corner) for corner in corners)
+    return first * (1.0 - u - v) + second * u + third * v
+
+
+def shading_normal(triangles: TriangleTable | EmittingTriangles, row: Tensor, corners: tuple[Tensor, ...], u: Tensor,
+                   v: Tensor, n: Vec3) -> Vec3:
+    """The normal of the vertices at barycentric coordinates; of a flat triangle its own, `n`."""
+    shading = normalize(interpolated(triangles.vertices.n, corners, u, v))
+    return shading if triangles.smooth is None else where(lookup(triangles.smooth, row), shading, n)
 
 
 def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tensor):

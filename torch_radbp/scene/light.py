@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere, square_to_uniform_triangle
 from torch_radbp.scene.environment import environment_radiance, environment_weighing, sample_environment
-from torch_radbp.scene.interaction import SurfaceInteraction
+from torch_radbp.scene.interaction import SurfaceInteraction, corners_of, interpolated, shading_normal
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.posed_light import NEAREST, illumination
 from torch_radbp.scene.tensors import CONSTANT, DIRECTIONAL, ENVIRONMENT, POINT, SceneTensors
@@ -47,10 +47,11 @@ def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Vec3:
     layout = scene.layout
     radiance = Vec3.full(si.p.x, 0.0)
     if layout.area_lights:
-        texture = lookup(scene.triangles.radiance, si.prim)
-        emits = si.valid & si.front & (texture >= 0)
+        row = lookup(scene.triangles.emitter, si.prim)
+        emits = si.valid & si.front & (row >= 0)
+        texture = lookup(scene.lights.surfaces.radiance, row.clamp_min(0))
         uv = si.uv if layout.radiance_bitmaps else None
-        radiance = masked(emits, sample_texture(scene.radiance, texture.clamp_min(0), uv))
+        radiance = masked(emits, sample_texture(scene.radiance, texture, uv))
     if layout.constant_light:
         surround = scene.lights.surround.expand(si.prim.shape)
         uv = Vec2(torch.zeros_like(si.p.x), torch.zeros_like(si.p.x)) if layout.radiance_bitmaps else None
@@ -71,8 +72,12 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
         proposal: gives the probabilities of picking a light, and the environment map with its pose; None: `scene`.
     """
     proposal = scene if proposal is None else proposal
-    pdf = (lookup(proposal.triangles.light_pmf, si.prim) * lookup(scene.triangles.inverse_area, si.prim)
-           * (si.t * si.t) / si.cosine.abs().clamp_min(SMALLEST_COSINE))
+    pdf = torch.zeros_like(si.t)
+    if scene.layout.area_lights:
+        row = lookup(proposal.triangles.emitter, si.prim)
+        density = (lookup(proposal.lights.surfaces.pmf, row.clamp_min(0))
+                   * lookup(scene.lights.surfaces.inverse_area, row.clamp_min(0)) * (row >= 0).to(pdf.dtype))
+        pdf = density * (si.t * si.t) / si.cosine.abs().clamp_min(SMALLEST_COSINE)
     surround_pmf = proposal.lights.surround_pmf
     if scene.layout.constant_light:
         return torch.where(si.valid, pdf, surround_pmf * UNIFORM_SPHERE_PDF)
@@ -134,20 +139,17 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
 def aim_at_area(scene: SceneTensors, p: Vec3, pmf: Tensor, row: Tensor, b: Vec2) -> Aim:
     """From `p` at the point of the emitting triangles `row` with barycentric coordinates `b`, attached to both ends."""
     layout, triangles = scene.layout, scene.lights.surfaces
-    target = lookup(triangles.p0, row) + lookup(triangles.e1, row) * b.x + lookup(triangles.e2, row) * b.y
+    corners = corners_of(triangles, row)
+    target = interpolated(triangles.vertices.p, corners, b.x, b.y)
     reach = target - p
     squared = dot(reach, reach).clamp_min(NEAREST**2)
     d = reach * torch.rsqrt(squared)
-    cosine = -dot(d, lookup(triangles.n, row))
+    n = lookup(triangles.n, row)
+    cosine = -dot(d, n)
     facing = cosine > 0
     if layout.light_normals:
-        w = 1.0 - b.x - b.y
-        shading = lookup(triangles.n0, row) * w + lookup(triangles.n1, row) * b.x + lookup(triangles.n2, row) * b.y
-        facing = dot(shading, d) < 0
-    uv = None
-    if layout.radiance_bitmaps:
-        w = 1.0 - b.x - b.y
-        uv = lookup(triangles.uv0, row) * w + lookup(triangles.uv1, row) * b.x + lookup(triangles.uv2, row) * b.y
+        facing = dot(shading_normal(triangles, row, corners, b.x, b.y, n).detach(), d.detach()) < 0
+    uv = interpolated(triangles.vertices.uv, corners, b.x, b.y) if layout.radiance_bitmaps else None
     pdf = pmf * lookup(triangles.inverse_area, row) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
     return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv)
 

@@ -13,6 +13,7 @@ from torch_radbp.emitter.illumination import linear_inverse
 from torch_radbp.plugin import Emitter
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.sampling.grid import grid_distribution
+from torch_radbp.scene.interaction import edges
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import (
     AREA,
@@ -22,12 +23,13 @@ from torch_radbp.scene.tensors import (
     POINT,
     PROJECTOR,
     SPOT,
+    EmittingTriangles,
     EnvironmentMap,
     LightTable,
     PosedLights,
     TriangleTable,
 )
-from torch_radbp.vec import Frame, Vec2, Vec3, attached, rows, unit_normal
+from torch_radbp.vec import Frame, Vec2, Vec3, attached, cross, rows, unit_normal
 
 KINDS = {"constant": CONSTANT, "envmap": ENVIRONMENT, "point": POINT, "spot": SPOT, "projector": PROJECTOR,
          "directional": DIRECTIONAL}
@@ -54,22 +56,23 @@ def kinds_of(lamps: list[Lamp]) -> dict[str, bool]:
     return {flag: kind in found for kind, flag in FLAGS.items()}
 
 
-def light_table(scene: Scene, triangles: TriangleTable, counts: list[int],
-                lamps: list[Lamp]) -> tuple[TriangleTable, LightTable]:
+def light_table(scene: Scene, triangles: TriangleTable, radiance: Tensor, counts: list[int],
+                lamps: list[Lamp]) -> LightTable:
     """The elements that next-event estimation picks from.
 
     Args:
         scene: its shapes and emitters.
         triangles: of all shapes, attached.
+        radiance: (T,) int32, the texture that each triangle emits; -1: none.
         counts: triangles of each shape.
         lamps: the other emitters.
-
-    Returns:
-        The triangles, with the columns about lights, and the table of lights.
     """
-    emitting = (triangles.radiance >= 0).nonzero().squeeze(1)
-    surfaces = rows(triangles, emitting)
-    area = 0.5 * torch.linalg.vector_norm(torch.linalg.cross(surfaces.e1.stack(), surfaces.e2.stack()), dim=-1)
+    emitting = (radiance >= 0).nonzero().squeeze(1)
+    corner = torch.stack([corner[emitting] for corner in triangles.corners])
+    theirs, corner = torch.unique(corner, return_inverse=True)
+    vertices, corners = rows(triangles.vertices, theirs), tuple(corner.to(torch.int32))
+    _, e1, e2 = edges(vertices, corners)
+    area = 0.5 * torch.linalg.vector_norm(cross(e1, e2).stack(), dim=-1)
     total = sum(emitter.sampling_weight for emitter in scene.emitters)
     shapes = [(shape, count) for shape, count in zip(scene.shapes, counts) if shape.emitter is not None]
     weights = [area.new_zeros(0)]
@@ -80,12 +83,10 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int],
     pmf = torch.cat(weights) / (total or 1.0)
     # A triangle without area is never picked, and must not make others infinite.
     picked = pmf > 0
-    inverse_area = torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0)
-    surfaces = surfaces._replace(n=attached(surfaces.n, unit_normal(surfaces.e1, surfaces.e2)), light_pmf=pmf,
-                                 inverse_area=inverse_area)
-    dark = area.new_zeros(len(triangles.radiance))
-    triangles = triangles._replace(light_pmf=dark.index_copy(0, emitting, pmf),
-                                   inverse_area=dark.index_copy(0, emitting, inverse_area))
+    surfaces = EmittingTriangles(
+        vertices, corners, n=attached(rows(triangles.n, emitting), unit_normal(e1, e2)),
+        smooth=None if triangles.smooth is None else triangles.smooth[emitting], radiance=radiance[emitting], pmf=pmf,
+        inverse_area=torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0))
     kind, texture, pose = [AREA] * len(emitting), surfaces.radiance.tolist(), [0] * len(emitting)
     posed = [lamp for lamp in lamps if lamp.kind >= POINT]
     for lamp in lamps:
@@ -101,14 +102,13 @@ def light_table(scene: Scene, triangles: TriangleTable, counts: list[int],
     environment = None
     if surround is not None and surround.kind == ENVIRONMENT:
         environment = environment_map(surround.emitter, area)
-    table = LightTable(
+    return LightTable(
         choice=alias_table(torch.cat(weights)), kind=integers(*kind), surfaces=surfaces,
         surface=integers(*range(len(emitting)), *(0 for _ in lamps)), pose=integers(*pose),
         radiance=integers(*texture), posed=posed_lights(posed, area) if posed else None,
         surround=integers(0 if surround is None else surround.texture),
         surround_pmf=area.new_tensor([0.0 if surround is None else surround.emitter.sampling_weight / total]),
         environment=environment)
-    return triangles, table
 
 
 def posed_lights(lamps: list[Lamp], like: Tensor) -> PosedLights:

@@ -9,14 +9,15 @@ from torch_radbp.bsdf.kind import Kind
 from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.differentiated import differentiated
+from torch_radbp.scene.interaction import edges
 from torch_radbp.scene.light_table import Lamp, kinds_of, light_table
 from torch_radbp.scene.lookup import TextureBank
 from torch_radbp.scene.scene import Scene
-from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors, TriangleTable
+from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors, TriangleTable, VertexTable
 from torch_radbp.shape.surface import Triangles
 from torch_radbp.texture.bitmap import WRAP_MODES
 from torch_radbp.texture.rgb import RGB
-from torch_radbp.vec import Vec2, Vec3, unit_normal
+from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, rows, scaled, unit_normal, where
 
 
 class BankBuilder:
@@ -78,7 +79,7 @@ def pack(scene: Scene) -> SceneTensors:
     emitted = [-1 if shape.emitter is None else radiance.add(shape.emitter.radiance) for shape in scene.shapes]
     lamps = [Lamp(emitter, radiance.add(emitter.radiated())) for emitter in scene.emitters if emitter.type != "area"]
     layout = Layout(
-        bending=any(differentiated(bsdf.textures()[slot].texels()) for bsdf in one_sided(bsdfs)
+        bending=any(differentiated(bsdf.textures()[slot].texels()) for bsdf in one_sided(bsdfs) if bsdf.kind().delta
                     for slot in bsdf.kind().steering),
         shading_normals=any(surface.normals is not None for surface in surfaces),
         light_normals=any(surface.normals is not None and texture >= 0 for surface, texture in zip(surfaces, emitted)),
@@ -88,10 +89,12 @@ def pack(scene: Scene) -> SceneTensors:
     needs_uv = layout.reflectance_bitmaps or layout.radiance_bitmaps
     triangles = triangle_table(surfaces, layout.shading_normals, needs_uv, layout.anisotropic, dtype, device)
     repeats = torch.tensor(counts, device=device)
+    radiance_of = torch.tensor(emitted, dtype=torch.int32, device=device).repeat_interleave(repeats)
+    emitting = radiance_of >= 0
     triangles = triangles._replace(
         material=torch.tensor(material, dtype=torch.int32, device=device).repeat_interleave(repeats),
-        radiance=torch.tensor(emitted, dtype=torch.int32, device=device).repeat_interleave(repeats))
-    triangles, lights = light_table(scene, triangles, counts, lamps)
+        emitter=torch.where(emitting, emitting.cumsum(0) - 1, -1).to(torch.int32))
+    lights = light_table(scene, triangles, radiance_of, counts, lamps)
     return SceneTensors(triangles, materials, reflectance.build(dtype, device), lights,
                         radiance.build(dtype, device), layout)
 
@@ -119,15 +122,15 @@ def check_finite(scene: Scene) -> None:
 def material_table(bsdfs: list[BSDF], bank: BankBuilder, device: torch.device) -> tuple[MaterialTable, tuple[Kind, ...]]:
     """The rows of all materials, and the kinds that they are of."""
     two_sided = [isinstance(bsdf, TwoSided) for bsdf in bsdfs]
-    rows = one_sided(bsdfs)
-    kinds = tuple(dict.fromkeys(bsdf.kind() for bsdf in rows))
-    textures = [[bank.add(texture) for texture in bsdf.textures()] for bsdf in rows]
+    sides = one_sided(bsdfs)
+    kinds = tuple(dict.fromkeys(bsdf.kind() for bsdf in sides))
+    textures = [[bank.add(texture) for texture in bsdf.textures()] for bsdf in sides]
     slots = max((kind.slots for kind in kinds), default=0)
 
     def column(values, dtype=torch.int32) -> Tensor:
         return torch.tensor(values, dtype=dtype, device=device)
 
-    return MaterialTable(column([kinds.index(bsdf.kind()) for bsdf in rows]),
+    return MaterialTable(column([kinds.index(bsdf.kind()) for bsdf in sides]),
                          tuple(column([row[k] if k < len(row) else 0 for row in textures]) for k in range(slots)),
                          column([False] * len(bsdfs) + two_sided, torch.bool)), kinds
 
@@ -139,52 +142,62 @@ def one_sided(bsdfs: list[BSDF]) -> list[BSDF]:
 
 
 def geometry(scene: Scene) -> tuple[Tensor, Tensor]:
-    """All vertices (V, 3), detached, and faces (F, 3) int32 of a scene, in the order of its triangle table."""
-    vertices, faces, first = [], [], 0
-    for shape in scene.shapes:
-        surface = shape.oriented()
-        vertices.append(surface.vertices.detach())
-        faces.append(surface.faces + first)
-        first += len(surface.vertices)
-    if not vertices:
-        return torch.zeros(0, 3, dtype=scene.dtype), torch.zeros(0, 3, dtype=torch.int32)
-    return torch.cat(vertices), torch.cat(faces).to(torch.int32)
+    """All vertices (V, 3), detached, and faces (F, 3) int32 of a scene, in the order of its tables."""
+    surfaces = [shape.oriented() for shape in scene.shapes]
+    none = torch.zeros(0, 3, dtype=scene.dtype, device=scene.device)
+    vertices = torch.cat([none, *(surface.vertices.detach() for surface in surfaces)])
+    return vertices, concatenated_faces(surfaces, scene.device).to(torch.int32)
+
+
+def concatenated_faces(surfaces: list[Triangles], device: torch.device) -> Tensor:
+    """The faces of all surfaces, (F, 3) int64 rows of their concatenated vertices."""
+    firsts = torch.tensor([0] + [len(surface.vertices) for surface in surfaces]).cumsum(0).tolist()
+    none = torch.zeros(0, 3, dtype=torch.int64, device=device)
+    return torch.cat([none, *(surface.faces + first for surface, first in zip(surfaces, firsts))])
+
+
+def vertex_table(surfaces: list[Triangles], normals: bool, uv: bool, dtype: torch.dtype,
+                 device: torch.device) -> VertexTable:
+    """The vertices of all surfaces; normals and coordinates if they are asked for, zero where a surface has none."""
+    none = torch.zeros(0, 3, dtype=dtype, device=device)
+
+    def column(parts: list[Tensor | None], width: int) -> Tensor:
+        rows = [surface.vertices.new_zeros(len(surface.vertices), width) if part is None else part
+                for surface, part in zip(surfaces, parts)]
+        return torch.cat([none[:, :width], *(row.to(dtype) for row in rows)])
+
+    return VertexTable(Vec3.of(column([surface.vertices for surface in surfaces], 3)),
+                       Vec3.of(column([surface.normals for surface in surfaces], 3)) if normals else None,
+                       Vec2.of(column([surface.uv for surface in surfaces], 2)) if uv else None)
 
 
 def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, tangents: bool, dtype: torch.dtype,
                    device: torch.device) -> TriangleTable:
-    """Vertices, normals and coordinates of all triangles; materials and lights are filled in by the caller."""
-    corners, shading, coordinates = [], [], []
-    for surface in surfaces:
-        corner = surface.vertices.to(dtype)[surface.faces]
-        corners.append(corner)
-        if normals:
-            if surface.normals is None:
-                face = torch.linalg.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-                shading.append(torch.nn.functional.normalize(face, dim=-1)[:, None].expand(-1, 3, -1))
-            else:
-                shading.append(surface.normals.to(dtype)[surface.faces])
-        if uv or tangents:
-            coordinates.append(corner.new_zeros(len(corner), 3, 2) if surface.uv is None
-                               else surface.uv.to(dtype)[surface.faces])
-    corner = torch.cat(corners) if corners else torch.zeros(0, 3, 3, dtype=dtype, device=device)
-    n = [Vec3.of(torch.cat(shading)[:, k]) for k in range(3)] if shading else [None] * 3
-    st = [Vec2.of(torch.cat(coordinates)[:, k]) for k in range(3)] if uv and coordinates else [None] * 3
-    p0, e1, e2 = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    along = Vec3.of(growth_of_u(e1, e2, torch.cat(coordinates))) if tangents and coordinates else None
-    p0, e1, e2 = Vec3.of(p0), Vec3.of(e1), Vec3.of(e2)
-    return TriangleTable(p0, e1, e2, unit_normal(e1.detach(), e2.detach()), *n, *st, along, *[None] * 4)
+    """All triangles; materials and emitters are filled in by the caller."""
+    vertices = vertex_table(surfaces, normals, uv or tangents, dtype, device)
+    faces = concatenated_faces(surfaces, device).to(torch.int32)
+    corners = tuple(corner.contiguous() for corner in faces.unbind(1))
+    _, e1, e2 = edges(vertices._replace(p=vertices.p.detach()), corners)
+    smooth = torch.tensor([surface.normals is not None for surface in surfaces], device=device)
+    smooth = None if smooth.all() or not normals else smooth.repeat_interleave(
+        torch.tensor([len(surface.faces) for surface in surfaces], device=device))
+    along = None
+    if tangents:
+        along = growth_of_u(*edges(vertices, corners)[1:], *(rows(vertices.uv, corner) for corner in corners))
+    if not uv:
+        vertices = vertices._replace(uv=None)
+    return TriangleTable(vertices, corners, unit_normal(e1, e2), smooth, along, None, None)
 
 
-def growth_of_u(e1: Tensor, e2: Tensor, uv: Tensor) -> Tensor:
-    """(T, 3) the unit direction in a triangle in which u grows and v stays; 0 where they do not tell. Attached.
+def growth_of_u(e1: Vec3, e2: Vec3, uv0: Vec2, uv1: Vec2, uv2: Vec2) -> Vec3:
+    """The unit direction in a triangle in which u grows and v stays; 0 where they do not tell. Attached.
 
     Args:
-        e1, e2: (T, 3) edges from the first vertex.
-        uv: (T, 3, 2) coordinates of the vertices.
+        e1, e2: (T,) edges from the first vertex.
+        uv0, uv1, uv2: (T,) coordinates of the vertices.
     """
-    d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    determinant = (d1[:, :1] * d2[:, 1:] - d1[:, 1:] * d2[:, :1]).detach()
-    tangent = torch.sign(determinant) * (d2[:, 1:] * e1 - d1[:, 1:] * e2)
-    known = (tangent != 0).any(1, keepdim=True)
-    return torch.where(known, torch.nn.functional.normalize(torch.where(known, tangent, 1.0), dim=-1), 0.0)
+    d1, d2 = Vec2(uv1.x - uv0.x, uv1.y - uv0.y), Vec2(uv2.x - uv0.x, uv2.y - uv0.y)
+    sign = torch.sign(d1.x * d2.y - d1.y * d2.x).detach()
+    tangent = scaled(e1 * (sign * d2.y) - e2 * (sign * d1.y))
+    known = max_component(tangent.detach().map(torch.abs)) > 0
+    return masked(known, normalize(where(known, tangent, Vec3.full(sign, 1.0))))

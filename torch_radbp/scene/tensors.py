@@ -52,24 +52,36 @@ class Layout(NamedTuple):
         return self.constant_light or self.environment_map or self.directional_lights
 
 
+class VertexTable(NamedTuple):
+    """The V vertices of some surfaces; attached."""
+
+    p: Vec3  # (V,) each; position, world space
+    n: Vec3 | None  # unit shading normal, of no meaning where all faces are flat; None if no surface has any
+    uv: Vec2 | None  # surface coordinates, None if no texture reads them
+
+
 class TriangleTable(NamedTuple):
     """The T triangles of all shapes, in order."""
 
-    p0: Vec3  # (T,) each; first vertex, world space
-    e1: Vec3  # to the second vertex
-    e2: Vec3  # to the third vertex
+    vertices: VertexTable
+    corners: tuple[Tensor, Tensor, Tensor]  # (T,) int32 each, rows of `vertices`
     n: Vec3  # unit geometric normal, detached: its derivative is that of `unit_normal` of the edges
-    n0: Vec3 | None  # unit shading normals at the vertices, None if the scene has none
-    n1: Vec3 | None
-    n2: Vec3 | None
-    uv0: Vec2 | None  # surface coordinates, None if no texture reads them
-    uv1: Vec2 | None
-    uv2: Vec2 | None
+    smooth: Tensor | None  # (T,) bool: shaded with the normals of its vertices; None: so are all, or none
     along: Vec3 | None  # unit direction in which u grows, 0 where it is not defined; None if no material is anisotropic
     material: Tensor  # (T,) int32, row of `MaterialTable`
-    radiance: Tensor  # (T,) int32, texture of the light bank; -1: emits nothing
-    light_pmf: Tensor  # (T,) probability with which next-event estimation picks it, detached; 0: emits nothing
-    inverse_area: Tensor  # (T,) 1 / area, attached; 0 of a triangle that emits nothing
+    emitter: Tensor  # (T,) int32, row of `EmittingTriangles`; -1: emits nothing
+
+
+class EmittingTriangles(NamedTuple):
+    """The S triangles of area lights, for light samples: few, where the scene has many; attached but for choices."""
+
+    vertices: VertexTable  # theirs alone
+    corners: tuple[Tensor, Tensor, Tensor]  # (S,) int32 each, rows of `vertices`
+    n: Vec3  # unit geometric normal
+    smooth: Tensor | None  # (S,) as in `TriangleTable`
+    radiance: Tensor  # (S,) int32, texture of the light bank
+    pmf: Tensor  # (S,) probability with which next-event estimation picks it, detached
+    inverse_area: Tensor  # (S,) 1 / area; 0 of a triangle that is never picked
 
 
 class MaterialTable(NamedTuple):
@@ -108,7 +120,7 @@ class LightTable(NamedTuple):
 
     choice: AliasTable
     kind: Tensor  # (E,) int32: AREA, CONSTANT, ...
-    surfaces: TriangleTable  # the triangles that emit, for light samples: few, where the scene has many; attached
+    surfaces: EmittingTriangles
     surface: Tensor  # (E,) int32 row of `surfaces` of an area light, else 0
     pose: Tensor  # (E,) int32 row of `posed`, else 0
     radiance: Tensor  # (E,) int32 texture of the light bank
@@ -131,3 +143,7 @@ class SceneTensors(NamedTuple):
     @property
     def device(self) -> torch.device:
         return self.triangles.material.device
+
+    @property
+    def dtype(self) -> torch.dtype:
+        return self.triangles.vertices.p.x.dtype
