@@ -24,13 +24,14 @@ from torch import Tensor
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import CAMERA_DEPTH, LaneKey, SampleKey, bounce_key, depth_counter, lane_key, uniform
+from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane, camera_ray
-from torch_radbp.vec import Ray, Vec3, dot, masked, max_component, rows
+from torch_radbp.sensor.perspective import PinholeTensors, camera_ray
+from torch_radbp.vec import Ray, Vec3, masked, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE = range(7)
@@ -296,25 +297,6 @@ def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:
 
 def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
     """The closest surface; of camera rays, the closest that the camera is to see."""
-    hit = integrand.caster.intersect(ray)
-    if depth == 0 and integrand.settings.hide_emitters and integrand.scene.layout.area_lights:
-        hit = behind_emitters(integrand, ray, hit)
-    if depth == 0 and integrand.clipping is not None:
-        p = surface_interaction(integrand.proposal, ray, hit).p
-        hit = hit._replace(prim=torch.where(beyond_far_plane(integrand.clipping, p), -1, hit.prim))
-    return hit
-
-
-def behind_emitters(integrand: Integrand, ray: Ray, hit: Hit) -> Hit:
-    """The closest surface that is no emitter."""
-    triangles = integrand.proposal.triangles
-    while True:
-        hidden = ((hit.prim >= 0) & (triangles.emitter[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)
-        if len(hidden) == 0:
-            return hit
-        seen = Ray(*(Vec3(*(component[hidden] for component in vector)) for vector in ray))
-        si = surface_interaction(integrand.proposal, seen, Hit(*(part[hidden] for part in hit)))
-        start = si.offset(seen.d, si.epsilon())
-        beyond = integrand.caster.intersect(Ray(start, seen.d))
-        beyond = beyond._replace(t=beyond.t + dot(start - seen.o, seen.d))
-        hit = Hit(*(old.index_copy(0, hidden, new) for old, new in zip(hit, beyond)))
+    if depth > 0:
+        return integrand.caster.intersect(ray)
+    return camera_hit(integrand.caster, integrand.proposal, ray, integrand.clipping, integrand.settings.hide_emitters)

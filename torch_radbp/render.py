@@ -19,7 +19,7 @@ from torch_radbp.adjoint.function import (
     render_images,
     render_with_derivative,
 )
-from torch_radbp.adjoint.memory import MemoryPlan, parse_budget, plan_memory, predict, reaching
+from torch_radbp.adjoint.memory import MemoryPlan, Workload, parse_budget, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.boundary import JumpWatch
 from torch_radbp.path import Integrand, Settings
@@ -196,12 +196,11 @@ class Renderer(nn.Module):
         integrand = call.make_integrand(scene)._replace(bounce=EAGER.bounce)
         lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
         chunk = max(part.pixels * part.samples for part in call.chunks)
-        situation = {"fractions": reaching(integrand, pilot_paths(call, PILOT_LANES)), "lanes": lanes, "chunk": chunk,
-                     "max_depth": integrand.max_depth, "dtype": scene.dtype, "compiled": self.compile_stages,
-                     "workers": call.workers, "moving": integrand.settings.moving}
+        work = Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
+                        self.compile_stages, call.workers, integrand.settings.moving)
         if self.memory_budget is None:
-            return predict(adjoint=call.adjoint, retrace=call.retrace, **situation)
-        return plan_memory(self.memory_budget, adjoint=self.adjoint if self.adjoint_is_chosen else None, **situation)
+            return predict(work, chunk, call.adjoint, call.retrace)
+        return plan_memory(self.memory_budget, work, chunk, self.adjoint if self.adjoint_is_chosen else None)
 
     def current_caster(self):
         """The ray caster for the vertices as they are now; rebuilt or refitted only when they have changed."""

@@ -74,33 +74,39 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
     return [count / max(1, len(pilot.lane)) for count in counts] or [0.0]
 
 
-def predict(fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: int, dtype: torch.dtype,
-            compiled: bool, retrace: bool = False, workers: int = 1, moving: bool = False) -> MemoryPlan:
+class Workload(NamedTuple):
+    """What a call is to do, whatever the plan."""
+
+    fractions: list[float]  # from `reaching`
+    lanes: int  # of the whole call: sensors x pixels x samples
+    max_depth: int  # greatest number of bounces
+    dtype: torch.dtype  # of the scene
+    compiled: bool = False  # whether the bounce is
+    workers: int = 1  # chunks that are traced side by side
+    moving: bool = False  # whether rays carry derivatives
+
+
+def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> MemoryPlan:
     """Bytes that a forward and backward pass will need.
 
     Args:
-        fractions: from `reaching`.
-        lanes: of the whole call: sensors x pixels x samples.
+        work: what is to be done.
         chunk: lanes traced together.
         adjoint: the strategy.
-        max_depth: greatest number of bounces.
-        dtype: of the scene.
-        compiled: whether the bounce is compiled.
         retrace: see `MemoryPlan`.
-        workers: chunks that are traced side by side.
-        moving: whether rays carry derivatives.
     """
+    fractions, lanes, dtype = work.fractions, work.lanes, work.dtype
 
     def size(record: tuple[int, int]) -> int:
         return record[0] * dtype.itemsize + record[1]
 
     chunk = min(chunk, lanes)
-    together = min(lanes, workers * chunk)  # lanes that are worked on at a time
+    together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
     if isinstance(adjoint, TapeAdjoint):
         kept = int(lanes * sum(fractions) * TAPE * dtype.itemsize)
         return MemoryPlan(chunk, adjoint, False, kept, together * BOUNCE * dtype.itemsize)
-    depths = [depth for depth in adjoint.kept(max_depth) if depth < bounces]
+    depths = [depth for depth in adjoint.kept(work.max_depth) if depth < bounces]
     everything = len(depths) == bounces  # then camera paths are kept as well
     per_lane = sum(fractions[depth] for depth in depths if depth > 0 or everything) * size(STATE)
     per_lane += sum(fractions) * size(STEP) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
@@ -110,8 +116,8 @@ def predict(fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: 
             if action.depth not in depths:
                 replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE)
                 most = max(most, replayed)
-    sweep = size(RADIANCE) + size(MEMO[moving]) + size(STATE)
-    working = (BOUNCE_ADJOINT[compiled] * (1 + moving) * dtype.itemsize + sweep) * max(fractions) + most
+    sweep = size(RADIANCE) + size(MEMO[work.moving]) + size(STATE)
+    working = (BOUNCE_ADJOINT[work.compiled] * (1 + work.moving) * dtype.itemsize + sweep) * max(fractions) + most
     kept = int((together if retrace else lanes) * per_lane)
     return MemoryPlan(chunk, adjoint, retrace, kept, int(together * working))
 
@@ -132,20 +138,19 @@ def candidates(chunk: int, adjoint) -> Iterator[tuple[int, object, bool]]:
                 lanes //= 2
 
 
-def plan_memory(budget: int, fractions: list[float], lanes: int, chunk: int, adjoint, max_depth: int, dtype: torch.dtype,
-                compiled: bool, workers: int = 1, moving: bool = False) -> MemoryPlan:
+def plan_memory(budget: int, work: Workload, chunk: int, adjoint=None) -> MemoryPlan:
     """The fastest chunk and strategy that fit `budget` bytes.
 
     Args:
         budget: bytes.
+        work: what is to be done.
+        chunk: the largest to try, lanes.
         adjoint: the strategy if the user chose one: then only the chunk is planned; else None.
-        fractions, lanes, chunk, max_depth, dtype, compiled, workers, moving: as for `predict`; `chunk` is the largest to
-            try.
 
     Raises:
         ValueError: if nothing fits; the message says how much the most frugal plan needs.
     """
-    plans = [predict(fractions, lanes, size, strategy, max_depth, dtype, compiled, retrace, workers, moving)
+    plans = [predict(work, size, strategy, retrace)
              for size, strategy, retrace in candidates(max(chunk, SMALLEST_CHUNK), adjoint)]
     fitting = next((plan for plan in plans if plan.peak <= budget), None)
     if fitting is None:

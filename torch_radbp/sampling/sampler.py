@@ -27,6 +27,7 @@ MULTIPLIERS = tuple(
     int.from_bytes(hashlib.sha256(f"torch_radbp dimension {k}".encode()).digest()[:4], "little", signed=True) | 1
     for k in range(16))
 LATTICE = (182667, 469891)  # of the third and fourth dimension
+HALVES = ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF))  # distance and lower one
 DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
 CAMERA_DEPTH = -1  # the depth under which the camera draws its numbers
 
@@ -85,7 +86,7 @@ def lane_key(key: SampleKey, pixel: Tensor, sample: Tensor) -> LaneKey:
 
 def reversed_bits(x: Tensor) -> Tensor:
     """The 32 bits of int32 values in the opposite order."""
-    for distance, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF)):
+    for distance, mask in HALVES:
         x = ((x >> distance) & mask) | ((x & mask) << distance)
     return x
 
@@ -107,7 +108,7 @@ def reordered(point: Tensor, order: Tensor) -> Tensor:
 
 def second_coordinate(first: Tensor) -> Tensor:
     """The second coordinate of points of the Sobol' sequence: bits times Pascal's triangle modulo 2; fractions of 2^32."""
-    for distance, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF)):
+    for distance, mask in HALVES:
         first = first ^ ((first & mask) << distance)
     return first
 

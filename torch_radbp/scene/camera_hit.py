@@ -1,0 +1,43 @@
+"""What a camera ray meets: the closest surface, but for what the camera is not to see."""
+
+from __future__ import annotations
+
+import torch
+
+from torch_radbp.scene.interaction import surface_interaction
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane
+from torch_radbp.vec import Ray, dot, rows
+
+
+def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: PinholeTensors | None, hide_emitters: bool):
+    """The closest surface that is to be seen, a `raycast.Hit`.
+
+    Args:
+        caster: a `RayCaster`.
+        scene: detached.
+        ray: (N,) camera rays.
+        clipping: the camera, if its far plane cuts the scene.
+        hide_emitters: whether emitters are not to be seen.
+    """
+    hit = caster.intersect(ray)
+    if hide_emitters and scene.layout.area_lights:
+        hit = behind_emitters(caster, scene, ray, hit)
+    if clipping is not None:
+        p = surface_interaction(scene, ray, hit).p
+        hit = hit._replace(prim=torch.where(beyond_far_plane(clipping, p), -1, hit.prim))
+    return hit
+
+
+def behind_emitters(caster, scene: SceneTensors, ray: Ray, hit):
+    """The closest surface that is no emitter."""
+    while True:
+        hidden = ((hit.prim >= 0) & (scene.triangles.emitter[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)
+        if len(hidden) == 0:
+            return hit
+        seen = rows(ray, hidden)
+        si = surface_interaction(scene, seen, rows(hit, hidden))
+        start = si.offset(seen.d, si.epsilon())
+        beyond = caster.intersect(Ray(start, seen.d))
+        beyond = beyond._replace(t=beyond.t + dot(start - seen.o, seen.d))
+        hit = type(hit)(*(old.index_copy(0, hidden, new) for old, new in zip(hit, beyond)))
