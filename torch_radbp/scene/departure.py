@@ -17,7 +17,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.interaction import SurfaceInteraction, corners_of, edges
+from torch_radbp.scene.interaction import SurfaceInteraction, edges
+from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.material import BSDFSample, Material, evaluate
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
@@ -68,8 +69,8 @@ def glued_direction(scene: SceneTensors, o: Vec3, d: Vec3, hit, glued: Tensor) -
         hit: a `raycast.Hit`.
         glued: (N,) bool: where there is a triangle; elsewhere the direction stays.
     """
-    triangles = scene.triangles
-    p0, e1, e2 = edges(triangles.vertices, corners_of(triangles, hit.prim.clamp_min(0)))
+    prim = hit.prim.clamp_min(0)
+    p0, e1, e2 = edges(scene.triangles.vertices, tuple(lookup(corner, prim) for corner in scene.triangles.corners))
     reach = p0 + e1 * hit.u + e2 * hit.v - o
     squared = torch.where(glued, dot(reach, reach).clamp_min(TINY), 1.0)
     aim = reach * torch.rsqrt(squared)

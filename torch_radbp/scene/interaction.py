@@ -31,6 +31,7 @@ class SurfaceInteraction(NamedTuple):
     valid: Tensor  # bool: the ray meets a surface at all
     prim: Tensor  # int32 triangle, 0 where invalid
     material: Tensor  # int32 row of the material table
+    emitter: Tensor | None  # int32 row of the emitting triangles, -1: emits nothing; None: no triangle does
     p: Vec3  # world position
     n: Vec3  # unit geometric normal
     frame: ShadingFrame  # shading frame; its normal is turned to the viewer's side of a two-sided material
@@ -68,34 +69,32 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     triangles = scene.triangles
     valid = hit.prim >= 0
     prim = hit.prim.clamp_min(0)
-    corners = corners_of(triangles, prim)
+    vertices, layout = triangles.vertices, scene.layout
     p, t, n = ray.o + ray.d * hit.t, hit.t, lookup(triangles.n, prim)
+    if slides is not None or layout.shading_normals or vertices.uv is not None:
+        corners = tuple(lookup(corner, prim) for corner in triangles.corners)
     if slides is not None:
-        p0, e1, e2 = edges(triangles.vertices, corners)
+        p0, e1, e2 = edges(vertices, corners)
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
         p = attached(p, p0 + e1 * hit.u + e2 * hit.v)
         t = attached(t, dot(p - ray.o, ray.d))
         n = attached(n, unit_normal(e1, e2))
     cosine = dot(n, ray.d)
     shading, shading_cosine = n, cosine
-    if scene.layout.shading_normals:
+    if layout.shading_normals:
         shading = shading_normal(triangles, prim, corners, hit.u, hit.v, n)
         shading_cosine = dot(shading, ray.d)
-    uv = None if triangles.vertices.uv is None else interpolated(triangles.vertices.uv, corners, hit.u, hit.v)
+    uv = None if vertices.uv is None else interpolated(vertices.uv, corners, hit.u, hit.v)
     front = shading_cosine < 0
     material = lookup(triangles.material, prim)
-    if scene.layout.back_sides:
+    emitter = lookup(triangles.emitter, prim) if layout.area_lights else None
+    if layout.back_sides:
         material = material + (~front).to(material.dtype) * (len(scene.materials.kind) // 2)
         side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
         shading, shading_cosine = shading * side, shading_cosine * side
-    frame = ShadingFrame(shading, lookup(triangles.along, prim) if scene.layout.anisotropic else None)
+    frame = ShadingFrame(shading, lookup(triangles.along, prim) if layout.anisotropic else None)
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
-    return SurfaceInteraction(valid, prim, material, p, n, frame, front, wi, uv, t, cosine)
-
-
-def corners_of(triangles: TriangleTable | EmittingTriangles, row: Tensor) -> tuple[Tensor, ...]:
-    """The rows of the three vertices of triangles, int32 (N,) each."""
-    return tuple(lookup(corner, row) for corner in triangles.corners)
+    return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, uv, t, cosine)
 
 
 def edges(vertices: VertexTable, corners: tuple[Tensor, ...]) -> tuple[Vec3, Vec3, Vec3]:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere, square_to_uniform_triangle
 from torch_radbp.scene.environment import environment_radiance, environment_weighing, sample_environment
-from torch_radbp.scene.interaction import SurfaceInteraction, corners_of, interpolated, shading_normal
+from torch_radbp.scene.interaction import SurfaceInteraction, interpolated, shading_normal
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.posed_light import NEAREST, illumination
 from torch_radbp.scene.tensors import CONSTANT, DIRECTIONAL, ENVIRONMENT, POINT, SceneTensors
@@ -47,9 +47,8 @@ def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Vec3:
     layout = scene.layout
     radiance = Vec3.full(si.p.x, 0.0)
     if layout.area_lights:
-        row = lookup(scene.triangles.emitter, si.prim)
-        emits = si.valid & si.front & (row >= 0)
-        texture = lookup(scene.lights.surfaces.radiance, row.clamp_min(0))
+        emits = si.valid & si.front & (si.emitter >= 0)
+        texture = lookup(scene.lights.surfaces.radiance, si.emitter.clamp_min(0))
         uv = si.uv if layout.radiance_bitmaps else None
         radiance = masked(emits, sample_texture(scene.radiance, texture, uv))
     if layout.constant_light:
@@ -74,10 +73,9 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
     proposal = scene if proposal is None else proposal
     pdf = torch.zeros_like(si.t)
     if scene.layout.area_lights:
-        row = lookup(proposal.triangles.emitter, si.prim)
-        density = (lookup(proposal.lights.surfaces.pmf, row.clamp_min(0))
-                   * lookup(scene.lights.surfaces.inverse_area, row.clamp_min(0)) * (row >= 0).to(pdf.dtype))
-        pdf = density * (si.t * si.t) / si.cosine.abs().clamp_min(SMALLEST_COSINE)
+        row, emits = si.emitter.clamp_min(0), (si.emitter >= 0).to(si.t.dtype)
+        density = lookup(proposal.lights.surfaces.pmf, row) * lookup(scene.lights.surfaces.inverse_area, row)
+        pdf = density * emits * (si.t * si.t) / si.cosine.abs().clamp_min(SMALLEST_COSINE)
     surround_pmf = proposal.lights.surround_pmf
     if scene.layout.constant_light:
         return torch.where(si.valid, pdf, surround_pmf * UNIFORM_SPHERE_PDF)
@@ -139,7 +137,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
 def aim_at_area(scene: SceneTensors, p: Vec3, pmf: Tensor, row: Tensor, b: Vec2) -> Aim:
     """From `p` at the point of the emitting triangles `row` with barycentric coordinates `b`, attached to both ends."""
     layout, triangles = scene.layout, scene.lights.surfaces
-    corners = corners_of(triangles, row)
+    corners = (row, row + len(triangles.pmf), row + 2 * len(triangles.pmf))
     target = interpolated(triangles.vertices.p, corners, b.x, b.y)
     reach = target - p
     squared = dot(reach, reach).clamp_min(NEAREST**2)
