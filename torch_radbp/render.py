@@ -66,9 +66,9 @@ class Renderer(nn.Module):
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, what silhouettes and the edges of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
-    move are in view. With attached sampling that holds for whatever directions depend on (roughness, normals): they slide
-    over the edges of what they meet, and are warned of. The other samplings miss a jump of GGX rough glass; a `JumpWarning`
-    says so.
+    move are in view, or may be slid over by directions that follow a parameter (with attached sampling roughness, index and
+    normals; in hybrid those of ideal mirrors and glass). The samplings that are not attached miss a jump of GGX rough glass;
+    a `JumpWarning` says so.
 
     Raises:
         ValueError: for settings that make no sense.

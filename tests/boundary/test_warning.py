@@ -190,6 +190,18 @@ def test_attached_directions_that_slide_over_edges_are_warned_of_by_name(name, n
     assert all(f"derivatives of `{named}` lack what edges contribute" in message for message in messages)
 
 
+@pytest.mark.parametrize("name", ["pane.bsdf.eta", "box.vertex_normals"])
+def test_so_are_those_that_follow_ideal_glass(name):
+    glass = {"type": "dielectric"}
+    def scene() -> rb.Scene:
+        return scene_of(box={**CUBE, "bsdf": glass}, pane=rectangle((0, 0, 1), 9, bsdf=glass))
+
+    assert not warnings_of(scene(), name, sampling="detached")
+    for sampling in ("hybrid", "attached"):
+        message, = warnings_of(scene(), name, sampling=sampling)
+        assert f"derivatives of `{name}` lack what edges contribute" in message
+
+
 def test_directions_from_a_single_plane_meet_no_edges():
     scene = scene_of(plate=rectangle((0, 0, 0), 9, (1, 2, 0), 20, bsdf=METAL))
     assert not warnings_of(scene, "plate.bsdf.alpha_u.value", sampling="attached")

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.silhouette import silhouettes_in_view
+from torch_radbp.bsdf.kind import Kind
 from torch_radbp.plugin import BSDF, Plugin, Sensor
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import tangent_of
@@ -83,18 +84,18 @@ class JumpWatch:
 
     def edges_slid_over(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors],
                         sampling: str) -> SilhouetteWarning | None:
-        """Directions turn with roughness, index or normals of a surface, and there are edges that they may slide over."""
-        if sampling != "attached":
-            return None
+        """Directions follow roughness, index or normals of a surface, and there are edges that they may slide over."""
         turning = [f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}" for bsdf in one_sided(scene)
+                   if followed(bsdf.kind(), sampling)
                    for slot in bsdf.kind().steering if asks_for_derivatives(bsdf.textures()[slot].texels())]
-        turning += [name for shape in scene.shapes for name in moving(scene, shape, ("vertex_normals",))]
+        turning += [name for shape in scene.shapes for name in moving(scene, shape, ("vertex_normals",))
+                    if any(followed(bsdf.kind(), sampling) for bsdf in one_sided(shape))]
         if not turning or flat(geometry(scene)[0]):
             return None
-        return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute: with sampling='attached' "
-                                 f"directions turn with them and slide over the edges of what they meet, where radiance "
-                                 f"changes by a jump. With sampling='hybrid' they do not, but for ideal mirrors and glass; "
-                                 f"check_gradient tells by how much it matters")
+        instead = " Where a surface is rough, sampling='hybrid' does not." if sampling == "attached" else ""
+        return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen "
+                                 f"reflected or refracted: directions follow the parameter and slide over the edges of what they meet, "
+                                 f"where radiance changes by a jump.{instead} check_gradient tells by how much it matters")
 
     def missing(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors]) -> dict[str, int]:
         """The parameters that move silhouettes in view, and how many edges each."""
@@ -123,9 +124,14 @@ class JumpWatch:
                    for sensor, camera in zip(sensors, cameras))
 
 
-def one_sided(scene: Scene) -> list[BSDF]:
-    """The materials of a scene without their wrappers."""
-    return [plugin for plugin in scene.modules() if isinstance(plugin, BSDF) and hasattr(plugin, "kind")]
+def one_sided(owner: Scene | Plugin) -> list[BSDF]:
+    """The materials of a scene or a shape without their wrappers."""
+    return [plugin for plugin in owner.modules() if isinstance(plugin, BSDF) and hasattr(plugin, "kind")]
+
+
+def followed(kind: Kind, sampling: str) -> bool:
+    """Whether the directions that a material scatters into carry derivatives."""
+    return sampling == "attached" or (sampling == "hybrid" and kind.delta)
 
 
 def listed(names: Iterable[str]) -> str:

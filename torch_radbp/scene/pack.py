@@ -103,9 +103,8 @@ def without_flat_normals(surface: Triangles) -> Triangles:
     """The surface without vertex normals if they are those of its faces and nothing can change that."""
     if surface.normals is None or differentiated(surface.normals) or differentiated(surface.vertices):
         return surface
-    corner = surface.vertices[surface.faces]
-    e1, e2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    face = torch.nn.functional.normalize(torch.linalg.cross(e1, e2), dim=-1)
+    _, e1, e2 = edges(VertexTable(Vec3.of(surface.vertices), None, None), tuple(surface.faces.unbind(1)))
+    face = unit_normal(e1, e2).stack()
     flat = (surface.normals[surface.faces] - face[:, None]).abs().max() < 1e-5
     return surface._replace(normals=None) if flat else surface
 
