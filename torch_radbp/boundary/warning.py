@@ -93,9 +93,10 @@ class JumpWatch:
         if not turning or flat(geometry(scene)[0]):
             return None
         instead = " Where a surface is rough, sampling='hybrid' does not." if sampling == "attached" else ""
-        return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen "
-                                 f"reflected or refracted: directions follow the parameter and slide over the edges of what they meet, "
-                                 f"where radiance changes by a jump.{instead} check_gradient tells by how much it matters")
+        return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen reflected "
+                                 f"or refracted: directions follow the parameter and slide over the edges of what they "
+                                 f"meet, where radiance changes by a jump.{instead} check_gradient tells by how much it "
+                                 f"matters")
 
     def missing(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors]) -> dict[str, int]:
         """The parameters that move silhouettes in view, and how many edges each."""
