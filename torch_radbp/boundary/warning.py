@@ -93,8 +93,8 @@ class JumpWatch:
         if not turning or flat(geometry(scene)[0]):
             return None
         instead = " Where a surface is rough, sampling='hybrid' does not." if sampling == "attached" else ""
-        return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen reflected "
-                                 f"or refracted: directions follow the parameter and slide over the edges of what they "
+        return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen "
+                                 f"reflected or refracted: directions follow the parameter and slide over the edges of what they "
                                  f"meet, where radiance changes by a jump.{instead} check_gradient tells by how much it "
                                  f"matters")
 
