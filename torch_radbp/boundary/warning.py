@@ -94,9 +94,9 @@ class JumpWatch:
             return None
         instead = " Where a surface is rough, sampling='hybrid' does not." if sampling == "attached" else ""
         return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen "
-                                 f"reflected or refracted: directions follow the parameter and slide over the edges of what they "
-                                 f"meet, where radiance changes by a jump.{instead} check_gradient tells by how much it "
-                                 f"matters")
+                                 f"reflected or refracted: directions follow the parameter and slide over the edges of "
+                                 f"what they meet, where radiance changes by a jump.{instead} check_gradient tells by how "
+                                 f"much it matters")
 
     def missing(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors]) -> dict[str, int]:
         """The parameters that move silhouettes in view, and how many edges each."""
