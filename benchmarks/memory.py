@@ -55,7 +55,7 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
         return state.beta * (vertex.Le + masked(step.visible, vertex.Ld)), survivors(vertex)
 
     for chunk in call.chunks:
-        state, depth = start_paths(call, chunk, view.seed_keys[0]), 0
+        state, depth = start_paths(call, chunk, view.sample_keys[0]), 0
         L = Vec3.buffer(state.beta.x)
         while depth < integrand.max_depth and len(state.lane):
             lane = state.lane

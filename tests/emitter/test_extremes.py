@@ -12,7 +12,7 @@ from tests.scenes import load, sensor
 from torch_radbp.io.transform import look_at
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.environment import environment_pdf, environment_radiance, latitude_longitude
-from torch_radbp.scene.interaction import edges, surface_interaction
+from torch_radbp.scene.interaction import at_corners, edges, surface_interaction
 from torch_radbp.scene.light import emitted, emitted_pdf, sample_light
 from torch_radbp.scene.pack import pack
 from torch_radbp.vec import Ray, Vec3
@@ -91,7 +91,7 @@ def test_an_emitter_seen_edge_on_or_from_itself_is_finite(dtype):
     prim = torch.full((4,), 3, dtype=torch.int32)
     hit = Hit(prim, *(torch.full((4,), 0.25, dtype=dtype) for _ in range(3)))
     corners = tuple(corner[prim.long()] for corner in tensors.triangles.corners)
-    p0, edge, other = (part.stack()[0].detach() for part in edges(tensors.triangles.vertices, corners))
+    p0, edge, other = (part.stack()[0].detach() for part in edges(*at_corners(tensors.triangles.vertices.p, corners)))
     point = p0 + 0.25 * edge + 0.25 * other
     o = torch.stack([point, point + edge, point + 1e-20 * edge, point - 1e-7 * edge]).requires_grad_()
     d = torch.nn.functional.normalize(edge, dim=0).expand(4, 3).clone().requires_grad_()

@@ -17,7 +17,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.interaction import SurfaceInteraction, edges
+from torch_radbp.scene.interaction import SurfaceInteraction, at_corners, edges
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.material import BSDFSample, Material, evaluate
 from torch_radbp.scene.tensors import SceneTensors
@@ -69,8 +69,9 @@ def glued_direction(scene: SceneTensors, o: Vec3, d: Vec3, hit, glued: Tensor) -
         hit: a `raycast.Hit`.
         glued: (N,) bool: where there is a triangle; elsewhere the direction stays.
     """
-    prim = hit.prim.clamp_min(0)
-    p0, e1, e2 = edges(scene.triangles.vertices, tuple(lookup(corner, prim) for corner in scene.triangles.corners))
+    triangles, prim = scene.triangles, hit.prim.clamp_min(0)
+    corners = tuple(lookup(corner, prim) for corner in triangles.corners)
+    p0, e1, e2 = edges(*at_corners(triangles.vertices.p, corners))
     reach = p0 + e1 * hit.u + e2 * hit.v - o
     squared = torch.where(glued, dot(reach, reach).clamp_min(TINY), 1.0)
     aim = reach * torch.rsqrt(squared)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.scene.lookup import lookup
-from torch_radbp.scene.tensors import EmittingTriangles, SceneTensors, TriangleTable, VertexTable
+from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import (
     TINY,
     LocalVec3,
@@ -74,7 +74,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     if slides is not None or layout.shading_normals or vertices.uv is not None:
         corners = tuple(lookup(corner, prim) for corner in triangles.corners)
     if slides is not None:
-        p0, e1, e2 = edges(vertices, corners)
+        p0, e1, e2 = edges(*at_corners(vertices.p, corners))
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
         p = attached(p, p0 + e1 * hit.u + e2 * hit.v)
         t = attached(t, dot(p - ray.o, ray.d))
@@ -82,9 +82,11 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     cosine = dot(n, ray.d)
     shading, shading_cosine = n, cosine
     if layout.shading_normals:
-        shading = shading_normal(triangles, prim, corners, hit.u, hit.v, n)
+        shading = normalize(interpolated(at_corners(vertices.n, corners), hit.u, hit.v))
+        if triangles.smooth is not None:
+            shading = where(lookup(triangles.smooth, prim), shading, n)
         shading_cosine = dot(shading, ray.d)
-    uv = None if vertices.uv is None else interpolated(vertices.uv, corners, hit.u, hit.v)
+    uv = None if vertices.uv is None else interpolated(at_corners(vertices.uv, corners), hit.u, hit.v)
     front = shading_cosine < 0
     material = lookup(triangles.material, prim)
     emitter = lookup(triangles.emitter, prim) if layout.area_lights else None
@@ -97,23 +99,20 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, uv, t, cosine)
 
 
-def edges(vertices: VertexTable, corners: tuple[Tensor, ...]) -> tuple[Vec3, Vec3, Vec3]:
+def at_corners(table: Vec2 | Vec3, corners: tuple[Tensor, ...]) -> tuple[Vec2 | Vec3, ...]:
+    """What the three vertices of triangles have."""
+    return tuple(lookup(table, corner) for corner in corners)
+
+
+def edges(p0: Vec3, p1: Vec3, p2: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """The first vertices of triangles, and the edges from there to the second and the third."""
-    p0, p1, p2 = (lookup(vertices.p, corner) for corner in corners)
     return p0, p1 - p0, p2 - p0
 
 
-def interpolated(table: Vec2 | Vec3, corners: tuple[Tensor, ...], u: Tensor, v: Tensor) -> Vec2 | Vec3:
-    """What the vertices of triangles have, at barycentric coordinates."""
-    first, second, third = (lookup(table, corner) for corner in corners)
+def interpolated(corners: tuple[Vec2 | Vec3, ...], u: Tensor, v: Tensor) -> Vec2 | Vec3:
+    """What lies between three vertices, at the barycentric coordinates of the second and the third."""
+    first, second, third = corners
     return first * (1.0 - u - v) + second * u + third * v
-
-
-def shading_normal(triangles: TriangleTable | EmittingTriangles, row: Tensor, corners: tuple[Tensor, ...], u: Tensor,
-                   v: Tensor, n: Vec3) -> Vec3:
-    """The normal of the vertices at barycentric coordinates; of a flat triangle its own, `n`."""
-    shading = normalize(interpolated(triangles.vertices.n, corners, u, v))
-    return shading if triangles.smooth is None else where(lookup(triangles.smooth, row), shading, n)
 
 
 def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tensor):

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere, square_to_uniform_triangle
 from torch_radbp.scene.environment import environment_radiance, environment_weighing, sample_environment
-from torch_radbp.scene.interaction import SurfaceInteraction, interpolated, shading_normal
+from torch_radbp.scene.interaction import SurfaceInteraction, interpolated
 from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.posed_light import NEAREST, illumination
 from torch_radbp.scene.tensors import CONSTANT, DIRECTIONAL, ENVIRONMENT, POINT, SceneTensors
@@ -137,17 +137,19 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
 def aim_at_area(scene: SceneTensors, p: Vec3, pmf: Tensor, row: Tensor, b: Vec2) -> Aim:
     """From `p` at the point of the emitting triangles `row` with barycentric coordinates `b`, attached to both ends."""
     layout, triangles = scene.layout, scene.lights.surfaces
-    corners = (row, row + len(triangles.pmf), row + 2 * len(triangles.pmf))
-    target = interpolated(triangles.vertices.p, corners, b.x, b.y)
+    target = interpolated(tuple(lookup(corner.p, row) for corner in triangles.corners), b.x, b.y)
     reach = target - p
     squared = dot(reach, reach).clamp_min(NEAREST**2)
     d = reach * torch.rsqrt(squared)
-    n = lookup(triangles.n, row)
-    cosine = -dot(d, n)
+    cosine = -dot(d, lookup(triangles.n, row))
     facing = cosine > 0
     if layout.light_normals:
-        facing = dot(shading_normal(triangles, row, corners, b.x, b.y, n).detach(), d.detach()) < 0
-    uv = interpolated(triangles.vertices.uv, corners, b.x, b.y) if layout.radiance_bitmaps else None
+        shading = interpolated(tuple(lookup(corner.n, row) for corner in triangles.corners), b.x, b.y)
+        seen = dot(shading, d) < 0
+        facing = seen if triangles.smooth is None else torch.where(lookup(triangles.smooth, row), seen, facing)
+    uv = None
+    if layout.radiance_bitmaps:
+        uv = interpolated(tuple(lookup(corner.uv, row) for corner in triangles.corners), b.x, b.y)
     pdf = pmf * lookup(triangles.inverse_area, row) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
     return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv)
 

@@ -68,9 +68,8 @@ def light_table(scene: Scene, triangles: TriangleTable, radiance: Tensor, counts
         lamps: the other emitters.
     """
     emitting = (radiance >= 0).nonzero().squeeze(1)
-    vertices = rows(triangles.vertices, torch.cat([corner[emitting] for corner in triangles.corners]))
-    first = torch.arange(len(emitting), dtype=torch.int32, device=emitting.device)
-    _, e1, e2 = edges(vertices, tuple(first + k * len(emitting) for k in range(3)))
+    corners = tuple(rows(triangles.vertices, corner[emitting]) for corner in triangles.corners)
+    _, e1, e2 = edges(*(corner.p for corner in corners))
     area = 0.5 * torch.linalg.vector_norm(cross(e1, e2).stack(), dim=-1)
     total = sum(emitter.sampling_weight for emitter in scene.emitters)
     shapes = [(shape, count) for shape, count in zip(scene.shapes, counts) if shape.emitter is not None]
@@ -83,7 +82,7 @@ def light_table(scene: Scene, triangles: TriangleTable, radiance: Tensor, counts
     # A triangle without area is never picked, and must not make others infinite.
     picked = pmf > 0
     surfaces = EmittingTriangles(
-        vertices, n=attached(rows(triangles.n, emitting), unit_normal(e1, e2)), smooth=rows(triangles.smooth, emitting),
+        corners, n=attached(rows(triangles.n, emitting), unit_normal(e1, e2)), smooth=rows(triangles.smooth, emitting),
         radiance=radiance[emitting], pmf=pmf,
         inverse_area=torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0))
     kind, texture, pose = [AREA] * len(emitting), surfaces.radiance.tolist(), [0] * len(emitting)

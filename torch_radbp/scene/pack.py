@@ -9,7 +9,7 @@ from torch_radbp.bsdf.kind import Kind
 from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.differentiated import differentiated
-from torch_radbp.scene.interaction import edges
+from torch_radbp.scene.interaction import at_corners, edges
 from torch_radbp.scene.light_table import Lamp, kinds_of, light_table
 from torch_radbp.scene.lookup import TextureBank
 from torch_radbp.scene.scene import Scene
@@ -17,7 +17,7 @@ from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors, Trian
 from torch_radbp.shape.surface import Triangles
 from torch_radbp.texture.bitmap import WRAP_MODES
 from torch_radbp.texture.rgb import RGB
-from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, rows, scaled, unit_normal, where
+from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
 
 
 class BankBuilder:
@@ -103,7 +103,7 @@ def without_flat_normals(surface: Triangles) -> Triangles:
     """The surface without vertex normals if they are those of its faces and nothing can change that."""
     if surface.normals is None or differentiated(surface.normals) or differentiated(surface.vertices):
         return surface
-    _, e1, e2 = edges(VertexTable(Vec3.of(surface.vertices), None, None), tuple(surface.faces.unbind(1)))
+    _, e1, e2 = edges(*at_corners(Vec3.of(surface.vertices), surface.faces.unbind(1)))
     face = unit_normal(e1, e2).stack()
     flat = (surface.normals[surface.faces] - face[:, None]).abs().max() < 1e-5
     return surface._replace(normals=None) if flat else surface
@@ -176,13 +176,13 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, tangents:
     vertices = vertex_table(surfaces, normals, uv or tangents, dtype, device)
     faces = concatenated_faces(surfaces, device).to(torch.int32)
     corners = tuple(corner.contiguous() for corner in faces.unbind(1))
-    _, e1, e2 = edges(vertices._replace(p=vertices.p.detach()), corners)
+    _, e1, e2 = edges(*at_corners(vertices.p.detach(), corners))
     smooth = torch.tensor([surface.normals is not None for surface in surfaces], device=device)
     smooth = None if smooth.all() or not normals else smooth.repeat_interleave(
         torch.tensor([len(surface.faces) for surface in surfaces], device=device))
     along = None
     if tangents:
-        along = growth_of_u(*edges(vertices, corners)[1:], *(rows(vertices.uv, corner) for corner in corners))
+        along = growth_of_u(*edges(*at_corners(vertices.p, corners))[1:], *at_corners(vertices.uv, corners))
     if not uv:
         vertices = vertices._replace(uv=None)
     return TriangleTable(vertices, corners, unit_normal(e1, e2), smooth, along, None, None)

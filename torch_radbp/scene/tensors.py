@@ -75,7 +75,7 @@ class TriangleTable(NamedTuple):
 class EmittingTriangles(NamedTuple):
     """The S triangles of area lights, for light samples: few, where the scene has many; attached but for choices."""
 
-    vertices: VertexTable  # theirs alone: the first vertices of all, then the second ones, then the third
+    corners: tuple[VertexTable, VertexTable, VertexTable]  # (S,) the first vertices of all, the second and the third ones
     n: Vec3  # unit geometric normal
     smooth: Tensor | None  # (S,) as in `TriangleTable`
     radiance: Tensor  # (S,) int32, texture of the light bank
