@@ -92,7 +92,8 @@ class JumpWatch:
                     if any(followed(bsdf.kind(), sampling) for bsdf in one_sided(shape))]
         if not turning or flat(geometry(scene)[0]):
             return None
-        instead = " Where a surface is rough, sampling='hybrid' does not." if sampling == "attached" else ""
+        rough = any(not followed(bsdf.kind(), "hybrid") for bsdf in one_sided(scene))
+        instead = " Where a surface is not ideal, sampling='hybrid' does not." if rough and sampling == "attached" else ""
         return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen "
                                  f"reflected or refracted: directions follow the parameter and slide over the edges of "
                                  f"what they meet, where radiance changes by a jump.{instead} check_gradient tells by how "
