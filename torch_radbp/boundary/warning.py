@@ -24,8 +24,8 @@ from torch_radbp.scene.pack import geometry
 from torch_radbp.sensor.perspective import PinholeTensors
 
 MOVE_SHAPES = ("to_world", "vertex_positions")
-FLAT = 1e-6  # thickness over extent
 MOVE_VIEWS = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y")
+FLAT = 1e-6  # thickness over extent
 
 
 class SilhouetteWarning(UserWarning):
