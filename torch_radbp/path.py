@@ -26,7 +26,7 @@ from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import CAMERA_DEPTH, LaneKey, SampleKey, bounce_key, depth_counter, lane_key, uniform
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.departure import departure
-from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
+from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
@@ -157,13 +157,13 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
-               settings: Settings) -> Scattering:
-    """What happens at a vertex but for the way out. Args as for `bounce`; attached to them."""
+               settings: Settings, here: Corners | None = None) -> Scattering:
+    """What happens at a vertex but for the way out. Args as for `bounce`, and `surface_interaction`; attached to them."""
     # Find the surface that the ray meets. The point slides where the ray was not left to chance, or is followed.
     slides = None
     if settings.moving:
         slides = torch.isinf(state.pdf) | (settings.sampling == "attached")
-    si = surface_interaction(scene, state.ray, hit, slides)
+    si = surface_interaction(scene, state.ray, hit, slides, here)
 
     # Add the light that it emits, weighted against the chance that next-event estimation finds it.
     zero = torch.zeros_like(state.pdf)

@@ -26,8 +26,8 @@ def without(*parts: str) -> Iterator[None]:
     """Within it, derivatives lack `parts`: "Jacobian", "directions"."""
     glued_direction, aim_at_area = departure.glued_direction, light.aim_at_area
 
-    def poorer_direction(scene, o, d, hit, glued):
-        direction, change = glued_direction(scene, o, d, hit, glued)
+    def poorer_direction(there, o, d, hit, glued):
+        direction, change = glued_direction(there, o, d, hit, glued)
         return (direction.map(torch.Tensor.detach) if "directions" in parts else direction,
                 change.detach() if "Jacobian" in parts else change)
 

@@ -31,9 +31,9 @@ def make(**settings):
 
 @pytest.fixture(scope="module")
 def compiled():
-    """A renderer that has rendered, and walked back, once."""
+    """A renderer that has rendered, and walked back, once, with more than a few lanes at each depth for each core."""
     renderer = make(compile=True)
-    view_and_gradients(renderer)
+    view_and_gradients(renderer, spp=64)
     return renderer
 
 
@@ -114,3 +114,10 @@ def test_nothing_is_compiled_again_over_iterations_of_an_optimisation(compiled):
         optimizer.step()
     assert functions() == before
     assert all((parameter - start).abs().max() > 1e-3 for parameter, start in zip(wanted, first))
+
+
+def test_another_process_loads_what_this_one_has_compiled(compiled):
+    for stage in stages.compiled():
+        for case, of_a_case in stage.functions.items():
+            assert all(stage.loaded(case, number) is not None for number in range(len(of_a_case))), stage.stage.__name__
+    assert functions() >= 3

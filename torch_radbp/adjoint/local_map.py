@@ -10,6 +10,7 @@ from torch import Tensor
 from torch_radbp.path import PathState, Position, Settings, Step, scattering
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.departure import attached_departure
+from torch_radbp.scene.interaction import Corners
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Ray, Vec3, masked
 
@@ -24,19 +25,20 @@ class LocalMap(NamedTuple):
 
 
 def local_map(scene: SceneTensors, proposal: SceneTensors, state: PathState, step: Step, following: Hit | None, at: Position,
-              settings: Settings) -> LocalMap:
+              settings: Settings, here: Corners | None = None, there: Corners | None = None) -> LocalMap:
     """From parameters, and from the ray if it is moving, to E_k and F_k, and to the next ray.
 
     Args:
         scene, proposal, state, at, settings: as for `bounce`.
         step: what was decided.
         following: what the next ray meets, triangle -1 where it meets nothing or there is none.
+        here, there: the corners of the triangles that the ray meets and that the next ray does; None: as the scene has them.
     """
-    local = scattering(scene, proposal, state, step.hit, at, settings)
+    local = scattering(scene, proposal, state, step.hit, at, settings, here)
     E = local.Le + masked(step.visible, local.Ld)
     if local.sample is None:
         return LocalMap(E, E.map(torch.zeros_like), None, None)
     if not settings.moving:
         return LocalMap(E, local.sample.weight * local.thinning, None, None)
-    weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling)
+    weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling, there)
     return LocalMap(E, weight * local.thinning, ray, local.sample.pdf)

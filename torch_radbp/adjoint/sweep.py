@@ -11,12 +11,15 @@ division by a BSDF value, so that a reflectance of exactly 0 has the right deriv
 If geometry, camera or directions carry derivatives, the local map is (theta, ray_k) -> (E_k, F_k, ray_{k+1}), and beside the
 radiance the memo holds dloss/dray_{k+1}, which has come up from below; the same product turns it into dloss/dray_k.
 
+Two bounces read a triangle whose vertices carry derivatives: the one that aims at it, and the one below, which stands on it.
+So the memo also holds what the one below has found, and both are added to the gradient at once.
+
 Reference: Li 2020, section 2 (`d_Li_cached`, where the memo is called `cache`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import torch
@@ -26,6 +29,7 @@ from torch.utils._pytree import tree_flatten, tree_map, tree_map_only, tree_unfl
 from torch_radbp.adjoint.local_map import local_map
 from torch_radbp.path import Integrand, PathState, Position, Settings, Step, survivors, take_step
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.lookup import Tap, lookup, tapped
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Ray, Vec3
@@ -44,6 +48,14 @@ class PathRecord(NamedTuple):
     bounces: int
 
 
+class MetTriangle(NamedTuple):
+    """The triangle that ray_{k+1} meets, as the bounce below has read it, (N,) each."""
+
+    rows: tuple[Tensor, Tensor, Tensor]  # int32, its vertices
+    p: Corners  # their positions, detached
+    adj_p: Corners  # dloss/dp so far
+
+
 class Memo(NamedTuple):
     """What the bounce below has left, (N,) each; zeros where there was none."""
 
@@ -51,6 +63,7 @@ class Memo(NamedTuple):
     adj_ray: Ray | None = None  # dloss/dray_{k+1}; None if rays do not carry derivatives
     adj_pdf: Tensor | None = None  # the same of the density with which the ray was picked
     hit: Hit | None = None  # what the ray meets; triangle -1: nothing
+    triangle: MetTriangle | None = None  # None unless it carries derivatives for two bounces
 
 
 class TableAdjoint(NamedTuple):
@@ -79,23 +92,42 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], state: PathSta
     adj_L = lookup(adj_L, state.lane) * state.beta
     taps: list[Tap] = []
     attached, _ = tapped(scene, wanted, 0, taps)
-    inputs = ()
+    inputs, here, there = (), None, None
     if settings.moving:
-        ray, pdf = tree_map(lambda tensor: tensor.clone().requires_grad_(), (state.ray, state.pdf))
+        ray, pdf = tree_map(as_leaf, (state.ray, state.pdf))
         state, inputs = state._replace(ray=ray, pdf=pdf), (*ray.o, *ray.d, pdf)
+    if memo.triangle is not None:
+        rows = corner_rows(scene, step.hit)
+        here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, rows))
+        there = None if settings.last else read_again(attached.triangles.vertices.p, memo.triangle)
+        inputs = (*inputs, *(coordinate for corner in here for coordinate in corner))
     with torch.enable_grad():
-        local = local_map(attached, scene, state, step, memo.hit, at, settings)
+        local = local_map(attached, scene, state, step, memo.hit, at, settings, here, there)
         outputs, adjoints = [*local.E, *local.F], [*adj_L, *(adj_L * memo.L)]
         if local.ray is not None:
             outputs += [*local.ray.o, *local.ray.d, local.pdf]
             adjoints += [*memo.adj_ray.o, *memo.adj_ray.d, memo.adj_pdf]
-        reads = [leaf for tap in taps for _, leaf in tap.reads]
+        reads = [read.leaf for tap in taps for read in tap.reads]
         adjoints = iter(vector_jacobian_product(outputs, [*inputs, *reads], adjoints))
     above = Memo((local.E + local.F * memo.L).detach())
+    found = [zeros_unless(next(adjoints), leaf) for leaf in inputs]
     if settings.moving:
-        ox, oy, oz, dx, dy, dz, adj_pdf = (zeros_unless(next(adjoints), leaf) for leaf in inputs)
-        above = Memo(above.L, Ray(Vec3(ox, oy, oz), Vec3(dx, dy, dz)), adj_pdf, step.hit)
-    return above, [table_adjoint(tap.table, [(index, next(adjoints)) for index, _ in tap.reads]) for tap in taps]
+        above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], step.hit)
+    if memo.triangle is not None:
+        adj_here = tuple(Vec3(*found[first:first + 3]) for first in (7, 10, 13))
+        above = above._replace(triangle=MetTriangle(rows, tree_map(Tensor.detach, here), adj_here))
+    return above, [table_adjoint(tap, adjoints) for tap in taps]
+
+
+def as_leaf(tensor: Tensor) -> Tensor:
+    """A copy that derivatives can be taken with respect to."""
+    return tensor.clone().requires_grad_()
+
+
+def read_again(positions: Vec3, triangle: MetTriangle) -> Corners:
+    """The corners that the bounce below has read, from tapped `positions`."""
+    return tuple(Vec3(*(tap.read(row, value, found) for tap, value, found in zip(positions, p, adj_p)))
+                 for row, p, adj_p in zip(*triangle))
 
 
 def vector_jacobian_product(outputs: list[Tensor], inputs: list[Tensor], adjoints: list[Tensor]) -> tuple:
@@ -112,13 +144,22 @@ def zeros_unless(adjoint: Tensor | None, like: Tensor) -> Tensor:
     return torch.zeros_like(like) if adjoint is None else adjoint
 
 
-def table_adjoint(table: Tensor, reads: list[tuple[Tensor, Tensor | None]]) -> TableAdjoint:
-    """What the reads of a table add to its gradient; summed at once if that is cheap: compiled, and of few entries."""
-    reads = [(index, adjoint) for index, adjoint in reads if adjoint is not None]
-    if not (torch.compiler.is_compiling() and len(table) <= FEW_ENTRIES):
+def table_adjoint(tap: Tap, adjoints: Iterator[Tensor | None]) -> TableAdjoint:
+    """What the reads of a table add to its gradient; summed at once if that is cheap: compiled, and of few entries.
+
+    Args:
+        tap: of the table.
+        adjoints: of its leaves come next.
+    """
+    reads = []
+    for read in tap.reads:
+        adjoint = next(adjoints)
+        if adjoint is not None:
+            reads.append((read.index, adjoint if read.found is None else adjoint + read.found))
+    if not (torch.compiler.is_compiling() and len(tap.table) <= FEW_ENTRIES):
         return TableAdjoint(None, reads)
     sums = [sum(((index == entry).to(adjoint.dtype) * adjoint).sum(dtype=torch.float64) for index, adjoint in reads)
-            for entry in range(len(table) if reads else 0)]
+            for entry in range(len(tap.table) if reads else 0)]
     return TableAdjoint(torch.stack(sums) if sums else None, [])
 
 
@@ -129,7 +170,11 @@ class Sweep:
                  wanted: tuple[bool, ...], gradients: list[Tensor]):
         self.integrand, self.adjoint_of_bounce, self.record = integrand, adjoint_of_bounce, record
         self.adj_L, self.wanted, self.gradients = adj_L, wanted, gradients
-        self.memo = empty_memo(adj_L.x, self.moving)
+        taps: list[Tap] = []
+        positions = tapped(integrand.scene, wanted, 0, taps)[0].triangles.vertices.p
+        twice = self.moving and integrand.settings.sampling != "attached" and isinstance(positions.x, Tap)
+        self.of_positions = [gradients[taps.index(tap)] for tap in positions] if twice else []
+        self.memo = empty_memo(adj_L.x, self.moving, twice)
 
     def advance(self, state: PathState, depth: int) -> PathState:
         """Replays one bounce."""
@@ -158,15 +203,30 @@ class Sweep:
                 gradient += total
             for index, adjoint in reads:
                 scatter_add(gradient, index, adjoint, places)
+        if depth == 0 and above.triangle is not None:  # no bounce aims at what the camera sees
+            for row, adj_p in zip(above.triangle.rows, above.triangle.adj_p):
+                for gradient, adjoint in zip(self.of_positions, adj_p):
+                    scatter_add(gradient, row, adjoint, places)
         self.memo = replaced(self.memo, state.lane, above)
 
 
-def empty_memo(like: Tensor, moving: bool) -> Memo:
-    """What stands in the memo before the deepest bounce of each lane."""
+def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:
+    """What stands in the memo before the deepest bounce of each lane.
+
+    Args:
+        like: (N,) tells device and dtype.
+        moving: whether rays carry derivatives.
+        twice: whether triangles do, for two bounces each.
+    """
     if not moving:
         return Memo(Vec3.buffer(like))
-    miss = Hit(torch.full_like(like, -1, dtype=torch.int32), *(torch.zeros_like(like) for _ in range(3)))
-    return Memo(Vec3.buffer(like), Ray(Vec3.buffer(like), Vec3.buffer(like)), torch.zeros_like(like), miss)
+    nothing = torch.zeros_like(like, dtype=torch.int32)
+    miss = Hit(nothing - 1, *(torch.zeros_like(like) for _ in range(3)))
+    memo = Memo(Vec3.buffer(like), Ray(Vec3.buffer(like), Vec3.buffer(like)), torch.zeros_like(like), miss)
+    if not twice:
+        return memo
+    p, adj_p = (tuple(Vec3.buffer(like) for _ in range(3)) for _ in range(2))
+    return memo._replace(triangle=MetTriangle(tuple(nothing.clone() for _ in range(3)), p, adj_p))
 
 
 def replaced(memo: Memo, lane: Tensor, above: Memo) -> Memo:

@@ -17,8 +17,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.interaction import SurfaceInteraction, at_corners, edges
-from torch_radbp.scene.lookup import lookup
+from torch_radbp.scene.interaction import Corners, SurfaceInteraction, at_corners, corner_rows, edges
 from torch_radbp.scene.material import BSDFSample, Material, evaluate
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
@@ -31,7 +30,7 @@ def departure(si: SurfaceInteraction, wo: Vec3, epsilon: Tensor) -> Ray:
 
 
 def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInteraction, sample: BSDFSample, following,
-                       sampling: str) -> tuple[Vec3, Ray]:
+                       sampling: str, there: Corners | None = None) -> tuple[Vec3, Ray]:
     """The weight of the sample and the ray that leaves with it, with the derivatives that `sampling` asks for.
 
     Args:
@@ -40,6 +39,7 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
         sample: the direction.
         following: a `raycast.Hit`: what the ray meets.
         sampling: "detached", "hybrid" or "attached".
+        there: the corners of the triangle that the ray meets; None: as the scene has them.
 
     Returns:
         bsdf * |cos| / pdf, and the ray.
@@ -50,7 +50,9 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
     ray = Ray(attached(ray.o, si.p), ray.d)  # the offset carries no derivative
     fixed = ray.d.detach()
     chance = torch.isfinite(sample.pdf)
-    d, change = glued_direction(scene, ray.o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))
+    if there is None:
+        there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
+    d, change = glued_direction(there, ray.o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))
     value, _ = evaluate(material, si.wi, si.frame.to_local(d))
     pdf = sample.pdf.detach()
     weight = value * (change / torch.where(pdf > 0, pdf, 1.0))  # a path that ends is masked by the caller, if finite
@@ -60,18 +62,17 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
     return where(chance, weight, sample.weight), Ray(ray.o, where(chance, d, specular))
 
 
-def glued_direction(scene: SceneTensors, o: Vec3, d: Vec3, hit, glued: Tensor) -> tuple[Vec3, Tensor]:
+def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor) -> tuple[Vec3, Tensor]:
     """From `o` to the point of a triangle that `d` met: the direction, and the change of its solid angle, of value 1.
 
     Args:
-        scene, o: attached.
+        there: the corners of the triangle, attached.
+        o: attached.
         d: (N,) detached.
         hit: a `raycast.Hit`.
         glued: (N,) bool: where there is a triangle; elsewhere the direction stays.
     """
-    triangles, prim = scene.triangles, hit.prim.clamp_min(0)
-    corners = tuple(lookup(corner, prim) for corner in triangles.corners)
-    p0, e1, e2 = edges(*at_corners(triangles.vertices.p, corners))
+    p0, e1, e2 = edges(*there)
     reach = p0 + e1 * hit.u + e2 * hit.v - o
     squared = torch.where(glued, dot(reach, reach).clamp_min(TINY), 1.0)
     aim = reach * torch.rsqrt(squared)

@@ -24,6 +24,8 @@ from torch_radbp.vec import (
     where,
 )
 
+Corners = tuple[Vec3, Vec3, Vec3]  # (N,) positions of the vertices of a triangle per lane
+
 
 class SurfaceInteraction(NamedTuple):
     """A surface point per lane; directions `wi` point away from the surface, in the local frame."""
@@ -55,7 +57,8 @@ class SurfaceInteraction(NamedTuple):
         return self.p + self.n * torch.copysign(epsilon, dot(self.n, d))
 
 
-def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | None = None) -> SurfaceInteraction:
+def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | None = None,
+                        here: Corners | None = None) -> SurfaceInteraction:
     """Interpolates the triangle that was hit.
 
     Args:
@@ -65,6 +68,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         slides: (N,) bool: how the point follows when ray and scene are attached. True: it stays on the ray and slides over
             the triangle. False: it is glued to the triangle, at fixed barycentric coordinates, whatever the ray does.
             None: it does not follow, because nothing moves.
+        here: the corners of the triangle; None: as the scene has them.
     """
     triangles = scene.triangles
     valid = hit.prim >= 0
@@ -72,9 +76,9 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     vertices, layout = triangles.vertices, scene.layout
     p, t, n = ray.o + ray.d * hit.t, hit.t, lookup(triangles.n, prim)
     if slides is not None or layout.shading_normals or vertices.uv is not None:
-        corners = tuple(lookup(corner, prim) for corner in triangles.corners)
+        rows = corner_rows(scene, hit)
     if slides is not None:
-        p0, e1, e2 = edges(*at_corners(vertices.p, corners))
+        p0, e1, e2 = edges(*(at_corners(vertices.p, rows) if here is None else here))
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
         p = attached(p, p0 + e1 * hit.u + e2 * hit.v)
         t = attached(t, dot(p - ray.o, ray.d))
@@ -82,11 +86,11 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     cosine = dot(n, ray.d)
     shading, shading_cosine = n, cosine
     if layout.shading_normals:
-        shading = normalize(interpolated(at_corners(vertices.n, corners), hit.u, hit.v))
+        shading = normalize(interpolated(at_corners(vertices.n, rows), hit.u, hit.v))
         if triangles.smooth is not None:
             shading = where(lookup(triangles.smooth, prim), shading, n)
         shading_cosine = dot(shading, ray.d)
-    uv = None if vertices.uv is None else interpolated(at_corners(vertices.uv, corners), hit.u, hit.v)
+    uv = None if vertices.uv is None else interpolated(at_corners(vertices.uv, rows), hit.u, hit.v)
     front = shading_cosine < 0
     material = lookup(triangles.material, prim)
     emitter = lookup(triangles.emitter, prim) if layout.area_lights else None
@@ -99,9 +103,14 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, uv, t, cosine)
 
 
-def at_corners(table: Vec2 | Vec3, corners: tuple[Tensor, ...]) -> tuple[Vec2 | Vec3, ...]:
+def corner_rows(scene: SceneTensors, hit) -> tuple[Tensor, Tensor, Tensor]:
+    """(N,) int32: which vertices the triangles have that were hit."""
+    return tuple(lookup(corner, hit.prim.clamp_min(0)) for corner in scene.triangles.corners)
+
+
+def at_corners(table: Vec2 | Vec3, rows: tuple[Tensor, Tensor, Tensor]) -> tuple[Vec2 | Vec3, ...]:
     """What the three vertices of triangles have."""
-    return tuple(lookup(table, corner) for corner in corners)
+    return tuple(lookup(table, row) for row in rows)
 
 
 def edges(p0: Vec3, p1: Vec3, p2: Vec3) -> tuple[Vec3, Vec3, Vec3]:

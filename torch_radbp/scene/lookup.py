@@ -15,16 +15,25 @@ from torch import Tensor
 from torch_radbp.vec import Vec2, Vec3, gather
 
 
+class Read(NamedTuple):
+    """One gather of a tapped table."""
+
+    index: Tensor  # (N,) int32
+    leaf: Tensor  # (N,) the entries
+    found: Tensor | None  # (N,) a part of their adjoint that is known before
+
+
 class Tap:
-    """A table whose entries are wanted as leaves: `reads` lists (index, leaf) in order."""
+    """A table whose entries are wanted as leaves: `reads` lists what was gathered, in order."""
 
     def __init__(self, table: Tensor):
         self.table = table
-        self.reads: list[tuple[Tensor, Tensor]] = []
+        self.reads: list[Read] = []
 
-    def read(self, index: Tensor) -> Tensor:
-        leaf = gather(self.table, index).detach().requires_grad_()
-        self.reads.append((index, leaf))
+    def read(self, index: Tensor, known: Tensor | None = None, found: Tensor | None = None) -> Tensor:
+        """The entries at `index`, which need not be gathered if they are `known`; `found`: see `Read`."""
+        leaf = (gather(self.table, index) if known is None else known).detach().requires_grad_()
+        self.reads.append(Read(index, leaf, found))
         return leaf
 
 
