@@ -163,7 +163,7 @@ def working_set(options: argparse.Namespace) -> str:
     with torch.no_grad():
         state = start_paths(call, call.chunks[0], 0)
         _, step = take_step(integrand, state, 0)
-    adjoint, memo = Vec3.full(state.pdf, 1.0), empty_memo(state.pdf, integrand.settings.moving)
+    adjoint, memo = Vec3.full(state.pdf, 1.0), empty_memo(state.pdf, integrand.settings.moving, twice=False)
     lanes = len(state.lane)
 
     def backward():

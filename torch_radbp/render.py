@@ -21,7 +21,7 @@ from torch_radbp.adjoint.function import (
 )
 from torch_radbp.adjoint.memory import MemoryPlan, Workload, parse_budget, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.boundary import JumpWatch
+from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.path import Integrand, Settings
 from torch_radbp.plugin import nearest
 from torch_radbp.raycast import make_caster
@@ -65,10 +65,11 @@ class Renderer(nn.Module):
         caster: "embree" or "brute"; None picks by device.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
-    so far, what silhouettes and the edges of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
-    move are in view, or may be slid over by directions that follow a parameter (with attached sampling roughness, index and
-    normals; in hybrid those of ideal mirrors and glass). The samplings that are not attached miss a jump of GGX rough glass;
-    a `JumpWarning` says so.
+    so far, what silhouettes and the borders of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
+    move are in view, or shadows that move with a light or a shape fall into it, or if edges may be slid over by directions
+    that follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal mirrors and glass).
+    The samplings that are not attached miss a jump of GGX rough glass; a `JumpWarning` says so. No warning tells of edges
+    that move in reflections, or before light from all around, out of view.
 
     Raises:
         ValueError: for settings that make no sense.
@@ -131,7 +132,8 @@ class Renderer(nn.Module):
                                       dict(self.named_parameters()))
         call = self.prepare(seed, sensors, spp, seed_grad)
         seen = self.scene.sensors if sensors is None else [self.scene.sensors[index] for index in sensors]
-        self.jump_watch.look(self.scene, seen, [detached(view.camera) for view in call.views], self.sampling)
+        sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
+        self.jump_watch.look(Rendering(self.scene, seen, sights, self.casters[0], self.sampling))
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
@@ -196,8 +198,10 @@ class Renderer(nn.Module):
         integrand = call.make_integrand(scene)._replace(bounce=EAGER.bounce)
         lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
         chunk = max(part.pixels * part.samples for part in call.chunks)
+        moving = integrand.settings.moving
+        triangles = moving and self.sampling != "attached" and any_differentiated(call.scene.triangles.vertices.p)
         work = Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
-                        self.compile_stages, call.workers, integrand.settings.moving)
+                        self.compile_stages, call.workers, moving, triangles)
         if self.memory_budget is None:
             return predict(work, chunk, call.adjoint, call.retrace)
         return plan_memory(self.memory_budget, work, chunk, self.adjoint if self.adjoint_is_chosen else None)

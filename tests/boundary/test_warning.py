@@ -12,7 +12,7 @@ import torch_radbp as rb
 from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor, texels
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.boundary.edges import edges_of, welded
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.transform import look_at, rotate, scale, translate
 
 SKY = {"type": "constant", "radiance": rgb(0.5, 0.6, 0.7)}
 PICTURE = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels(4, 4)}}
@@ -101,6 +101,57 @@ def test_what_moves_out_of_view_or_moves_nothing_gives_no_warning():
                      behind=rectangle((0, 0, 6), 0.5), aside={**CUBE, "to_world": translate((9, 0, 0))})
     assert warnings_of(scene, "plane.to_world", "behind.to_world", "aside.vertex_positions", "box.vertex_normals",
                        "plane.bsdf.reflectance.data", "box.bsdf.reflectance.value", "sky.radiance.value") == []
+
+
+FLOOR = rectangle((0, 0, -1), 9, bsdf=PICTURE)
+POINT = {"type": "point", "position": [0.5, 0.4, 2.0], "intensity": rgb(9, 7, 5)}
+ASIDE = {**CUBE, "to_world": translate((-2.2, 0.1, 1)) @ scale((0.2, 0.2, 0.2))}  # out of view
+LIGHTS = {  # all of which cast a shadow of the cube `aside` into the view
+    "point.position": {"type": "point", "position": [-4.4, 0.2, 3], "intensity": rgb(9, 7, 5)},
+    "spot.to_world": {"type": "spot", "to_world": look_at((-4.4, 0.2, 3), (0, 0, -1), (0, 1, 0)), "cutoff_angle": 30},
+    "directional.to_world": {"type": "directional", "direction": [1.1, -0.05, -1], "irradiance": rgb(3, 3, 3)},
+    "area.to_world": {"type": "rectangle", "emitter": {"type": "area", "radiance": rgb(9, 7, 5)},
+                      "to_world": look_at((-4.4, 0.2, 3), (0, 0, -1), (0, 1, 0)) @ scale((0.2, 0.2, 0.2))}}
+
+
+def shadows(scene: rb.Scene, *names: str) -> list[str]:
+    """The warnings about shadows."""
+    return [message for message in warnings_of(scene, *names) if "borders of shadows" in message]
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_shadows_that_fall_into_the_view_are_named_with_all_that_moves_them(name):
+    def lit(**shapes) -> rb.Scene:
+        return load(camera=sensor(4, fov=30), floor=FLOOR, **{name.split(".")[0]: LIGHTS[name]}, **shapes)
+
+    assert shadows(lit(), name, "floor.to_world") == []
+    for moving in (name, "aside.vertex_positions", "floor.to_world"):
+        message, = warnings_of(lit(aside=ASIDE), moving)
+        assert f"`{moving}`" in message and "borders of shadows" in message
+    message, = warnings_of(lit(aside=ASIDE), name, "aside.vertex_positions", "aside.vertex_normals")
+    assert "`aside.vertex_positions`" in message and f"`{name}`" in message
+    assert warnings_of(lit(aside=ASIDE), "floor.bsdf.reflectance.data") == []
+    # What lies elsewhere casts its shadow elsewhere.
+    assert shadows(lit(aside={**CUBE, "to_world": translate((2.4, 0.1, 1)) @ scale((0.2, 0.2, 0.2))}), name) == []
+
+
+def test_no_shadow_is_cast_by_what_is_not_lit():
+    below = {**CUBE, "to_world": translate((0.1, 0.2, -2)) @ scale((0.2, 0.2, 0.2))}
+    lamp = {**rectangle((0, 0, 3), 0.3, (1, 0, 0), 180), "emitter": {"type": "area", "radiance": rgb(9, 7, 5)}}
+    behind = {**CUBE, "to_world": translate((0.1, 0.2, 4)) @ scale((0.2, 0.2, 0.2))}
+    view = sensor(4, (0.1, 0, 2))
+    for shapes in ({"box": below, "point": POINT}, {"box": behind, "lamp": lamp}):
+        scene = load(camera=view, floor=FLOOR, ceiling=rectangle((0, 0, 9), 9), **shapes)
+        assert shadows(scene, "box.vertex_positions", "floor.to_world") == []
+    assert shadows(load(camera=view, floor=FLOOR, point=POINT, box={**behind, "to_world": translate((0.1, 0.2, 1)) @ scale(
+        (0.2, 0.2, 0.2))}), "point.position")
+
+
+def test_shadows_of_what_has_silhouettes_in_view_are_not_named_again():
+    message, = warnings_of(scene_of(box=CUBE, floor=FLOOR, point=POINT), "box.vertex_positions")
+    assert "outlines" in message
+    first, second = warnings_of(scene_of(box=CUBE, floor=FLOOR, point=POINT), "box.vertex_positions", "point.position")
+    assert "`box.vertex_positions`" in first and "`point.position`" in second and "box" not in second
 
 
 def test_a_camera_that_is_not_rendered_does_not_count():

@@ -22,6 +22,7 @@ STATE = (10, 12)  # `PathState`: ray, throughput, density; key and lane
 STEP = (3, 5)  # `Step`: barycentrics and distance; triangle and visibility
 RADIANCE = (3, 0)  # a `Vec3`
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
+TRIANGLE = {False: (0, 0), True: (18, 12)}  # `MetTriangle`, if there is any
 
 # Numbers per lane that are alive at the worst moment of one bounce, and of its adjoint eager and compiled: so that the peaks
 # of `python -m benchmarks.memory`, which hold the allocator's waste too, are predicted.
@@ -84,6 +85,7 @@ class Workload(NamedTuple):
     compiled: bool = False  # whether the bounce is
     workers: int = 1  # chunks that are traced side by side
     moving: bool = False  # whether rays carry derivatives
+    triangles: bool = False  # whether triangles do, each for two bounces
 
 
 def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> MemoryPlan:
@@ -116,7 +118,7 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
             if action.depth not in depths:
                 replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE)
                 most = max(most, replayed)
-    sweep = size(RADIANCE) + size(MEMO[work.moving]) + size(STATE)
+    sweep = size(RADIANCE) + size(MEMO[work.moving]) + size(TRIANGLE[work.triangles]) + size(STATE)
     working = (BOUNCE_ADJOINT[work.compiled] * (1 + work.moving) * dtype.itemsize + sweep) * max(fractions) + most
     kept = int((together if retrace else lanes) * per_lane)
     return MemoryPlan(chunk, adjoint, retrace, kept, int(together * working))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -11,21 +13,32 @@ from torch_radbp.sensor.perspective import PinholeTensors
 MARGIN = 1e-4  # at the border of the image, a share of its size: a surface may end exactly there
 
 
-def silhouettes_in_view(edges: Edges, vertices: Tensor, camera: PinholeTensors, width: int, height: int) -> Tensor:
+class Sight(NamedTuple):
+    """What a sensor sees of the world."""
+
+    camera: PinholeTensors  # detached
+    width: int  # of its crop window, pixels
+    height: int
+
+
+def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
     """Which edges the image changes at by a jump, if nothing hides them.
 
     Args:
         edges: of the mesh.
         vertices: (V, 3) now, world space, detached.
-        camera: detached.
-        width, height: of its crop window, pixels.
+        sight: of the camera.
 
     Returns:
         (E,) bool.
     """
     vertices = vertices.double()
-    origin = torch.stack(tuple(camera.origin)).double()
-    return is_silhouette(edges, vertices - origin) & crosses_view(vertices - origin, edges, camera, width, height)
+    return is_silhouette(edges, vertices - eye(sight)) & crosses_view(edges, vertices, sight)
+
+
+def eye(sight: Sight) -> Tensor:
+    """(3,) where the camera is, float64."""
+    return torch.stack(tuple(sight.camera.origin)).double()
 
 
 def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
@@ -45,13 +58,18 @@ def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
     return total.abs() == count
 
 
-def crosses_view(seen: Tensor, edges: Edges, camera: PinholeTensors, width: int, height: int) -> Tensor:
+def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
     """Whether a part of an edge lies inside of the camera's pyramid of view; (E,) bool.
+
+    Args:
+        edges: between `vertices`, (V, 3) float64, world space; an edge of length zero is a point.
+        sight: of the camera.
 
     Reference: Cyrus and Beck 1978, "Generalized Two- and Three-Dimensional Clipping".
     """
+    camera, width, height = sight
     axes = torch.stack([torch.stack(tuple(axis)) for axis in camera.axes]).double()
-    x, y, z = (seen @ axes.T).unbind(1)
+    x, y, z = ((vertices - eye(sight)) @ axes.T).unbind(1)
     left, right = limits(camera.crop_x, camera.size_x, camera.shift_x, width) * camera.tan_x
     top, bottom = limits(camera.crop_y, camera.size_y, camera.shift_y, height) * camera.tan_x / camera.aspect
     # Distances to the six planes, positive inside. Coordinates run to the left and up.

@@ -1,31 +1,36 @@
-"""The warnings that a derivative lacks what silhouettes, or jumps of a BSDF, contribute.
+"""The warnings that a derivative lacks what silhouettes, shadows or jumps of a BSDF contribute.
 
 A derivative of the image is a derivative of its pixels, plus what is gained and lost where one surface ends and another is
 seen behind it. The second part is not computed yet. It is missing if a shape, or the camera, moves and silhouettes are in
-view; of a surface that fills the view nothing is missing.
+view; of a surface that fills the view nothing is missing. Borders of shadows are silhouettes as a light sees them; looked
+for are those of lights that have a place or a direction, not those of light from all around.
 """
 
 from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges, edges_of
-from torch_radbp.boundary.silhouette import silhouettes_in_view
+from torch_radbp.boundary.shadow import shadows_in_view
+from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
 from torch_radbp.bsdf.kind import Kind
-from torch_radbp.plugin import BSDF, Plugin, Sensor
+from torch_radbp.plugin import BSDF, Plugin, Sensor, Shape
+from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import tangent_of
 from torch_radbp.scene.pack import geometry
-from torch_radbp.sensor.perspective import PinholeTensors
 
 MOVE_SHAPES = ("to_world", "vertex_positions")
+MOVE_LIGHTS = ("to_world", "position")
 MOVE_VIEWS = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y")
 FLAT = 1e-6  # thickness over extent
+CLOSED = 1e-3  # the sum of a surface's normals over its area
 
 
 class SilhouetteWarning(UserWarning):
@@ -36,32 +41,35 @@ class JumpWarning(SilhouetteWarning):
     """Derivatives are asked for that lack what the jump of a BSDF contributes, a silhouette of its microfacets."""
 
 
+class Rendering(NamedTuple):
+    """What is about to be rendered."""
+
+    scene: Scene  # with the parameters of this rendering
+    sensors: Sequence[Sensor]
+    sights: Sequence[Sight]  # of the same
+    caster: RayCaster  # of the scene as it is now
+    sampling: str  # "detached", "hybrid" or "attached"
+
+
 class JumpWatch:
     """Looks at every rendering for jumps whose part is missing from the derivative; warns once of each sort."""
 
     def __init__(self) -> None:
-        self.looks = [self.silhouettes_in_view, self.jumps_of_a_bsdf, self.edges_slid_over]  # which have not warned yet
+        self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over]
         self.known: dict[object, tuple[Tensor, Edges]] = {}  # edges of what was looked at, and the faces that made them
+        self.looked_at: set[str] = set()  # what moves, in the shadows that were looked for
 
-    def look(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors], sampling: str) -> None:
-        """Warns if derivatives are asked for that lack something.
-
-        Args:
-            scene: with the parameters of this rendering.
-            sensors: that are rendered.
-            cameras: the same as tensors.
-            sampling: "detached", "hybrid" or "attached".
-        """
+    def look(self, rendering: Rendering) -> None:
+        """Warns if derivatives are asked for that lack something."""
         for look in self.looks[:]:
-            warning = look(scene, sensors, cameras, sampling)
+            warning = look(rendering)
             if warning is not None:
                 self.looks.remove(look)
                 warnings.warn(warning, stacklevel=level_of_the_caller())
 
-    def silhouettes_in_view(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors],
-                            sampling: str) -> SilhouetteWarning | None:
+    def silhouettes_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """Of the shapes and cameras that move. Hidden silhouettes count as seen."""
-        missing = self.missing(scene, sensors, cameras)
+        missing = self.missing(rendering)
         if not missing:
             return None
         return SilhouetteWarning(f"derivatives of {listed(missing)} lack what its silhouettes contribute: "
@@ -69,9 +77,39 @@ class JumpWatch:
                                  f"that depends on outlines, such as that of a shape before a background, has a biased "
                                  f"gradient; check_gradient tells by how much")
 
-    def jumps_of_a_bsdf(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors],
-                        sampling: str) -> JumpWarning | None:
+    def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
+        """Of lights, shapes that cast them and shapes that they fall on, if these move and show no silhouettes.
+
+        Looked for once for each parameter, because it casts rays.
+        """
+        scene = rendering.scene
+        lights, shapes = list(lights_of(scene)), [moving(scene, shape, MOVE_SHAPES) for shape in scene.shapes]
+        names = {name for of_one in (*shapes, *(light.moving for light in lights)) for name in of_one}
+        if names <= self.looked_at:
+            return None
+        self.looked_at |= names
+        vertices, faces = geometry(scene)
+        edges = self.edges("world", vertices, faces)
+        counts = torch.tensor([len(shape.oriented().faces) for shape in scene.shapes], device=faces.device)
+        shape_of = torch.repeat_interleave(counts)
+        shape_at = shape_of.new_zeros(len(vertices)).index_copy(0, faces.flatten().long(), shape_of.repeat_interleave(3))
+        missing: set[str] = set()
+        for light in lights:
+            found = shadows_in_view(edges, vertices, rendering.caster, light.place, light.axis, rendering.sights)
+            pairs = torch.stack([shape_at[edges.a[found.edge]], shape_of[found.receiver]], 1).unique(dim=0)
+            for casts, catches in pairs.tolist():
+                if scene.shapes[casts] is not light.shape:
+                    missing |= {*light.moving, *shapes[casts], *shapes[catches]}
+        missing -= self.missing(rendering).keys()
+        if not missing:
+            return None
+        return SilhouetteWarning(f"derivatives of {listed(sorted(missing))} lack what the borders of shadows contribute: "
+                                 f"some in view move over the surface on which they fall. A loss that depends on where "
+                                 f"shadows lie has a biased gradient; check_gradient tells by how much")
+
+    def jumps_of_a_bsdf(self, rendering: Rendering) -> JumpWarning | None:
         """Directions turn at rough glass that jumps with them, and do not carry derivatives; see `Kind.jumps`."""
+        scene, sensors, sampling = rendering.scene, rendering.sensors, rendering.sampling
         jumping = [bsdf for bsdf in one_sided(scene) if bsdf.kind().jumps and sampling != "attached"]
         turning = [name for plugins, attributes in ((scene.shapes, MOVE_SHAPES), (sensors, MOVE_VIEWS), (jumping, ("eta",)))
                    for plugin in plugins for name in moving(scene, plugin, attributes)]
@@ -82,9 +120,9 @@ class JumpWatch:
                            f"ends with a jump, which directions that carry no derivative miss. Use sampling='attached', or "
                            f"the distribution 'beckmann', which has no jump")
 
-    def edges_slid_over(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors],
-                        sampling: str) -> SilhouetteWarning | None:
+    def edges_slid_over(self, rendering: Rendering) -> SilhouetteWarning | None:
         """Directions follow roughness, index or normals of a surface, and there are edges that they may slide over."""
+        scene, sampling = rendering.scene, rendering.sampling
         turning = [f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}" for bsdf in one_sided(scene)
                    if followed(bsdf.kind(), sampling)
                    for slot in bsdf.kind().steering if asks_for_derivatives(bsdf.textures()[slot].texels())]
@@ -99,31 +137,62 @@ class JumpWatch:
                                  f"what they meet, where radiance changes by a jump.{instead} check_gradient tells by how "
                                  f"much it matters")
 
-    def missing(self, scene: Scene, sensors: Sequence[Sensor], cameras: Sequence[PinholeTensors]) -> dict[str, int]:
+    def missing(self, rendering: Rendering) -> dict[str, int]:
         """The parameters that move silhouettes in view, and how many edges each."""
-        missing: dict[str, int] = {}
+        scene, missing = rendering.scene, {}
         for shape in scene.shapes:
             names = moving(scene, shape, MOVE_SHAPES)
             if names:
                 surface = shape.oriented()
-                count = self.count(id(shape), surface.vertices.detach(), surface.faces, sensors, cameras)
+                count = self.count(id(shape), surface.vertices.detach(), surface.faces, rendering.sights)
                 missing |= {name: count for name in names}
-        turned = [(sensor, camera) for sensor, camera in zip(sensors, cameras) if moving(scene, sensor, MOVE_VIEWS)]
+        turned = [(sensor, sight) for sensor, sight in zip(rendering.sensors, rendering.sights)
+                  if moving(scene, sensor, MOVE_VIEWS)]
         if turned:
             vertices, faces = geometry(scene)
-            for sensor, camera in turned:
-                count = self.count("world", vertices, faces, [sensor], [camera])
+            for sensor, sight in turned:
+                count = self.count("world", vertices, faces, [sight])
                 missing |= {name: count for name in moving(scene, sensor, MOVE_VIEWS)}
         return {name: count for name, count in missing.items() if count}
 
-    def count(self, key: object, vertices: Tensor, faces: Tensor, sensors: Sequence[Sensor],
-              cameras: Sequence[PinholeTensors]) -> int:
+    def count(self, key: object, vertices: Tensor, faces: Tensor, sights: Sequence[Sight]) -> int:
         """The silhouettes of a mesh in some views."""
+        edges = self.edges(key, vertices, faces)
+        return sum(int(silhouettes_in_view(edges, vertices, sight).sum()) for sight in sights)
+
+    def edges(self, key: object, vertices: Tensor, faces: Tensor) -> Edges:
+        """Those of a mesh, found anew only where its faces are others."""
         if key not in self.known or not torch.equal(self.known[key][0], faces):
             self.known[key] = (faces, edges_of(vertices, faces))
-        edges = self.known[key][1]
-        return sum(int(silhouettes_in_view(edges, vertices, camera, sensor.film.crop_width, sensor.film.crop_height).sum())
-                   for sensor, camera in zip(sensors, cameras))
+        return self.known[key][1]
+
+
+class Light(NamedTuple):
+    """A light that casts shadows with a border."""
+
+    place: Tensor  # (4,) homogeneous: a position, the middle of a light with extent; or with a 0 the direction towards it
+    axis: Tensor  # (3,) it shines to this side only; 0: to all
+    shape: Shape | None  # that emits
+    moving: list[str]  # the parameters that move it and that derivatives are asked for
+
+
+def lights_of(scene: Scene) -> Iterator[Light]:
+    """All lights that have a place or a direction."""
+    for emitter in scene.emitters:
+        if hasattr(emitter, "pose"):
+            pose = emitter.pose()
+            place = torch.cat([pose.place.detach(), pose.place.new_full((1,), float(emitter.type != "directional"))])
+            axis = pose.to_local[2].detach() * float(emitter.type in ("spot", "projector"))
+            yield Light(place, axis, None, moving(scene, emitter, MOVE_LIGHTS))
+    for shape in scene.shapes:
+        if shape.emitter is not None:
+            surface = shape.oriented()
+            first, second, third = surface.vertices.detach()[surface.faces].unbind(1)
+            normals = torch.linalg.cross(second - first, third - first)
+            middle = surface.vertices.detach().mean(0)
+            # The normals of a closed surface add up to rounding errors.
+            axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
+            yield Light(torch.cat([middle, middle.new_ones(1)]), axis, shape, moving(scene, shape, MOVE_SHAPES))
 
 
 def one_sided(owner: Scene | Plugin) -> list[BSDF]:

@@ -1,0 +1,64 @@
+"""Which edges cast a shadow whose border lies in view of a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.edges import Edges
+from torch_radbp.boundary.silhouette import Sight, crosses_view, is_silhouette
+from torch_radbp.raycast.protocol import RayCaster
+from torch_radbp.vec import Ray, Vec3
+
+PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # along each edge, from which rays are cast
+MOST_EDGES = 1 << 14  # that are looked at
+APART = 1e-4  # how far from an edge a ray starts, a share of the scene's extent
+FAR_AWAY = 1e4  # where a directional light stands, in the same unit
+
+
+class Shadows(NamedTuple):
+    """S places in view where a border of a shadow lies."""
+
+    edge: Tensor  # (S,) int64, which casts it
+    receiver: Tensor  # (S,) int64, triangle on which it lies
+
+
+def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Tensor, axis: Tensor,
+                    sights: Sequence[Sight]) -> Shadows:
+    """The shadows that a light casts into some views. Those that are in view but hidden count as seen.
+
+    Args:
+        edges: of the scene.
+        vertices: (V, 3) of the scene, world space, detached.
+        caster: the same scene.
+        light: (4,) homogeneous coordinates of the light: a position, or with a 0 at the end the direction towards it.
+        axis: (3,) the light shines to this side only; 0: to all.
+        sights: of the cameras.
+    """
+    extent = (vertices.amax(0) - vertices.amin(0)).max().double()
+    vertices, light = vertices.double(), light.double()
+    position = light[:3] if light[3] else vertices.mean(0) + FAR_AWAY * extent * light[:3]
+    outline = is_silhouette(edges, vertices - position).nonzero().squeeze(1)
+    edge = outline[::max(1, -(-len(outline) // MOST_EDGES))].repeat(len(PLACES))
+    share = torch.tensor(PLACES).to(vertices).repeat_interleave(len(edge) // len(PLACES))[:, None]
+    place = vertices[edges.a[edge]] * (1.0 - share) + vertices[edges.b[edge]] * share
+    reach = place - position
+    distance = reach.norm(dim=1)
+    d = reach / distance.clamp_min(1e-300)[:, None]
+    lit = d @ axis.double() >= 0
+    lit &= ~caster.occluded(ray_from(place - d * APART * extent, -d), (distance - 2 * APART * extent).float())
+    hit = caster.intersect(ray_from(place + d * APART * extent, d))
+    border = place + d * (APART * extent + hit.t[:, None].double())
+    point = torch.arange(len(border), device=border.device)
+    points = Edges(point, point, point[:0], point[:0])
+    seen = torch.stack([crosses_view(points, border, sight) for sight in sights]).any(0)
+    falls = (lit & (hit.prim >= 0) & seen).nonzero().squeeze(1)
+    return Shadows(edge[falls], hit.prim[falls].long())
+
+
+def ray_from(o: Tensor, d: Tensor) -> Ray:
+    """Rays from (N, 3) points into (N, 3) directions, float32."""
+    return Ray(*(Vec3(*part.float().contiguous().unbind(1)) for part in (o, d)))
