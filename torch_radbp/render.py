@@ -67,9 +67,9 @@ class Renderer(nn.Module):
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, what silhouettes and the borders of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
     move are in view, or shadows that move with a light or a shape fall into it, or if edges may be slid over by directions
-    that follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal mirrors and glass).
-    The samplings that are not attached miss a jump of GGX rough glass; a `JumpWarning` says so. No warning tells of edges
-    that move in reflections, or before light from all around, out of view.
+    that follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal mirrors and
+    glass). The samplings that are not attached miss a jump of GGX rough glass; a `JumpWarning` says so. No warning tells of
+    edges that move in reflections, or before light from all around, out of view.
 
     Raises:
         ValueError: for settings that make no sense.
