@@ -25,6 +25,18 @@ def test_derivatives_are_those_of_finite_differences(name):
             assert projection.backward_error < 1e-9, f"{sampling}: {result}"
 
 
+@pytest.mark.parametrize("name", [name for name in SCENES if name.startswith(("lens", "mirror", "pane"))])
+def test_where_all_is_ideally_specular_hybrid_is_attached(name):
+    """Sample by sample: no direction is left to chance."""
+    moving = SCENES[name]
+    build = moving.build().double()
+    tangent = moving.tangent(build)
+    hybrid, attached = (rb.jvp(build, {moving.name: tangent}, spp=4, max_depth=moving.max_depth, sampling=sampling)
+                        for sampling in ("hybrid", "attached"))
+    assert attached.isfinite().all() and attached.abs().max() > 1e-3
+    assert (hybrid - attached).abs().max() < 1e-12 * attached.abs().max()
+
+
 def test_attached_directions_pass_the_cells_of_an_environment_map_without_a_jump():
     """The density that picks directions jumps at the border of a bright block; weights that did would bias this by 7%."""
     bright = np.full((16, 32, 3), 0.1)

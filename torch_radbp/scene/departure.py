@@ -47,19 +47,18 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
     ray = departure(si, sample.wo, si.epsilon())
     if sampling == "attached":
         return sample.weight, ray
-    ray = Ray(attached(ray.o, si.p), ray.d)  # the offset carries no derivative
-    fixed = ray.d.detach()
+    o, fixed = attached(ray.o, si.p), ray.d.detach()  # of a glued direction the offset carries no derivative
     chance = torch.isfinite(sample.pdf)
     if there is None:
         there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
-    d, change = glued_direction(there, ray.o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))
+    d, change = glued_direction(there, o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))
     value, _ = evaluate(material, si.wi, si.frame.to_local(d))
     pdf = sample.pdf.detach()
     weight = value * (change / torch.where(pdf > 0, pdf, 1.0))  # a path that ends is masked by the caller, if finite
     if not any(kind.delta for kind in material.kinds):
-        return weight, Ray(ray.o, d)
-    specular = ray.d if sampling == "hybrid" else fixed
-    return where(chance, weight, sample.weight), Ray(ray.o, where(chance, d, specular))
+        return weight, Ray(o, d)
+    specular = ray if sampling == "hybrid" else Ray(o, fixed)
+    return where(chance, weight, sample.weight), Ray(where(chance, o, specular.o), where(chance, d, specular.d))
 
 
 def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor) -> tuple[Vec3, Tensor]:
