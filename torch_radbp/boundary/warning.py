@@ -55,6 +55,7 @@ class JumpWatch:
     """Looks at every rendering for jumps whose part is missing from the derivative; warns once of each sort."""
 
     def __init__(self) -> None:
+        # Which have not warned yet.
         self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over]
         self.known: dict[object, tuple[Tensor, Edges]] = {}  # edges of what was looked at, and the faces that made them
         self.looked_at: set[str] = set()  # what moves, in the shadows that were looked for
