@@ -206,6 +206,11 @@ SCENES = {
     "plane under a sky": MovingScene(scene(**FLOOR, **SKY), "plane.to_world", rigid(TWIST), 0.005),
     "vertices": MovingScene(scene(sheet=grid_mesh(flat, bsdf=MESH_TEXTURE, normals=False), **POINT),
         "sheet.vertex_positions", wave(), 0.005),
+    "vertices with their normals": MovingScene(
+        scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE, normals=False, recompute_normals=True), **POINT),
+        "sheet.vertex_positions", wave(size=0.3), 0.005),
+    "mesh turned": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), **POINT), "sheet.to_world", rigid(TWIST),
+                               0.005),
     "texture coordinates": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), **POINT),
                                        "sheet.vertex_texcoords", wave(size=0.1), 0.005),
     # Its shading normals.
@@ -268,6 +273,9 @@ SCENES = {
                                           **MIRROR_WORLD), "mirror.vertex_positions", wave(size=0.5), 0.002),
     "mirror, normals": MovingScene(scene(mirror=grid_mesh(bowl, bsdf={"type": "conductor", "material": "Ag"}),
                                          **MIRROR_WORLD), "mirror.vertex_normals", wave(size=0.2), 0.002),
+    "mirror, vertices with their normals": MovingScene(
+        scene(mirror=grid_mesh(bowl, bsdf={"type": "conductor", "material": "Ag"}, normals=False, recompute_normals=True),
+              **MIRROR_WORLD), "mirror.vertex_positions", wave(size=0.2), 0.002),
     "mirror turned": MovingScene(scene(mirror=plane(bsdf={"type": "conductor", "material": "Ag"}), **MIRROR_WORLD),
                                  "mirror.to_world", rigid(TWIST), 0.002),
     "pane, index": MovingScene(scene(**window({"type": "dielectric", "int_ior": 1.5}, flat, flat)), "glass.eta",

@@ -144,6 +144,7 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "cube": shape(type="cube", **turned((0.1, -0.1, -1.1), 24, 33, 13), bsdf=printed()) | {"sensor": camera(fov=20)},
     "mesh": shape(**quadrilateral(bsdf=printed(wrap_mode="clamp"))),
     "flat mesh": shape(type="mesh", vertex_positions=CORNERS, faces=FACES, bsdf=diffuse(0.7, 0.5, 0.3)),
+    "smooth mesh": shape(**quadrilateral(smooth=False, recompute_normals=True, bsdf=printed())),
     "obj": lambda: shape(type="obj", filename=mesh_file("obj"), bsdf=printed()),
     "ply": lambda: shape(type="ply", filename=mesh_file("ply"), bsdf=printed()),
     "diffuse": metal(type="diffuse", reflectance=bitmap(filter_type="nearest")),

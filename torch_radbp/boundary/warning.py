@@ -124,15 +124,17 @@ class JumpWatch:
     def edges_slid_over(self, rendering: Rendering) -> SilhouetteWarning | None:
         """Directions follow roughness, index or normals of a surface, and there are edges that they may slide over."""
         scene, sampling = rendering.scene, rendering.sampling
-        turning = [f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}" for bsdf in one_sided(scene)
-                   if followed(bsdf.kind(), sampling)
-                   for slot in bsdf.kind().steering if asks_for_derivatives(bsdf.textures()[slot].texels())]
-        turning += [name for shape in scene.shapes for name in moving(scene, shape, ("vertex_normals",))
-                    if any(followed(bsdf.kind(), sampling) for bsdf in one_sided(shape))]
+        turning: dict[str, bool] = {}  # by name; whether the surface is ideal
+        for bsdf in one_sided(scene):
+            if followed(bsdf.kind(), sampling):
+                turning |= {f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}": bsdf.kind().delta
+                            for slot in bsdf.kind().steering if asks_for_derivatives(bsdf.textures()[slot].texels())}
+        for shape in scene.shapes:
+            delta = [bsdf.kind().delta for bsdf in one_sided(shape) if followed(bsdf.kind(), sampling)]
+            turning |= {name: all(delta) for name in moving(scene, shape, ("vertex_normals",)) if delta}
         if not turning or flat(geometry(scene)[0]):
             return None
-        rough = any(not followed(bsdf.kind(), "hybrid") for bsdf in one_sided(scene))
-        instead = " Where a surface is not ideal, sampling='hybrid' does not." if rough and sampling == "attached" else ""
+        instead = "" if all(turning.values()) else " Where a surface is not ideal, sampling='hybrid' does not."
         return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen "
                                  f"reflected or refracted: directions follow the parameter and slide over the edges of "
                                  f"what they meet, where radiance changes by a jump.{instead} check_gradient tells by how "

@@ -73,30 +73,6 @@ def write_ply(path: str | os.PathLike, mesh: MeshArrays) -> None:
         temporary.write_bytes("\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes())
 
 
-def angle_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Smooth unit normals (V, 3): face normals averaged with the corner's angle as weight, as Mitsuba does.
-
-    A vertex without a proper face gets (1, 0, 0).
-
-    Reference: Thuermer and Wuethrich 1998, "Computing Vertex Normals from Polygonal Facets".
-    """
-    corners = vertices[faces]
-    edges = np.roll(corners, -1, axis=1) - corners  # (F, corner, 3), to the next corner
-    face_normals = _unit(np.cross(edges[:, 0], -edges[:, 2]))
-    forward, backward = _unit(edges), _unit(-np.roll(edges, 1, axis=1))
-    angles = 2 * np.arctan2(np.linalg.norm(forward - backward, axis=2), np.linalg.norm(forward + backward, axis=2))
-    normals = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], face_normals * angles[:, corner, None])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 0, normals / np.where(length > 0, length, 1), [1.0, 0.0, 0.0])
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1)
-
-
 def _read_obj(file: BinaryIO) -> MeshArrays:
     text = file.read()
     if RELATIVE_INDEX.search(text):

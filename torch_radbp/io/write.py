@@ -97,7 +97,8 @@ class _Writer:
 
     def mesh_element(self, plugin: Plugin, name: str) -> ElementTree.Element:
         """A mesh as a PLY file. Without vertex normals it says so, or Mitsuba would make smooth ones."""
-        arrays = [getattr(plugin, parameter, None) for parameter in MESH_PARAMETERS]
+        surface = plugin.triangles()
+        arrays = (surface.vertices, surface.normals, surface.uv)
         for parameter, values in zip(MESH_PARAMETERS, arrays, strict=True):
             if values is not None and not torch.isfinite(values).all():
                 raise SceneError(f"{name}.{parameter}: not written, it has values that are NaN or infinite")

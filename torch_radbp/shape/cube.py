@@ -33,5 +33,4 @@ class Cube(Mesh):
             normals.append(n.expand(4, 3))
         corner = 4 * torch.arange(6)[:, None]
         faces = torch.cat([corner + torch.tensor([0, 1, 2]), corner + torch.tensor([3, 0, 2])])
-        self.to_world = to_world
         self.hold(torch.cat(positions), faces, torch.cat(normals), square.repeat(6, 1), to_world)

@@ -6,19 +6,26 @@ import torch
 from torch import Tensor
 
 from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, register
+from torch_radbp.shape.normals import angle_weighted_normals
 from torch_radbp.shape.surface import Surface, Triangles, affine, transform_normals, transform_points
+from torch_radbp.vec import attached
 
 
 class Mesh(Surface):
     """Triangles with their vertices as parameters.
 
-    Parameters: `vertex_positions` (V, 3), `vertex_normals` (V, 3) if there are any, `vertex_texcoords` (V, 2) if there are
-    any, all in world space; `faces` (F, 3) int64 is a buffer.
+    Parameters: `vertex_positions` (V, 3); `vertex_normals` (V, 3) if there are any; `vertex_texcoords` (V, 2) if there are
+    any; `to_world` (4, 4). As in Mitsuba, positions and normals are those in world space under the `to_world` with which the
+    mesh was loaded; where `to_world` becomes another pose, they move along. `faces` (F, 3) int64 is a buffer.
+
+    Args:
+        recompute_normals: shade smooth, with normals that are no parameter but follow from the positions at every rendering
+            (`angle_weighted_normals`), with their derivatives. Mitsuba does so whenever positions are changed.
     """
 
     def hold(self, positions: Tensor, faces: Tensor, normals: Tensor | None, texcoords: Tensor | None,
-             to_world: Tensor | None) -> None:
-        """Checks and stores the mesh; `to_world` is applied once.
+             to_world: Tensor | None, recompute_normals: bool = False) -> None:
+        """Checks and stores the mesh, with positions and normals before `to_world`.
 
         Raises:
             ValueError: if the mesh is empty, refers to vertices it does not have, is not finite, or has no area.
@@ -40,6 +47,9 @@ class Mesh(Surface):
         if not (torch.linalg.cross(edges[:, 0], edges[:, 1]).norm(dim=1) > 0).any():
             raise ValueError(f"all {len(faces)} triangles of the mesh are degenerate (area 0)")
         self.freeze("vertex_positions", positions)
+        self.recompute_normals = recompute_normals
+        if recompute_normals:
+            normals = None
         if normals is not None:
             normals = finite("vertex_normals", normals, (count, 3)).to(dtype)
             self.freeze("vertex_normals", transform_normals(matrix, normals))
@@ -47,10 +57,23 @@ class Mesh(Surface):
             self.freeze("vertex_texcoords", finite("vertex_texcoords", texcoords, (count, 2)).to(dtype))
         self.has_normals, self.has_texcoords = normals is not None, texcoords is not None
         self.register_buffer("faces", faces)
+        self.freeze("to_world", matrix)
+        self.register_buffer("loaded_to_world", matrix.clone(), persistent=False)
 
     def triangles(self) -> Triangles:
-        normals = torch.nn.functional.normalize(self.vertex_normals, dim=-1) if self.has_normals else None
-        return Triangles(self.vertex_positions, self.faces, normals, self.vertex_texcoords if self.has_texcoords else None)
+        motion = self.motion()
+        positions, normals = transform_points(motion, self.vertex_positions), None
+        if self.recompute_normals:
+            normals = angle_weighted_normals(positions, self.faces)
+        elif self.has_normals:
+            normals = transform_normals(motion, self.vertex_normals)
+        return Triangles(positions, self.faces, normals, self.vertex_texcoords if self.has_texcoords else None)
+
+    def motion(self) -> Tensor:
+        """(4, 4) from where the mesh was loaded to where it is; exactly 1 while it is there."""
+        motion = (self.to_world.double() @ torch.linalg.inv(self.loaded_to_world.double())).to(self.to_world.dtype)
+        moved = not torch.equal(self.to_world.detach(), self.loaded_to_world)
+        return motion if moved else attached(torch.eye(4).to(motion), motion)
 
 
 class FileMesh(Mesh):
@@ -60,26 +83,29 @@ class FileMesh(Mesh):
         filename: the file.
         face_normals: shade flat; else the file's vertex normals are used, or smooth ones if it has none, as in Mitsuba.
         flip_tex_coords: use 1 - v, as Mitsuba does.
+        recompute_normals: see `Mesh`; instead of the file's vertex normals.
+
+    Raises:
+        ValueError: if both `face_normals` and `recompute_normals` are asked for.
     """
 
-    def read(self, filename: str, face_normals: bool, flip_tex_coords: bool, to_world: Tensor | None) -> None:
-        from torch_radbp.io.mesh import angle_weighted_normals, read_mesh  # io reads files for every layer above `vec`
+    def read(self, filename: str, face_normals: bool, flip_tex_coords: bool, recompute_normals: bool,
+             to_world: Tensor | None) -> None:
+        from torch_radbp.io.mesh import read_mesh  # io reads files for every layer above `vec`
 
-        self.filename, self.face_normals, self.flip_tex_coords, self.to_world = (
-            filename, face_normals, flip_tex_coords, to_world)
+        if face_normals and recompute_normals:
+            raise ValueError("face_normals shades flat and recompute_normals shades smooth: choose one")
+        self.filename, self.face_normals, self.flip_tex_coords = filename, face_normals, flip_tex_coords
         vertices, faces, normals, uv = read_mesh(filename)
         if flip_tex_coords and uv is not None:
             uv = uv.copy()
             uv[:, 1] = 1.0 - uv[:, 1]
-        matrix = affine("to_world", to_world).double()
-        vertices = transform_points(matrix, torch.from_numpy(vertices))
+        vertices, faces = torch.from_numpy(vertices), torch.from_numpy(faces)
         if face_normals:
             normals = None
-        elif normals is None:
-            normals = torch.from_numpy(angle_weighted_normals(vertices.numpy(), faces))
         else:
-            normals = transform_normals(matrix, torch.from_numpy(normals))
-        self.hold(vertices, torch.from_numpy(faces), normals, None if uv is None else torch.from_numpy(uv), None)
+            normals = angle_weighted_normals(vertices, faces) if normals is None else torch.from_numpy(normals)
+        self.hold(vertices, faces, normals, None if uv is None else torch.from_numpy(uv), to_world, recompute_normals)
 
 
 @register("shape", "obj")
@@ -87,10 +113,10 @@ class OBJ(FileMesh):
     """A Wavefront OBJ file. Parameters: see `Mesh`."""
 
     def __init__(self, *, filename: Filename, face_normals: bool = False, flip_tex_coords: bool = True,
-                 to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
-                 emitter: Emitter | None = None):
+                 recompute_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
+                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
-        self.read(filename, face_normals, flip_tex_coords, to_world)
+        self.read(filename, face_normals, flip_tex_coords, recompute_normals, to_world)
 
 
 @register("shape", "ply")
@@ -98,10 +124,10 @@ class PLY(FileMesh):
     """A Stanford PLY file. Parameters: see `Mesh`."""
 
     def __init__(self, *, filename: Filename, face_normals: bool = False, flip_tex_coords: bool = False,
-                 to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
-                 emitter: Emitter | None = None):
+                 recompute_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
+                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
-        self.read(filename, face_normals, flip_tex_coords, to_world)
+        self.read(filename, face_normals, flip_tex_coords, recompute_normals, to_world)
 
 
 @register("shape", "mesh")
@@ -109,7 +135,7 @@ class TensorMesh(Mesh):
     """A mesh given as tensors, for scenes built in Python. Parameters: see `Mesh`."""
 
     def __init__(self, *, vertex_positions: Tensor, faces: Tensor, vertex_normals: Tensor | None = None,
-                 vertex_texcoords: Tensor | None = None, to_world: Matrix4 | None = None, flip_normals: bool = False,
-                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
+                 vertex_texcoords: Tensor | None = None, recompute_normals: bool = False, to_world: Matrix4 | None = None,
+                 flip_normals: bool = False, bsdf: BSDF | None = None, emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
-        self.hold(vertex_positions, faces, vertex_normals, vertex_texcoords, to_world)
+        self.hold(vertex_positions, faces, vertex_normals, vertex_texcoords, to_world, recompute_normals)
