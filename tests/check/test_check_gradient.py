@@ -217,6 +217,23 @@ def test_one_tile_of_fireflies_does_not_drown_a_bias_of_the_others():
     assert result.tiles.mean_square_z > result.tiles.limit and abs(result.tiles.relative_bias - 0.1) < 0.003
 
 
+@pytest.mark.parametrize("events", [0.1, 0.7, 3.0, 20.0])
+def test_rare_samples_that_make_a_part_of_the_differences_are_no_bias(events):
+    """`events` to a tile, over all batches; most tiles have none, or one, and forward mode has their mean everywhere."""
+    over = 0
+    for seed in range(20):
+        drawn, truth = samples(0.0, seed=seed)
+        chance = events * 64 / (truth.numel() * len(drawn.difference))
+        rare = torch.rand(drawn.difference.shape, generator=torch.Generator().manual_seed(seed)) < chance
+        spiked = drawn._replace(difference=drawn.difference + 10.0 * rare, jvp=drawn.jvp + 10.0 * chance)
+        tiles = compare(spiked, [], [], 1e-16).tiles
+        over += tiles.mean_square_z > tiles.limit
+        wrong = truth * torch.linspace(-1, 1, SHAPE[-1])
+        biased = compare(spiked._replace(jvp=spiked.jvp + wrong), [], [], 1e-16).tiles
+        assert biased.mean_square_z > biased.limit
+    assert over <= 1
+
+
 def test_a_bias_in_few_pixels_is_said_to_be_concentrated():
     error = torch.zeros(SHAPE, dtype=torch.float64)
     error[..., 3:5, 7] = 5.0

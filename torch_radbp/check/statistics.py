@@ -12,10 +12,13 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 TILES = 8  # along each side of an image
 FLOOR = 0.2  # of the derivative's size, below which a pixel's error is not divided by the pixel
 STEP_ERROR = 0.01  # relative, that finite differences may have by their step
+CALM = (31, 32)  # the share of tiles without the few that rare bright paths make noisy
+SHARED = 0.25  # of the mean variance of those, which every tile has at least
 BRIGHTEST = 0.995  # quantile that stands for the maximum of an image, so that fireflies do not
 
 
@@ -144,16 +147,30 @@ def over_tiles(samples: Samples) -> Tiles:
     rounding = tile_sums(samples.rounding.square()).sqrt()
     difference, jvp = tile_sums(samples.difference), tile_sums(samples.jvp)
     mean = mean_error(difference, jvp, rounding)
-    z = mean.z
+    batch, _, height, width = samples.rounding.shape
+    own = mean.standard_error.square()
+    noise = steadied(own.view(batch, min(TILES, height), min(TILES, width))).flatten()
+    z = mean._replace(standard_error=noise.sqrt()).z
     freedom = len(jvp) - 1
     # The variance of t^2, from the fourth moment of Student's t.
     spread = 3 * freedom**2 / ((freedom - 2) * (freedom - 4)) - expected_square(len(jvp)) ** 2
     limit = expected_square(len(jvp)) + 5 * math.sqrt(spread / z.numel())
     # A tile with rare bright paths must not drown the others; none is known better than finite differences are right.
-    noise, size = mean.standard_error.square(), difference.mean(0).square()
+    size = difference.mean(0).square()
     weight = 1 / (noise + STEP_ERROR**2 * size + 1e-12 * size.mean()).clamp_min(1e-300)
-    bias = float((weight * (mean.error.square() - noise)).sum().clamp_min(0))
+    bias = float((weight * (mean.error.square() - own)).sum().clamp_min(0))
     return Tiles(float(z.square().mean()), limit, math.sqrt(quotient(bias, float((weight * size).sum()))))
+
+
+def steadied(variance: Tensor) -> Tensor:
+    """The variance of tiles, (B, rows, columns), from those around them and from all as well.
+
+    Where a step changes the choice of one sample in thousands, a tile in which none changed lacks their part, and its own
+    spread does not tell; that of its neighbours does.
+    """
+    around = avg_pool2d(variance[:, None], 3, stride=1, padding=1, count_include_pad=False)[:, 0]
+    calm = variance.flatten().sort().values[:-(-variance.numel() * CALM[0] // CALM[1])]
+    return torch.maximum((variance + around) / 2, SHARED * calm.mean())
 
 
 def tile_sums(images: Tensor) -> Tensor:
