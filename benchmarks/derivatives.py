@@ -10,7 +10,9 @@ used up. A row of the table holds
             random field; an asterisk where it is off by more than 3 standard errors and 2% of what nothing cancels in
     VJP     greatest |<w, JVP> - <VJP(w), d>| relative to <|w|, |JVP|>, same samples
 
-``--only "plane turned,lens"`` picks scenes by part of their names; the sheet shows differences, then each sampling.
+``--only "plane turned,lens"`` picks scenes by part of their names; the two that need most samples want
+``--only "rough glass turned,roughness" --spp 4096 --batches 8 --low-discrepancy``. The sheet shows differences, then each
+sampling.
 """
 
 from __future__ import annotations
@@ -23,11 +25,13 @@ from pathlib import Path
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+import torch_radbp as rb
 from benchmarks.sheet import write_sheet
 from tests.derivatives.in_expectation import Effort, Estimate
-from tests.derivatives.moving_scenes import SCENES
+from tests.derivatives.moving_scenes import SCENES, MovingScene
 from torch_radbp.check.outcome import GradientCheck
 from torch_radbp.check.statistics import BRIGHTEST, FLOOR, quantile
+from torch_radbp.sensor.sampler import LowDiscrepancy
 
 HEADINGS = ("scene", "sampling", "spp", "error", "noise", "z ones", "z derivative", "z random", "VJP", "verdict")
 
@@ -49,6 +53,17 @@ def row(name: str, sampling: str, result: GradientCheck) -> str:
     return "| " + " | ".join([*cells, f"{worst:.0e}", result.verdict]) + " |"
 
 
+def by_low_discrepancy(moving: MovingScene) -> MovingScene:
+    """The scene with the default sampler, whichever it asks for."""
+    def build() -> rb.Scene:
+        scene = moving.build()
+        for sensor in scene.sensors:
+            sensor.sampler = LowDiscrepancy()
+        return scene
+
+    return moving._replace(build=build)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--spp", type=int, default=64, help="samples per pixel of a batch in a round")
@@ -57,6 +72,8 @@ def main() -> None:
     parser.add_argument("--batches", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="parts of names, with commas between")
+    parser.add_argument("--low-discrepancy", action="store_true",
+                        help="also where a scene asks for independent samples; needs many of them in a batch")
     parser.add_argument("--sheet", type=Path, default=Path("runs/derivatives.png"))
     options = parser.parse_args()
     chosen = {name: moving for name, moving in SCENES.items() if any(part in name for part in options.only.split(","))}
@@ -68,6 +85,7 @@ def main() -> None:
         for number, (name, moving) in enumerate(chosen.items()):
             progress.update(bar, description=name)
             start = time.perf_counter()
+            moving = by_low_discrepancy(moving) if options.low_discrepancy else moving
             estimate = Estimate(moving, Effort(options.spp, options.batches, options.seed))
             for done in range(1, options.rounds + 1):
                 estimate.add_round()
