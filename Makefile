@@ -16,7 +16,7 @@ demo: $(VENV)/.installed
 	$(BIN)/radbp optimize training/recipes/cornell_reflectance.toml
 
 test: $(VENV)/.installed
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet ruff

@@ -9,6 +9,7 @@ from tests.derivatives.in_expectation import Effort, Estimate
 from tests.derivatives.moving_scenes import FLOOR, SCENES, TURN, rigid, scene, sensor
 from torch_radbp.io.transform import rotate
 
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 FAST = Effort(spp=16, batches=8)
 
 
