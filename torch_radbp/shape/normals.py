@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_radbp.vec import TINY, Vec3, cross, dot, gather, max_component, where
+
 
 def angle_weighted_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     """Face normals averaged with the corner's angle as weight, as Mitsuba does; differentiable.
@@ -18,23 +20,19 @@ def angle_weighted_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
     Reference: Thuermer and Wuethrich 1998, "Computing Vertex Normals from Polygonal Facets".
     """
-    faces = faces[(doubled_areas(vertices.detach(), faces) != 0).any(1)]
-    corners = vertices[faces]
-    forward = unit(corners.roll(-1, 1) - corners)  # (F, corner, 3), to the next corner
-    backward = -forward.roll(1, 1)
-    angles = 2 * torch.atan2((forward - backward).norm(dim=2), (forward + backward).norm(dim=2))
-    weighted = unit(doubled_areas(vertices, faces))[:, None] * angles[..., None]
-    return unit(torch.zeros_like(vertices).index_add(0, faces.flatten(), weighted.flatten(0, 1)))
-
-
-def doubled_areas(vertices: Tensor, faces: Tensor) -> Tensor:
-    """(F, 3) normals whose lengths are twice the areas of the triangles."""
-    first, second, third = vertices[faces].unbind(1)
-    return torch.linalg.cross(second - first, third - first)
-
-
-def unit(vectors: Tensor) -> Tensor:
-    """(..., 3) vectors of length 1; (1, 0, 0) for zero, without a derivative."""
-    zero = (vectors == 0).all(-1, keepdim=True)
-    vectors = torch.where(zero, vectors.new_tensor([1.0, 0.0, 0.0]), vectors)
-    return vectors / vectors.norm(dim=-1, keepdim=True)
+    positions = Vec3.of(vertices)
+    first, second, third = (positions.map(lambda x, row=row: gather(x, row)) for row in faces.unbind(1))
+    edges = second - first, third - second, first - third
+    size = torch.stack([max_component(edge.detach().map(torch.abs)) for edge in edges]).amax(0)
+    ahead, across, back = (edge / torch.where(size > 0, size, 1.0) for edge in edges)
+    area = cross(ahead, across)
+    proper = dot(area, area) > TINY
+    height = torch.sqrt(torch.where(proper, dot(area, area), 1.0))
+    angles = [torch.atan2(height, -dot(a, b)) * proper for a, b in ((ahead, back), (across, ahead), (back, across))]
+    normal = area / height
+    corners = faces.T.flatten()
+    total = normal.map(lambda x: torch.zeros_like(positions.x).index_add(0, corners, torch.cat([x * a for a in angles])))
+    squared = dot(total, total)
+    lone = squared == 0
+    upright = Vec3(torch.ones_like(squared), torch.zeros_like(squared), torch.zeros_like(squared))
+    return where(lone, upright, total / torch.sqrt(torch.where(lone, 1.0, squared))).stack()
