@@ -101,6 +101,21 @@ def test_flat_and_smooth_at_once_is_refused(tmp_path):
         shape_of(type="obj", filename=str(tmp_path / "m.obj"), face_normals=True, recompute_normals=True)
 
 
+def test_normals_that_are_given_and_recomputed_are_refused():
+    with pytest.raises(rb.SceneError, match="leave vertex_normals out"):
+        shape_of(type="mesh", vertex_normals=torch.ones(5, 3), recompute_normals=True, **SHEET)
+
+
+def test_smooth_normals_of_a_file_are_those_of_the_mesh_in_world_space(tmp_path):
+    """As in Mitsuba: a transform that stretches the mesh turns them otherwise than it turns normals."""
+    corners = SHEET["vertex_positions"].tolist()
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in SHEET["faces"].tolist()]
+    (tmp_path / "m.obj").write_text("\n".join(lines) + "\n")
+    mesh = shape_of(type="obj", filename=str(tmp_path / "m.obj"), to_world=scale((3, 0.2, 1)) @ rotate((1, 2, 0.5), 40))
+    expected = angle_weighted_normals(mesh.vertex_positions, mesh.faces)
+    torch.testing.assert_close(mesh.vertex_normals, expected, rtol=0, atol=1e-6)
+
+
 def test_a_moved_mesh_is_saved_where_it_is(tmp_path):
     scene = load(sensor=sensor(2), sky={"type": "constant"}, floor=rectangle((0, 0, 0)),
                  shape={"type": "cube", "to_world": FIRST})

@@ -24,11 +24,12 @@ class Mesh(Surface):
     """
 
     def hold(self, positions: Tensor, faces: Tensor, normals: Tensor | None, texcoords: Tensor | None,
-             to_world: Tensor | None, recompute_normals: bool = False) -> None:
-        """Checks and stores the mesh, with positions and normals before `to_world`.
+             to_world: Tensor | None, smooth: bool = False, recompute_normals: bool = False) -> None:
+        """Checks and stores the mesh, positions and normals before `to_world`; `smooth`: makes normals if none are given.
 
         Raises:
-            ValueError: if the mesh is empty, refers to vertices it does not have, is not finite, or has no area.
+            ValueError: if the mesh is empty, refers to vertices it does not have, is not finite, or has no area; if normals
+                are given and are to be recomputed.
         """
         dtype = torch.get_default_dtype()
         faces = torch.as_tensor(faces).to(torch.int64)
@@ -48,11 +49,14 @@ class Mesh(Surface):
             raise ValueError(f"all {len(faces)} triangles of the mesh are degenerate (area 0)")
         self.freeze("vertex_positions", positions)
         self.recompute_normals = recompute_normals
-        if recompute_normals:
-            normals = None
+        if recompute_normals and normals is not None:
+            raise ValueError("recompute_normals makes normals of the positions: leave vertex_normals out")
         if normals is not None:
-            normals = finite("vertex_normals", normals, (count, 3)).to(dtype)
-            self.freeze("vertex_normals", transform_normals(matrix, normals))
+            normals = transform_normals(matrix, finite("vertex_normals", normals, (count, 3)).to(dtype))
+        elif smooth and not recompute_normals:
+            normals = angle_weighted_normals(positions, faces)
+        if normals is not None:
+            self.freeze("vertex_normals", normals)
         if texcoords is not None:
             self.freeze("vertex_texcoords", finite("vertex_texcoords", texcoords, (count, 2)).to(dtype))
         self.has_normals, self.has_texcoords = normals is not None, texcoords is not None
@@ -100,12 +104,11 @@ class FileMesh(Mesh):
         if flip_tex_coords and uv is not None:
             uv = uv.copy()
             uv[:, 1] = 1.0 - uv[:, 1]
-        vertices, faces = torch.from_numpy(vertices), torch.from_numpy(faces)
-        if face_normals:
+        if face_normals or recompute_normals:
             normals = None
-        else:
-            normals = angle_weighted_normals(vertices, faces) if normals is None else torch.from_numpy(normals)
-        self.hold(vertices, faces, normals, None if uv is None else torch.from_numpy(uv), to_world, recompute_normals)
+        normals, uv = (None if values is None else torch.from_numpy(values) for values in (normals, uv))
+        self.hold(torch.from_numpy(vertices), torch.from_numpy(faces), normals, uv, to_world, not face_normals,
+                  recompute_normals)
 
 
 @register("shape", "obj")
@@ -138,4 +141,5 @@ class TensorMesh(Mesh):
                  vertex_texcoords: Tensor | None = None, recompute_normals: bool = False, to_world: Matrix4 | None = None,
                  flip_normals: bool = False, bsdf: BSDF | None = None, emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
-        self.hold(vertex_positions, faces, vertex_normals, vertex_texcoords, to_world, recompute_normals)
+        self.hold(vertex_positions, faces, vertex_normals, vertex_texcoords, to_world,
+                  recompute_normals=recompute_normals)
