@@ -242,11 +242,12 @@ def test_attached_directions_that_slide_over_edges_are_warned_of_by_name(name, n
     assert all("sampling='hybrid' does not" in message for message in messages)
 
 
-@pytest.mark.parametrize("name", ["pane.bsdf.eta", "box.vertex_normals"])
+@pytest.mark.parametrize("name", ["pane.bsdf.eta", "box.vertex_normals", "pane.to_world", "near.x_fov"])
 def test_so_are_those_that_follow_ideal_glass(name):
-    glass = {"type": "dielectric"}
+    glass = {"type": "ref", "id": "glass"} if name.startswith("box") else {"type": "dielectric"}
     def scene() -> rb.Scene:
-        return scene_of(box={**CUBE, "bsdf": glass}, pane=rectangle((0, 0, 1), 9, bsdf=glass))
+        return load(near=sensor(4, (0, 0, 3.5), fov=2), sky=SKY, glass={"type": "dielectric"},
+                    box={**CUBE, "bsdf": glass}, pane=rectangle((0, 0, 1), 9, bsdf=glass))
 
     assert not warnings_of(scene(), name, sampling="detached")
     for sampling in ("hybrid", "attached"):

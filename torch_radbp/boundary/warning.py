@@ -20,11 +20,11 @@ from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.shadow import shadows_in_view
 from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
 from torch_radbp.bsdf.kind import Kind
-from torch_radbp.plugin import BSDF, Plugin, Sensor, Shape
+from torch_radbp.plugin import Plugin, Sensor, Shape
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import tangent_of
-from torch_radbp.scene.pack import geometry
+from torch_radbp.scene.pack import geometry, one_sided
 
 MOVE_SHAPES = ("to_world", "vertex_positions")
 MOVE_LIGHTS = ("to_world", "position")
@@ -111,7 +111,7 @@ class JumpWatch:
     def jumps_of_a_bsdf(self, rendering: Rendering) -> JumpWarning | None:
         """Directions turn at rough glass that jumps with them, and do not carry derivatives; see `Kind.jumps`."""
         scene, sensors, sampling = rendering.scene, rendering.sensors, rendering.sampling
-        jumping = [bsdf for bsdf in one_sided(scene) if bsdf.kind().jumps and sampling != "attached"]
+        jumping = [bsdf for bsdf in one_sided(scene.bsdfs()) if bsdf.kind().jumps and sampling != "attached"]
         turning = [name for plugins, attributes in ((scene.shapes, MOVE_SHAPES), (sensors, MOVE_VIEWS), (jumping, ("eta",)))
                    for plugin in plugins for name in moving(scene, plugin, attributes)]
         if not (jumping and turning):
@@ -122,16 +122,24 @@ class JumpWatch:
                            f"the distribution 'beckmann', which has no jump")
 
     def edges_slid_over(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """Directions follow roughness, index or normals of a surface, and there are edges that they may slide over."""
+        """Directions follow roughness, index or normals of a surface, and there are edges that they may slide over.
+
+        At ideal mirrors and glass they follow the surface itself and the camera too; elsewhere attached directions do, which
+        is not looked for.
+        """
         scene, sampling = rendering.scene, rendering.sampling
         turning: dict[str, bool] = {}  # by name; whether the surface is ideal
-        for bsdf in one_sided(scene):
+        for bsdf in one_sided(scene.bsdfs()):
             if followed(bsdf.kind(), sampling):
                 turning |= {f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}": bsdf.kind().delta
                             for slot in bsdf.kind().steering if asks_for_derivatives(bsdf.textures()[slot].texels())}
         for shape in scene.shapes:
-            delta = [bsdf.kind().delta for bsdf in one_sided(shape) if followed(bsdf.kind(), sampling)]
+            delta = [bsdf.kind().delta for bsdf in one_sided([shape.bsdf]) if followed(bsdf.kind(), sampling)]
             turning |= {name: all(delta) for name in moving(scene, shape, ("vertex_normals",)) if delta}
+            turning |= {name: True for name in moving(scene, shape, MOVE_SHAPES) if any(delta)}
+        if any(bsdf.kind().delta and followed(bsdf.kind(), sampling) for bsdf in one_sided(scene.bsdfs())):
+            turning |= {name: True for sensor in rendering.sensors for name in moving(scene, sensor, MOVE_VIEWS)}
+        turning = {name: ideal for name, ideal in turning.items() if name not in self.missing(rendering)}
         if not turning or flat(geometry(scene)[0]):
             return None
         instead = "" if all(turning.values()) else " Where a surface is not ideal, sampling='hybrid' does not."
@@ -196,11 +204,6 @@ def lights_of(scene: Scene) -> Iterator[Light]:
             # The normals of a closed surface add up to rounding errors.
             axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
             yield Light(torch.cat([middle, middle.new_ones(1)]), axis, shape, moving(scene, shape, MOVE_SHAPES))
-
-
-def one_sided(owner: Scene | Plugin) -> list[BSDF]:
-    """The materials of a scene or a shape without their wrappers."""
-    return [plugin for plugin in owner.modules() if isinstance(plugin, BSDF) and hasattr(plugin, "kind")]
 
 
 def followed(kind: Kind, sampling: str) -> bool:

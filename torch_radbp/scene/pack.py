@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor
 
@@ -134,7 +136,7 @@ def material_table(bsdfs: list[BSDF], bank: BankBuilder, device: torch.device) -
                          column([False] * len(bsdfs) + two_sided, torch.bool)), kinds
 
 
-def one_sided(bsdfs: list[BSDF]) -> list[BSDF]:
+def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:
     """All materials as seen from the side of the normal, then all from behind."""
     sides = [bsdf.sides() if isinstance(bsdf, TwoSided) else (bsdf, bsdf) for bsdf in bsdfs]
     return [front for front, _ in sides] + [back for _, back in sides]
