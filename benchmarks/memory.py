@@ -161,7 +161,7 @@ def working_set(options: argparse.Namespace) -> str:
     wanted = tuple(isinstance(leaf, torch.Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
     integrand = call.make_integrand(detached)
     with torch.no_grad():
-        state = start_paths(call, call.chunks[0], 0)
+        state = start_paths(call, call.chunks[0], call.views[0].sample_keys[0])
         _, step = take_step(integrand, state, 0)
     adjoint, memo = Vec3.full(state.pdf, 1.0), empty_memo(state.pdf, integrand.settings.moving, twice=False)
     lanes = len(state.lane)

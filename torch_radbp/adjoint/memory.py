@@ -27,7 +27,7 @@ TRIANGLE = {False: (0, 0), True: (18, 12)}  # `MetTriangle`, if there is any
 # Numbers per lane that are alive at the worst moment of one bounce, and of its adjoint eager and compiled: so that the peaks
 # of `python -m benchmarks.memory`, which hold the allocator's waste too, are predicted.
 BOUNCE = 74
-BOUNCE_ADJOINT = {False: 200, True: 20}
+BOUNCE_ADJOINT = {False: 200, True: 60}
 TAPE = 32  # that autograd saves per lane and bounce
 
 SMALLEST_CHUNK = 1 << 12
