@@ -28,9 +28,10 @@ MESH_PARAMETERS = ("vertex_positions", "vertex_normals", "vertex_texcoords")
 def save(scene: Scene, path: str | os.PathLike) -> None:
     """Writes a scene as XML that this package and Mitsuba 3 load to the same image.
 
-    Bitmaps are written beside it as EXR, and meshes as PLY in world space, both named after the scene and the object
-    and both float32 (PLY: of the parameter's dtype). The saved scene needs no file of the original one. Nothing is left
-    half-written: files appear when all of them are complete, the XML last.
+    Bitmaps are written beside it as EXR, and meshes as PLY in world space, where their pose has put them, with the normals
+    that they have now; both named after the scene and the object and both float32 (PLY: of the parameter's dtype). The
+    saved scene needs no file of the original one. Nothing is left half-written: files appear when all of them are
+    complete, the XML last.
 
     Args:
         scene: as it is now; parameters that are outputs of other modules are evaluated.
