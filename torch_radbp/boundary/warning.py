@@ -139,7 +139,8 @@ class JumpWatch:
             turning |= {name: True for name in moving(scene, shape, MOVE_SHAPES) if any(delta)}
         if any(bsdf.kind().delta and followed(bsdf.kind(), sampling) for bsdf in one_sided(scene.bsdfs())):
             turning |= {name: True for sensor in rendering.sensors for name in moving(scene, sensor, MOVE_VIEWS)}
-        turning = {name: ideal for name, ideal in turning.items() if name not in self.missing(rendering)}
+        named = self.missing(rendering) if turning else {}
+        turning = {name: ideal for name, ideal in turning.items() if name not in named}
         if not turning or flat(geometry(scene)[0]):
             return None
         instead = "" if all(turning.values()) else " Where a surface is not ideal, sampling='hybrid' does not."
