@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from torch._inductor.codecache import cache_dir
 from torch.utils._pytree import tree_flatten, tree_map_only
 
 from torch_radbp import vec
@@ -99,6 +98,8 @@ class CompiledStage:
         """Where a function is kept; another torch, machine or version of this package has another."""
         about = (self.stage.__name__, case, number, code_digest(), torch.__version__, sys.version, platform.machine(),
                  torch.backends.cpu.get_cpu_capability(), torch.get_num_threads())
+        from torch._inductor.codecache import cache_dir  # seconds to import, for those only who compile
+
         return Path(cache_dir()) / "torch_radbp" / hashlib.sha256(repr(about).encode()).hexdigest()
 
     def loaded(self, case: tuple, number: int):

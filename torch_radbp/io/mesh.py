@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
-from trimesh.exchange.obj import load_obj
-from trimesh.exchange.ply import load_ply
 
 from torch_radbp.io.atomic import replacing
 
@@ -74,6 +72,8 @@ def write_ply(path: str | os.PathLike, mesh: MeshArrays) -> None:
 
 
 def _read_obj(file: BinaryIO) -> MeshArrays:
+    from trimesh.exchange.obj import load_obj  # a second to import, for scenes with files only
+
     text = file.read()
     if RELATIVE_INDEX.search(text):
         raise ValueError("relative (negative) vertex indices are not supported; export absolute ones")
@@ -82,6 +82,8 @@ def _read_obj(file: BinaryIO) -> MeshArrays:
 
 
 def _read_ply(file: BinaryIO) -> MeshArrays:
+    from trimesh.exchange.ply import load_ply  # a second to import, for scenes with files only
+
     loaded = load_ply(file, fix_texture=False, skip_materials=True)
     elements = loaded["metadata"]["_ply_raw"]
     if "texcoord" in elements.get("face", {}).get("properties", {}):
