@@ -8,21 +8,43 @@ The pipeline, in the order of data:
 4. `adjoint/` walks the bounces back: one local vector-Jacobian product each, with the incident radiance in a memo.
    `adjoint/function.py` is the one `autograd.Function`; `adjoint/schedule.py` says which path states are kept.
 5. Images come out as (B, 3, H, W); autograd carries gradients on through `pack` to whatever made the parameters.
+
+The public names are listed in public.py, which is imported, and torch with it, when the first of them is asked for: so
+`radbp --help` and shell completion need not wait for torch.
 """
 
-from torch_radbp import bsdf, emitter, film, sensor, shape, texture  # noqa: F401 (registers the plugins)
-from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
-from torch_radbp.adjoint.finite import NonFiniteError
-from torch_radbp.boundary import JumpWarning, SilhouetteWarning
-from torch_radbp.check import GradientCheck, check_gradient
-from torch_radbp.io.load import load, load_dict
-from torch_radbp.io.write import save
-from torch_radbp.jvp import jvp
-from torch_radbp.plugin import SceneError
-from torch_radbp.pose import se3
-from torch_radbp.render import Renderer, render
-from torch_radbp.scene import Scene
+import sys as _sys
+import typing as _typing
+from importlib import import_module as _import_module
+from types import ModuleType as _ModuleType
 
-__all__ = ["GradientCheck", "JumpWarning", "MemoizedAdjoint", "NonFiniteError", "QuadraticAdjoint", "Renderer",
-           "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint", "check_gradient", "jvp", "load",
-           "load_dict", "render", "save", "se3"]
+if _typing.TYPE_CHECKING:
+    from torch_radbp.public import *  # noqa: F403
+
+
+class _Package(_ModuleType):
+    """This package as a module that imports its public names and its parts on demand."""
+
+    def __getattr__(self, name: str):
+        if name.startswith("_") and name != "__all__":
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        public = _import_module("torch_radbp.public")
+        if name == "__all__" or name in public.__all__:
+            return getattr(public, name)
+        try:
+            return _import_module(f"torch_radbp.{name}")
+        except ModuleNotFoundError as error:
+            if error.name != f"torch_radbp.{name}":
+                raise
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}") from None
+
+    def __setattr__(self, name: str, value) -> None:
+        # Importing the module torch_radbp.render would otherwise hide the function `render`; jvp likewise.
+        if not (isinstance(value, _ModuleType) and name in ("jvp", "render")):
+            super().__setattr__(name, value)
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self.__all__})
+
+
+_sys.modules[__name__].__class__ = _Package

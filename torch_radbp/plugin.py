@@ -7,15 +7,48 @@ constructor is its schema: the loader, `radbp info` and the writer read attribut
 from __future__ import annotations
 
 import difflib
+import importlib
 import inspect
 import typing
+from collections.abc import Iterator, MutableMapping
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-REGISTRY: dict[str, dict[str, type[Plugin]]] = {
-    name: {}
+PACKAGES = ("bsdf", "emitter", "film", "scene", "sensor", "shape", "texture")  # their import registers plugins
+
+
+class PluginTypes(MutableMapping):
+    """The plugin classes of one category by type name; the package's own are imported when they are first asked for."""
+
+    def __init__(self) -> None:
+        self.registered: dict[str, type[Plugin]] = {}
+
+    def all(self) -> dict[str, type[Plugin]]:
+        """What is registered, after the import of all plugins."""
+        for package in PACKAGES:
+            importlib.import_module(f"torch_radbp.{package}")
+        return self.registered
+
+    def __getitem__(self, name: str) -> type[Plugin]:
+        return self.all()[name]
+
+    def __setitem__(self, name: str, cls: type[Plugin]) -> None:
+        self.registered[name] = cls
+
+    def __delitem__(self, name: str) -> None:
+        del self.registered[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.all())
+
+    def __len__(self) -> int:
+        return len(self.all())
+
+
+REGISTRY: dict[str, PluginTypes] = {
+    name: PluginTypes()
     for name in ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter", "sampler", "integrator")
 }
 

@@ -12,13 +12,6 @@ from typing import Any
 
 from torch import nn
 
-import torch_radbp.bsdf
-import torch_radbp.emitter
-import torch_radbp.film
-import torch_radbp.scene
-import torch_radbp.sensor
-import torch_radbp.shape
-import torch_radbp.texture  # noqa: F401 (each of these imports fills the registry)
 from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories, with_article
 from torch_radbp.io.xml_scene import XMLObject, find_file
 from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, Texture, attributes, nearest

@@ -1,0 +1,63 @@
+"""The public names: there whatever is imported first, and without torch as long as none of them is asked for."""
+
+import subprocess
+import sys
+import types
+
+import pytest
+
+import torch_radbp as rb
+
+
+def in_a_new_process(script: str) -> str:
+    """Standard output of a script that must end well."""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_command_line_explains_itself_without_torch():
+    in_a_new_process("""
+import contextlib, io, sys
+import torch_radbp
+from torch_radbp.training.cli import app
+for arguments in ["--version"], ["--help"], ["render", "--help"], ["info", "-h"], ["optimize", "--help"], ["check", "-h"]:
+    with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit):
+        app(arguments)
+    assert len(text.getvalue()) > 10, arguments
+heavy = {"torch", "numpy", "numba", "kornia", "trimesh"} & set(sys.modules)
+assert not heavy, heavy
+""")
+
+
+def test_plugins_and_public_names_are_there_whatever_is_imported_first():
+    in_a_new_process("""
+from torch_radbp.plugin import REGISTRY
+assert "diffuse" in REGISTRY["bsdf"] and "path" in REGISTRY["integrator"] and len(REGISTRY["shape"]) > 5
+import torch_radbp.jvp, torch_radbp.render
+import torch_radbp as rb
+from torch_radbp import *
+assert render is rb.render and callable(render) and callable(jvp) and Scene is rb.Scene
+""")
+
+
+@pytest.mark.parametrize("name", ["jvp", "render"])
+def test_a_module_does_not_hide_the_function_of_its_name(name):
+    setattr(rb, name, sys.modules[f"torch_radbp.{name}"])
+    assert isinstance(getattr(rb, name), types.FunctionType)
+
+
+def test_dir_lists_the_public_names_and_parts_and_no_imports():
+    shown = [name for name in dir(rb) if not name.startswith("_")]
+    assert set(rb.__all__) <= set(shown)
+    assert all(getattr(rb, name).__name__.startswith("torch_radbp.") for name in set(shown) - set(rb.__all__))
+
+
+def test_parts_are_there_without_an_import_of_their_own():
+    assert rb.io.image.read_image and rb.plugin.SceneError is rb.SceneError
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'torch_radbp' has no attribute 'rendr'"):
+        rb.rendr  # noqa: B018
+    assert not hasattr(rb, "__wrapped__")
