@@ -144,14 +144,13 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
 
     # Aim the shadow ray at the light sample.
     zero = torch.zeros_like(state.pdf)
-    epsilon = local.si.epsilon()
-    shadow, distance = (state.ray, zero) if local.light is None else shadow_ray(local.si, local.light, epsilon)
+    shadow, distance = (state.ray, zero) if local.light is None else shadow_ray(local.si, local.light)
 
     # Leave along the sampled direction.
     if local.sample is None:
         return Vertex(local.Le, local.Ld, Vec3(zero, zero, zero), shadow, distance, state._replace(pdf=zero))
     F = local.sample.weight * local.thinning
-    ray = departure(local.si, local.sample.wo, epsilon)
+    ray = departure(local.si, local.sample.wo)
     return Vertex(local.Le, local.Ld, F, shadow, distance,
                   PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane))
 

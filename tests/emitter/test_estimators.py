@@ -33,7 +33,7 @@ def irradiance(scene: rb.Scene) -> dict[str, torch.Tensor]:
 
     wo = square_to_cosine_hemisphere(*uniform(COUNT, 3, dimensions=2))
     d = si.frame.to_world(wo)
-    view = cast(scene, tensors, Ray(si.offset(d, si.epsilon()), d))
+    view = cast(scene, tensors, Ray(si.offset(d), d))
     by_bsdf = emitted(tensors, view.ray, view.si)
     other = power_heuristic(cosine_hemisphere_pdf(wo), emitted_pdf(tensors, view.ray, view.si))
     return {"nee": by_light.stack(), "bsdf": by_bsdf.stack(), "mis": (by_light * weight + by_bsdf * other).stack()}

@@ -37,7 +37,7 @@ def behind_emitters(caster, scene: SceneTensors, ray: Ray, hit):
             return hit
         seen = rows(ray, hidden)
         si = surface_interaction(scene, seen, rows(hit, hidden))
-        start = si.offset(seen.d, si.epsilon())
+        start = si.offset(seen.d)
         beyond = caster.intersect(Ray(start, seen.d))
         beyond = beyond._replace(t=beyond.t + dot(start - seen.o, seen.d))
         hit = type(hit)(*(old.index_copy(0, hidden, new) for old, new in zip(hit, beyond)))

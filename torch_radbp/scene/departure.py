@@ -23,10 +23,10 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
 
 
-def departure(si: SurfaceInteraction, wo: Vec3, epsilon: Tensor) -> Ray:
-    """The ray that leaves the surface in the local direction `wo`, `epsilon` off it."""
+def departure(si: SurfaceInteraction, wo: Vec3) -> Ray:
+    """The ray that leaves the surface in the local direction `wo`."""
     d = normalize(si.frame.to_world(wo))
-    return Ray(si.offset(d, epsilon), d)
+    return Ray(si.offset(d), d)
 
 
 def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInteraction, sample: BSDFSample, following,
@@ -44,7 +44,7 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
     Returns:
         bsdf * |cos| / pdf, and the ray.
     """
-    ray = departure(si, sample.wo, si.epsilon())
+    ray = departure(si, sample.wo)
     if sampling == "attached":
         return sample.weight, ray
     o, fixed = attached(ray.o, si.p), ray.d.detach()  # of a glued direction the offset carries no derivative

@@ -176,13 +176,13 @@ def mixed(condition: Tensor, a: Aim, b: Aim | None) -> Aim:
     return Aim(where(condition, a.d, b.d), torch.where(condition, a.pdf, b.pdf), target, strength, uv)
 
 
-def shadow_ray(si: SurfaceInteraction, light: LightSample, epsilon: Tensor) -> tuple[Ray, Tensor]:
+def shadow_ray(si: SurfaceInteraction, light: LightSample) -> tuple[Ray, Tensor]:
     """The ray that checks a connection, and how far; 0 where the sample cannot be used. Detached if `si` is.
 
     It starts off the surface and aims from there: with the direction taken from the surface point, a lamp shadows itself.
     """
     d = light.d.detach()
-    start = si.offset(d, epsilon)
+    start = si.offset(d)
     reach = light.target.detach() - start
     squared = dot(reach, reach)
     shorter = torch.rsqrt(squared.clamp_min(TINY))

@@ -11,7 +11,7 @@ from torch_radbp.bsdf.kind import Kind
 from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.differentiated import differentiated
-from torch_radbp.scene.interaction import at_corners, edges
+from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.light_table import Lamp, kinds_of, light_table
 from torch_radbp.scene.lookup import TextureBank
 from torch_radbp.scene.scene import Scene
@@ -178,7 +178,8 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, tangents:
     vertices = vertex_table(surfaces, normals, uv or tangents, dtype, device)
     faces = concatenated_faces(surfaces, device).to(torch.int32)
     corners = tuple(corner.contiguous() for corner in faces.unbind(1))
-    _, e1, e2 = edges(*at_corners(vertices.p.detach(), corners))
+    positions = at_corners(vertices.p.detach(), corners)
+    _, e1, e2 = edges(*positions)
     smooth = torch.tensor([surface.normals is not None for surface in surfaces], device=device)
     smooth = None if smooth.all() or not normals else smooth.repeat_interleave(
         torch.tensor([len(surface.faces) for surface in surfaces], device=device))
@@ -187,7 +188,7 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, tangents:
         along = growth_of_u(*edges(*at_corners(vertices.p, corners))[1:], *at_corners(vertices.uv, corners))
     if not uv:
         vertices = vertices._replace(uv=None)
-    return TriangleTable(vertices, corners, unit_normal(e1, e2), smooth, along, None, None)
+    return TriangleTable(vertices, corners, unit_normal(e1, e2), smooth, clearance(positions), along, None, None)
 
 
 def growth_of_u(e1: Vec3, e2: Vec3, uv0: Vec2, uv1: Vec2, uv2: Vec2) -> Vec3:

@@ -11,7 +11,7 @@ from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.tensors import DIRECTIONAL, PROJECTOR, SPOT, SceneTensors
 from torch_radbp.vec import Frame, Vec2, Vec3, dot, where
 
-NEAREST = 1e-6  # a light that is nearer counts as being at this distance
+NEAREST = 1e-9  # a light that is nearer counts as being at this distance; 1 / NEAREST^4 is finite in float32
 FLATTEST = 1e-4  # cosine with a light's axis below which its image is not looked up
 
 

@@ -67,6 +67,7 @@ class TriangleTable(NamedTuple):
     corners: tuple[Tensor, Tensor, Tensor]  # (T,) int32 each, rows of `vertices`
     n: Vec3  # unit geometric normal, detached: its derivative is that of `unit_normal` of the edges
     smooth: Tensor | None  # (T,) bool: shaded with the normals of its vertices; None: so are all, or none
+    clearance: Tensor  # (T,) distance off the triangle at which rays leave it, detached
     along: Vec3 | None  # unit direction in which u grows, 0 where it is not defined; None if no material is anisotropic
     material: Tensor  # (T,) int32, row of `MaterialTable`
     emitter: Tensor  # (T,) int32, row of `EmittingTriangles`; -1: emits nothing
