@@ -1,10 +1,13 @@
 """Alias tables: what they store is the distribution, exactly, and what they draw follows it."""
 
+import sys
+
 import numpy as np
 import pytest
 import torch
 
 from tests.sampling.chi_square import SIGNIFICANCE, p_value
+from torch_radbp.sampling import alias
 from torch_radbp.sampling.alias import alias_table
 
 RNG = np.random.default_rng(5)
@@ -33,6 +36,42 @@ def test_the_table_stands_for_its_weights(weights):
     np.testing.assert_allclose(implied(table), expected, rtol=1e-9, atol=1e-15)
     assert (table.threshold >= 0).all() and (table.threshold <= 1 + 1e-12).all()
     assert table.other.dtype == torch.int32 and table.other.min() >= 0 and table.other.max() < len(weights)
+
+
+MANY = 100_000
+LARGE = {
+    "random": RNG.uniform(0, 1, MANY), "uniform": np.full(MANY, 0.3), "skewed": RNG.uniform(0, 1, MANY) ** 20,
+    "one heavy first": np.append(1e9, RNG.uniform(0, 1, MANY)), "one heavy last": np.append(np.full(MANY, 1e-3), 5.0),
+    "with zeros": RNG.uniform(0, 1, MANY) * (RNG.uniform(0, 1, MANY) < 0.3), "sorted": np.linspace(0, 1, MANY),
+    "nearly uniform": 1 + 1e-16 * RNG.integers(-9, 9, MANY), "far apart": np.exp(4 * RNG.standard_normal(MANY)),
+    "single": np.array([2.0]),
+}
+
+
+@pytest.mark.parametrize("weights", LARGE.values(), ids=LARGE)
+def test_a_large_table_is_exact_to_rounding(weights):
+    table = alias_table(torch.from_numpy(weights))
+    expected = weights / weights.sum()
+    # Sums over all entries are rounded: 1e5 of them to about 1e-12. Far below 1e-12 in every probability.
+    np.testing.assert_allclose(implied(table), expected, rtol=1e-11, atol=1e-10 / len(weights))
+    assert (implied(table)[weights == 0] == 0).all()
+    assert table.threshold.min() >= 0 and table.threshold.max() <= 1
+
+
+def test_tables_are_built_without_a_loop_over_entries():
+    lines = 0
+
+    def count(frame, event, argument):
+        nonlocal lines
+        lines += frame.f_code.co_filename == alias.__file__
+        return count
+
+    sys.settrace(count)
+    try:
+        alias_table(torch.from_numpy(LARGE["random"]))
+    finally:
+        sys.settrace(None)
+    assert 0 < lines < 100
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -29,20 +28,27 @@ class AliasTable(NamedTuple):
 def alias_table(weights: Tensor) -> AliasTable:
     """Builds the table for non-negative weights, not all zero.
 
-    Reference: Vose 1991, "A Linear Algorithm for Generating Random Numbers with a Given Distribution".
+    Every entry has room for the mean weight. Light entries, in order, are filled up by the first heavy entry that has any of
+    its excess left; the last of them may take more than there was, for which the next heavy entry makes up. Who fills whom
+    follows from prefix sums of what is missing and of what is in excess.
+
+    Reference: Huebschle-Schneider and Sanders 2019, "Parallel Weighted Random Sampling", section 4.
     """
     pmf = weights.detach().to("cpu", torch.float64)
     pmf = pmf / pmf.sum()
-    scaled = (pmf * len(pmf)).numpy()
-    threshold, other = np.ones(len(scaled)), np.arange(len(scaled), dtype=np.int32)
-    small = [i for i, value in enumerate(scaled) if value < 1.0]
-    large = [i for i, value in enumerate(scaled) if value >= 1.0]
-    remaining = scaled.copy()
-    while small and large:
-        little, big = small.pop(), large[-1]
-        threshold[little], other[little] = remaining[little], big
-        remaining[big] -= 1.0 - remaining[little]
-        if remaining[big] < 1.0:
-            small.append(large.pop())
+    threshold = pmf * len(pmf)
+    other = torch.arange(len(pmf))
+    light, heavy = (threshold <= 1.0).nonzero().squeeze(1), (threshold > 1.0).nonzero().squeeze(1)
+    if len(light) and len(heavy):
+        missing, excess = (1.0 - threshold[light]).cumsum(0), (threshold[heavy] - 1.0).cumsum(0)
+        excess *= missing[-1] / excess[-1]  # equal but for rounding
+        excess[-1] = missing[-1]
+        before = torch.cat([missing.new_zeros(1), missing[:-1]])
+        other[light] = heavy[torch.searchsorted(excess, before)]
+        # The light entry that takes more of each heavy one than is left.
+        exhausting = torch.searchsorted(missing, excess[:-1], right=True).clamp_max(len(light) - 1)
+        threshold[heavy[:-1]] = 1.0 - (missing[exhausting] - excess[:-1])
+        threshold[heavy[-1]] = 1.0
+        other[heavy[:-1]] = heavy[1:]
     to = {"dtype": weights.dtype, "device": weights.device}
-    return AliasTable(pmf.to(**to), torch.from_numpy(threshold).to(**to), torch.from_numpy(other).to(weights.device))
+    return AliasTable(pmf.to(**to), threshold.clamp(0.0, 1.0).to(**to), other.to(weights.device, torch.int32))
