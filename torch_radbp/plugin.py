@@ -9,10 +9,12 @@ from __future__ import annotations
 import difflib
 import importlib
 import inspect
+import operator
 import typing
 from collections.abc import Iterator, MutableMapping
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -142,9 +144,9 @@ class Sampler(Plugin):
 
     def __init__(self, *, sample_count: int = 4, seed: int = 0):
         super().__init__()
-        if sample_count < 1:
+        self.sample_count, self.seed = integer("sample_count", sample_count), integer("seed", seed)
+        if self.sample_count < 1:
             raise ValueError(f"sample_count must be at least 1, got {sample_count}")
-        self.sample_count, self.seed = sample_count, seed
 
 
 class Integrator(Plugin):
@@ -196,6 +198,32 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
     if bad:
         raise ValueError(f"{name} must be finite, got {bad} of {tensor.numel()} values that are NaN or infinite")
     return tensor
+
+
+def integer(name: str, value: Any, least: int | None = None) -> int:
+    """`value` as an int; numpy's integers and tensors of one integer are integers too, truth values are not.
+
+    Raises:
+        ValueError: if it is of another type, or less than `least`.
+    """
+    try:
+        number = None if isinstance(value, (bool, np.bool_)) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or (least is not None and number < least):
+        raise ValueError(f"{name} must be an integer{'' if least is None else f' of at least {least}'}, got {value!r}")
+    return number
+
+
+def boolean(name: str, value: Any) -> bool:
+    """`value` as a bool.
+
+    Raises:
+        ValueError: if it is anything else than a truth value; 0 and 1 are numbers.
+    """
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
 
 
 def positive(name: str, value: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
@@ -23,17 +24,19 @@ from torch_radbp.adjoint.memory import MemoryPlan, Workload, parse_budget, plan_
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.path import Integrand, Settings
-from torch_radbp.plugin import nearest
+from torch_radbp.plugin import Sensor, boolean, integer, nearest
 from torch_radbp.raycast import make_caster
 from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import any_differentiated
-from torch_radbp.scene.integrator import check_depths
+from torch_radbp.scene.integrator import depths
 from torch_radbp.scene.pack import geometry, pack
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import beyond_far_plane
 from torch_radbp.stages import EAGER, compiled
 from torch_radbp.vec import Vec3
+
+SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
 
 SAMPLINGS = ("hybrid", "detached", "attached")
 STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
@@ -47,7 +50,7 @@ class Renderer(nn.Module):
 
     Args:
         scene: what is rendered; `renderer.scene` afterwards.
-        spp: samples per pixel; None: what the sensor's sampler element says.
+        spp: samples per pixel; None: what the sampler elements of the sensors that are rendered say.
         max_depth: 1 = emission only, 2 = direct light, -1 = unlimited; None: what the integrator element says.
         rr_depth: scattering events before Russian roulette; None likewise.
         hide_emitters: do not show emitters that the camera sees directly; None likewise.
@@ -86,33 +89,51 @@ class Renderer(nn.Module):
             raise ValueError("the scene has no shape to render: add a rectangle, cube, sphere, disk, obj, ply or mesh")
         self.scene = scene
         defaults = scene.integrator
-        self.spp = scene.sensors[0].sampler.sample_count if spp is None else spp
-        self.max_depth = defaults.max_depth if max_depth is None else max_depth
-        self.rr_depth = defaults.rr_depth if rr_depth is None else rr_depth
-        self.hide_emitters = defaults.hide_emitters if hide_emitters is None else hide_emitters
+        self.chosen_spp = None if spp is None else integer("spp", spp, 1)
+        self.max_depth, self.rr_depth = depths(defaults.max_depth if max_depth is None else max_depth,
+                                               defaults.rr_depth if rr_depth is None else rr_depth)
+        self.hide_emitters = boolean("hide_emitters", defaults.hide_emitters if hide_emitters is None else hide_emitters)
+        self.nee, self.compile_stages = boolean("nee", nee), boolean("compile", compile)
+        self.chunk = None if chunk is None else integer("chunk", chunk, 1)
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
         self.memory_budget = None if memory_budget is None else parse_budget(memory_budget)
-        self.sampling, self.nee, self.chunk, self.compile_stages, self.caster_name = sampling, nee, chunk, compile, caster
-        check_count("spp", self.spp)
-        check_depths(self.max_depth, self.rr_depth)
-        if chunk is not None:
-            check_count("chunk", chunk)
+        self.sampling, self.caster_name = sampling, caster
         if not isinstance(self.adjoint, STRATEGIES):
             raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {adjoint!r}")
         if sampling not in SAMPLINGS:
-            raise ValueError(f"sampling={sampling!r} is not known; {nearest(sampling, SAMPLINGS)}")
+            raise ValueError(f"sampling={sampling!r} is not known; {nearest(str(sampling), SAMPLINGS)}")
         self.casters: list = []
         self.jump_watch = JumpWatch()
 
-    def forward(self, seed: int = 0, sensors: Sequence[int] | None = None, spp: int | None = None,
+    @property
+    def spp(self) -> int:
+        """Samples per pixel of a call that renders all sensors and does not say how many."""
+        return self.samples(self.scene.sensors, None)
+
+    def samples(self, sensors: Sequence[Sensor], spp: int | None) -> int:
+        """Samples per pixel of a call: `spp`, or the renderer's own, or what the samplers of the sensors say.
+
+        Raises:
+            ValueError: if it is no integer of at least 1, or nothing is chosen and the samplers disagree.
+        """
+        spp = self.chosen_spp if spp is None else spp
+        if spp is not None:
+            return integer("spp", spp, 1)
+        counts = {sensor.sampler.sample_count for sensor in sensors}
+        if len(counts) > 1:
+            raise ValueError(f"the sensors of one call must have samplers of one sample_count, got {sorted(counts)}; give "
+                             f"spp, or render them in separate calls")
+        return counts.pop()
+
+    def forward(self, seed: int = 0, sensors: SensorChoice = None, spp: int | None = None,
                 seed_grad: int | None = None) -> Tensor:
         """Renders the scene.
 
         Args:
             seed: of the random numbers; the same seed gives the same image.
-            sensors: indices of the sensors to render; None: all.
-            spp: samples per pixel of this call.
+            sensors: index or name of the sensor to render, or several of them; None: all.
+            spp: samples per pixel of this call; None: as the renderer says.
             seed_grad: draws the backward pass from its own random numbers, so that derivatives of losses that are not
                 linear in the image are not biased by sharing samples with it.
 
@@ -120,18 +141,16 @@ class Renderer(nn.Module):
             (B, 3, H, W) linear RGB radiance, row 0 at the top, one image per sensor.
 
         Raises:
-            ValueError: for a sensor that does not exist, or sensors of different size.
+            ValueError: for a sensor that does not exist, or sensors of different size or sample count.
             NonFiniteError: if the image, or in the backward pass a gradient, is NaN or infinite; a FloatingPointError that
                 says of which parameter, at which bounce, on which material and on how many paths.
         """
-        spp = self.spp if spp is None else spp
-        check_count("spp", spp)
         if inside_transforms():
             arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad}
             return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                       dict(self.named_parameters()))
         call = self.prepare(seed, sensors, spp, seed_grad)
-        seen = self.scene.sensors if sensors is None else [self.scene.sensors[index] for index in sensors]
+        seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
         sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
         self.jump_watch.look(Rendering(self.scene, seen, sights, self.casters[0], self.sampling))
         if isinstance(call.adjoint, TapeAdjoint):
@@ -144,12 +163,12 @@ class Renderer(nn.Module):
             return render_tangents(call)
         return render_with_derivative(call)
 
-    def prepare(self, seed: int, sensors: Sequence[int] | None, spp: int, seed_grad: int | None) -> RenderCall:
+    def prepare(self, seed: int, sensors: SensorChoice, spp: int | None, seed_grad: int | None) -> RenderCall:
         """The scene packed, rays ready to be cast, chunks planned."""
-        available = self.scene.sensors
-        indices = list(range(len(available))) if sensors is None else list(sensors)
-        if not indices or any(not 0 <= index < len(available) for index in indices):
-            raise ValueError(f"sensors must be indices from 0 to {len(available) - 1}, got {sensors}")
+        available, indices = self.scene.sensors, sensor_indices(self.scene, sensors)
+        spp = self.samples([available[index] for index in indices], spp)
+        seed = integer("seed", seed)
+        seeds = (seed, seed if seed_grad is None else integer("seed_grad", seed_grad))
         films = [available[index].film for index in indices]
         sizes = {(film.crop_width, film.crop_height) for film in films}
         if len(sizes) > 1:
@@ -161,7 +180,6 @@ class Renderer(nn.Module):
         cameras = [available[index].tensors() for index in indices]
         moving = self.sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
             self.sampling == "hybrid" and scene.layout.bending)
-        seeds = (seed, seed if seed_grad is None else seed_grad)
         vertices = Vec3.of(caster.vertices)
         samplers = [available[index].sampler for index in indices]
         views = [View(camera, width, height,
@@ -188,9 +206,9 @@ class Renderer(nn.Module):
         return call._replace(adjoint=plan.adjoint, chunks=plan_chunks(views, spp, plan.chunk),
                              retrace=call.retrace or plan.retrace)
 
-    def memory_plan(self, sensors: Sequence[int] | None = None, spp: int | None = None) -> MemoryPlan:
+    def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None) -> MemoryPlan:
         """Chunk and strategy that a call would use, and the bytes that it is predicted to need with its backward pass."""
-        return self.plan(self.prepare(0, sensors, self.spp if spp is None else spp, None))
+        return self.plan(self.prepare(0, sensors, spp, None))
 
     def plan(self, call: RenderCall) -> MemoryPlan:
         """Predicts the memory of a call from a pilot of its paths; within the budget, if there is one."""
@@ -217,13 +235,25 @@ class Renderer(nn.Module):
         return self.casters[0]
 
 
-def check_count(name: str, value: int) -> None:
-    """Raises ValueError unless `value` is an integer of at least 1."""
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise ValueError(f"{name} must be an integer of at least 1, got {value!r}")
+def sensor_indices(scene: Scene, sensors: SensorChoice) -> list[int]:
+    """The indices of sensors that are chosen by index or name, one or several; None: all.
+
+    Raises:
+        ValueError: if there is no such sensor, or none is chosen.
+    """
+    names = [name for name, child in scene.named_children() if isinstance(child, Sensor)]
+    wanted = range(len(names)) if sensors is None else [sensors] if np.ndim(sensors) == 0 else sensors
+    indices = []
+    for sensor in wanted:
+        if isinstance(sensor, str) and sensor not in names:
+            raise ValueError(f"the scene has no sensor {sensor!r}; {nearest(sensor, names)}")
+        indices.append(names.index(sensor) if isinstance(sensor, str) else integer("sensors: an index", sensor))
+    if not indices or any(not 0 <= index < len(names) for index in indices):
+        raise ValueError(f"sensors must be indices from 0 to {len(names) - 1}, got {sensors}")
+    return indices
 
 
-def render(scene: Scene, *, seed: int = 0, sensors: Sequence[int] | None = None, seed_grad: int | None = None,
+def render(scene: Scene, *, seed: int = 0, sensors: SensorChoice = None, seed_grad: int | None = None,
            **settings) -> Tensor:
     """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad)`: see `Renderer`.
 

@@ -61,24 +61,24 @@ def render(
             name: output if len(indices) == 1 else output.with_name(f"{output.stem}_{name}{output.suffix}")
             for name in indices
         }
-        passes = _passes(renderer.spp)
+        samples = {name: renderer.samples([loaded.sensors[index]], None) for name, index in indices.items()}
         console = Console(stderr=True)
         started = time.perf_counter()
         with Progress(
             TextColumn("rendering"), BarColumn(), TextColumn("{task.percentage:3.0f}%"), TimeElapsedColumn(),
             TextColumn("left"), TimeRemainingColumn(), console=console, transient=True,
         ) as progress, torch.no_grad():  # fmt: skip
-            task = progress.add_task("", total=len(indices) * renderer.spp)
+            task = progress.add_task("", total=sum(samples.values()))
             for name, index in indices.items():
                 image = 0.0
-                for number, count in enumerate(passes):
+                for number, count in enumerate(_passes(samples[name])):
                     pass_seed = seed + number * 0x1000193
-                    image = image + renderer(seed=pass_seed, sensors=[index], spp=count)[0] * (count / renderer.spp)
+                    image = image + renderer(seed=pass_seed, sensors=[index], spp=count)[0] * (count / samples[name])
                     progress.advance(task, count)
                 write_image(paths[name], image)
         width, height = image.shape[2], image.shape[1]
-        for path in paths.values():
-            console.print(f"{path}  {width} x {height}, {renderer.spp} spp, {time.perf_counter() - started:.1f} s")
+        for name, path in paths.items():
+            console.print(f"{path}  {width} x {height}, {samples[name]} spp, {time.perf_counter() - started:.1f} s")
 
 
 def _passes(spp: int) -> list[int]:

@@ -25,8 +25,8 @@ from torch.nn.functional import interpolate
 from torch_radbp.check.outcome import GradientCheck, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.jvp import rendering_with_tangent
-from torch_radbp.plugin import finite
-from torch_radbp.render import Renderer, check_count
+from torch_radbp.plugin import finite, integer
+from torch_radbp.render import Renderer
 from torch_radbp.scene import Scene
 
 BATCHES = 16
@@ -69,8 +69,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     """
     renderer = Renderer(scene, **settings)
     parameter = scene.get_parameter(name).detach()
-    check_count("spp", spp)
-    check_count("batches", batches)
+    spp, batches = integer("spp", spp, 1), integer("batches", batches, 1)
     if batches < FEWEST_BATCHES:
         raise ValueError(f"batches must be at least {FEWEST_BATCHES}, so that standard errors can be trusted, got {batches}")
     d = checked_direction(name, parameter, direction)

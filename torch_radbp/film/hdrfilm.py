@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.film.gaussian import Gaussian
-from torch_radbp.plugin import Film, ReconstructionFilter, nearest, register
+from torch_radbp.plugin import Film, ReconstructionFilter, boolean, integer, nearest, register
 
 PIXEL_FORMATS, COMPONENT_FORMATS, FILE_FORMATS = ("rgb",), ("float16", "float32", "uint32"), ("openexr",)
 
@@ -28,24 +28,24 @@ class HDRFilm(Film):
                  pixel_format: str = "rgb", component_format: str = "float16", file_format: str = "openexr",
                  rfilter: ReconstructionFilter | None = None):
         super().__init__()
-        crop_width = width - crop_offset_x if crop_width is None else crop_width
-        crop_height = height - crop_offset_y if crop_height is None else crop_height
-        for name, value in (("width", width), ("height", height), ("crop_width", crop_width), ("crop_height", crop_height)):
-            if value < 1:
-                raise ValueError(f"{name} must be at least 1, got {value}")
-        if (min(crop_offset_x, crop_offset_y) < 0 or crop_offset_x + crop_width > width
-                or crop_offset_y + crop_height > height):
-            raise ValueError(f"the crop window {crop_width} x {crop_height} at ({crop_offset_x}, {crop_offset_y}) must lie "
-                             f"inside the image of {width} x {height}")
+        self.width, self.height = integer("width", width), integer("height", height)
+        self.crop_offset_x = integer("crop_offset_x", crop_offset_x)
+        self.crop_offset_y = integer("crop_offset_y", crop_offset_y)
+        self.crop_width = self.width - self.crop_offset_x if crop_width is None else integer("crop_width", crop_width)
+        self.crop_height = self.height - self.crop_offset_y if crop_height is None else integer("crop_height", crop_height)
+        for name in ("width", "height", "crop_width", "crop_height"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if (min(self.crop_offset_x, self.crop_offset_y) < 0 or self.crop_offset_x + self.crop_width > self.width
+                or self.crop_offset_y + self.crop_height > self.height):
+            raise ValueError(f"the crop window {self.crop_width} x {self.crop_height} at ({crop_offset_x}, {crop_offset_y}) "
+                             f"must lie inside the image of {width} x {height}")
         for name, value, known in (("pixel_format", pixel_format, PIXEL_FORMATS),
                                    ("component_format", component_format, COMPONENT_FORMATS),
                                    ("file_format", file_format, FILE_FORMATS)):
             if value not in known:
                 raise ValueError(f"{name} {value!r} is not supported; {nearest(value, known)}")
-        self.width, self.height = width, height
-        self.crop_offset_x, self.crop_offset_y = crop_offset_x, crop_offset_y
-        self.crop_width, self.crop_height = crop_width, crop_height
-        self.sample_border, self.pixel_format = sample_border, pixel_format
+        self.sample_border, self.pixel_format = boolean("sample_border", sample_border), pixel_format
         self.component_format, self.file_format = component_format, file_format
         self.rfilter = Gaussian() if rfilter is None else rfilter
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torch_radbp.plugin import Integrator, register
+from torch_radbp.plugin import Integrator, boolean, integer, register
 
 
 @register("integrator", "path")
@@ -17,8 +17,8 @@ class Path(Integrator):
 
     def __init__(self, *, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False):
         super().__init__()
-        check_depths(max_depth, rr_depth)
-        self.max_depth, self.rr_depth, self.hide_emitters = max_depth, rr_depth, hide_emitters
+        self.max_depth, self.rr_depth = depths(max_depth, rr_depth)
+        self.hide_emitters = boolean("hide_emitters", hide_emitters)
 
 
 @register("integrator", "prb")
@@ -26,9 +26,15 @@ class PathReplay(Path):
     """Mitsuba's differentiable integrator; the same defaults here (`adjoint=` chooses the method)."""
 
 
-def check_depths(max_depth: int, rr_depth: int) -> None:
-    """Raises ValueError unless both depths make sense."""
+def depths(max_depth: int, rr_depth: int) -> tuple[int, int]:
+    """Both depths as integers.
+
+    Raises:
+        ValueError: if one is no integer, or makes no sense.
+    """
+    max_depth, rr_depth = integer("max_depth", max_depth), integer("rr_depth", rr_depth)
     if max_depth < -1:
         raise ValueError(f"max_depth must be -1 (unlimited) or at least 0, got {max_depth}")
     if rr_depth < 1:
         raise ValueError(f"rr_depth must be at least 1, got {rr_depth}")
+    return max_depth, rr_depth
