@@ -23,18 +23,27 @@ from torch import Tensor
 
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
-from torch_radbp.sampling.sampler import CAMERA_DEPTH, LaneKey, SampleKey, bounce_key, depth_counter, lane_key, uniform
+from torch_radbp.sampling.sampler import (
+    CAMERA_DEPTH,
+    LaneKey,
+    SampleKey,
+    bounce_key,
+    depth_counter,
+    lane_key,
+    random_bits,
+    uniform,
+)
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
-from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light, shadow_ray
+from torch_radbp.scene.light import LightNumbers, LightSample, emitted, emitted_pdf, sample_light, shadow_ray
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, camera_ray
 from torch_radbp.vec import Ray, Vec3, masked, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
-BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE = range(7)
+BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
@@ -178,10 +187,12 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
     material = material_at(scene, si)
 
     # Connect to a point on a light.
-    number = partial(uniform, bounce_key(state.key, at.counter), dtype=zero.dtype)
+    key = bounce_key(state.key, at.counter)
+    number = partial(uniform, key, dtype=zero.dtype)
     light, Ld = None, none
     if settings.nee:
-        light = sample_light(scene, proposal, si, *(number(dimension) for dimension in (LIGHT_CHOICE, LIGHT_U, LIGHT_V)))
+        numbers = LightNumbers(*(random_bits(key, dimension) for dimension in (LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V)))
+        light = sample_light(scene, proposal, si, numbers)
         light, Ld = next_event(material, si, light, settings)
 
     # Sample the BSDF for the next direction.

@@ -14,6 +14,7 @@ from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
 from torch_radbp.io.transform import look_at, rotate, scale, translate
 from torch_radbp.raycast import make_caster
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
+from torch_radbp.scene.light import LightNumbers
 from torch_radbp.scene.pack import geometry, pack
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Ray, Vec3
@@ -78,6 +79,14 @@ def detached(scene: rb.Scene) -> SceneTensors:
 def uniform(count: int, seed: int, dtype: torch.dtype = torch.float64, dimensions: int = 3) -> list[Tensor]:
     generator = torch.Generator().manual_seed(seed)
     return list(torch.rand(dimensions, count, generator=generator, dtype=dtype).unbind())
+
+
+def light_numbers(count: int, seed: int) -> LightNumbers:
+    """Random numbers for light samples; `choice` is spread evenly, so that few lanes too pick every light."""
+    generator = torch.Generator().manual_seed(seed)
+    choice = torch.randperm(count, generator=generator) * (1 << 32) // count
+    bits = torch.randint(1 << 32, (3, count), generator=generator)
+    return LightNumbers(choice.to(torch.int32), *bits.to(torch.int32).unbind())
 
 
 class View(NamedTuple):

@@ -8,7 +8,18 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.emitter.lights import EMITTERS, FINDABLE, FLOOR, cast, detached, mean_and_error, on_the_floor, scene_of, uniform
+from tests.emitter.lights import (
+    EMITTERS,
+    FINDABLE,
+    FLOOR,
+    cast,
+    detached,
+    light_numbers,
+    mean_and_error,
+    on_the_floor,
+    scene_of,
+    uniform,
+)
 from tests.scenes import load, sensor
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
@@ -24,7 +35,7 @@ def irradiance(scene: rb.Scene) -> dict[str, torch.Tensor]:
     si = on_the_floor(scene, tensors, COUNT, 1).si
 
     # Nothing stands between the floor and the lights.
-    light = sample_light(tensors, tensors, si, *uniform(COUNT, 2))
+    light = sample_light(tensors, tensors, si, light_numbers(COUNT, 2))
     wo = si.frame.to_local(light.d)
     usable = (light.pdf > 0) & (wo.z > 0)
     bsdf_pdf = cosine_hemisphere_pdf(wo)

@@ -13,7 +13,7 @@ from torch_radbp.io.transform import look_at
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.environment import environment_pdf, environment_radiance, latitude_longitude
 from torch_radbp.scene.interaction import at_corners, edges, surface_interaction
-from torch_radbp.scene.light import emitted, emitted_pdf, sample_light
+from torch_radbp.scene.light import LightNumbers, emitted, emitted_pdf, sample_light
 from torch_radbp.scene.pack import pack
 from torch_radbp.vec import Ray, Vec3
 
@@ -64,8 +64,9 @@ def test_light_samples_are_finite_wherever_the_light_is_seen_from(name, dtype):
     for u in (0.0, 0.3, 0.5, 1 - 2.0**-24):
         for v in (0.0, 0.7, 1 - 2.0**-24):
             p = points.clone().requires_grad_()
-            choice = torch.linspace(0, 1 - 2.0**-24, len(p), dtype=dtype)
-            light = sample_light(tensors, tensors, At(p), choice, torch.full_like(choice, u), torch.full_like(choice, v))
+            choice = torch.linspace(-(1 << 31), (1 << 31) - 1, len(p), dtype=torch.float64).to(torch.int32)
+            u_bits, v_bits = (torch.full_like(choice, int((number - 0.5) * 2**32)) for number in (u, v))
+            light = sample_light(tensors, tensors, At(p), LightNumbers(choice, choice, u_bits, v_bits))
             # What a surface makes of it.
             usable = light.pdf > 1e-30
             Ld = light.radiance * (usable / torch.where(usable, light.pdf, 1.0))

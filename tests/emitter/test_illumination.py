@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.emitter.lights import FLOOR, detached, scene_of, slide, uniform
+from tests.emitter.lights import FLOOR, detached, light_numbers, scene_of, slide
 from tests.scenes import load, rgb, sensor
 from torch_radbp.emitter.directional import facing
 from torch_radbp.io.transform import look_at
@@ -32,7 +32,7 @@ def lit(points, **emitter) -> LightSample:
 
 
 def sample(scene: SceneTensors, points) -> LightSample:
-    return sample_light(scene, scene, At(points), *uniform(len(points), 1))
+    return sample_light(scene, scene, At(points), light_numbers(len(points), 1))
 
 
 def in_front(local, pose=POSE) -> np.ndarray:

@@ -28,6 +28,13 @@ def implied(table) -> np.ndarray:
     return pmf
 
 
+def numbers(count: int, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
+    """What `AliasTable.sample` takes."""
+    generator = torch.Generator().manual_seed(2)
+    bits = torch.randint(-(1 << 31), 1 << 31, (count,), generator=generator).to(torch.int32)
+    return bits, torch.rand(count, generator=generator, dtype=dtype)
+
+
 @pytest.mark.parametrize("weights", WEIGHTS.values(), ids=WEIGHTS)
 def test_the_table_stands_for_its_weights(weights):
     table = alias_table(torch.tensor(weights, dtype=torch.float64))
@@ -79,8 +86,7 @@ def test_tables_are_built_without_a_loop_over_entries():
 def test_draws_follow_the_weights(weights, dtype):
     table = alias_table(torch.tensor(weights, dtype=dtype))
     count = 100_000
-    u = torch.rand(count, generator=torch.Generator().manual_seed(2), dtype=dtype)
-    drawn = table.sample(u)
+    drawn = table.sample(*numbers(count, dtype))
     assert drawn.dtype == torch.int32 and drawn.shape == (count,)
     observed = np.bincount(drawn.numpy(), minlength=len(weights))
     expected = count * np.array(weights) / np.sum(weights)
@@ -91,12 +97,39 @@ def test_draws_follow_the_weights(weights, dtype):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 def test_every_number_below_one_draws_an_entry_of_positive_weight(dtype):
-    u = torch.cat([torch.arange(4096) / 4096.0, torch.tensor([1 - 2.0**-24])]).to(dtype)
+    bits = torch.tensor([-(1 << 31), -1, 0, 1, (1 << 31) - 1], dtype=torch.int32)
+    bits = torch.cat([bits, torch.arange(-(1 << 31), 1 << 31, 1 << 20).to(torch.int32)])
+    split = torch.tensor([0.0, 0.5, 1 - 2.0**-24]).repeat_interleave(len(bits))
     for weights in WEIGHTS.values():
-        drawn = alias_table(torch.tensor(weights, dtype=dtype)).sample(u).long()
+        drawn = alias_table(torch.tensor(weights, dtype=dtype)).sample(bits.repeat(3), split.to(dtype)).long()
         assert (torch.tensor(weights)[drawn] > 0).all()
 
 
 def test_weights_need_no_gradient_and_keep_their_dtype():
     table = alias_table(torch.tensor([1.0, 2.0], requires_grad=True))
     assert not table.pmf.requires_grad and table.pmf.dtype == table.threshold.dtype == torch.float32
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("count", [36_000, 1_000_003])
+def test_many_entries_are_picked_as_often_as_they_should_be(count, dtype):
+    """A lamp of many triangles: the shares of entries, from the numbers that pick each, which are 2^32 / count in a row."""
+    table = alias_table(1 + torch.arange(count, dtype=dtype).remainder(7))
+    first = torch.tensor([0, 1, count // 3, count // 2, count - 2, count - 1])
+    ends = [-(-(entry << 32) // count) for entry in (*first.tolist(), *(first + 1).tolist())]
+    for start, end in zip(ends[:6], ends[6:]):
+        bits = torch.arange(start, end).to(torch.int32)  # wraps as the random bits do
+        assert len(bits) == pytest.approx(2**32 / count, abs=1) and 1 / len(bits) < 3e-4
+        drawn = table.sample(bits, torch.ones(len(bits), dtype=dtype).mul(1 - 2.0**-24))
+        kept = table.sample(bits, torch.zeros(len(bits), dtype=dtype))
+        assert len(kept.unique()) == len(drawn.unique()) == 1
+
+
+def test_a_number_picks_an_entry_and_another_decides():
+    """So that the share of an entry is its threshold, to 24 bits, however many entries there are."""
+    table = alias_table(torch.linspace(0.1, 3.0, 10_007, dtype=torch.float64))
+    entry = int(((table.threshold > 0.2) & (table.threshold < 0.8)).nonzero()[0])
+    split = torch.arange(1 << 16, dtype=torch.float64) / (1 << 16)
+    bits = torch.full((1 << 16,), -(-(entry << 32) // 10_007), dtype=torch.int64).to(torch.int32)
+    kept = (table.sample(bits, split) == entry).double().mean()
+    assert float(kept) == pytest.approx(float(table.threshold[entry]), abs=2**-16)

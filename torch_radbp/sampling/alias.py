@@ -15,12 +15,19 @@ class AliasTable(NamedTuple):
     threshold: Tensor  # (E,) keep the drawn entry below this, else take `other`
     other: Tensor  # (E,) int32
 
-    def sample(self, u: Tensor) -> Tensor:
-        """Entries, int32, for uniform numbers `u` in [0, 1)."""
+    def sample(self, bits: Tensor, split: Tensor) -> Tensor:
+        """Entries, int32.
+
+        One number for both would not do: what is left of 32 bits after they have picked one of a million entries is too
+        coarse to decide between that entry and its other.
+
+        Args:
+            bits: (N,) int32 random bits, which pick an entry.
+            split: (N,) uniform numbers in [0, 1), which decide between that entry and its other.
+        """
         count = self.pmf.shape[0]
-        scaled = u * count
-        entry = scaled.to(torch.int32).clamp_max(count - 1)
-        keep = (scaled - entry < self.threshold.index_select(0, entry)).to(torch.int32)
+        entry = (((bits.to(torch.int64) & 0xFFFFFFFF) * count) >> 32).to(torch.int32)
+        keep = (split < self.threshold.index_select(0, entry)).to(torch.int32)
         other = self.other.index_select(0, entry)
         return other + keep * (entry - other)
 

@@ -28,10 +28,9 @@ class GridDistribution(NamedTuple):
     cells: Tensor  # (1 + R C,) 0, then row + cumulative probability in the row up to and with the cell
 
     def sample(self, u: Tensor, v: Tensor) -> GridSample:
-        """Cells for uniform numbers `u` (rows) and `v` (columns) in [0, 1), (N,)."""
+        """Cells for uniform float64 numbers `u` (rows) and `v` (columns) in [0, 1), (N,)."""
         count = self.rows.shape[0] - 1
         columns = (self.cells.shape[0] - 1) // count
-        u, v = u.to(self.rows.dtype), v.to(self.rows.dtype)
         row = (torch.searchsorted(self.rows, u, right=True) - 1).clamp_max(count - 1)
         above, below = self.rows.index_select(0, row), self.rows.index_select(0, row + 1)
         v = v + row

@@ -130,8 +130,8 @@ def bounce_key(key: LaneKey, counter: Tensor) -> BounceKey:
     return BounceKey(shift, first, second_coordinate(first))
 
 
-def uniform(key: BounceKey, dimension: int, dtype: torch.dtype) -> Tensor:
-    """Uniform numbers in [0, 1), one per lane.
+def random_bits(key: BounceKey, dimension: int) -> Tensor:
+    """32 random bits per lane, int32; `unit` and `fine_unit` make numbers in [0, 1) of them.
 
     Four dimensions from a multiple of four on are the coordinates of one point. Shifts are the coordinates of one point of a
     lattice of 2^32 points (a hash times odd multipliers, modulo 2^32): far finer than any number of samples resolves, and a
@@ -140,11 +140,23 @@ def uniform(key: BounceKey, dimension: int, dtype: torch.dtype) -> Tensor:
     Args:
         key: from `bounce_key`.
         dimension: less than `DIMENSIONS_PER_BOUNCE`.
-        dtype: of the result.
     """
     shift, coordinate = key.shift * MULTIPLIERS[dimension], dimension % 4
     if coordinate < 2:
-        bits = shift ^ (key.first, key.second)[coordinate]
-    else:
-        bits = torch.add(shift, key.first, alpha=LATTICE[coordinate - 2])
+        return shift ^ (key.first, key.second)[coordinate]
+    return torch.add(shift, key.first, alpha=LATTICE[coordinate - 2])
+
+
+def unit(bits: Tensor, dtype: torch.dtype) -> Tensor:
+    """Uniform numbers in [0, 1) from the 24 highest of the 32 random `bits`, the same in float32 and float64."""
     return torch.rsub((bits >> 8).to(dtype), 0.5, alpha=-1.0 / (1 << 24))  # 0.5 + (-2^23 to 2^23 - 1) / 2^24, exact
+
+
+def fine_unit(bits: Tensor) -> Tensor:
+    """Uniform float64 numbers in [0, 1) from all 32 random `bits`: for what picks one of many."""
+    return torch.rsub(bits.to(torch.float64), 0.5, alpha=-1.0 / (1 << 32))
+
+
+def uniform(key: BounceKey, dimension: int, dtype: torch.dtype) -> Tensor:
+    """Uniform numbers in [0, 1), one per lane: `unit` of `random_bits`."""
+    return unit(random_bits(key, dimension), dtype)

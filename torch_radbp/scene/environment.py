@@ -89,7 +89,12 @@ def texels_around(environment: EnvironmentMap, uv: Vec2) -> tuple[tuple[Tensor, 
 
 
 def sample_environment(proposal: SceneTensors, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:
-    """Unit directions towards bright parts of the environment, and their density over solid angle; detached."""
+    """Unit directions towards bright parts of the environment, and their density over solid angle; detached.
+
+    Args:
+        proposal: detached.
+        u, v: (N,) uniform numbers, float64 with 32 random bits: an image has more texels than 24 bits tell apart.
+    """
     environment = proposal.lights.environment
     cell = environment.pick.sample(u, v)
     dtype, columns = environment.density.dtype, environment.columns

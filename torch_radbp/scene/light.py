@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.sampling.sampler import fine_unit, unit
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere, square_to_uniform_triangle
 from torch_radbp.scene.environment import environment_radiance, environment_weighing, sample_environment
 from torch_radbp.scene.interaction import SurfaceInteraction, interpolated
@@ -30,6 +31,15 @@ class LightSample(NamedTuple):
     findable: Tensor | float  # 1: BSDF sampling finds it too; 0: it cannot (a light without extent)
     target: Vec3  # the point, world space
     distant: Tensor | None  # bool: it is a direction rather than a point; None: it never is
+
+
+class LightNumbers(NamedTuple):
+    """The random numbers of a light sample, (N,) int32 random bits each."""
+
+    choice: Tensor  # picks an element
+    split: Tensor  # decides between it and its other
+    u: Tensor  # picks a point on it
+    v: Tensor
 
 
 class Aim(NamedTuple):
@@ -84,8 +94,7 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
     return pdf
 
 
-def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, choice: Tensor, u: Tensor,
-                 v: Tensor) -> LightSample:
+def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, numbers: LightNumbers) -> LightSample:
     """Picks a light element, and a point on it.
 
     The point is glued to its light: element and barycentric coordinates, or the direction of the surround, are decided by
@@ -96,12 +105,14 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
         scene: attached; gives geometry, poses and radiance.
         proposal: detached; gives every choice.
         si: where the light is wanted, attached or not.
-        choice, u, v: (N,) uniform numbers.
+        numbers: decide.
 
     Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4; Worchel et al. 2025.
     """
     layout, lights = scene.layout, proposal.lights
-    element = lights.choice.sample(choice)
+    dtype = si.p.x.dtype
+    u, v = unit(numbers.u, dtype), unit(numbers.v, dtype)
+    element = lights.choice.sample(numbers.choice, unit(numbers.split, dtype))
     pmf = lookup(lights.choice.pmf, element)
     kind = None if layout.only_surfaces_emit else lookup(lights.kind, element)
 
@@ -114,7 +125,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     if layout.constant_light:
         aim = mixed(kind == CONSTANT, Aim(square_to_uniform_sphere(u, v), pmf * UNIFORM_SPHERE_PDF), aim)
     if layout.environment_map:
-        fixed, density = sample_environment(proposal, u, v)
+        fixed, density = sample_environment(proposal, fine_unit(numbers.u), fine_unit(numbers.v))
         aim = mixed(kind == ENVIRONMENT, Aim(fixed, pmf * density), aim)
 
     # Look up what is sent from there.
