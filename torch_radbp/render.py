@@ -25,16 +25,15 @@ from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.path import Integrand, Settings
 from torch_radbp.plugin import Sensor, boolean, integer, nearest
-from torch_radbp.raycast import make_caster
+from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import any_differentiated
 from torch_radbp.scene.integrator import depths
-from torch_radbp.scene.pack import geometry, pack
+from torch_radbp.scene.pack import pack
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import beyond_far_plane
 from torch_radbp.stages import EAGER, compiled
-from torch_radbp.vec import Vec3
 
 SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
 
@@ -103,7 +102,7 @@ class Renderer(nn.Module):
             raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {adjoint!r}")
         if sampling not in SAMPLINGS:
             raise ValueError(f"sampling={sampling!r} is not known; {nearest(str(sampling), SAMPLINGS)}")
-        self.casters: list = []
+        self.last_caster: RayCaster | None = None
         self.jump_watch = JumpWatch()
 
     @property
@@ -152,7 +151,7 @@ class Renderer(nn.Module):
         call = self.prepare(seed, sensors, spp, seed_grad)
         seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
         sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
-        self.jump_watch.look(Rendering(self.scene, seen, sights, self.casters[0], self.sampling))
+        self.jump_watch.look(Rendering(self.scene, seen, sights, call.caster, self.sampling))
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
@@ -175,16 +174,15 @@ class Renderer(nn.Module):
             raise ValueError(f"the sensors of one call must have films of one size, got {sorted(sizes)}; "
                              f"render them in separate calls")
         scene = pack(self.scene)
-        caster = self.current_caster()
+        caster = self.caster_of(scene)
         width, height = sizes.pop()
         cameras = [available[index].tensors() for index in indices]
         moving = self.sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
             self.sampling == "hybrid" and scene.layout.bending)
-        vertices = Vec3.of(caster.vertices)
         samplers = [available[index].sampler for index in indices]
         views = [View(camera, width, height,
                       tuple(sample_key(s + sampler.seed, index, sampler.low_discrepancy, scene.device) for s in seeds),
-                      clips=bool(beyond_far_plane(detached(camera), vertices).any()))
+                      clips=bool(beyond_far_plane(detached(camera), scene.triangles.vertices.p.detach()).any()))
                  for index, camera, sampler in zip(indices, cameras, samplers)]
         stages = compiled() if self.compile_stages else EAGER
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
@@ -197,7 +195,7 @@ class Renderer(nn.Module):
         workers = torch.get_num_threads() if scene.device.type == "cpu" else 1
         lanes = sum(view.width * view.height for view in views) * spp
         lanes = self.chunk or min(LANES[self.compile_stages or workers == 1], -(-lanes // workers))
-        call = RenderCall(scene, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
+        call = RenderCall(scene, caster, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
                           plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers, self.scene,
                           {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad})
         if self.memory_budget is None:
@@ -224,15 +222,23 @@ class Renderer(nn.Module):
             return predict(work, chunk, call.adjoint, call.retrace)
         return plan_memory(self.memory_budget, work, chunk, self.adjoint if self.adjoint_is_chosen else None)
 
-    def current_caster(self):
-        """The ray caster for the vertices as they are now; rebuilt or refitted only when they have changed."""
-        vertices, faces = geometry(self.scene)
-        if self.casters and torch.equal(self.casters[0].faces, faces):
-            if not torch.equal(self.casters[0].vertices, vertices):
-                self.casters[0].update(vertices)
-        else:
-            self.casters = [make_caster(self.caster_name, vertices, faces)]
-        return self.casters[0]
+    def caster_of(self, scene: SceneTensors) -> RayCaster:
+        """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one.
+
+        Each call keeps its own, and so does the graph behind its image: neither geometry that moves later nor another
+        thread changes what they see.
+        """
+        vertices, faces = scene.triangles.vertices.p.detach().stack(), torch.stack(scene.triangles.corners, 1)
+        caster = self.last_caster
+        if caster is None or not (same(caster.vertices, vertices) and same(caster.faces, faces)):
+            caster = self.last_caster = None  # freed first, if no graph and no thread holds it
+            caster = self.last_caster = make_caster(self.caster_name, vertices, faces)
+        return caster
+
+
+def same(a: Tensor, b: Tensor) -> bool:
+    """Whether two tensors have one dtype, one device and the same values."""
+    return a.dtype == b.dtype and a.device == b.device and torch.equal(a, b)
 
 
 def sensor_indices(scene: Scene, sensors: SensorChoice) -> list[int]:

@@ -153,6 +153,24 @@ class Ray(NamedTuple):
     d: Vec3  # direction; unit length in the tracer
 
 
+def crossing(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3) -> tuple[Tensor, Tensor, Tensor]:
+    """Where a line crosses the plane of a triangle, as volumes: attached to everything.
+
+    Args:
+        ray: gives the line.
+        p0: the first vertex.
+        e1, e2: the edges from there to the second and the third.
+
+    Returns:
+        The triple product d, e1, e2, 0 if the plane is seen edge-on; and two more, whose ratios to it are the barycentric
+        coordinates of the second and of the third vertex.
+
+    Reference: Moeller and Trumbore 1997, "Fast, Minimum Storage Ray/Triangle Intersection".
+    """
+    across, offset = cross(ray.d, e2), ray.o - p0
+    return dot(e1, across), dot(offset, across), dot(ray.d, cross(offset, e1))
+
+
 class Frame(NamedTuple):
     """An orthonormal basis; `n` is the normal, local directions have z along it."""
 

@@ -14,10 +14,10 @@ def rays(adjoint, **settings):
     wanted = parameters(scene, ["white.reflectance.value"])
     renderer = rb.Renderer(scene, adjoint=adjoint, **{"spp": 2, "max_depth": 6, "rr_depth": 100} | settings)
     image = renderer(seed=1)
-    forward = renderer.casters[0].rays_cast
+    forward = renderer.last_caster.rays_cast
     (gradient,) = torch.autograd.grad(image, wanted, cotangent(image.detach()))
     assert gradient.abs().max() > 0 and forward > 0
-    return forward, renderer.casters[0].rays_cast - forward
+    return forward, renderer.last_caster.rays_cast - forward
 
 
 @pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint("sqrt"),
@@ -39,4 +39,4 @@ def test_rays_are_cast_again_if_hits_are_not_kept():
 def test_a_rendering_without_gradient_keeps_nothing_and_casts_the_same_rays():
     renderer = rb.Renderer(cornell(), spp=2, max_depth=6, rr_depth=100)
     assert not renderer(seed=1).requires_grad
-    assert renderer.casters[0].rays_cast == rays(rb.MemoizedAdjoint())[0]
+    assert renderer.last_caster.rays_cast == rays(rb.MemoizedAdjoint())[0]

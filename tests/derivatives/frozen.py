@@ -22,6 +22,7 @@ from torch.utils._pytree import tree_leaves
 import torch_radbp as rb
 from torch_radbp.adjoint.function import render_images
 from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.scene.pack import pack
 from torch_radbp.scene.tensors import SceneTensors
 
 # Functions inside of which something is detached on behalf of a discrete choice: of a lobe, of a light. Of the whole scene
@@ -117,7 +118,7 @@ class Rendering:
         self.renderer = rb.Renderer(scene, **settings)
         self.decisions = Decisions(CHOICES if settings["sampling"] == "attached" else None)
         # Made now, so that it asks nothing later.
-        self.held = HeldCaster(self.renderer.current_caster(), self.decisions)
+        self.held = HeldCaster(self.renderer.caster_of(pack(scene)), self.decisions)
 
     def live(self, values: list[Tensor]) -> Tensor:
         """The image with its derivative, as users get it."""

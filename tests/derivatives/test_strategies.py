@@ -140,10 +140,10 @@ def test_the_backward_pass_casts_no_ray_if_hits_are_kept(adjoint, sampling):
     wanted = [scene.get_parameter(name).requires_grad_() for name in subjects(scene)]
     renderer = rb.Renderer(scene, adjoint=adjoint, sampling=sampling, **SETTINGS)
     image = renderer(seed=3)
-    before = renderer.casters[0].rays_cast
+    before = renderer.last_caster.rays_cast
     gradients = torch.autograd.grad(image, wanted, cotangent(image.detach()))
     assert before > 0 and all(gradient.abs().max() > 0 for gradient in gradients)
-    assert (renderer.casters[0].rays_cast == before) == adjoint.keep_hits
+    assert (renderer.last_caster.rays_cast == before) == adjoint.keep_hits
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)

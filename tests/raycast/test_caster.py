@@ -1,8 +1,9 @@
-"""The caster as an object: what it accepts, counts, copies, and how its vertices move."""
+"""The caster as an object: what it accepts, counts and copies, and that it never changes."""
 
 import copy
 import gc
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
@@ -42,20 +43,6 @@ def test_rays_are_counted_by_lanes(caster):
 
 
 @pytest.mark.parametrize("caster", CASTERS)
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_update_moves_the_hits(caster, dtype):
-    tracer = make_caster(caster, TRIANGLE.to(dtype), FACE)
-    ray = single_ray((0.0, 0.0, 3.0), (0.0, 0.0, -1.0), dtype)
-    assert tracer.occluded(ray, torch.tensor([3.5], dtype=dtype)).item()
-    tracer.update(TRIANGLE.to(dtype) - torch.tensor([0.25, 0.0, 1.0], dtype=dtype))
-    assert not tracer.occluded(ray, torch.tensor([3.5], dtype=dtype)).item()
-    hit = tracer.intersect(ray)
-    assert (hit.prim.item(), hit.u.item(), hit.v.item()) == pytest.approx((0, 0.375, 0.5), abs=1e-6)
-    tracer.update(TRIANGLE.to(dtype) + 10)
-    assert tracer.intersect(ray).prim.item() == -1
-
-
-@pytest.mark.parametrize("caster", CASTERS)
 def test_vertices_are_copied(caster):
     vertices, faces = TRIANGLE.clone(), FACE.clone()
     tracer = make_caster(caster, vertices, faces)
@@ -65,35 +52,36 @@ def test_vertices_are_copied(caster):
 
 
 def test_embree_follows_a_moving_mesh_as_brute_force_does():
+    """Casters of the same mesh in several places live side by side, and each answers for its own."""
     vertices, faces = mesh("sphere")
-    ours, reference = Embree(vertices, faces), Brute(vertices, faces)
+    places = [vertices * (1 + 0.3 * torch.sin(3 * vertices.roll(1, dims=1) + step)) for step in range(4)]
+    ours, reference = ([kind(moved, faces) for moved in places] for kind in (Embree, Brute))
     ray = random_rays(2000)
-    for step in range(4):
-        moved = vertices * (1 + 0.3 * torch.sin(3 * vertices.roll(1, dims=1) + step))
-        ours.update(moved)
-        reference.update(moved)
-        prim = reference.intersect(ray).prim
+    answers = [tracer.intersect(ray).prim for tracer in reference]
+    for tracer, prim in zip(ours, answers):
         assert 0.2 < (prim >= 0).float().mean() < 0.99
-        assert (ours.intersect(ray).prim == prim).float().mean() > 0.999  # the rest are edges
+        assert (tracer.intersect(ray).prim == prim).float().mean() > 0.999  # the rest are edges
+    assert not torch.equal(answers[0], answers[1])
 
 
-@pytest.mark.parametrize("caster", CASTERS)
-def test_a_refused_update_leaves_the_caster_as_it_was(caster):
-    tracer = make_caster(caster, TRIANGLE, FACE)
-    with pytest.raises(ValueError, match=r"update moves the 3 vertices there are, got 4"):
-        tracer.update(torch.zeros(4, 3))
-    with pytest.raises(ValueError, match="vertices must be finite"):
-        tracer.update(TRIANGLE * torch.nan)
-    assert tracer.intersect(DOWN).prim.item() == 0
+def test_casters_answer_while_others_are_built_and_freed():
+    """In several threads at once."""
+    vertices, faces = mesh("fine sphere")
+    ray, expected = random_rays(3000), Embree(vertices, faces).intersect(random_rays(3000))
+
+    def turn(number: int) -> bool:
+        tracer = Embree(vertices, faces)
+        return all(torch.equal(a, b) for _ in range(3) for a, b in zip(tracer.intersect(ray), expected))
+
+    with ThreadPoolExecutor(6) as pool:
+        assert all(pool.map(turn, range(24)))
 
 
 @pytest.mark.parametrize("caster", CASTERS)
 @pytest.mark.parametrize("copied", [copy.deepcopy, copy.copy, lambda tracer: pickle.loads(pickle.dumps(tracer))])
 def test_a_copy_is_independent(caster, copied):
-    tracer = make_caster(caster, TRIANGLE, FACE)
-    tracer.update(TRIANGLE + torch.tensor([0.0, 0.0, 1.0]))
+    tracer = make_caster(caster, TRIANGLE + torch.tensor([0.0, 0.0, 1.0]), FACE)
     other = copied(tracer)
-    tracer.update(TRIANGLE + 10)
     del tracer
     gc.collect()
     assert other.intersect(DOWN).prim.item() == 0

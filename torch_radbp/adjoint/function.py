@@ -23,6 +23,7 @@ from torch_radbp.adjoint.finite import (
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.path import Integrand, PathState, Step, sample_camera, start_path, trace
+from torch_radbp.raycast import RayCaster
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
@@ -56,6 +57,7 @@ class RenderCall(NamedTuple):
     """All that one rendering needs beside the scene's leaves."""
 
     scene: SceneTensors
+    caster: RayCaster  # of its triangles
     make_integrand: Callable[[SceneTensors], Integrand]
     adjoint_of_bounce: Callable
     sample_camera: Callable

@@ -62,10 +62,10 @@ class JumpWatch:
 
     def look(self, rendering: Rendering) -> None:
         """Warns if derivatives are asked for that lack something."""
-        for look in self.looks[:]:
+        for look in self.looks:
             warning = look(rendering)
             if warning is not None:
-                self.looks.remove(look)
+                self.looks = [other for other in self.looks if other != look]  # not in place: other threads look too
                 warnings.warn(warning, stacklevel=level_of_the_caller())
 
     def silhouettes_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
@@ -174,9 +174,10 @@ class JumpWatch:
 
     def edges(self, key: object, vertices: Tensor, faces: Tensor) -> Edges:
         """Those of a mesh, found anew only where its faces are others."""
-        if key not in self.known or not torch.equal(self.known[key][0], faces):
-            self.known[key] = (faces, edges_of(vertices, faces))
-        return self.known[key][1]
+        known = self.known.get(key)
+        if known is None or not torch.equal(known[0], faces):
+            known = self.known[key] = (faces, edges_of(vertices, faces))
+        return known[1]
 
 
 class Light(NamedTuple):

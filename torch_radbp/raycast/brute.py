@@ -32,9 +32,6 @@ class Brute:
         self.faces = checked_faces(faces, len(self.vertices), device=self.vertices.device)
         self.rays_cast = 0
 
-    def update(self, vertices: Tensor) -> None:
-        self.vertices = checked_vertices(vertices, device=self.vertices.device, count=len(self.vertices))
-
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, self.vertices.device)
         chunks = [self._closest(chunk) for chunk, _ in self._chunks(ray)]

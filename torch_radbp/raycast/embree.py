@@ -16,9 +16,10 @@ from torch import Tensor
 from torch_radbp.raycast import library, packets, team
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
-from torch_radbp.vec import Vec3, cross, dot
+from torch_radbp.vec import Vec3, crossing, dot
 
 CPU = torch.device("cpu")
+ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what Embree writes into a `Hit`
 
 
 class Embree:
@@ -27,6 +28,9 @@ class Embree:
     For float64 rays u, v and t are computed again in float64 from the ray and the triangle found, so that the point lies
     on the ray to that accuracy; which triangle is found remains a decision in float32. Components that are not
     contiguous are copied. A copied or unpickled caster builds its own scene and counts its rays from zero.
+
+    Geometry that moves gets a new scene each time, about one microsecond a triangle: as fast as committing the old scene
+    again, and queries stay fast however far vertices move.
 
     Args:
         vertices: (V, 3) float32 or float64, finite; copied.
@@ -43,7 +47,8 @@ class Embree:
         self.rays_cast = 0
         self._counting = Lock()
         # Embree reads this buffer in place, and 16 bytes at a time: past the last vertex by 4.
-        self._buffer = torch.zeros(len(self.vertices) + 1, 3)
+        self._buffer = torch.zeros(len(self.vertices) + 1, 3, dtype=torch.float32, device=CPU)
+        self._buffer[:-1] = self.vertices
         self._embree = embree = library.load()
         self._device = library.new_device()
         self._scene = embree.rtcNewScene(self._device)
@@ -58,31 +63,20 @@ class Embree:
         ):
             embree.rtcSetSharedGeometryBuffer(self._geometry, kind, 0, item, data.data_ptr(), 0, 12, count)
         embree.rtcAttachGeometry(self._scene, self._geometry)
-        self._commit()
-
-    def _commit(self) -> None:
-        """Builds the hierarchy over the vertices as they are now."""
-        self._buffer[:-1] = self.vertices
-        self._embree.rtcUpdateGeometryBuffer(self._geometry, library.BUFFER_TYPE_VERTEX, 0)
-        self._embree.rtcCommitGeometry(self._geometry)
-        self._embree.rtcCommitScene(self._scene)
+        embree.rtcCommitGeometry(self._geometry)
+        embree.rtcCommitScene(self._scene)
         library.check(self._device, f"building a scene of {len(self.faces)} triangles")
-
-    def update(self, vertices: Tensor) -> None:
-        # Built anew, not refitted: about one microsecond a triangle, and queries stay fast however far vertices move.
-        self.vertices = checked_vertices(vertices, device=CPU, count=len(self.vertices))
-        self._commit()
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, CPU)
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
-        hit = Hit(torch.empty(shape, dtype=torch.int32), *(torch.empty(shape) for _ in range(3)))
+        hit = Hit(*(torch.empty(shape, dtype=answer, device=CPU) for answer in ANSWERS))
         self._query(packets.closest_hit, self._embree.rtcIntersect8, ray, **hit._asdict())
         return hit if dtype == torch.float32 else self._refined(ray, hit)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
-        hidden = torch.empty(ray.o.x.shape, dtype=torch.bool)
+        hidden = torch.empty(ray.o.x.shape, dtype=torch.bool, device=CPU)
         self._query(packets.any_hit, self._embree.rtcOccluded8, ray, tmax=_single(tmax), hidden=hidden)
         return hidden
 
@@ -101,18 +95,15 @@ class Embree:
             self.rays_cast += lanes
 
     def _refined(self, ray: Ray, hit: Hit) -> Hit:
-        """The hit with u, v and t of the ray's line and the triangle's plane, in the ray's dtype.
-
-        Reference: Moeller and Trumbore 1997, "Fast, Minimum Storage Ray/Triangle Intersection".
-        """
+        """The hit with u, v and t of the ray's line and the triangle's plane, in the ray's dtype."""
+        ray = Ray(ray.o.detach(), ray.d.detach())
         corners = self.vertices.to(ray.o.x.dtype)[self.faces[hit.prim.clamp(min=0)].long()]
         p0, p1, p2 = (Vec3.of(corners[..., corner, :]) for corner in range(3))
-        e1, e2, s = p1 - p0, p2 - p0, ray.o.detach() - p0
-        d = ray.d.detach()
-        determinant = dot(e1, cross(d, e2))
-        u, v = dot(s, cross(d, e2)) / determinant, dot(d, cross(s, e1)) / determinant
-        t = dot(e2, cross(s, e1)) / determinant
-        found = (hit.prim >= 0) & (determinant != 0)
+        e1, e2 = p1 - p0, p2 - p0
+        volume, of_u, of_v = crossing(ray, p0, e1, e2)
+        u, v = of_u / volume, of_v / volume
+        t = dot(p0 + e1 * u + e2 * v - ray.o, ray.d) / dot(ray.d, ray.d)
+        found = (hit.prim >= 0) & (volume != 0)
         return Hit(hit.prim, *(torch.where(found, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:])))
 
     def __reduce__(self):

@@ -33,7 +33,6 @@ PROTOTYPES = {
         None,  # geometry, type, slot, format, pointer, byte offset, byte stride, item count
         [c_void_p, c_int, c_uint, c_int, c_void_p, c_size_t, c_size_t, c_size_t],
     ),
-    "rtcUpdateGeometryBuffer": (None, [c_void_p, c_int, c_uint]),
     "rtcCommitGeometry": (None, [c_void_p]),
     "rtcAttachGeometry": (c_uint, [c_void_p, c_void_p]),
     "rtcIntersect8": (None, [c_void_p] * 4),

@@ -10,13 +10,12 @@ from torch_radbp.raycast.protocol import Ray
 DTYPES = (torch.float32, torch.float64)
 
 
-def checked_vertices(vertices: Tensor, device: torch.device | None = None, count: int | None = None) -> Tensor:
+def checked_vertices(vertices: Tensor, device: torch.device | None = None) -> Tensor:
     """A detached, contiguous copy of the vertices in their own dtype.
 
     Args:
         vertices: (V, 3).
         device: where they must be; None allows any.
-        count: how many there must be; None allows any number but 0.
 
     Raises:
         ValueError: not (V, 3) float32 or float64, none at all, not finite in float32, or not as demanded.
@@ -27,8 +26,6 @@ def checked_vertices(vertices: Tensor, device: torch.device | None = None, count
         raise ValueError(f"vertices must be float32 or float64, got {vertices.dtype}")
     if device is not None and vertices.device != device:
         raise ValueError(f"this ray caster works on {device}, got vertices on {vertices.device}; use another one")
-    if count is not None and len(vertices) != count:
-        raise ValueError(f"update moves the {count} vertices there are, got {len(vertices)}; make a new ray caster")
     if len(vertices) == 0:
         raise ValueError("a ray caster needs a mesh with at least one triangle, got no vertices")
     broken = ~torch.isfinite(vertices.detach().float()).all(dim=1)

@@ -21,7 +21,8 @@ class Hit(NamedTuple):
 class RayCaster(Protocol):
     """Detached queries against one triangle mesh: no result carries a derivative.
 
-    A lane whose ray is not finite, or whose direction is zero, is no query: it misses, and disturbs no other lane.
+    A caster never changes, so that graphs and threads may keep theirs while the scene goes on: moved geometry has another
+    caster. A lane whose ray is not finite, or whose direction is zero, is no query: it misses, and disturbs no other lane.
     """
 
     vertices: Tensor  # (V, 3), in the dtype that they were given in
@@ -37,6 +38,3 @@ class RayCaster(Protocol):
         Args:
             tmax: per lane, in units of the length of d. A value <= 0 (or NaN) is no query and gives False.
         """
-
-    def update(self, vertices: Tensor) -> None:
-        """Moves the vertices, (V, 3) with V as before; faces stay."""

@@ -17,7 +17,7 @@ from torch_radbp.vec import (
     Vec2,
     Vec3,
     attached,
-    cross,
+    crossing,
     dot,
     normalize,
     unit_normal,
@@ -138,14 +138,10 @@ def interpolated(corners: tuple[Vec2 | Vec3, ...], u: Tensor, v: Tensor) -> Vec2
 
 
 def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tensor):
-    """The hit with barycentric coordinates attached to ray and triangle where it slides.
-
-    Reference: Moeller and Trumbore 1997, "Fast, Minimum Storage Ray/Triangle Intersection".
-    """
-    across, offset = cross(ray.d, e2), ray.o - p0
-    volume = dot(e1, across)
+    """The hit with barycentric coordinates attached to ray and triangle where it slides."""
+    volume, of_u, of_v = crossing(ray, p0, e1, e2)
     slides = slides & (volume.abs() > TINY)  # else it is seen edge-on
     volume = torch.where(slides, volume, 1.0)
-    u, v = dot(offset, across) / volume, dot(ray.d, cross(offset, e1)) / volume  # no reciprocal: its square may overflow
+    u, v = of_u / volume, of_v / volume  # no reciprocal: its square may overflow
     follow = slides.to(u.dtype)
     return hit._replace(u=attached(hit.u, u * follow), v=attached(hit.v, v * follow))
