@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli-w>=1.0", "typer>=0.12"]
-TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11"]
+TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0"]
 
 setup(
     name="torch_radbp",
@@ -23,7 +23,6 @@ setup(
         "numpy>=1.26",
         "embreex>=4.4",
         "numba>=0.61",
-        "trimesh>=4.0",
         "OpenEXR>=3.3",
         "Pillow>=10",
         "safetensors>=0.4",

@@ -118,7 +118,7 @@ XML = {
     ),
     "mesh that is not finite": (
         shape('<string name="filename" value="nan.obj"/>', "obj"),
-        ["nan.obj", "vertices must be finite"],
+        ["nan.obj, line 2", "expected a finite number, got 'nan'"],
     ),
     "damaged image": (
         diffuse('<texture type="bitmap" name="reflectance"><string name="filename" value="bad.exr"/></texture>'),

@@ -5,7 +5,9 @@ import pytest
 import torch
 
 from tests.io.documents import TRIANGLE_OBJ
-from torch_radbp.io.mesh import MeshArrays, read_mesh, write_ply
+from torch_radbp.io.mesh import read_mesh
+from torch_radbp.io.mesh_arrays import MeshArrays
+from torch_radbp.io.ply import write_ply
 from torch_radbp.shape.normals import angle_weighted_normals
 
 SEAM = """v 0 0 0
@@ -133,28 +135,6 @@ def test_smooth_normals_of_a_cube_corner_are_its_diagonal():
 def test_a_vertex_without_a_face_still_has_a_unit_normal():
     normals = smooth_normals(np.eye(4, 3), np.array([[0, 1, 2]]))
     np.testing.assert_array_equal(normals[3], (1, 0, 0))
-
-
-@pytest.mark.parametrize("name, text, message", [
-    ("m.obj", "", "no faces"),
-    ("m.obj", "v 0 0 0\nv 1 0 0\n", "no faces"),
-    ("m.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "all 1 triangles are degenerate"),
-    ("m.obj", "v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "vertices must be finite, 1 of 3"),
-    ("m.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n", "cannot be read as OBJ"),
-    ("m.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\n", r"relative \(negative\) vertex indices"),
-    ("m.ply", "hello", "cannot be read as PLY"),
-    ("m.ply", MESHES["st.ply"].replace("3 0 2 3", "3 0 2 8"), "cannot be read|faces must index"),
-    ("m.ply", "ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nend_header\n", "no faces"),
-    ("m.stl", "solid", r"unknown kind of mesh '\.stl'; supported: \.obj, \.ply"),
-])
-def test_meshes_that_cannot_be_used_are_named(tmp_path, name, text, message):
-    with pytest.raises(ValueError, match=rf"{name}: .*({message})"):
-        read_mesh_of(tmp_path, text, name)
-
-
-def test_a_missing_mesh_is_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"gone\.obj: file not found"):
-        read_mesh(tmp_path / "gone.obj")
 
 
 def test_a_failed_write_leaves_nothing(tmp_path):

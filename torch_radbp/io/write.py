@@ -16,7 +16,8 @@ from torch import Tensor, nn
 from torch_radbp.io.atomic import check_target
 from torch_radbp.io.attribute_values import is_list, options
 from torch_radbp.io.image import write_image
-from torch_radbp.io.mesh import MeshArrays, write_ply
+from torch_radbp.io.mesh_arrays import MeshArrays
+from torch_radbp.io.ply import write_ply
 from torch_radbp.plugin import REGISTRY, Filename, Matrix4, Plugin, Point3, SceneError, attributes
 from torch_radbp.scene.scene import Scene
 

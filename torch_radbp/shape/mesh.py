@@ -43,7 +43,7 @@ class Mesh(Surface):
         if faces.min() < 0 or faces.max() >= count:
             raise ValueError(f"faces must index vertices 0 to {count - 1}, got {int(faces.min())} to {int(faces.max())}")
         matrix = affine("to_world", to_world)
-        positions = transform_points(matrix, positions.to(dtype))
+        positions = finite("vertex_positions in world space", transform_points(matrix, positions.to(dtype)))
         edges = positions[faces[:, 1:]] - positions[faces[:, :1]]
         if not (torch.linalg.cross(edges[:, 0], edges[:, 1]).norm(dim=1) > 0).any():
             raise ValueError(f"all {len(faces)} triangles of the mesh are degenerate (area 0)")
@@ -100,12 +100,10 @@ class FileMesh(Mesh):
         if face_normals and recompute_normals:
             raise ValueError("face_normals shades flat and recompute_normals shades smooth: choose one")
         self.filename, self.face_normals, self.flip_tex_coords = filename, face_normals, flip_tex_coords
-        vertices, faces, normals, uv = read_mesh(filename)
+        vertices, faces, normals, uv = read_mesh(filename, want_normals=not (face_normals or recompute_normals))
         if flip_tex_coords and uv is not None:
             uv = uv.copy()
             uv[:, 1] = 1.0 - uv[:, 1]
-        if face_normals or recompute_normals:
-            normals = None
         normals, uv = (None if values is None else torch.from_numpy(values) for values in (normals, uv))
         self.hold(torch.from_numpy(vertices), torch.from_numpy(faces), normals, uv, to_world, not face_normals,
                   recompute_normals)
