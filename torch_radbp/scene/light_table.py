@@ -85,26 +85,25 @@ def light_table(scene: Scene, triangles: TriangleTable, radiance: Tensor, counts
         corners, n=attached(rows(triangles.n, emitting), unit_normal(e1, e2)), smooth=rows(triangles.smooth, emitting),
         radiance=radiance[emitting], pmf=pmf,
         inverse_area=torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0))
-    kind, texture, pose = [AREA] * len(emitting), surfaces.radiance.tolist(), [0] * len(emitting)
+    weights.append(area.new_tensor([lamp.emitter.sampling_weight for lamp in lamps]))
     posed = [lamp for lamp in lamps if lamp.kind >= POINT]
-    for lamp in lamps:
-        weights.append(area.new_full((1,), lamp.emitter.sampling_weight))
-        kind.append(lamp.kind)
-        texture.append(lamp.texture)
-        pose.append(posed.index(lamp) if lamp.kind >= POINT else 0)
     surround = next((lamp for lamp in lamps if lamp.kind in (CONSTANT, ENVIRONMENT)), None)
+    none = torch.zeros_like(surfaces.radiance)
 
-    def integers(*values: int) -> Tensor:
-        return torch.tensor(values, dtype=torch.int32, device=area.device)
+    def elements(of_triangles: Tensor, of_lamps: list[int]) -> Tensor:
+        return torch.cat([of_triangles, of_triangles.new_tensor(of_lamps)])
 
     environment = None
     if surround is not None and surround.kind == ENVIRONMENT:
         environment = environment_map(surround.emitter, area)
     return LightTable(
-        choice=alias_table(torch.cat(weights)), kind=integers(*kind), surfaces=surfaces,
-        surface=integers(*range(len(emitting)), *(0 for _ in lamps)), pose=integers(*pose),
-        radiance=integers(*texture), posed=posed_lights(posed, area) if posed else None,
-        surround=integers(0 if surround is None else surround.texture),
+        choice=alias_table(torch.cat(weights)), surfaces=surfaces,
+        kind=elements(none + AREA, [lamp.kind for lamp in lamps]),
+        surface=elements(torch.arange(len(none), dtype=none.dtype, device=none.device), [0] * len(lamps)),
+        pose=elements(none, [posed.index(lamp) if lamp.kind >= POINT else 0 for lamp in lamps]),
+        radiance=elements(surfaces.radiance, [lamp.texture for lamp in lamps]),
+        posed=posed_lights(posed, area) if posed else None,
+        surround=none.new_tensor([0 if surround is None else surround.texture]),
         surround_pmf=area.new_tensor([0.0 if surround is None else surround.emitter.sampling_weight / total]),
         environment=environment)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
@@ -20,6 +21,10 @@ from torch_radbp.shape.surface import Triangles
 from torch_radbp.texture.bitmap import WRAP_MODES
 from torch_radbp.texture.rgb import RGB
 from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
+
+BLOCK = 1 << 15  # triangles whose normals are computed together
+FEW = 1 << 10  # triangles that mostly tell whether all vertex normals are those of the faces
+FLAT = 1e-5  # the largest difference of a vertex normal from that of its face
 
 
 class BankBuilder:
@@ -105,10 +110,15 @@ def without_flat_normals(surface: Triangles) -> Triangles:
     """The surface without vertex normals if they are those of its faces and nothing can change that."""
     if surface.normals is None or differentiated(surface.normals) or differentiated(surface.vertices):
         return surface
-    _, e1, e2 = edges(*at_corners(Vec3.of(surface.vertices), surface.faces.unbind(1)))
-    face = unit_normal(e1, e2).stack()
-    flat = (surface.normals[surface.faces] - face[:, None]).abs().max() < 1e-5
+    some = surface.faces[::max(1, len(surface.faces) // FEW)]
+    flat = flat_normals(surface, some) and flat_normals(surface, surface.faces)
     return surface._replace(normals=None) if flat else surface
+
+
+def flat_normals(surface: Triangles, faces: Tensor) -> bool:
+    """Whether the vertex normals of some faces of a surface, (F, 3), are the normals of these faces."""
+    normals, _ = normals_and_clearances(Vec3.of(surface.vertices), faces.unbind(1))
+    return bool((surface.normals[faces] - normals.stack()[:, None]).abs().max() < FLAT)
 
 
 def check_finite(scene: Scene) -> None:
@@ -147,14 +157,14 @@ def geometry(scene: Scene) -> tuple[Tensor, Tensor]:
     surfaces = [shape.oriented() for shape in scene.shapes]
     none = torch.zeros(0, 3, dtype=scene.dtype, device=scene.device)
     vertices = torch.cat([none, *(surface.vertices.detach() for surface in surfaces)])
-    return vertices, concatenated_faces(surfaces, scene.device).to(torch.int32)
+    return vertices, concatenated_faces(surfaces, scene.device)
 
 
 def concatenated_faces(surfaces: list[Triangles], device: torch.device) -> Tensor:
-    """The faces of all surfaces, (F, 3) int64 rows of their concatenated vertices."""
-    firsts = torch.tensor([0] + [len(surface.vertices) for surface in surfaces]).cumsum(0).tolist()
-    none = torch.zeros(0, 3, dtype=torch.int64, device=device)
-    return torch.cat([none, *(surface.faces + first for surface, first in zip(surfaces, firsts))])
+    """The faces of all surfaces, (F, 3) int32 rows of their concatenated vertices."""
+    firsts = itertools.accumulate((len(surface.vertices) for surface in surfaces), initial=0)
+    none = torch.zeros(0, 3, dtype=torch.int32, device=device)
+    return torch.cat([none, *(surface.faces.to(torch.int32) + first for surface, first in zip(surfaces, firsts))])
 
 
 def vertex_table(surfaces: list[Triangles], normals: bool, uv: bool, dtype: torch.dtype,
@@ -176,10 +186,8 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, tangents:
                    device: torch.device) -> TriangleTable:
     """All triangles; materials and emitters are filled in by the caller."""
     vertices = vertex_table(surfaces, normals, uv or tangents, dtype, device)
-    faces = concatenated_faces(surfaces, device).to(torch.int32)
-    corners = tuple(corner.contiguous() for corner in faces.unbind(1))
-    positions = at_corners(vertices.p.detach(), corners)
-    _, e1, e2 = edges(*positions)
+    corners = tuple(corner.contiguous() for corner in concatenated_faces(surfaces, device).unbind(1))
+    n, clearances = normals_and_clearances(vertices.p.detach(), corners)
     smooth = torch.tensor([surface.normals is not None for surface in surfaces], device=device)
     smooth = None if smooth.all() or not normals else smooth.repeat_interleave(
         torch.tensor([len(surface.faces) for surface in surfaces], device=device))
@@ -188,7 +196,24 @@ def triangle_table(surfaces: list[Triangles], normals: bool, uv: bool, tangents:
         along = growth_of_u(*edges(*at_corners(vertices.p, corners))[1:], *at_corners(vertices.uv, corners))
     if not uv:
         vertices = vertices._replace(uv=None)
-    return TriangleTable(vertices, corners, unit_normal(e1, e2), smooth, clearance(positions), along, None, None)
+    return TriangleTable(vertices, corners, n, smooth, clearances, along, None, None)
+
+
+def normals_and_clearances(vertices: Vec3, corners: Sequence[Tensor]) -> tuple[Vec3, Tensor]:
+    """The unit normals of triangles, and the distances off them at which rays start; (T,) each.
+
+    Args:
+        vertices: (V,) positions, detached.
+        corners: three times (T,) integer rows of `vertices`.
+    """
+    columns = []
+    # Block by block, so that what is computed on the way stays in the processor's cache.
+    for block in zip(*(corner.split(BLOCK) for corner in corners)):
+        positions = at_corners(vertices, block)
+        _, e1, e2 = edges(*positions)
+        columns.append((*unit_normal(e1, e2), clearance(positions)))
+    *n, clearances = (torch.cat(parts) for parts in zip(*columns))
+    return Vec3(*n), clearances
 
 
 def growth_of_u(e1: Vec3, e2: Vec3, uv0: Vec2, uv1: Vec2, uv2: Vec2) -> Vec3:

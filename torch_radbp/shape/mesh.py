@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, register
-from torch_radbp.shape.normals import angle_weighted_normals
+from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
 from torch_radbp.shape.surface import Surface, Triangles, affine, transform_normals, transform_points
 from torch_radbp.vec import attached
 
@@ -44,8 +44,7 @@ class Mesh(Surface):
             raise ValueError(f"faces must index vertices 0 to {count - 1}, got {int(faces.min())} to {int(faces.max())}")
         matrix = affine("to_world", to_world)
         positions = finite("vertex_positions in world space", transform_points(matrix, positions.to(dtype)))
-        edges = positions[faces[:, 1:]] - positions[faces[:, :1]]
-        if not (torch.linalg.cross(edges[:, 0], edges[:, 1]).norm(dim=1) > 0).any():
+        if not has_area(positions, faces):
             raise ValueError(f"all {len(faces)} triangles of the mesh are degenerate (area 0)")
         self.freeze("vertex_positions", positions)
         self.recompute_normals = recompute_normals
@@ -78,6 +77,12 @@ class Mesh(Surface):
         motion = (self.to_world.double() @ torch.linalg.inv(self.loaded_to_world.double())).to(self.to_world.dtype)
         moved = not torch.equal(self.to_world.detach(), self.loaded_to_world)
         return motion if moved else attached(torch.eye(4).to(motion), motion)
+
+
+def has_area(positions: Tensor, faces: Tensor) -> bool:
+    """Whether any triangle has an area; looks no further than the first block with one that has."""
+    blocks = (positions[block].unbind(1) for block in faces.split(BLOCK))
+    return any(bool(torch.linalg.cross(second - first, third - first).any()) for first, second, third in blocks)
 
 
 class FileMesh(Mesh):

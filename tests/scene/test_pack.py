@@ -1,0 +1,78 @@
+"""Packing large meshes: what is packed is the same, and nothing is done triangle by triangle in Python."""
+
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.scenes import diffuse, load, rgb, sensor
+from torch_radbp.scene import pack as packing
+from torch_radbp.scene.pack import pack
+from torch_radbp.shape.normals import angle_weighted_normals
+
+
+def grid(divisions: int, height: float = 0.1, **attributes) -> dict:
+    """A wavy square of 2 * divisions^2 triangles."""
+    line = np.linspace(-1, 1, divisions + 1)
+    x, y = np.meshgrid(line, line)
+    corner = (np.arange(divisions)[:, None] * (divisions + 1) + np.arange(divisions)).reshape(-1)
+    faces = np.concatenate([np.stack([corner, corner + 1, corner + divisions + 2], 1),
+                            np.stack([corner, corner + divisions + 2, corner + divisions + 1], 1)])
+    vertices = np.stack([x, y, height * np.sin(3 * x + 2 * y)], -1).reshape(-1, 3)
+    return {"type": "mesh", "vertex_positions": torch.tensor(vertices), "faces": torch.tensor(faces), "bsdf": diffuse(0.5),
+            **attributes}
+
+
+def lines_of_python(function, *arguments) -> int:
+    """How many lines of this package run in a call."""
+    lines = 0
+
+    def count(frame, event, argument):
+        nonlocal lines
+        if not frame.f_globals.get("__name__", "").startswith("torch_radbp"):
+            return None
+        lines += event == "line"
+        return count
+
+    sys.settrace(count)
+    try:
+        function(*arguments)
+    finally:
+        sys.settrace(None)
+    return lines
+
+
+def lamp(divisions: int) -> rb.Scene:
+    return load(camera=sensor(2), lamp=grid(divisions, emitter={"type": "area", "radiance": rgb(1, 2, 3)}))
+
+
+def test_packing_runs_no_python_for_each_triangle():
+    small, large = lamp(4), lamp(40)
+    assert lines_of_python(pack, large) == lines_of_python(pack, small)
+
+
+@pytest.mark.parametrize("block", [1, 7, 31])
+def test_normals_do_not_depend_on_the_size_of_blocks(block, monkeypatch):
+    scene = load(camera=sensor(2), sky={"type": "constant"}, hills=grid(4), more=grid(2, 0.3))
+    vertices, faces = scene.hills.vertex_positions, scene.hills.faces
+    whole, smooth = pack(scene).triangles, angle_weighted_normals(vertices, faces)
+    monkeypatch.setattr(packing, "BLOCK", block)
+    monkeypatch.setattr("torch_radbp.shape.normals.BLOCK", block)
+    parts = pack(scene).triangles
+    assert all(torch.equal(a, b) for a, b in zip((*whole.n, whole.clearance), (*parts.n, parts.clearance)))
+    torch.testing.assert_close(angle_weighted_normals(vertices, faces), smooth, rtol=0, atol=1e-14)
+
+
+def test_one_bent_normal_among_many_flat_ones_is_kept():
+    flat = grid(40, 0.0)
+    normals = torch.tensor([0.0, 0.0, 1.0]).repeat(len(flat["vertex_positions"]), 1)
+    assert len(flat["faces"]) > 2 * packing.FEW
+    assert not pack(load(camera=sensor(2), sky={"type": "constant"}, a={**flat, "vertex_normals": normals})
+                    ).layout.shading_normals
+    for vertex in (0, 41, 871, len(normals) - 1):
+        bent = normals.clone()
+        bent[vertex] = torch.tensor([0.6, 0.0, 0.8])
+        scene = load(camera=sensor(2), sky={"type": "constant"}, a={**flat, "vertex_normals": bent})
+        assert pack(scene).layout.shading_normals
