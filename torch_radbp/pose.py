@@ -1,8 +1,9 @@
-"""`se3`: rigid motions from six numbers, smooth everywhere."""
+"""Rigid motions: `se3` from six numbers, smooth everywhere, and `look_at` from two points."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -48,6 +49,82 @@ def se3(rotation_vector: Tensor, translation: Tensor) -> Tensor:
     upper = torch.cat([rotation.expand(*batch, 3, 3), translation.expand(*batch, 3)[..., None]], -1)
     last = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=w.dtype, device=w.device).expand(*batch, 1, 4)
     return torch.cat([upper, last], -2)
+
+
+def look_at(origin: Tensor | Sequence[float], target: Tensor | Sequence[float],
+            up: Tensor | Sequence[float] | None = None) -> Tensor:
+    """The pose of a camera or lamp at `origin` that looks at `target`, as Mitsuba's `ScalarTransform4f().look_at`.
+
+    Its +z points at the target, its +y is as close to `up` as possible, and its +x points to the left.
+
+        sensor = {"type": "perspective", "to_world": rb.look_at([0, 1, 4], [0, 0, 0], [0, 1, 0])}
+
+    Args:
+        origin: (3,) numbers or tensor; attached, as the others are.
+        target: (3,) of a point other than `origin`.
+        up: (3,) of any length, not parallel to the line of sight. Where it is None or zero some perpendicular direction
+            is taken, the same as Mitsuba's.
+
+    Returns:
+        (4, 4) matrix for column vectors, in the dtype of the arguments that are floating point tensors, otherwise in
+        torch's default dtype.
+
+    Raises:
+        TypeError: if an argument is not made of real numbers.
+        ValueError: if a shape is not (3,), a number is not finite, origin and target coincide, or `up` is parallel to the
+            line between them, each as far as the dtype can tell.
+
+    Reference: Duff et al. 2017, "Building an Orthonormal Basis, Revisited", for the direction without `up`.
+    """
+    given = [value for value in (origin, target, up) if isinstance(value, Tensor) and value.is_floating_point()]
+    dtype = torch.get_default_dtype() if not given else given[0].dtype
+    for value in given[1:]:
+        dtype = torch.promote_types(dtype, value.dtype)
+    device = next((value.device for value in given if value.device.type != "cpu"), None)
+    origin, target = _point("origin", origin, dtype, device), _point("target", target, dtype, device)
+    up = torch.zeros_like(origin) if up is None else _point("up", up, dtype, device)
+    sight = target - origin
+    rounding = 8 * torch.finfo(dtype).eps
+    scale = torch.maximum(origin.detach().abs().max(), target.detach().abs().max())
+    if sight.detach().abs().max() <= rounding * scale:
+        raise ValueError(f"origin and target must differ, got {origin.tolist()} and {target.tolist()}")
+    forward = _unit(sight)
+    upward = _unit(up) if up.detach().any() else _perpendicular(forward)
+    left = torch.linalg.cross(upward, forward)
+    if left.detach().norm() <= rounding:
+        raise ValueError(f"up must not be parallel to the line of sight, got {up.tolist()} for a line of sight along "
+                         f"{sight.tolist()}")
+    left = _unit(left)
+    columns = torch.stack([left, torch.linalg.cross(forward, left), forward, origin], 1)
+    return torch.cat([columns, columns.new_tensor([[0.0, 0.0, 0.0, 1.0]])])
+
+
+def _point(name: str, value: Tensor | Sequence[float], dtype: torch.dtype, device: torch.device | None) -> Tensor:
+    """`value` as a tensor of shape (3,), attached."""
+    try:
+        tensor = value if isinstance(value, Tensor) else torch.as_tensor(value)
+        if tensor.dtype in (torch.bool, torch.complex64, torch.complex128):
+            raise TypeError
+    except (TypeError, ValueError, RuntimeError):
+        raise TypeError(f"{name} must be three numbers, got {value!r}") from None
+    if tensor.shape != (3,):
+        raise ValueError(f"{name} must have shape (3,), got {tuple(tensor.shape)}")
+    if not torch.isfinite(tensor).all():
+        raise ValueError(f"{name} must be finite, got {tensor.tolist()}")
+    return tensor.to(dtype=dtype, device=device)
+
+
+def _unit(vector: Tensor) -> Tensor:
+    """The direction of a vector that is not zero, of any length that the dtype can hold."""
+    scaled = vector / vector.detach().abs().max()
+    return scaled / scaled.norm()
+
+
+def _perpendicular(n: Tensor) -> Tensor:
+    """The first tangent of Duff et al. of a unit normal."""
+    sign = torch.where(n[2].detach() < 0, -1.0, 1.0).to(n)
+    a = -1.0 / (sign + n[2])
+    return torch.stack([1.0 + sign * n[0] ** 2 * a, sign * n[0] * n[1] * a, -sign * n[0]])
 
 
 def sine_and_cosine_terms(square: Tensor) -> tuple[Tensor, Tensor]:

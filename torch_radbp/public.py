@@ -4,14 +4,15 @@ from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint
 from torch_radbp.adjoint.finite import NonFiniteError
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.check import GradientCheck, check_gradient
+from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.write import save
 from torch_radbp.jvp import jvp
 from torch_radbp.plugin import SceneError
-from torch_radbp.pose import se3
+from torch_radbp.pose import look_at, se3
 from torch_radbp.render import Renderer, render
 from torch_radbp.scene import Scene
 
 __all__ = ["GradientCheck", "JumpWarning", "MemoizedAdjoint", "NonFiniteError", "QuadraticAdjoint", "Renderer",
            "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint", "check_gradient", "jvp", "load",
-           "load_dict", "render", "save", "se3"]
+           "load_dict", "look_at", "render", "save", "save_image", "se3"]

@@ -15,6 +15,7 @@ import kornia
 import torch
 from torch import Tensor, nn
 
+from torch_radbp.io.image import linear_to_srgb
 from torch_radbp.training import recipe
 
 
@@ -23,18 +24,10 @@ def two_buffer_l2(image_a: Tensor, image_b: Tensor, target: Tensor) -> Tensor:
     return ((image_a - target) * (image_b - target)).mean()
 
 
-def srgb_curve(image: Tensor) -> Tensor:
-    """Applies the sRGB transfer curve to linear values (..., unclamped above 1, 0 below 0)."""
-    image = image.clamp(min=0)
-    # The power's derivative is infinite at 0; torch.where would turn that into NaN.
-    power = 1.055 * image.clamp(min=0.0031308) ** (1 / 2.4) - 0.055
-    return torch.where(image <= 0.0031308, 12.92 * image, power)
-
-
 TONE_MAPPINGS: dict[str, Callable[[Tensor], Tensor]] = {
     "none": lambda image: image,
     "log1p": lambda image: torch.log1p(image.clamp(min=0)),
-    "srgb": srgb_curve,
+    "srgb": lambda image: linear_to_srgb(image.clamp(min=0)),
 }
 
 

@@ -45,7 +45,7 @@ def render(
         import torch
 
         import torch_radbp as rb
-        from torch_radbp.io.image import WRITABLE, write_image
+        from torch_radbp.io.image import WRITABLE, save_image
         from torch_radbp.training.targets import sensor_films
 
         if output.suffix.lower() not in WRITABLE:
@@ -75,7 +75,7 @@ def render(
                     pass_seed = seed + number * 0x1000193
                     image = image + renderer(seed=pass_seed, sensors=[index], spp=count)[0] * (count / samples[name])
                     progress.advance(task, count)
-                write_image(paths[name], image)
+                save_image(paths[name], image)
         width, height = image.shape[2], image.shape[1]
         for name, path in paths.items():
             console.print(f"{path}  {width} x {height}, {samples[name]} spp, {time.perf_counter() - started:.1f} s")

@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 import torch_radbp as rb
 from torch_radbp.io.atomic import replacing
-from torch_radbp.io.image import write_image
+from torch_radbp.io.image import save_image
 from torch_radbp.training.metrics import MetricsFile
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
@@ -110,7 +110,7 @@ class RunFolder:
 
     def _write_picture(self, path: Path, image: Tensor) -> None:
         path.parent.mkdir(exist_ok=True)
-        write_image(path, image)
+        save_image(path, image)
 
     def save_parameters(self, values: dict[str, Tensor]) -> None:
         with replacing(self.path / "parameters.safetensors") as partial:

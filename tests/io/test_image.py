@@ -6,7 +6,8 @@ import pytest
 import torch
 from PIL import Image
 
-from torch_radbp.io.image import linear_to_srgb, read_image, srgb_to_linear, write_image
+import torch_radbp as rb
+from torch_radbp.io.image import linear_to_srgb, read_image, save_image, srgb_to_linear
 
 COMPRESSIONS = ["NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB"]
 
@@ -93,11 +94,17 @@ def test_srgb_follows_its_definition():
     torch.testing.assert_close(srgb_to_linear(linear_to_srgb(values)), values, atol=1e-7, rtol=0)
 
 
+def test_encoding_srgb_has_finite_derivatives_everywhere():
+    values = torch.tensor([-1.0, 0.0, 0.001, 0.5, 2.0], requires_grad=True)
+    linear_to_srgb(values).sum().backward()
+    assert torch.isfinite(values.grad).all() and (values.grad > 0).all()
+
+
 def test_written_images_are_read_back(tmp_path, pixels):
     image = torch.from_numpy(pixels).permute(2, 0, 1)
-    write_image(tmp_path / "a.exr", image.double())
+    save_image(tmp_path / "a.exr", image.double())
     assert torch.equal(read_image(tmp_path / "a.exr"), image.permute(1, 2, 0))
-    write_image(tmp_path / "a.png", image)
+    save_image(tmp_path / "a.png", image)
     encoded = np.asarray(Image.open(tmp_path / "a.png"))
     expected = (linear_to_srgb(image.clamp(0, 1)) * 255).round().permute(1, 2, 0)
     np.testing.assert_array_equal(encoded, expected.numpy())
@@ -106,23 +113,30 @@ def test_written_images_are_read_back(tmp_path, pixels):
 @pytest.mark.parametrize("extension", ["exr", "png"])
 def test_an_image_that_is_not_finite_leaves_the_old_file_alone(tmp_path, extension):
     path = tmp_path / f"a.{extension}"
-    write_image(path, torch.zeros(3, 2, 2))
+    save_image(path, torch.zeros(3, 2, 2))
     before = path.read_bytes()
     broken = torch.zeros(3, 2, 2)
     broken[1, 0, 0], broken[2, 1, 1] = torch.nan, torch.inf
     with pytest.raises(ValueError, match=rf"a\.{extension}: not written, 2 of 4 pixels are NaN or infinite"):
-        write_image(path, broken)
+        save_image(path, broken)
     assert path.read_bytes() == before and [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
 @pytest.mark.parametrize("name, image, error, message", [
     ("a.tga", torch.zeros(3, 2, 2), ValueError, r"unknown kind of image '\.tga'; supported: \.exr, \.png"),
-    ("a.png", torch.zeros(2, 2, 3), ValueError, r"must have shape \(3, H, W\), got \(2, 2, 3\)"),
+    ("a.png", torch.zeros(2, 2, 3), ValueError, r"\(3, H, W\), got \(2, 2, 3\); move the channels .*movedim\(-1, 0\)"),
+    ("a.png", torch.zeros(1, 3, 2, 2), ValueError, r"got \(1, 3, 2, 2\), a batch of 1; pick one, image\[0\]"),
+    ("a.exr", torch.zeros(5, 3, 2, 2), ValueError, r"got \(5, 3, 2, 2\), a batch of 5; pick one, image\[0\]"),
+    ("a.exr", torch.zeros(2, 2), ValueError, r"must have shape \(3, H, W\), got \(2, 2\)"),
+    ("a.exr", torch.zeros(3, 0, 2), ValueError, r"must have shape \(3, H, W\), got \(3, 0, 2\)"),
+    ("a.exr", np.zeros((3, 2, 2)), TypeError, "must be a tensor of floating point numbers, got ndarray"),
+    ("a.exr", torch.zeros(3, 2, 2, dtype=torch.uint8), TypeError, "floating point numbers, got torch.uint8"),
+    ("a.exr", torch.zeros(3, 2, 2, dtype=torch.complex64), TypeError, "floating point numbers, got torch.complex64"),
     ("no/a.png", torch.zeros(3, 2, 2), FileNotFoundError, "folder .* does not exist"),
 ])
 def test_what_cannot_be_written_is_named(tmp_path, name, image, error, message):
-    with pytest.raises(error, match=message):
-        write_image(tmp_path / name, image)
+    with pytest.raises(error, match=f"{name}: .*{message}"):
+        rb.save_image(tmp_path / name, image)
     assert not list(tmp_path.iterdir())
 
 
@@ -141,7 +155,7 @@ def test_what_cannot_be_read_is_named(tmp_path, name, content, error, message):
 
 
 def test_a_truncated_png_is_named(tmp_path, pixels):
-    write_image(tmp_path / "whole.png", torch.rand(3, 64, 64))
+    save_image(tmp_path / "whole.png", torch.rand(3, 64, 64))
     (tmp_path / "half.png").write_bytes((tmp_path / "whole.png").read_bytes()[:5000])
     with pytest.raises(ValueError, match=r"half\.png: cannot be read as PNG: .*truncated"):
         read_image(tmp_path / "half.png")

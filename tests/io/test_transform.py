@@ -43,12 +43,6 @@ def test_rotation_is_orthogonal_for_an_axis_of_any_length():
     assert np.trace(matrix) == pytest.approx(1 + 2 * np.cos(np.deg2rad(77)))
 
 
-def test_look_at_maps_the_axes():
-    matrix = transform.look_at((1, 2, 3), (1, 2, 8), (0, 1, 0))
-    np.testing.assert_allclose(matrix @ (0, 0, 5, 1), (1, 2, 8, 1))
-    np.testing.assert_allclose(matrix[:3, 1], (0, 1, 0))
-
-
 def test_the_first_operation_listed_is_applied_first(tmp_path):
     body = (
         '<shape type="rectangle" id="r"><transform name="to_world"><translate x="1"/><scale value="2"/></transform>'

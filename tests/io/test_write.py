@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.io.documents import scene_dict, write_scene
-from torch_radbp.io.image import write_image
+from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.write import save
 from torch_radbp.plugin import SceneError
@@ -75,10 +75,10 @@ def everything(request, tmp_path):
     """The path of a scene with every plugin, but that there can be one surround only."""
     folder = tmp_path / "original"
     folder.mkdir()
-    write_image(folder / "t.png", torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0)))
+    save_image(folder / "t.png", torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0)))
     (folder / "m.obj").write_text(SEAM)
     (folder / "m.ply").write_text(PLY)
-    write_image(folder / "sky.exr", torch.rand(3, 5, 8, generator=torch.Generator().manual_seed(1)))
+    save_image(folder / "sky.exr", torch.rand(3, 5, 8, generator=torch.Generator().manual_seed(1)))
     return write_scene(folder, EVERYTHING + SURROUNDS[request.param], complete=False)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from torch_radbp.io.image import write_image
+from torch_radbp.io.image import save_image
 
 SCENE = """<scene version="3.0.0">
     <default name="width" value="8"/>
@@ -74,8 +74,8 @@ checkpoint_every = 2
 def folder(tmp_path: Path) -> Path:
     """A folder with scene.xml, picture.png (4 x 4), target.exr and recipe.toml."""
     generator = torch.Generator().manual_seed(1)
-    write_image(tmp_path / "picture.png", torch.rand(3, 4, 4, generator=generator))
-    write_image(tmp_path / "target.exr", torch.rand(3, 6, 8, generator=generator))
+    save_image(tmp_path / "picture.png", torch.rand(3, 4, 4, generator=generator))
+    save_image(tmp_path / "target.exr", torch.rand(3, 6, 8, generator=generator))
     (tmp_path / "scene.xml").write_text(SCENE)
     (tmp_path / "recipe.toml").write_text(RECIPE)
     return tmp_path

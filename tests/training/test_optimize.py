@@ -8,7 +8,7 @@ from rich.console import Console
 
 import torch_radbp as rb
 from torch_radbp.bsdf.diffuse import DiffuseKind
-from torch_radbp.io.image import write_image
+from torch_radbp.io.image import save_image
 from torch_radbp.training import optimize
 from torch_radbp.training.metrics import MetricsFile
 from torch_radbp.training.optimize import Recovery, step_seed
@@ -21,7 +21,7 @@ from torch_radbp.training.schedule import learning_rate_factor
 def write_true_target(folder, spp=256):
     """Replaces the random target by what the scene really looks like."""
     scene = rb.load(folder / "scene.xml")
-    write_image(folder / "target.exr", rb.render(scene, spp=spp, seed=123, max_depth=3, caster="brute")[0])
+    save_image(folder / "target.exr", rb.render(scene, spp=spp, seed=123, max_depth=3, caster="brute")[0])
 
 
 def run_quietly(folder, overrides=()):
@@ -57,7 +57,7 @@ def test_bitmap_is_recovered(folder, edit_recipe):
 
 
 def test_values_stay_within_bounds(folder):
-    write_image(folder / "target.exr", torch.full((3, 6, 8), 50.0))  # brighter than any reflectance can make it
+    save_image(folder / "target.exr", torch.full((3, 6, 8), 50.0))  # brighter than any reflectance can make it
     summary = run_quietly(folder, ["optimizer.learning_rate=0.5"])
     assert summary["parameters"][0]["recovered"] == [1.0, 1.0, 1.0]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from torch_radbp.io.image import write_image
+from torch_radbp.io.image import save_image
 from torch_radbp.training.optimize import Recovery
 from torch_radbp.training.recipe_file import RecipeError, read_recipe, write_recipe
 
@@ -90,13 +90,13 @@ def test_recipe_that_does_not_fit_its_scene_is_named(case, edit_recipe):
 
 
 def test_target_of_wrong_size_names_both_sizes(folder):
-    write_image(folder / "target.exr", torch.zeros(3, 8, 6))
+    save_image(folder / "target.exr", torch.zeros(3, 8, 6))
     with pytest.raises(ValueError, match=r"target.exr is 6 x 8 pixels, but the film of sensor 'camera' is 8 x 6"):
         Recovery(read_recipe(folder / "recipe.toml"))
 
 
 def test_target_with_nan_is_refused(folder):
-    # write_image refuses NaN, other programs do not.
+    # save_image refuses NaN, other programs do not.
     import numpy as np
     import OpenEXR
 

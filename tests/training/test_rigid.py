@@ -7,7 +7,7 @@ import torch
 from rich.console import Console
 
 import torch_radbp as rb
-from torch_radbp.io.image import write_image
+from torch_radbp.io.image import save_image
 from torch_radbp.training.optimize import Recovery
 from torch_radbp.training.optimize_command import recovered_table
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
@@ -74,7 +74,7 @@ def pose_recipe(folder, edit_recipe):
     scene = rb.load(folder / "scene.xml")
     image = rb.render(scene, spp=256, seed=9, max_depth=2, caster="brute")[0].detach()
     assert image.mean() > 0.01
-    write_image(folder / "target.exr", image)
+    save_image(folder / "target.exr", image)
     return edit_recipe(COLOUR, POSE)
 
 

@@ -47,22 +47,29 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
     return image if raw or suffix == ".exr" else srgb_to_linear(image)
 
 
-def write_image(path: str | os.PathLike, image: Tensor) -> None:
+def save_image(path: str | os.PathLike, image: Tensor) -> None:
     """Writes an image, completely or not at all.
+
+        rb.save_image("image.exr", rb.render(scene, spp=16)[0])
 
     Args:
         path: .exr (float32, linear) or .png (8 bits, sRGB, values cut to [0, 1]).
-        image: (3, H, W) linear RGB of any floating dtype and device.
+        image: (3, H, W) linear RGB of any floating dtype and device; one of the (B, 3, H, W) that a renderer returns.
 
     Raises:
+        TypeError: if `image` is no tensor of floating point numbers.
         ValueError: on unknown extensions, other shapes, and values that are NaN or infinite.
         FileNotFoundError: if the folder does not exist.
+        OSError: names the file if it cannot be written.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in WRITABLE:
         raise ValueError(f"{path}: unknown kind of image {suffix!r}; supported: {', '.join(WRITABLE)}")
+    if not isinstance(image, Tensor) or not image.is_floating_point():
+        got = image.dtype if isinstance(image, Tensor) else type(image).__name__
+        raise TypeError(f"{path}: an image must be a tensor of floating point numbers, got {got}")
     if image.ndim != 3 or image.shape[0] != 3 or image.numel() == 0:
-        raise ValueError(f"{path}: an image must have shape (3, H, W), got {tuple(image.shape)}")
+        raise ValueError(f"{path}: an image must have shape (3, H, W), got {tuple(image.shape)}{_advice(image)}")
     bad = int((~torch.isfinite(image)).any(dim=0).sum())
     if bad:
         raise ValueError(f"{path}: not written, {bad} of {image[0].numel()} pixels are NaN or infinite")
@@ -76,14 +83,25 @@ def write_image(path: str | os.PathLike, image: Tensor) -> None:
             Image.fromarray(bytes8.numpy()).save(temporary)
 
 
+def _advice(image: Tensor) -> str:
+    """What to do about an image of the wrong shape."""
+    if image.ndim == 4 and image.shape[1] == 3:
+        return f", a batch of {image.shape[0]}; pick one, image[0]"
+    if image.ndim == 3 and image.shape[2] == 3:
+        return "; move the channels to the front, image.movedim(-1, 0)"
+    return ""
+
+
 def srgb_to_linear(values: Tensor) -> Tensor:
     """Decodes sRGB. Reference: IEC 61966-2-1."""
     return torch.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055).clamp_min(0.0) ** 2.4)
 
 
 def linear_to_srgb(values: Tensor) -> Tensor:
-    """Encodes sRGB. Reference: IEC 61966-2-1."""
-    return torch.where(values <= 0.0031308, values * 12.92, 1.055 * values.clamp_min(0.0) ** (1 / 2.4) - 0.055)
+    """Encodes sRGB, with finite derivatives everywhere. Reference: IEC 61966-2-1."""
+    # The power's derivative is infinite at 0; torch.where would turn that into NaN.
+    power = 1.055 * values.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
+    return torch.where(values <= 0.0031308, values * 12.92, power)
 
 
 def _read_with_pillow(path: str | os.PathLike) -> np.ndarray:

@@ -40,23 +40,6 @@ def rotate(axis: Sequence[float], angle: float) -> np.ndarray:
     return matrix
 
 
-def look_at(origin: Sequence[float], target: Sequence[float], up: Sequence[float] | None = None) -> np.ndarray:
-    """A frame at `origin` whose +z looks at `target`, with +y as close to `up` as possible and +x to the left.
-
-    Without `up` (or with zero) any perpendicular direction is taken, the same as Mitsuba's.
-
-    Raises:
-        ValueError: if origin and target coincide or `up` is parallel to the line between them.
-    """
-    origin = np.asarray(origin, dtype=np.float64)
-    forward = _unit(np.asarray(target, dtype=np.float64) - origin, "origin and target must differ")
-    up = _perpendicular(forward) if up is None or not np.any(up) else np.asarray(up, dtype=np.float64)
-    left = _unit(np.cross(_unit(up, "up must not be zero"), forward), "up must not be parallel to the line of sight")
-    matrix = np.eye(4)
-    matrix[:3] = np.column_stack([left, np.cross(forward, left), forward, origin])
-    return matrix
-
-
 def affine(values: Sequence[float]) -> np.ndarray:
     """A matrix from its 9 (linear part) or 16 entries, row by row.
 
@@ -69,17 +52,3 @@ def affine(values: Sequence[float]) -> np.ndarray:
     matrix = np.eye(4)
     matrix[:size, :size] = np.reshape(values, (size, size))
     return matrix
-
-
-def _unit(vector: np.ndarray, complaint: str) -> np.ndarray:
-    length = np.linalg.norm(vector)
-    if length < 1e-12:
-        raise ValueError(complaint)
-    return vector / length
-
-
-def _perpendicular(n: np.ndarray) -> np.ndarray:
-    """The first tangent of Duff et al. 2017, "Building an Orthonormal Basis, Revisited"."""
-    sign = np.copysign(1.0, n[2])
-    a = -1.0 / (sign + n[2])
-    return np.array([1.0 + sign * n[0] ** 2 * a, sign * n[0] * n[1] * a, -sign * n[0]])

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from torch_radbp.io.atomic import check_target
 from torch_radbp.io.attribute_values import is_list, options
-from torch_radbp.io.image import write_image
+from torch_radbp.io.image import save_image
 from torch_radbp.io.mesh_arrays import MeshArrays
 from torch_radbp.io.ply import write_ply
 from torch_radbp.plugin import REGISTRY, Filename, Matrix4, Plugin, Point3, SceneError, attributes
@@ -93,7 +93,7 @@ class _Writer:
             self.add(element, plugin, attribute, name)
         if hasattr(plugin, "data"):
             file = self.file(name, ".exr")
-            write_image(file, plugin.data.movedim(-1, 0))
+            save_image(file, plugin.data.movedim(-1, 0))
             ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
         return element
 

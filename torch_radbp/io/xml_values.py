@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
+import torch
 
 from torch_radbp.io import transform
 from torch_radbp.io.xml import Element
 from torch_radbp.plugin import SceneError, nearest
+from torch_radbp.pose import look_at
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 INTEGER = re.compile(r"[+-]?\d+")
@@ -123,7 +125,7 @@ def _rotation(element: Element) -> np.ndarray:
 def _look_at(element: Element) -> np.ndarray:
     check_attributes(element, ("origin", "target"), ("up",))
     points = (numbers(element, name, (3,)) for name in ("origin", "target", "up") if name in element.attributes)
-    return transform.look_at(*points)
+    return look_at(*(torch.tensor(point, dtype=torch.float64) for point in points)).numpy()
 
 
 def _matrix(element: Element) -> np.ndarray:
