@@ -52,7 +52,7 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
 
     def one_bounce(state, depth):
         vertex, step = take_step(integrand, state, depth)
-        return state.beta * (vertex.Le + masked(step.visible, vertex.Ld)), survivors(vertex)
+        return state.beta * (vertex.Le + masked(step.visible, vertex.Ld)), survivors(vertex.next, step)
 
     for chunk in call.chunks:
         state, depth = start_paths(call, chunk, view.sample_keys[0]), 0

@@ -14,7 +14,7 @@ Reference: Li 2020, "Deriving Radiative Backpropagation using the Recursive Form
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -71,16 +71,21 @@ class PathState(NamedTuple):
 
     ray: Ray
     beta: Vec3  # throughput
-    pdf: Tensor  # density over solid angle of the ray's direction; infinite: not left to chance; 0: the path has ended
+    pdf: Tensor  # density over solid angle of the ray's direction; infinite: not left to chance
     key: LaneKey  # of the lane's random numbers
     lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
 
 
 class Step(NamedTuple):
-    """What a bounce decided that would cost rays to decide again."""
+    """What a bounce decided: what would cost rays to decide again, and whether the path goes on.
+
+    Whoever takes the bounce again goes by this record, so that all agree even where rounding would decide otherwise (of
+    another device, another number of threads, a compiled function and an eager one).
+    """
 
     hit: Hit
     visible: Tensor  # bool: the shadow ray was free
+    survives: Tensor  # bool: the path goes on
 
 
 class Scattering(NamedTuple):
@@ -94,8 +99,9 @@ class Scattering(NamedTuple):
     si: SurfaceInteraction
     light: LightSample | None  # None without next-event estimation
     material: Material | None  # None at the last vertex, as what follows
-    sample: BSDFSample | None  # the direction in which the path goes on; of density 0 where it ends
-    thinning: Tensor | None  # what F has from roulette: 1 / survival probability, 0 where the path ends
+    sample: BSDFSample | None  # the direction in which the path goes on
+    thinning: Tensor | None  # what F has from roulette: 1 / survival probability
+    survives: Tensor  # bool: the path goes on
 
 
 class Vertex(NamedTuple):
@@ -106,7 +112,8 @@ class Vertex(NamedTuple):
     F: Vec3
     shadow: Ray
     shadow_distance: Tensor  # 0: nothing to connect to
-    next: PathState  # its `pdf` is 0 where the path ends
+    next: PathState  # of no meaning where the path ends
+    survives: Tensor  # bool: the path goes on
 
 
 def sample_camera(camera: PinholeTensors, width: Tensor, pixel: Tensor, sample: Tensor,
@@ -157,11 +164,11 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
 
     # Leave along the sampled direction.
     if local.sample is None:
-        return Vertex(local.Le, local.Ld, Vec3(zero, zero, zero), shadow, distance, state._replace(pdf=zero))
+        return Vertex(local.Le, local.Ld, Vec3(zero, zero, zero), shadow, distance, state, local.survives)
     F = local.sample.weight * local.thinning
     ray = departure(local.si, local.sample.wo)
     return Vertex(local.Le, local.Ld, F, shadow, distance,
-                  PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane))
+                  PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane), local.survives)
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
@@ -181,7 +188,7 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
         geometry = scene if settings.sampling == "attached" else proposal
         Le = Le * mis_weight(state.pdf, emitted_pdf(geometry, state.ray, si, proposal), settings)
     if settings.last:
-        return Scattering(Le, none, si, None, None, None, None)
+        return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
 
     # Look up the material.
     material = material_at(scene, si)
@@ -202,16 +209,16 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
     # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
     promise = max_component((state.beta * chosen.weight).detach())
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
-    alive = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
-    chosen = chosen._replace(pdf=torch.where(alive, chosen.pdf, 0.0))  # not a product: it may be infinite
-    return Scattering(Le, Ld, si, light, material, chosen, alive.to(zero.dtype) / survival)
+    survives = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
+    return Scattering(Le, Ld, si, light, material, chosen, 1.0 / survival, survives)
 
 
 def next_event(material: Material, si: SurfaceInteraction, light: LightSample,
                settings: Settings) -> tuple[LightSample, Vec3]:
     """The light that arrives from a light sample if nothing is in between; a sample that cannot connect gets density 0."""
     reflected, pdf = evaluate(material, si.wi, si.frame.to_local(light.d))
-    connects = si.valid & (light.pdf * pdf > 0)
+    # Where the BSDF is not sampled and not zero the light counts in full; where it is zero but sampled it has derivatives.
+    connects = si.valid & (light.pdf > 0) & ((pdf > 0) | (max_component(reflected.detach()) > 0))
     chance, connects = torch.where(connects, light.pdf, 1.0), connects.to(pdf.dtype)
     weighing = chance if light.weighing is light.pdf else torch.where(connects > 0, light.weighing, 1.0)
     weight = mis_weight(weighing, pdf * light.findable, settings)
@@ -260,42 +267,63 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     vertex = integrand.bounce(integrand.scene, integrand.proposal, state, hit, integrand.at(depth), settings)
     if step is None:
         connects = settings.nee and not settings.last
-        step = Step(hit, ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects
-                    else torch.zeros_like(hit.prim, dtype=torch.bool))
+        visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
+            torch.zeros_like(vertex.survives))
+        step = Step(hit, visible, vertex.survives)
     return vertex, step
 
 
-def survivors(vertex: Vertex) -> PathState:
-    """The lanes that go on, packed together."""
-    alive = surviving(vertex)
-    if len(alive) == len(vertex.next.pdf):
-        return vertex.next
-    return rows(vertex.next, alive)
+def survivors(state: PathState, step: Step) -> PathState:
+    """The lanes of the next bounce's `state` that go on, packed together."""
+    alive = surviving(step)
+    return state if len(alive) == len(state.lane) else rows(state, alive)
 
 
-def surviving(vertex: Vertex) -> Tensor:
+def surviving(step: Step) -> Tensor:
     """Indices of the lanes that go on, int64."""
-    return vertex.next.pdf.nonzero().squeeze(1)
+    return step.survives.nonzero().squeeze(1)
 
 
-def trace(integrand: Integrand, state: PathState, visit: Callable[[int, PathState, Step], None] | None = None) -> Vec3:
-    """The radiance L_1 along each lane's camera ray: the loop over bounces.
+class Bounce(NamedTuple):
+    """One turn of the loop over bounces."""
+
+    depth: int
+    state: PathState  # that reached it
+    vertex: Vertex
+    step: Step
+
+
+def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mapping[int, Step] = {}) -> Iterator[Bounce]:
+    """The loop over bounces, until every path has ended.
 
     Args:
         integrand: the scene and how to step.
-        state: from `start_path`.
+        state: of the paths that have reached `depth`.
+        depth: of the first bounce to take.
+        steps: by depth, what was decided before; no ray is cast there.
+    """
+    while depth < integrand.max_depth and len(state.lane):
+        vertex, step = take_step(integrand, state, depth, steps.get(depth))
+        yield Bounce(depth, state, vertex, step)
+        state, depth = survivors(vertex.next, step), depth + 1
+
+
+def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None] | None = None) -> Vec3:
+    """The radiance L_1 along each lane's camera ray: the sum of beta_k E_k over bounces.
+
+    Args:
+        integrand: the scene and how to step.
+        start: from `start_path`.
         visit: called at every depth with the state that reached it and what was decided there.
 
     Returns:
-        (N,) linear RGB, in the order of `state`; attached if `integrand.scene` is.
+        (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
     """
-    L, depth = Vec3.buffer(state.beta.x), 0
-    while depth < integrand.max_depth and len(state.lane):
-        vertex, step = take_step(integrand, state, depth)
+    L = Vec3.buffer(start.beta.x)
+    for depth, state, vertex, step in bounces(integrand, start):
         if visit is not None:
             visit(depth, state, step)
         add_at(L, state.lane, state.beta * (vertex.Le + masked(step.visible, vertex.Ld)))
-        state, depth = survivors(vertex), depth + 1
     return L
 
 

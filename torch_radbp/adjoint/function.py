@@ -122,7 +122,6 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
                 tracer: Callable = trace) -> tuple[Vec3, PathRecord]:
     """Radiance of each lane, and what the backward pass will need of it."""
     strategy = call.adjoint
-    kept = frozenset(strategy.kept(integrand.max_depth)) if record else frozenset()
     states: dict[int, PathState] = {}
     steps: dict[int, Step] = {}
     bounces = 0
@@ -130,9 +129,13 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
     def visit(depth: int, state: PathState, step: Step) -> None:
         nonlocal bounces
         bounces = depth + 1
-        if depth in kept and (depth > 0 or len(kept) == integrand.max_depth):  # else camera paths are made again
-            states[depth] = state
-        if record and strategy.keep_hits:
+        if not record:
+            return
+        kept = strategy.kept(bounces, integrand.max_depth)
+        states[depth] = state
+        for known in [known for known in states if known not in kept or (known == 0 and len(kept) < bounces)]:
+            del states[known]  # also of camera paths, which are made again, unless all others are kept
+        if strategy.keep_hits:
             steps[depth] = step
 
     L = tracer(integrand_of(call, integrand, chunk), start_paths(call, chunk, key), visit)
@@ -140,11 +143,9 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
     return L, PathRecord(lambda: start_paths(call, chunk, key), radiance, states, steps, bounces)
 
 
-def accumulate(images: list[Tensor], chunk: Chunk, L: Vec3, spp: int) -> None:
-    """Adds the lanes of a chunk to the pixels that they belong to."""
-    pixels = slice(chunk.first_pixel, chunk.first_pixel + chunk.pixels)
-    for channel, component in enumerate(L):
-        images[chunk.sensor][channel, pixels] += component.reshape(chunk.pixels, chunk.samples).sum(1) / spp
+def pixel_sums(chunk: Chunk, L: Vec3) -> Tensor:
+    """(3, pixels) the sums over the lanes of each pixel of a chunk."""
+    return torch.stack([component.reshape(chunk.pixels, chunk.samples).sum(1) for component in L])
 
 
 def render_images(call: RenderCall, integrand: Integrand, record: bool,
@@ -154,14 +155,17 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
     images = [torch.zeros(3, view.height * view.width, dtype=call.scene.dtype, device=call.scene.device)
               for _ in call.views]
 
-    def trace_share(share: range) -> list[tuple[Vec3, PathRecord]]:
-        return [trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], record, tracer)
-                for chunk in (call.chunks[index] for index in share)]
+    def trace_share(share: range) -> list[tuple[Tensor, PathRecord | None]]:
+        traced = []
+        for chunk in (call.chunks[index] for index in share):
+            L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], record, tracer)
+            traced.append((pixel_sums(chunk, L), path_record if record else None))
+        return traced
 
     shares = in_turns(len(call.chunks), call.workers, trace_share)
     traced = [shares[index % len(shares)][index // len(shares)] for index in range(len(call.chunks))]
-    for chunk, (L, _) in zip(call.chunks, traced):
-        accumulate(images, chunk, L, call.spp)
+    for chunk, (sums, _) in zip(call.chunks, traced):
+        images[chunk.sensor][:, chunk.first_pixel:chunk.first_pixel + chunk.pixels] += sums / call.spp
     records = [path_record for _, path_record in traced] if record else []
     images = torch.stack(images).reshape(len(call.views), 3, view.height, view.width)
     check_images(call, integrand, images.detach())

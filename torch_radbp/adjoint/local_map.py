@@ -39,6 +39,6 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, state: PathState, ste
     if local.sample is None:
         return LocalMap(E, E.map(torch.zeros_like), None, None)
     if not settings.moving:
-        return LocalMap(E, local.sample.weight * local.thinning, None, None)
+        return LocalMap(E, masked(step.survives, local.sample.weight * local.thinning), None, None)
     weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling, there)
-    return LocalMap(E, weight * local.thinning, ray, local.sample.pdf)
+    return LocalMap(E, masked(step.survives, weight * local.thinning), ray, local.sample.pdf)

@@ -20,12 +20,14 @@ class MemoizedAdjoint:
     |---|---|---|
     | 1 | N | 0 |
     | k | N / k + k | N |
-    | "sqrt" | 2 sqrt N | N |
+    | "sqrt" | 2.1 sqrt N | N |
     | "log" | log2 N | N log2 N |
+
+    N is the number of bounces that the longest path takes, which roulette keeps far below an unlimited `max_depth`.
 
     Args:
         stride: an integer >= 1, "sqrt" or "log".
-        keep_hits: remember what each ray met (17 bytes a lane and bounce), so that the backward pass casts no ray. False
+        keep_hits: remember what each ray met (18 bytes a lane and bounce), so that the backward pass casts no ray. False
             bounds the memory strictly by the states above, at the price of casting rays again.
 
     Raises:
@@ -44,9 +46,9 @@ class MemoizedAdjoint:
 
     keep_radiance = False
 
-    def kept(self, bounces: int) -> tuple[int, ...]:
-        """Depths whose state the forward pass keeps."""
-        return kept_depths(bounces, self.stride)
+    def kept(self, bounces: int, most: int) -> tuple[int, ...]:
+        """Depths whose state the forward pass keeps after `bounces` bounces of `most` that there may be."""
+        return kept_depths(bounces, self.stride, most)
 
     def backward(self, sweep: Sweep) -> None:
         """Runs the plan of the schedule."""

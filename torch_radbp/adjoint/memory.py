@@ -19,7 +19,7 @@ from torch_radbp.path import Integrand, PathState, trace
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
 STATE = (10, 12)  # `PathState`: ray, throughput, density; key and lane
-STEP = (3, 5)  # `Step`: barycentrics and distance; triangle and visibility
+STEP = (3, 6)  # `Step`: barycentrics and distance; triangle, visibility and survival
 RADIANCE = (3, 0)  # a `Vec3`
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 TRIANGLE = {False: (0, 0), True: (18, 12)}  # `MetTriangle`, if there is any
@@ -108,13 +108,12 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     if isinstance(adjoint, TapeAdjoint):
         kept = int(lanes * sum(fractions) * TAPE * dtype.itemsize)
         return MemoryPlan(chunk, adjoint, False, kept, together * BOUNCE * dtype.itemsize)
-    depths = [depth for depth in adjoint.kept(work.max_depth) if depth < bounces]
-    everything = len(depths) == bounces  # then camera paths are kept as well
-    per_lane = sum(fractions[depth] for depth in depths if depth > 0 or everything) * size(STATE)
+    depths = adjoint.kept(bounces, work.max_depth)
+    per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * size(STATE)
     per_lane += sum(fractions) * size(STEP) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
     replayed = most = 0.0
     if isinstance(adjoint, MemoizedAdjoint):
-        for action in backward_plan(bounces, tuple(depths), adjoint.stride):
+        for action in backward_plan(bounces, depths, adjoint.stride):
             if action.depth not in depths:
                 replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE)
                 most = max(most, replayed)
@@ -122,6 +121,12 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     working = (BOUNCE_ADJOINT[work.compiled] * (1 + work.moving) * dtype.itemsize + sweep) * max(fractions) + most
     kept = int((together if retrace else lanes) * per_lane)
     return MemoryPlan(chunk, adjoint, retrace, kept, int(together * working))
+
+
+def states_kept(adjoint, bounces: int, work: Workload) -> float:
+    """How many states are kept of a camera path after `bounces` bounces; the first only if all others are."""
+    depths = adjoint.kept(bounces, work.max_depth)
+    return sum(work.fractions[depth] for depth in depths if depth > 0 or len(depths) == bounces)
 
 
 def candidates(chunk: int, adjoint) -> Iterator[tuple[int, object, bool]]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from torch import Tensor
+
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.path import PathState, add_at, surviving, survivors, take_step
+from torch_radbp.path import PathState, add_at, bounces
+from torch_radbp.scene.lookup import lookup
 from torch_radbp.vec import Vec3, masked
 
 
@@ -24,27 +27,24 @@ class QuadraticAdjoint:
     keep_hits: bool = True
     keep_radiance = False
 
-    def kept(self, bounces: int) -> tuple[int, ...]:
+    def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         return ()
 
     def backward(self, sweep: Sweep) -> None:
         """Walks down the path and, as the recursion `d_Li` does, differentiates each bounce on the way back."""
-        stack = [sweep.record.start()]
-        for depth in range(sweep.record.bounces):
-            stack.append(sweep.advance(stack[-1], depth))
-        for depth in reversed(range(sweep.record.bounces)):
-            sweep.remember(incident_radiance(sweep, stack.pop(), depth + 1))
-            sweep.adjoint(stack[-1], depth)
+        stack = [bounce.state for bounce in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps)]
+        for depth, state in reversed(list(enumerate(stack))):
+            sweep.remember(radiance_beyond(sweep, state, depth))
+            sweep.adjoint(state, depth)
 
 
-def incident_radiance(sweep: Sweep, state: PathState, depth: int) -> Vec3:
-    """L of the paths that have reached `depth`, by lane; 0 where none has."""
-    L = Vec3.buffer(sweep.adj_L.x)
-    weight = Vec3.full(state.beta.x, 1.0)
-    while depth < sweep.record.bounces and len(state.lane):
-        vertex, step = take_step(sweep.integrand, state, depth, sweep.record.steps.get(depth))
-        add_at(L, state.lane, weight * (vertex.Le + masked(step.visible, vertex.Ld)))
-        alive = surviving(vertex)
-        weight = Vec3(*(component[alive] for component in weight * vertex.F))
-        state, depth = survivors(vertex), depth + 1
+def radiance_beyond(sweep: Sweep, reached: PathState, first: int) -> Vec3:
+    """L_{k+1} of the paths that have reached bounce k, the depth `first`, by lane; 0 where they end."""
+    L, weight = Vec3.buffer(sweep.adj_L.x), Vec3.full(sweep.adj_L.x, 1.0).map(Tensor.clone)
+    for depth, state, vertex, step in bounces(sweep.integrand, reached, first, sweep.record.steps):
+        if depth > first:
+            here = lookup(weight, state.lane)
+            add_at(L, state.lane, here * (vertex.Le + masked(step.visible, vertex.Ld)))
+            for old, new in zip(weight, here * vertex.F):
+                old.index_copy_(0, state.lane.long(), new)
     return L

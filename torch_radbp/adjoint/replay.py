@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.path import survivors, take_step
+from torch_radbp.path import bounces
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.vec import Vec3, masked
 
@@ -29,23 +29,22 @@ class ReplayAdjoint:
     keep_hits: bool = True
     keep_radiance = True
 
-    def kept(self, bounces: int) -> tuple[int, ...]:
+    def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         return ()
 
     def backward(self, sweep: Sweep) -> None:
         """Walks down the path with what remains of L."""
-        state, L, stack = sweep.record.start(), sweep.record.radiance, []
-        for depth in range(sweep.record.bounces):
-            vertex, step = take_step(sweep.integrand, state, depth, sweep.record.steps.get(depth))
+        L, stack = sweep.record.radiance, []
+        for depth, state, vertex, step in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps):
             remaining = lookup(L, state.lane) - (vertex.Le + masked(step.visible, vertex.Ld))
-            incident = Vec3(*(torch.where(f > 0, r / torch.where(f > 0, f, 1.0), 0.0) for r, f in zip(remaining, vertex.F)))
+            F = masked(step.survives, vertex.F)
+            incident = Vec3(*(torch.where(f > 0, r / torch.where(f > 0, f, 1.0), 0.0) for r, f in zip(remaining, F)))
             L = Vec3(*(old.index_copy(0, state.lane.long(), new) for old, new in zip(L, incident)))
             if sweep.moving:
                 stack.append((state, L))
             else:
                 sweep.remember(L)
                 sweep.adjoint(state, depth)
-            state = survivors(vertex)
         for depth, (state, L) in reversed(list(enumerate(stack))):
             sweep.remember(L)
             sweep.adjoint(state, depth)

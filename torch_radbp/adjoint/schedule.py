@@ -3,12 +3,14 @@
 Pure functions of (number of bounces, stride) that return plain values, so that coverage, order of replayed steps and number
 of states can be tested without a renderer. "Depth d" below is the d-th bounce, counted from 0.
 
+How many bounces paths take is known only when the last has ended: roulette ends them long before the greatest depth, which
+may be unlimited. So the forward pass asks after every bounce which of its states it still needs.
+
 Reference: Li 2020, section 2 (every k-th depth; or log N of them); Griewank 1992 for recursive bisection.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 LOAD, ADVANCE, KEEP, ADJOINT, DROP = "load", "advance", "keep", "adjoint", "drop"
@@ -24,21 +26,30 @@ class Action(NamedTuple):
     depth: int
 
 
-def kept_depths(bounces: int, stride: int | str) -> tuple[int, ...]:
-    """Depths whose state the forward pass keeps.
+def kept_depths(bounces: int, stride: int | str, most: int | None = None) -> tuple[int, ...]:
+    """Depths whose state is kept after `bounces` bounces; none but those of one bounce fewer, and the last.
 
     Args:
-        bounces: the greatest number of bounces.
-        stride: every `stride`-th; "sqrt" for about sqrt(N) of them; "log" for log2 N, at N (1 - 2^-i).
+        bounces: how many were taken so far, N.
+        stride: every `stride`-th; "sqrt" for about sqrt(N) of them, every s-th with s the least power of two whose square
+            is at least N / 2; "log" for those at most (1 - 2^-i), at most log2 of it.
+        most: the greatest number of bounces that there may be; None: `bounces`. Used by "log" only.
     """
-    if stride != "log":
-        step = max(1, math.isqrt(max(0, bounces - 1)) + 1) if stride == "sqrt" else int(stride)
-        return tuple(range(0, bounces, step))
-    depths, first = [], 0
-    while first < bounces:
-        depths.append(first)
-        first = first + (bounces - first + 1) // 2
-    return tuple(depths)
+    if stride == "log":
+        depths, first, most = [], 0, bounces if most is None else most
+        while first < bounces:
+            depths.append(first)
+            first = first + (most - first + 1) // 2
+        return tuple(depths)
+    return tuple(range(0, bounces, square_root_step(bounces) if stride == "sqrt" else int(stride)))
+
+
+def square_root_step(bounces: int) -> int:
+    """The least power of two s with 2 s^2 >= N: N / s states are kept and s replayed at a time, 2.13 sqrt(N) at most."""
+    step = 1
+    while 2 * step * step < bounces:
+        step *= 2
+    return step
 
 
 def backward_plan(bounces: int, kept: tuple[int, ...], stride: int | str) -> list[Action]:

@@ -178,8 +178,8 @@ class Sweep:
 
     def advance(self, state: PathState, depth: int) -> PathState:
         """Replays one bounce."""
-        vertex, _ = take_step(self.integrand, state, depth, self.record.steps.get(depth))
-        return survivors(vertex)
+        vertex, step = take_step(self.integrand, state, depth, self.record.steps.get(depth))
+        return survivors(vertex.next, step)
 
     @property
     def moving(self) -> bool:

@@ -36,7 +36,7 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
     hit = first_hit(fixed, detached(state).ray, depth)
     while depth < integrand.max_depth and len(state.lane):
         vertex, step = take_step(fixed, detached(state), depth, hit=hit)
-        alive = surviving(vertex)
+        alive = surviving(step)
         last = depth + 1 >= integrand.max_depth
         hit = None if last else fixed.caster.intersect(rows(vertex.next.ray, alive))
         local = local_map(integrand.scene, integrand.proposal, state, step, spread(hit, alive, step.hit),

@@ -1,0 +1,65 @@
+"""Whoever takes a bounce again goes by what was decided the first time, even where rounding would decide otherwise."""
+
+import weakref
+
+import torch
+from torch import Tensor
+from torch.utils._pytree import tree_map_only
+
+import torch_radbp as rb
+from tests.scenes import cornell, parameters
+from torch_radbp.adjoint import function
+from torch_radbp.adjoint.function import start_paths
+from torch_radbp.adjoint.local_map import local_map
+from torch_radbp.path import bounces, survivors, take_step
+
+SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 1}
+
+
+def first_bounces():
+    """The integrand of a Cornell box with roulette from the first bounce on, and the bounces of its paths."""
+    call = rb.Renderer(cornell(), **SETTINGS).prepare(0, None, SETTINGS["spp"], None)
+    integrand = call.make_integrand(tree_map_only(Tensor, Tensor.detach, call.scene))
+    return integrand, list(bounces(integrand, start_paths(call, call.chunks[0], call.views[0].sample_keys[0])))
+
+
+def test_a_bounce_taken_again_keeps_the_survivors_although_rounding_differs():
+    integrand, taken = first_bounces()
+    for depth, state, _, step in taken[:-1]:
+        # As another device or another compiler might: far more than rounding, so that roulette would decide otherwise.
+        other = state._replace(beta=state.beta * (1 + 0.2 * torch.linspace(-1, 1, len(state.lane), dtype=torch.float64)))
+        vertex, again = take_step(integrand, other, depth, step)
+        assert again is step
+        assert 0 < int((vertex.survives != step.survives).sum()) < len(state.lane)
+        assert torch.equal(survivors(vertex.next, again).lane, state.lane[step.survives])
+
+
+def test_the_derivative_is_that_of_the_recorded_survivors():
+    integrand, taken = first_bounces()
+    depth, state, vertex, step = taken[0]
+    flipped = step._replace(survives=~step.survives)
+    settings = integrand.settings_at(depth)
+    for decided in (step, flipped):
+        local = local_map(integrand.scene, integrand.proposal, state, decided, None, integrand.at(depth), settings)
+        weight = torch.stack(tuple(local.F))
+        assert (weight[:, ~decided.survives] == 0).all() and torch.isfinite(weight).all()
+        hit = decided.survives & (step.hit.prim >= 0)
+        assert (weight[:, hit] > 0).any(0).float().mean() > 0.9
+
+
+def test_nothing_of_a_chunk_is_held_once_it_is_added_to_the_image(monkeypatch):
+    """But for what the backward pass needs: without a gradient, that is nothing."""
+    alive, most = weakref.WeakSet(), []
+    pixel_sums = function.pixel_sums
+
+    def watched(chunk, L):
+        alive.add(L.x)
+        most.append(len(alive))
+        return pixel_sums(chunk, L)
+
+    monkeypatch.setattr(function, "pixel_sums", watched)
+    scene = cornell()
+    parameters(scene, ["white.reflectance.value"])
+    image = rb.Renderer(scene, **SETTINGS, chunk=16, adjoint=rb.MemoizedAdjoint())(seed=1)
+    assert image.requires_grad and len(most) == 16
+    assert max(most) <= torch.get_num_threads()
