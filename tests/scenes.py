@@ -10,7 +10,12 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from torch_radbp.io.transform import look_at, rotate, scale, translate
+from torch_radbp.io.transform import rotate, scale, translate
+
+
+def look_at(origin, target, up) -> np.ndarray:
+    """`rb.look_at` in float64, (4, 4)."""
+    return rb.look_at(*(torch.tensor(value, dtype=torch.float64) for value in (origin, target, up))).numpy()
 
 
 def rgb(*value: float) -> dict[str, Any]:

@@ -9,10 +9,10 @@ from torch.autograd import forward_ad
 from torch.func import functional_call
 
 import torch_radbp as rb
-from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor, texels
+from tests.scenes import cornell, diffuse, load, look_at, rectangle, rgb, sensor, texels
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.boundary.edges import edges_of, welded
-from torch_radbp.io.transform import look_at, rotate, scale, translate
+from torch_radbp.io.transform import rotate, scale, translate
 
 SKY = {"type": "constant", "radiance": rgb(0.5, 0.6, 0.7)}
 PICTURE = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels(4, 4)}}

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 import torch_radbp as rb
-from tests.scenes import diffuse, rectangle, rgb, texels
-from torch_radbp.io.transform import look_at, rotate, scale, translate
+from tests.scenes import diffuse, look_at, rectangle, rgb, texels
+from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE = 6
 

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.scenes import diffuse, load, rgb, sensor
-from torch_radbp.io.transform import look_at, rotate, scale, translate
+from tests.scenes import diffuse, load, look_at, rgb, sensor
+from torch_radbp.io.transform import rotate, scale, translate
 
 HALF = 40.0  # half the width of an endless plane
 PERIOD = 4.0  # of its texture, in units of length

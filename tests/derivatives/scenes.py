@@ -15,8 +15,8 @@ from typing import Any
 import torch
 
 import torch_radbp as rb
-from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
-from torch_radbp.io.transform import look_at, rotate, scale, translate
+from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
+from torch_radbp.io.transform import rotate, scale, translate
 
 SUBJECT = "subject"
 

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.utils._pytree import tree_map_only
 
 import torch_radbp as rb
-from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
-from torch_radbp.io.transform import look_at, rotate, scale, translate
+from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
+from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.raycast import make_caster
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightNumbers

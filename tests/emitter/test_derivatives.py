@@ -25,8 +25,7 @@ from tests.emitter.lights import (
     uniform,
 )
 from tests.gradients import assert_informative, image_and_gradients, relative_error
-from tests.scenes import load, rgb, sensor
-from torch_radbp.io.transform import look_at
+from tests.scenes import load, look_at, rgb, sensor
 from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.light import emitted, emitted_pdf, sample_light
 from torch_radbp.scene.pack import pack

@@ -8,8 +8,7 @@ import torch
 import torch_radbp as rb
 from tests.emitter.lights import EMITTERS, FLOOR, sky_image
 from tests.gradients import cotangent
-from tests.scenes import load, sensor
-from torch_radbp.io.transform import look_at
+from tests.scenes import load, look_at, sensor
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.environment import environment_pdf, environment_radiance, latitude_longitude
 from torch_radbp.scene.interaction import at_corners, edges, surface_interaction

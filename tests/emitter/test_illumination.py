@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from tests.emitter.lights import FLOOR, detached, light_numbers, scene_of, slide
-from tests.scenes import load, rgb, sensor
+from tests.scenes import load, look_at, rgb, sensor
 from torch_radbp.emitter.directional import facing
-from torch_radbp.io.transform import look_at
 from torch_radbp.scene.light import LightSample, sample_light
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3

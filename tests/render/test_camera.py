@@ -7,10 +7,10 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients, relative_error
-from tests.scenes import CASES, cornell, load, rectangle, rgb, sensor
+from tests.scenes import CASES, cornell, load, look_at, rectangle, rgb, sensor
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.io.transform import look_at, rotate, scale, translate
+from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.sensor.perspective import Perspective, camera_ray
 
 HALF = torch.tensor([0.5], dtype=torch.float64)

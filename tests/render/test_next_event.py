@@ -28,7 +28,8 @@ def lit_floor() -> rb.Scene:
     lamp = {"type": "area", "radiance": rgb(3, 4, 5)}
     return load(sensor=sensor(6, (0, 2, 2), (0, -0.5, 0), 30),
                 floor=rectangle((0, -0.5, 0), 1.5, angle=-90, bsdf=diffuse(0.5, 0.6, 0.7)),
-                left=rectangle((-1, 1, 0), 0.4, angle=90, emitter=lamp), right=rectangle((1, 1, 0), 0.4, angle=90, emitter=lamp))
+                left=rectangle((-1, 1, 0), 0.4, angle=90, emitter=lamp),
+                right=rectangle((1, 1, 0), 0.4, angle=90, emitter=lamp))
 
 
 def test_a_lobe_that_is_evaluated_but_never_sampled_loses_no_light(monkeypatch):
