@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 
 import torch_radbp as rb
-from torch_radbp.io.transform import look_at, rotate, scale, translate
+from torch_radbp.io.transform import rotate, scale, translate
 
 SIDE = 224  # vertices
 
@@ -52,7 +52,7 @@ def load(size: int, depth: int) -> rb.Scene:
     """The scene, seen by a camera with `size` x `size` pixels."""
     return rb.load_dict({
         "type": "scene", "integrator": {"type": "path", "max_depth": depth, "rr_depth": 1000},
-        "sensor": {"type": "perspective", "fov": 45.0, "to_world": look_at((0, 0.2, 3.2), (0, 0, 0), (0, 1, 0)),
+        "sensor": {"type": "perspective", "fov": 45.0, "to_world": rb.look_at((0, 0.2, 3.2), (0, 0, 0), (0, 1, 0)),
                    "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}},
         "wall": sheet([0.6, 0.5, 0.4], torch.eye(4)),
         "floor": sheet([0.3, 0.5, 0.4], translate((0, -1, 1)) @ rotate((1, 0, 0), -90)),
