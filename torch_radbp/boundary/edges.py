@@ -3,53 +3,119 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 WELDED = 1e-5  # vertices nearer than about this share of the mesh's extent count as one
+HASH, SLOTS = 0x1E3779B97F4A7C15, 1 << 22  # the multiplier of a hash, and how many values it has
+MANY = 1 << 16  # triangles of a shape of which all are looked at
+SOME = 1 << 14  # triangles of a larger shape that are looked at
 
 
 class Edges(NamedTuple):
-    """E edges, at which H corners of triangles lie opposite (two at an edge inside of a surface)."""
+    """E edges between U vertices, at which H corners of triangles lie opposite (two at an edge inside a surface)."""
 
+    vertex: Tensor  # (U,) int64, which vertices of the mesh these are; the others index them
     a: Tensor  # (E,) int64, one end
     b: Tensor  # (E,) the other
     opposite: Tensor  # (H,) int64, the third vertex of a triangle
     edge: Tensor  # (H,) int64, of which edge
 
 
-def edges_of(vertices: Tensor, faces: Tensor) -> Edges:
-    """All edges of a mesh. Vertices in the same place are one, and triangles without extent are none.
+def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
+    """Which triangles of some shapes are looked at: a fixed random choice of those of large shapes, all of small ones.
+
+    One silhouette of a large mesh is seldom alone, and the time that finding it takes is bounded.
+
+    Args:
+        counts: triangles of each shape, which follow each other.
+        device: of the result.
+
+    Returns:
+        Row numbers, ascending, int64; None: all.
+    """
+    if max(counts) <= MANY:
+        return None
+    generator, parts, first = torch.Generator("cpu").manual_seed(0), [], 0
+    for count in counts:
+        some = torch.randint(count, (SOME,), generator=generator, device="cpu").unique() if count > MANY else None
+        parts.append(first + (torch.arange(count, device="cpu") if some is None else some))
+        first += count
+    return torch.cat(parts).to(device)
+
+
+def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> Edges:
+    """The edges of a mesh, or of some of its triangles.
+
+    Vertices in the same place count as one; degenerate triangles are skipped. The neighbours of chosen triangles are found
+    without sorting the whole mesh.
 
     Args:
         vertices: (V, 3), detached.
         faces: (F, 3) integers.
+        chosen: (C,) rows of `faces`, distinct; None: all.
     """
-    corner = welded(vertices)[faces.long()]
-    degenerate = (corner == corner.roll(1, 1)).any(1)
-    first, second, third = corner[~degenerate].unbind(1)
+    cells = cells_of(vertices)
+    near = torch.arange(len(faces), device=faces.device)
+    if chosen is not None:
+        near = touching(cells, faces, faces[chosen].flatten().long())
+    vertex, corner = torch.unique(faces[near].long(), return_inverse=True)
+    corner = welded(tuple(cell[vertex] for cell in cells))[corner]
+    proper = ~(corner == corner.roll(1, 1)).any(1)
+    first, second, third = corner[proper].unbind(1)
     ends = torch.stack([torch.cat([first, second, third]), torch.cat([second, third, first])])
-    count = max(len(vertices), 1)
+    count = max(len(vertex), 1)
     keys, edge = torch.unique(ends.amin(0) * count + ends.amax(0), return_inverse=True)
-    return Edges(keys // count, keys % count, torch.cat([third, first, second]), edge)
+    edges = Edges(vertex, keys // count, keys % count, torch.cat([third, first, second]), edge)
+    if chosen is None:
+        return edges
+    wanted = torch.zeros(len(faces), dtype=torch.bool, device=faces.device).index_fill(0, chosen, True)
+    return kept(edges, wanted[near[proper]].repeat(3))
 
 
-def welded(vertices: Tensor) -> Tensor:
-    """(V,) int64: of each vertex the first one in the same place, up to rounding."""
-    label = torch.arange(len(vertices), device=vertices.device)
+def kept(edges: Edges, corners: Tensor) -> Edges:
+    """The edges at which some corners, (H,) bool, lie opposite, with all that lie opposite them."""
+    keep = torch.zeros(len(edges.a), dtype=torch.bool, device=corners.device).index_fill(0, edges.edge[corners], True)
+    there = keep[edges.edge]
+    return Edges(edges.vertex, edges.a[keep], edges.b[keep], edges.opposite[there],
+                 (keep.cumsum(0) - 1)[edges.edge[there]])
+
+
+def touching(cells: tuple[Tensor, Tensor], faces: Tensor, vertices: Tensor) -> Tensor:
+    """The triangles with two corners, at least, in the same places as some vertices; rows of `faces`, ascending."""
+    touched = torch.zeros(len(cells[0]), dtype=torch.bool, device=faces.device)
+    for cell in cells:
+        slot = ((cell * HASH) >> 32) & (SLOTS - 1)  # other cells may share it: a few triangles more do no harm
+        touched |= torch.zeros(SLOTS, dtype=torch.bool, device=faces.device).index_fill(0, slot[vertices], True)[slot]
+    first, second, third = (touched.index_select(0, corner) for corner in faces.unbind(1))
+    return ((first & second) | (second & third) | (third & first)).nonzero().squeeze(1)
+
+
+def cells_of(vertices: Tensor) -> tuple[Tensor, Tensor]:
+    """The cells of two grids that vertices, (V, 3), lie in; (V,) int64 each.
+
+    Vertices in the same place, up to rounding, share a cell of one grid at least, because one is shifted by half a cell
+    against the other.
+    """
     extent = float((vertices.amax(0) - vertices.amin(0)).max()) if len(vertices) else 0.0
-    if extent == 0.0:
-        return torch.zeros_like(label)
-    # Powers of ten, because coordinates that people write are multiples of them; two grids, for those that lie between.
-    cell = 10.0 ** math.floor(math.log10(extent * WELDED))
-    places = (vertices.double() - vertices.double().amin(0)) / cell
-    groups = []
+    # Powers of ten, because coordinates that people write are multiples of them.
+    size = 10.0 ** math.floor(math.log10(extent * WELDED)) if extent > 0.0 else 1.0
+    places = (vertices.double() - vertices.double().amin(0)) / size if len(vertices) else vertices
+    cells = []
     for shift in (0.5, 1.0):
         x, y, z = torch.floor(places + shift).long().unbind(1)
-        groups.append(torch.unique((x << 42) | (y << 21) | z, return_inverse=True)[1])
+        cells.append((x << 42) | (y << 21) | z)
+    return tuple(cells)
+
+
+def welded(cells: tuple[Tensor, Tensor]) -> Tensor:
+    """(V,) int64: of each vertex the first one in the same place, by the cells that `cells_of` gives."""
+    label = torch.arange(len(cells[0]), device=cells[0].device)
+    groups = [torch.unique(cell, return_inverse=True)[1] for cell in cells]
     for group in groups * 2:
-        least = torch.full_like(label, len(vertices)).scatter_reduce(0, group, label, "amin")
+        least = torch.full_like(label, len(label)).scatter_reduce(0, group, label, "amin")
         label = least[group]
     return label

@@ -32,7 +32,7 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
 
     Args:
         edges: of the scene.
-        vertices: (V, 3) of the scene, world space, detached.
+        vertices: (V, 3) of the scene as it is now, world space, detached.
         caster: the same scene.
         light: (4,) homogeneous coordinates of the light: a position, or with a 0 at the end the direction towards it.
         axis: (3,) the light shines to this side only; 0: to all.
@@ -41,6 +41,7 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
     extent = (vertices.amax(0) - vertices.amin(0)).max().double()
     vertices, light = vertices.double(), light.double()
     position = light[:3] if light[3] else vertices.mean(0) + FAR_AWAY * extent * light[:3]
+    vertices = vertices[edges.vertex]
     outline = is_silhouette(edges, vertices - position).nonzero().squeeze(1)
     edge = outline[::max(1, -(-len(outline) // MOST_EDGES))].repeat(len(PLACES))
     share = torch.tensor(PLACES).to(vertices).repeat_interleave(len(edge) // len(PLACES))[:, None]
@@ -53,7 +54,7 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
     hit = caster.intersect(ray_from(place + d * APART * extent, d))
     border = place + d * (APART * extent + hit.t[:, None].double())
     point = torch.arange(len(border), device=border.device)
-    points = Edges(point, point, point[:0], point[:0])
+    points = Edges(point, point, point, point[:0], point[:0])
     seen = torch.stack([crosses_view(points, border, sight) for sight in sights]).any(0)
     falls = (lit & (hit.prim >= 0) & seen).nonzero().squeeze(1)
     return Shadows(edge[falls], hit.prim[falls].long())

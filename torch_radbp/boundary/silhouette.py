@@ -26,13 +26,13 @@ def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
 
     Args:
         edges: of the mesh.
-        vertices: (V, 3) now, world space, detached.
+        vertices: (V, 3) of the mesh as it is now, world space, detached.
         sight: of the camera.
 
     Returns:
         (E,) bool.
     """
-    vertices = vertices.double()
+    vertices = vertices[edges.vertex].double()
     return is_silhouette(edges, vertices - eye(sight)) & crosses_view(edges, vertices, sight)
 
 
@@ -49,7 +49,7 @@ def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
 
     Args:
         edges: of the mesh.
-        seen: (V, 3) vertices relative to the eye.
+        seen: (U, 3) their vertices relative to the eye.
     """
     plane = torch.linalg.cross(seen[edges.a], seen[edges.b])
     side = torch.sign((plane[edges.edge] * seen[edges.opposite]).sum(1))
@@ -59,10 +59,10 @@ def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
 
 
 def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
-    """Whether a part of an edge lies inside of the camera's pyramid of view; (E,) bool.
+    """Whether a part of an edge lies inside the camera's pyramid of view; (E,) bool.
 
     Args:
-        edges: between `vertices`, (V, 3) float64, world space; an edge of length zero is a point.
+        edges: between `vertices`, (U, 3) float64, world space; an edge of length zero is a point.
         sight: of the camera.
 
     Reference: Cyrus and Beck 1978, "Generalized Two- and Three-Dimensional Clipping".

@@ -16,15 +16,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.edges import Edges, edges_of
+from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.boundary.shadow import shadows_in_view
 from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
-from torch_radbp.bsdf.kind import Kind
 from torch_radbp.plugin import Plugin, Sensor, Shape
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import tangent_of
-from torch_radbp.scene.pack import geometry, one_sided
+from torch_radbp.scene.material import followed
+from torch_radbp.scene.pack import one_sided
 
 MOVE_SHAPES = ("to_world", "vertex_positions")
 MOVE_LIGHTS = ("to_world", "position")
@@ -50,6 +50,10 @@ class Rendering(NamedTuple):
     caster: RayCaster  # of the scene as it is now
     sampling: str  # "detached", "hybrid" or "attached"
 
+    def counts(self) -> list[int]:
+        """How many triangles each shape has; those of the caster are in the order of the shapes."""
+        return [len(shape.faces) for shape in self.scene.shapes]
+
 
 class JumpWatch:
     """Looks at every rendering for jumps whose part is missing from the derivative; warns once of each sort."""
@@ -73,7 +77,7 @@ class JumpWatch:
         missing = self.missing(rendering)
         if not missing:
             return None
-        return SilhouetteWarning(f"derivatives of {listed(missing)} lack what its silhouettes contribute: "
+        return SilhouetteWarning(f"derivatives of {listed(missing)} lack what its silhouettes contribute: at least "
                                  f"{max(missing.values())} edges move in view, where the image changes by a jump. A loss "
                                  f"that depends on outlines, such as that of a shape before a background, has a biased "
                                  f"gradient; check_gradient tells by how much")
@@ -83,21 +87,23 @@ class JumpWatch:
 
         Looked for once for each parameter, because it casts rays.
         """
-        scene = rendering.scene
-        lights, shapes = list(lights_of(scene)), [moving(scene, shape, MOVE_SHAPES) for shape in scene.shapes]
-        names = {name for of_one in (*shapes, *(light.moving for light in lights)) for name in of_one}
+        scene, vertices, faces = rendering.scene, rendering.caster.vertices, rendering.caster.faces
+        shapes = [moving(scene, shape, MOVE_SHAPES) for shape in scene.shapes]
+        names = {name for plugin in scene.emitters for name in moving(scene, plugin, MOVE_LIGHTS)}.union(*shapes)
         if names <= self.looked_at:
             return None
         self.looked_at |= names
-        vertices, faces = geometry(scene)
-        edges = self.edges("world", vertices, faces)
-        counts = torch.tensor([len(shape.oriented().faces) for shape in scene.shapes], device=faces.device)
-        shape_of = torch.repeat_interleave(counts)
+        lights, counts = list(lights_of(rendering)), rendering.counts()
+        if not lights:
+            return None
+        edges = self.edges("world", vertices, faces, counts)
+        shape_of = torch.repeat_interleave(torch.tensor(counts, device=faces.device))
         shape_at = shape_of.new_zeros(len(vertices)).index_copy(0, faces.flatten().long(), shape_of.repeat_interleave(3))
         missing: set[str] = set()
         for light in lights:
             found = shadows_in_view(edges, vertices, rendering.caster, light.place, light.axis, rendering.sights)
-            pairs = torch.stack([shape_at[edges.a[found.edge]], shape_of[found.receiver]], 1).unique(dim=0)
+            casting = shape_at[edges.vertex[edges.a[found.edge]]]
+            pairs = torch.stack([casting, shape_of[found.receiver]], 1).unique(dim=0)
             for casts, catches in pairs.tolist():
                 if scene.shapes[casts] is not light.shape:
                     missing |= {*light.moving, *shapes[casts], *shapes[catches]}
@@ -141,7 +147,7 @@ class JumpWatch:
             turning |= {name: True for sensor in rendering.sensors for name in moving(scene, sensor, MOVE_VIEWS)}
         named = self.missing(rendering) if turning else {}
         turning = {name: ideal for name, ideal in turning.items() if name not in named}
-        if not turning or flat(geometry(scene)[0]):
+        if not turning or flat(rendering.caster.vertices):
             return None
         instead = "" if all(turning.values()) else " Where a surface is not ideal, sampling='hybrid' does not."
         return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen "
@@ -150,34 +156,39 @@ class JumpWatch:
                                  f"much it matters")
 
     def missing(self, rendering: Rendering) -> dict[str, int]:
-        """The parameters that move silhouettes in view, and how many edges each."""
+        """The parameters that move silhouettes in view, and how many edges each that were looked at."""
         scene, missing = rendering.scene, {}
-        for shape in scene.shapes:
+        vertices, faces, counts = rendering.caster.vertices, rendering.caster.faces, rendering.counts()
+        for shape, own in zip(scene.shapes, faces.split(counts)):
             names = moving(scene, shape, MOVE_SHAPES)
             if names:
-                surface = shape.oriented()
-                count = self.count(id(shape), surface.vertices.detach(), surface.faces, rendering.sights)
+                count = number_in_view(self.edges(id(shape), vertices, own, [len(own)]), vertices, rendering.sights)
                 missing |= {name: count for name in names}
-        turned = [(sensor, sight) for sensor, sight in zip(rendering.sensors, rendering.sights)
-                  if moving(scene, sensor, MOVE_VIEWS)]
-        if turned:
-            vertices, faces = geometry(scene)
-            for sensor, sight in turned:
-                count = self.count("world", vertices, faces, [sight])
-                missing |= {name: count for name in moving(scene, sensor, MOVE_VIEWS)}
+        for sensor, sight in zip(rendering.sensors, rendering.sights):
+            names = moving(scene, sensor, MOVE_VIEWS)
+            if names:
+                count = number_in_view(self.edges("world", vertices, faces, counts), vertices, [sight])
+                missing |= {name: count for name in names}
         return {name: count for name, count in missing.items() if count}
 
-    def count(self, key: object, vertices: Tensor, faces: Tensor, sights: Sequence[Sight]) -> int:
-        """The silhouettes of a mesh in some views."""
-        edges = self.edges(key, vertices, faces)
-        return sum(int(silhouettes_in_view(edges, vertices, sight).sum()) for sight in sights)
+    def edges(self, key: object, vertices: Tensor, faces: Tensor, counts: Sequence[int]) -> Edges:
+        """Those of one or several shapes, all or some of them; found anew only where the faces are others.
 
-    def edges(self, key: object, vertices: Tensor, faces: Tensor) -> Edges:
-        """Those of a mesh, found anew only where its faces are others."""
+        Args:
+            key: what they are remembered by.
+            vertices: (V, 3), detached.
+            faces: (F, 3) of all of the shapes.
+            counts: triangles of each of the shapes.
+        """
         known = self.known.get(key)
         if known is None or not torch.equal(known[0], faces):
-            known = self.known[key] = (faces, edges_of(vertices, faces))
+            known = self.known[key] = (faces, edges_of(vertices, faces, spread(counts, faces.device)))
         return known[1]
+
+
+def number_in_view(edges: Edges, vertices: Tensor, sights: Sequence[Sight]) -> int:
+    """How many edges are silhouettes in some views."""
+    return sum(int(silhouettes_in_view(edges, vertices, sight).sum()) for sight in sights)
 
 
 class Light(NamedTuple):
@@ -189,28 +200,23 @@ class Light(NamedTuple):
     moving: list[str]  # the parameters that move it and that derivatives are asked for
 
 
-def lights_of(scene: Scene) -> Iterator[Light]:
+def lights_of(rendering: Rendering) -> Iterator[Light]:
     """All lights that have a place or a direction."""
+    scene, caster = rendering.scene, rendering.caster
     for emitter in scene.emitters:
         if hasattr(emitter, "pose"):
             pose = emitter.pose()
             place = torch.cat([pose.place.detach(), pose.place.new_full((1,), float(emitter.type != "directional"))])
             axis = pose.to_local[2].detach() * float(emitter.type in ("spot", "projector"))
             yield Light(place, axis, None, moving(scene, emitter, MOVE_LIGHTS))
-    for shape in scene.shapes:
+    for shape, faces in zip(scene.shapes, caster.faces.split(rendering.counts())):
         if shape.emitter is not None:
-            surface = shape.oriented()
-            first, second, third = surface.vertices.detach()[surface.faces].unbind(1)
+            first, second, third = caster.vertices[faces.long()].unbind(1)
             normals = torch.linalg.cross(second - first, third - first)
-            middle = surface.vertices.detach().mean(0)
+            middle = ((first + second + third) / 3.0).mean(0)
             # The normals of a closed surface add up to rounding errors.
             axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
             yield Light(torch.cat([middle, middle.new_ones(1)]), axis, shape, moving(scene, shape, MOVE_SHAPES))
-
-
-def followed(kind: Kind, sampling: str) -> bool:
-    """Whether the directions that a material scatters into carry derivatives."""
-    return sampling == "attached" or (sampling == "hybrid" and kind.delta)
 
 
 def listed(names: Iterable[str]) -> str:
@@ -220,8 +226,9 @@ def listed(names: Iterable[str]) -> str:
 
 def flat(vertices: Tensor) -> bool:
     """Whether all vertices, (V, 3), lie in one plane, so that no ray from one surface meets another."""
-    extent = torch.linalg.svdvals((vertices - vertices.mean(0)).double())
-    return bool(extent[-1] <= FLAT * extent[0])
+    centred = vertices.double() - vertices.double().mean(0)
+    squared_extent = torch.linalg.eigvalsh(centred.T @ centred)
+    return bool(squared_extent[0] <= FLAT**2 * squared_extent[-1])
 
 
 def moving(scene: Scene, plugin: Plugin, attributes: Sequence[str]) -> list[str]:

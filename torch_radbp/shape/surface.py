@@ -54,6 +54,8 @@ class Surface(Shape):
     do the analytic shapes here.
     """
 
+    faces: Tensor  # (F, 3) int64, a buffer: `triangles()` has as many, in the same order
+
     def __init__(self, *, bsdf: BSDF | None = None, emitter: Emitter | None = None, flip_normals: bool = False):
         super().__init__()
         self.bsdf = Diffuse(reflectance=0.5 if emitter is None else 0.0) if bsdf is None else bsdf
