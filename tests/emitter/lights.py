@@ -15,7 +15,7 @@ from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.raycast import make_caster
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import LightNumbers
-from torch_radbp.scene.pack import geometry, pack
+from torch_radbp.scene.pack import pack
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Ray, Vec3
 
@@ -98,7 +98,7 @@ class View(NamedTuple):
 
 
 def cast(scene: rb.Scene, tensors: SceneTensors, ray: Ray) -> View:
-    vertices, faces = geometry(scene)
+    vertices, faces = tensors.triangles.vertices.p.detach().stack(), torch.stack(tensors.triangles.corners, 1)
     hit = make_caster(None, vertices, faces).intersect(ray)
     return View(ray, hit, surface_interaction(tensors, ray, hit))
 

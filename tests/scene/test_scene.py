@@ -7,7 +7,7 @@ import torch_radbp as rb
 from tests.scenes import CASES, cornell, diffuse, load, rectangle, rgb, sensor, sky_and_points, texels, textured
 from torch_radbp.bsdf.diffuse import Diffuse
 from torch_radbp.emitter.constant import Constant
-from torch_radbp.scene.pack import geometry, pack
+from torch_radbp.scene.pack import pack
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.shape.rectangle import Rectangle
 from torch_radbp.vec import rows
@@ -47,13 +47,13 @@ def test_objects_of_one_name_are_refused():
         rb.Scene({"a.b": Constant(), "a_b": Rectangle()})
 
 
-def test_triangles_are_packed_in_the_order_of_the_caster():
+def test_triangles_are_packed_in_the_order_of_the_shapes():
     scene = cornell()
-    triangles, (vertices, faces) = pack(scene).triangles, geometry(scene)
-    corners = vertices[faces.long()]
+    triangles, surfaces = pack(scene).triangles, [shape.oriented() for shape in scene.shapes]
+    corners = torch.cat([surface.vertices[surface.faces] for surface in surfaces])
     for k, corner in enumerate(triangles.corners):
         torch.testing.assert_close(rows(triangles.vertices.p, corner).stack(), corners[:, k], rtol=0, atol=0)
-    assert len(faces) == 6 * 2 + 12
+    assert len(corners) == 6 * 2 + 12
 
 
 def test_next_event_estimation_chooses_area_by_area_and_lights_by_weight():

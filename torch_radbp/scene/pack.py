@@ -152,14 +152,6 @@ def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:
     return [front for front, _ in sides] + [back for _, back in sides]
 
 
-def geometry(scene: Scene) -> tuple[Tensor, Tensor]:
-    """All vertices (V, 3), detached, and faces (F, 3) int32 of a scene, in the order of its tables."""
-    surfaces = [shape.oriented() for shape in scene.shapes]
-    none = torch.zeros(0, 3, dtype=scene.dtype, device=scene.device)
-    vertices = torch.cat([none, *(surface.vertices.detach() for surface in surfaces)])
-    return vertices, concatenated_faces(surfaces, scene.device)
-
-
 def concatenated_faces(surfaces: list[Triangles], device: torch.device) -> Tensor:
     """The faces of all surfaces, (F, 3) int32 rows of their concatenated vertices."""
     firsts = itertools.accumulate((len(surface.vertices) for surface in surfaces), initial=0)
