@@ -194,9 +194,10 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
         tensor = tensor.to(torch.get_default_dtype())
     if shape is not None and tuple(tensor.shape) != shape:
         raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
-    bad = int((~torch.isfinite(tensor)).sum())
+    bad = int((~torch.isfinite(tensor.to(torch.get_default_dtype()))).sum())
     if bad:
-        raise ValueError(f"{name} must be finite, got {bad} of {tensor.numel()} values that are NaN or infinite")
+        raise ValueError(f"{name} must be finite, got {bad} of {tensor.numel()} values that are NaN or infinite in "
+                         f"{str(torch.get_default_dtype()).removeprefix('torch.')}")
     return tensor
 
 

@@ -216,6 +216,26 @@ XML = {
         '<sensor type="perspective"><float name="fov" value="180"/></sensor>',
         ["line 2: <sensor", "fov must be between"],
     ),
+    "endless number": (
+        shape(f'<float name="radius" value="{"1" * 5000}"/>', "sphere"),
+        ["<float", "value must be made of finite numbers", "1111..."],
+    ),
+    "number beyond float64": (shape('<float name="radius" value="1e999"/>', "sphere"), ["<float", "finite", "'1e999'"]),
+    "integer of many digits": (
+        f'<integrator type="path"><integer name="max_depth" value="{"9" * 5000}"/></integrator>',
+        ["<integer", "value must be an integer, got '9999"],
+    ),
+    "integer beyond 32 bits": (
+        '<integrator type="path"><integer name="max_depth" value="99999999999"/></integrator>',
+        ["<integer", "must be between -2147483647 and 2147483647"],
+    ),
+    "digits of another script": (shape('<float name="radius" value="١"/>', "sphere"), ["<float", "finite numbers"]),
+    "long id": (f'<material id="{"a" * 5000}"/>', ["aaaa...", "not supported"]),
+    "long file name": (f'<include filename="{"a" * 5000}"/>', ["<include>", "not found; looked in"]),
+    "rotation by infinity": (
+        shape('<transform name="to_world"><rotate y="1" angle="1e999"/></transform>'),
+        ["<rotate>", "angle must be made of finite numbers"],
+    ),
     "crop outside": (
         '<sensor type="perspective"><film type="hdrfilm"><integer name="crop_width" value="9999"/></film></sensor>',
         ["line 2: <film", "crop window", "must lie inside"],
@@ -233,6 +253,24 @@ def test_bad_xml_names_file_line_and_what_is_supported(tmp_path, case):
     with pytest.raises(SceneError) as caught:
         load(write_scene(tmp_path, body))
     assert_contains(str(caught.value), [str(tmp_path / "scene.xml"), *fragments])
+
+
+ENDLESS_LIST = []
+ENDLESS_LIST.append(ENDLESS_LIST)
+ENDLESS_DICT = {"type": "twosided"}
+ENDLESS_DICT["inner"] = ENDLESS_DICT
+
+
+def nested(depth):
+    return {"type": "twosided", "inner": nested(depth - 1)} if depth else {"type": "diffuse"}
+
+
+def doubled(depth):
+    """A dict of few objects that stand for 2^depth."""
+    inner = {"type": "diffuse"}
+    for _ in range(depth):
+        inner = {"type": "twosided", "a": inner, "b": inner}
+    return inner
 
 
 DISK = {"type": "disk"}
@@ -320,6 +358,80 @@ DICTS = {
         ["white.reflectance (type 'bitmap')", "data must be finite"],
     ),
     "key": ({**scene_dict(), 3: DISK}, ["scene dict", "keys must be strings, got 3"]),
+    "id": (scene_dict(a={"type": "disk", "id": [1]}), ["a", "an id must be a string, got [1]"]),
+    "empty name": (scene_dict(**{"": DISK}), ["an object of the scene has an empty name"]),
+    "reference without an id": (
+        scene_dict(a={"type": "disk", "bsdf": {"type": "ref"}}),
+        ["a.bsdf", "a reference has the entries type and id, a string, got id None"],
+    ),
+    "reference with more": (
+        scene_dict(w={"type": "diffuse"}, a={"type": "disk", "bsdf": {"type": "ref", "id": "w", "scale": 2}}),
+        ["a.bsdf", "a reference has the entries type and id", "scale"],
+    ),
+    "a network as an object": (scene_dict(net=torch.nn.Linear(1, 1)), ["net", "a Linear cannot stand here", "shape, bsdf"]),
+    "complex numbers": (
+        scene_dict(ball={"type": "sphere", "center": np.array([1j, 0, 0])}),
+        ["ball.center", "three numbers"],
+    ),
+    "complex texels": (
+        scene_dict(w={"type": "diffuse", "reflectance": {"type": "bitmap", "data": np.full((2, 2, 3), 0.5 + 1j)}}),
+        ["w.reflectance.data", "an array of numbers, got ndarray of shape (2, 2, 3)"],
+    ),
+    "complex tensor": (
+        scene_dict(w={"type": "diffuse", "reflectance": {"type": "bitmap", "data": torch.ones(2, 2, 3) * 1j}}),
+        ["w.reflectance.data", "an array of numbers, got Tensor of shape (2, 2, 3)"],
+    ),
+    "text for numbers": (
+        scene_dict(ball={"type": "sphere", "center": ["1", "2", "3"]}),
+        ["ball.center", "three numbers, got ['1', '2', '3']"],
+    ),
+    "truth for a colour": (scene_dict(w={"type": "diffuse", "reflectance": True}), ["w.reflectance", "a number, three"]),
+    "a list that contains itself": (
+        scene_dict(ball={"type": "sphere", "center": ENDLESS_LIST}),
+        ["ball.center", "three numbers, got [[...]]"],
+    ),
+    "huge integer": (
+        scene_dict(path={"type": "path", "max_depth": 10**400}),
+        ["path.max_depth", "must be between -2147483647 and 2147483647, got int 1000"],
+    ),
+    "integer of more digits than Python prints": (
+        scene_dict(path={"type": "path", "max_depth": 10**5000}),
+        ["path.max_depth", "must be between", "got an int of very many digits"],
+    ),
+    "huge radius": (scene_dict(ball={"type": "sphere", "radius": 10**400}), ["ball.radius", "must be finite"]),
+    "beyond single precision": (
+        scene_dict(wall={"type": "disk", "to_world": np.diag([1e39, 1, 1, 1])}),
+        ["wall", "to_world must be finite", "float32"],
+    ),
+    "texels beyond single precision": (
+        scene_dict(w={"type": "diffuse", "reflectance": {"type": "bitmap", "data": np.full((2, 2, 3), 1e300)}}),
+        ["w.reflectance (type 'bitmap')", "data must be finite", "float32"],
+    ),
+    "faces with fractions": (
+        scene_dict(m={"type": "mesh", "vertex_positions": np.eye(3), "faces": [[0, 1, 1.5]]}),
+        ["m (type 'mesh')", "faces must be indices of vertices, integers"],
+    ),
+    "normals of length 0": (
+        scene_dict(m={"type": "mesh", "vertex_positions": np.eye(3), "faces": [[0, 1, 2]], "vertex_normals": np.eye(3) * 0}),
+        ["m (type 'mesh')", "vertex_normals must not be zero"],
+    ),
+    "file name with a zero byte": (scene_dict(m={"type": "obj", "filename": "a\0b.obj"}), ["m.filename", "not found"]),
+    "long file name": (scene_dict(m={"type": "obj", "filename": "a" * 5000}), ["m.filename", "str 'aaaa", "not found"]),
+    "folder for a file": (scene_dict(m={"type": "obj", "filename": "/"}), ["m.filename", "'/' not found"]),
+    "a dict that contains itself": (
+        scene_dict(a=ENDLESS_DICT),
+        ["a.inner.inner", "nested more than 100 deep; does a dict contain itself?"],
+    ),
+    "deep nesting": (scene_dict(a=nested(150)), ["a.inner.inner", "nested more than 100 deep"]),
+    "a dict in many places": (
+        scene_dict(a=doubled(40)),
+        ["the scene has more than 100000 objects", "give it an id and refer to it"],
+    ),
+    "chain of references": (
+        scene_dict(last={"type": "diffuse"}, **{f"b{i}": {"type": "twosided", "inner": {
+            "type": "ref", "id": f"b{i + 1}" if i < 200 else "last"}} for i in range(201)}),
+        ["nested more than 100 deep, references followed"],
+    ),
 }
 
 

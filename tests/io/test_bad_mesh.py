@@ -251,5 +251,5 @@ def test_normals_that_are_not_wanted_need_not_be_usable(tmp_path, option):
 
 def test_positions_beyond_single_precision_are_refused_by_name(tmp_path):
     (tmp_path / "m.obj").write_text(CORNERS.replace("v 1 0 0", "v 1e39 0 0") + "f 1 2 3\n")
-    with pytest.raises(ValueError, match="m.*: vertex_positions in world space must be finite"):
+    with pytest.raises(ValueError, match="m.*: vertex_positions must be finite, got 1 of 9 .* in float32"):
         load_dict(scene_dict(m={"type": "obj", "filename": "m.obj"}), base_dir=tmp_path)

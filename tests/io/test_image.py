@@ -58,7 +58,7 @@ def test_exr_colour_is_found_among_channels(tmp_path, names, shape):
 ])
 def test_exr_without_one_clear_colour_is_refused(tmp_path, channels, message):
     write_exr(tmp_path / "a.exr", {name: np.zeros((2, 2), "f4") for name in channels})
-    with pytest.raises(ValueError, match=rf"a\.exr: {message}"):
+    with pytest.raises(ValueError, match=rf"a\.exr: cannot be read as EXR: {message}"):
         read_image(tmp_path / "a.exr")
 
 
@@ -144,7 +144,7 @@ def test_what_cannot_be_written_is_named(tmp_path, name, image, error, message):
     ("a.tga", b"", ValueError, r"supported: \.exr, \.png, \.jpg, \.jpeg"),
     ("a.exr", b"not an image", ValueError, r"a\.exr: cannot be read as EXR"),
     ("a.png", b"\x89PNG\r\n\x1a\n", ValueError, r"a\.png: cannot be read as PNG"),
-    ("a.jpg", b"", ValueError, r"a\.jpg: cannot be read as JPG"),
+    ("a.jpg", b"", ValueError, r"a\.jpg: cannot be read as JPEG: the file is empty"),
     ("a.png", None, FileNotFoundError, r"a\.png: file not found"),
 ])
 def test_what_cannot_be_read_is_named(tmp_path, name, content, error, message):
@@ -157,5 +157,49 @@ def test_what_cannot_be_read_is_named(tmp_path, name, content, error, message):
 def test_a_truncated_png_is_named(tmp_path, pixels):
     save_image(tmp_path / "whole.png", torch.rand(3, 64, 64))
     (tmp_path / "half.png").write_bytes((tmp_path / "whole.png").read_bytes()[:5000])
-    with pytest.raises(ValueError, match=r"half\.png: cannot be read as PNG: .*truncated"):
+    with pytest.raises(ValueError, match=r"half\.png: cannot be read as PNG: Truncated"):
         read_image(tmp_path / "half.png")
+
+
+def cut(data, length):
+    return data[:length]
+
+
+def flipped(data, position):
+    return data[:position] + bytes([data[position] ^ 0xFF]) + data[position + 1:]
+
+
+@pytest.mark.parametrize("name, damage, message", [
+    ("a.exr", lambda data: cut(data, 0), "the file is empty"),
+    ("a.exr", lambda data: cut(data, 3), "the file begins with"),
+    ("a.exr", lambda data: cut(data, 100), "."),
+    ("a.exr", lambda data: cut(data, 400), "its pixels are damaged or cut short"),
+    ("a.exr", lambda data: cut(data, len(data) - 1), "its pixels are damaged or cut short"),
+    ("a.exr", lambda data: data.replace(b"dataWindow\0box2i\0\x10\0\0\0" + bytes(8), b"dataWindow\0box2i\0\x10\0\0\0"
+                                        + bytes(4) + b"\0\0\0\x80"), "."),
+    ("a.exr", lambda data: data.replace((63).to_bytes(4, "little") * 2, (99999).to_bytes(4, "little") * 2),
+     "an image may have 1 to 134217728 pixels, this one has 100000 x 100000"),
+    ("a.png", lambda data: cut(data, 0), "the file is empty"),
+    ("a.png", lambda data: cut(data, 20), "."),
+    ("a.png", lambda data: cut(data, len(data) // 2), "."),
+    ("a.png", lambda data: flipped(data, len(data) // 2), "broken PNG file"),
+    ("a.png", lambda data: flipped(data, 20), "."),
+    ("a.png", lambda data: b"\x76\x2f\x31\x01" + data, "the file begins as EXR does; change its extension"),
+    ("a.exr", lambda data: b"\x89PNG\r\n\x1a\n" + data, "the file begins as PNG does; change its extension"),
+    ("a.jpg", lambda data: b"\x89PNG\r\n\x1a\n" + data, "the file begins as PNG does"),
+    ("a.jpg", lambda data: b"\xff\xd8\xff" + data, "cannot identify image file"),
+    ("a.png", lambda data: b"<html>404</html>", "the file begins with b'<html>40'"),
+])
+def test_damaged_images_are_refused_in_one_line(tmp_path, name, damage, message):
+    source = name if name.endswith((".exr", ".png")) else "a.png"
+    save_image(tmp_path / source, torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0)))
+    (tmp_path / name).write_bytes(damage((tmp_path / source).read_bytes()))
+    with pytest.raises(ValueError, match=rf"{name}: cannot be read as .*{message}") as caught:
+        read_image(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_is_not_an_image(tmp_path):
+    (tmp_path / "a.png").mkdir()
+    with pytest.raises(IsADirectoryError, match=r"a\.png: is a folder, not a file"):
+        read_image(tmp_path / "a.png")

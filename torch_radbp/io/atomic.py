@@ -23,10 +23,27 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
     Raises:
         FileNotFoundError: if the folder of `path` does not exist.
+        IsADirectoryError: if `path` is a folder.
+        OSError: names `path` if it cannot be written: the disk is full, the folder read-only.
     """
     path = Path(path)
     check_target(path)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+    with naming(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         temporary = Path(folder) / path.name
         yield temporary
         os.replace(temporary, path)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Failures to write in the block become an OSError that names `path`, with the number of the system's error if any.
+
+    Libraries written in C++ report a full disk as RuntimeError.
+    """
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        named = OSError(f"{path}: cannot be written: {reason}")
+        named.errno = getattr(error, "errno", None)
+        raise named from error

@@ -15,6 +15,8 @@ from torch import Tensor
 
 from torch_radbp.plugin import Filename, Matrix4, Plugin, Point3, Texture
 
+LARGEST_INTEGER = 2**31 - 1
+
 
 def options(annotation: Any) -> tuple[Any, ...]:
     """The members of a union, or the annotation alone."""
@@ -62,22 +64,30 @@ def convert(name: str, value: Any, annotation: Any) -> Any:
     plugins = [f"{with_article(category)}, a dict with a \"type\"" for category in plugin_categories(annotation)
                if category != "texture"]
     expected = " or ".join(dict.fromkeys([*(expected for expected, _ in rules), *plugins]))
-    raise TypeError(f"{name} must be {expected}, got {_shown(value)}")
+    raise TypeError(f"{name} must be {expected}, got {shown(value)}")
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value as messages print it, a long one by its beginning."""
     if hasattr(value, "shape") and len(value.shape) > 0:
         return f"{type(value).__name__} of shape {tuple(value.shape)}"
-    return repr(value) if len(repr(value)) < 80 else f"{type(value).__name__} {repr(value)[:60]}..."
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of more digits than Python prints
+        return f"an {type(value).__name__} of very many digits"
+    return text if len(text) < 80 else f"{type(value).__name__} {text[:60]}..."
 
 
 def _array(value: Any) -> np.ndarray:
-    """A float64 array of what may be a list, a numpy array, a torch tensor or a Mitsuba type."""
+    """A float64 array of what may be a list, a numpy array, a torch tensor or a Mitsuba type; of real numbers only."""
     if isinstance(value, (str, bytes, dict)) or value is None:
         raise TypeError
     try:
-        return np.asarray(value.detach().cpu() if isinstance(value, Tensor) else value, dtype=np.float64)
-    except (ValueError, RuntimeError) as error:
+        array = np.asarray(value.detach().cpu() if isinstance(value, Tensor) else value)
+        if array.dtype.kind not in "iufO":  # not of truth values, text or complex numbers
+            raise TypeError
+        return array.astype(np.float64)
+    except (ValueError, RuntimeError, OverflowError) as error:
         raise TypeError from error
 
 
@@ -95,6 +105,8 @@ def _integer(name: str, value: Any) -> int:
     value = _scalar(value)
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError
+    if abs(value) > LARGEST_INTEGER:
+        raise ValueError(f"{name} must be between -{LARGEST_INTEGER} and {LARGEST_INTEGER}, got {shown(value)}")
     return int(value)
 
 
@@ -102,7 +114,10 @@ def _number(name: str, value: Any) -> float:
     value = _scalar(value)
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError
-    return float(_finite(name, np.float64(value)))
+    try:
+        return float(_finite(name, np.float64(value)))
+    except OverflowError as error:
+        raise ValueError(f"{name} must be finite, got an integer beyond the range of float64") from error
 
 
 def _boolean(name: str, value: Any) -> bool:
@@ -127,7 +142,7 @@ def _triple(name: str, value: Any) -> list[float]:
 
 def _colour(name: str, value: Any) -> float | list[float]:
     array = _array(value)
-    if array.dtype == bool or array.shape not in ((), (1,), (3,)):
+    if array.shape not in ((), (1,), (3,)):
         raise TypeError
     return _finite(name, array.squeeze()).tolist()
 
@@ -146,7 +161,9 @@ def _matrix(name: str, value: Any) -> Tensor:
 
 
 def _tensor(name: str, value: Any) -> Tensor:
-    return value if isinstance(value, Tensor) else torch.from_numpy(_array(value))
+    if isinstance(value, Tensor) and value.dtype != torch.bool and not value.is_complex():
+        return value
+    return torch.from_numpy(_array(value))
 
 
 RULES: dict[Any, tuple[str, Callable[[str, Any], Any]]] = {

@@ -12,10 +12,13 @@ from typing import Any
 
 from torch import nn
 
-from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories, with_article
+from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories, shown, with_article
 from torch_radbp.io.xml_scene import XMLObject, find_file
 from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, Texture, attributes, nearest
 from torch_radbp.scene.scene import Scene
+
+MAX_DEPTH = 100  # of objects in objects, references followed
+MAX_OBJECTS = 100_000
 
 TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "sensor", "integrator")
 COLOURS = ("rgb", "spectrum")
@@ -45,6 +48,7 @@ class _Builder:
         self.ids: dict[str, tuple[tuple[str, ...], Any]] = {}  # id -> key path and object
         self.built: dict[tuple[str, ...], Plugin] = {}  # by key path
         self.open: list[str] = []  # ids of the references being followed
+        self.depth = self.objects = 0  # of the object being made, and how many there are, to be limited
 
     def scene(self) -> Scene:
         """All objects of the top level, handed to `Scene`."""
@@ -59,7 +63,7 @@ class _Builder:
             if name == "type":
                 continue
             if not _is_object(value):
-                raise self.error((name,), value, f"a scene takes only objects, dicts with a \"type\", got {value!r}")
+                raise self.error((name,), value, f"a scene takes only objects, dicts with a \"type\", got {shown(value)}")
             if isinstance(value, dict) and value.get("type") == "ref":
                 raise self.error((name,), value, "a reference cannot stand directly in the scene; put it inside the "
                                  "object that uses it")
@@ -76,12 +80,20 @@ class _Builder:
 
     def collect_ids(self, path: tuple[str, ...], node: dict[str, Any]) -> None:
         """Notes every object that a reference may name: those of the top level by key, others by "id"."""
+        if len(path) > MAX_DEPTH:
+            raise self.error(path[:3], node, f"objects are nested more than {MAX_DEPTH} deep; does a dict contain itself?")
+        self.objects += 1
+        if self.objects > MAX_OBJECTS:
+            raise self.error(path[:3], node, f"the scene has more than {MAX_OBJECTS} objects; a dict that stands in several "
+                             "places makes an object in each: give it an id and refer to it")
         for key, value in node.items():
             if not isinstance(key, str):
                 raise self.error(path, node, f"keys must be strings, got {key!r}")
             if not _is_object(value) or (isinstance(value, dict) and value.get("type") == "ref"):
                 continue
             name = _given_id(value) or (key if not path else None)
+            if name is not None and not isinstance(name, str):
+                raise self.error((*path, key), value, f"an id must be a string, got {shown(name)}")
             if name in self.ids:
                 other = self.place(self.ids[name][0], self.ids[name][1])
                 raise self.error((*path, key), value, f"the id {name!r} is already taken by {other}; use another")
@@ -96,13 +108,19 @@ class _Builder:
             return self.referenced(path, value, expected)
         if isinstance(value, dict) and path not in self.built:
             cls = self.plugin_class(path, value, expected)
+            self.depth += 1
+            if self.depth > MAX_DEPTH:
+                raise self.error(path, value, f"objects are nested more than {MAX_DEPTH} deep, references followed")
             arguments = self.arguments(path, value, cls)
+            self.depth -= 1
             try:
                 self.built[path] = cls(**arguments)
             except (ValueError, TypeError, RuntimeError, OSError) as error:
                 raise self.error(path, value, str(error)) from error
             self.built[path].id = _given_id(value)
         plugin = self.built[path] if isinstance(value, dict) else value
+        if not isinstance(plugin, Plugin) and ("texture" not in expected or len(path) == 1):
+            raise self.error(path, value, f"a {type(plugin).__name__} cannot stand here; supported: {', '.join(expected)}")
         if isinstance(plugin, Plugin) and plugin.category not in expected:
             found = with_article(plugin.category)
             raise self.error(path, value, f"{found} cannot stand here; supported: {', '.join(expected)}")
@@ -110,7 +128,11 @@ class _Builder:
 
     def referenced(self, path: tuple[str, ...], value: dict[str, Any], expected: Iterable[str]) -> Plugin:
         """The object that a reference names."""
-        name = str(value.get("id"))
+        unknown = [str(key) for key in value if key not in ("type", "id")]
+        name = value.get("id")
+        if unknown or not isinstance(name, str):
+            raise self.error(path, value, "a reference has the entries type and id, a string, got "
+                             f"{', '.join([f'id {shown(name)}', *unknown])}")
         if name not in self.ids:
             raise self.error(path, value, f"no object has the id {name!r}; {nearest(name, self.ids)}")
         if name in self.open:
@@ -201,7 +223,7 @@ class _Builder:
         found = find_file(converted, folders)
         if found is None:
             looked = ", ".join(str(folder.resolve()) for folder in folders)
-            raise self.error((*path, key), node, f"{key} {converted!r} not found; looked in {looked}", key)
+            raise self.error((*path, key), node, f"{key} {shown(converted)} not found; looked in {looked}", key)
         return str(found)
 
     def place(self, path: tuple[str, ...], node: Any, key: str | None = None) -> str:

@@ -12,8 +12,11 @@ from PIL import Image
 from torch import Tensor
 
 from torch_radbp.io.atomic import replacing
+from torch_radbp.io.files import opened
 
-READABLE, WRITABLE = (".exr", ".png", ".jpg", ".jpeg"), (".exr", ".png")
+READABLE, WRITABLE = {".exr": "EXR", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}, (".exr", ".png")
+SIGNATURES = {"EXR": b"\x76\x2f\x31\x01", "PNG": b"\x89PNG\r\n\x1a\n", "JPEG": b"\xff\xd8\xff"}
+MAX_PIXELS = 2**27  # 16384 x 8192
 BEAUTY_LAYERS = ("", "rgb", "rgba", "color", "colour", "beauty", "combined", "image")
 
 
@@ -32,19 +35,23 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: on unknown extensions, unreadable or damaged files, and EXR files without a colour.
+        IsADirectoryError: if it is a folder.
+        ValueError: on unknown extensions, damaged files, files cut short or of another format than their extension says,
+            EXR files without a colour, and images of more than `MAX_PIXELS` pixels.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in READABLE:
         raise ValueError(f"{path}: unknown kind of image {suffix!r}; supported: {', '.join(READABLE)}")
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"{path}: file not found")
+    kind = READABLE[suffix]
+    _check_signature(path, kind)
     try:
-        pixels = _read_exr(path) if suffix == ".exr" else _read_with_pillow(path)
-    except (OSError, RuntimeError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path}: cannot be read as {suffix[1:].upper()}: {error}") from error
+        pixels = _read_exr(path) if kind == "EXR" else _read_with_pillow(path, kind)
+    except MemoryError:
+        raise
+    except Exception as error:  # the libraries raise whatever their decoders stumble over
+        raise ValueError(f"{path}: cannot be read as {kind}: {' '.join(str(error).split())}") from error
     image = torch.from_numpy(np.ascontiguousarray(pixels, dtype=np.float32))
-    return image if raw or suffix == ".exr" else srgb_to_linear(image)
+    return image if raw or kind == "EXR" else srgb_to_linear(image)
 
 
 def save_image(path: str | os.PathLike, image: Tensor) -> None:
@@ -104,8 +111,27 @@ def linear_to_srgb(values: Tensor) -> Tensor:
     return torch.where(values <= 0.0031308, values * 12.92, power)
 
 
-def _read_with_pillow(path: str | os.PathLike) -> np.ndarray:
+def _check_signature(path: str | os.PathLike, kind: str) -> None:
+    """Raises ValueError unless the file begins as one of its `kind` does, and as `opened` does."""
+    with opened(path) as file:
+        begin = file.read(max(map(len, SIGNATURES.values())))
+    if begin.startswith(SIGNATURES[kind]):
+        return
+    other = next((name for name, signature in SIGNATURES.items() if begin.startswith(signature)), None)
+    found = f"begins as {other} does; change its extension" if other else f"begins with {begin!r}" if begin else "is empty"
+    raise ValueError(f"{path}: cannot be read as {kind}: the file {found}")
+
+
+def _check_size(width: int, height: int) -> None:
+    if not 0 < width * height <= MAX_PIXELS:
+        raise ValueError(f"an image may have 1 to {MAX_PIXELS} pixels, this one has {width} x {height}")
+
+
+def _read_with_pillow(path: str | os.PathLike, kind: str) -> np.ndarray:
     """(H, W, C) values in [0, 1]."""
+    with Image.open(path, formats=(kind,)) as file:
+        _check_size(*file.size)
+        file.verify()  # the check sums of PNG, which reading ignores
     high = _decode(path)
     if high.dtype == np.uint16:
         return high[:, :, None] / np.float32(65535)
@@ -136,7 +162,13 @@ def _decode(path: str | os.PathLike, low_bytes: bool = False) -> np.ndarray | No
 
 def _read_exr(path: str | os.PathLike) -> np.ndarray:
     """(H, W, C) linear values of the layer that holds the colour."""
+    headers = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
+    for header in headers:
+        low, high = header["dataWindow"]
+        _check_size(*(int(b) - int(a) + 1 for a, b in zip(low, high)))
     parts = OpenEXR.File(str(path), separate_channels=True).parts
+    if len(parts) < len(headers):  # which it prints and leaves out
+        raise ValueError("its pixels are damaged or cut short")
     found: dict[str, np.ndarray] = {}  # layer -> its colour, of the first part that has it
     for channels in (part.channels for part in parts):
         for layer in sorted({name.rpartition(".")[0] for name in channels}):
@@ -145,10 +177,10 @@ def _read_exr(path: str | os.PathLike) -> np.ndarray:
                 found.setdefault(layer, colour)
     if not found:
         names = ", ".join(name for part in parts for name in part.channels)
-        raise ValueError(f"{path}: no colour among its channels {names}; supported: R, G, B or Y, alone or in a layer")
+        raise ValueError(f"no colour among its channels {names}; supported: R, G, B or Y, alone or in a layer")
     chosen = [layer for layer in found if layer.rpartition(".")[2].lower() in BEAUTY_LAYERS] or list(found)
     if len(chosen) > 1 and "" not in chosen:
-        raise ValueError(f"{path}: several layers have colours, {', '.join(chosen)}; keep one or call it beauty")
+        raise ValueError(f"several layers have colours, {', '.join(chosen)}; keep one or call it beauty")
     return found["" if "" in chosen else chosen[0]]
 
 

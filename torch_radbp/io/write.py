@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.io.atomic import check_target
+from torch_radbp.io.atomic import check_target, naming
 from torch_radbp.io.attribute_values import is_list, options
 from torch_radbp.io.image import save_image
 from torch_radbp.io.mesh_arrays import MeshArrays
@@ -42,12 +42,13 @@ def save(scene: Scene, path: str | os.PathLike) -> None:
         SceneError: if something has no counterpart in Mitsuba (a network in the place of a texture), or is not finite.
         ValueError: if `path` does not end in .xml.
         FileNotFoundError: if the folder does not exist.
+        OSError: names `path` if a file of the scene cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".xml":
         raise ValueError(f"{path}: a scene is written as .xml, got {path.suffix!r}")
     check_target(path)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+    with naming(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         writer = _Writer(scene, path.stem, Path(folder))
         with torch.no_grad():
             root = writer.scene_element()

@@ -7,10 +7,10 @@ refused before they are read, and nesting is limited.
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
 
+from torch_radbp.io.files import opened
 from torch_radbp.plugin import SceneError
 
 MAX_DEPTH = 100
@@ -27,12 +27,18 @@ class Element(NamedTuple):
 
     def __str__(self) -> str:
         """Where it is and how it begins, as error messages print it."""
-        named = "".join(f' {key}="{self.attributes[key]}"' for key in ("type", "id", "name") if key in self.attributes)
+        named = "".join(f' {key}="{abridged(self.attributes[key])}"' for key in ("type", "id", "name")
+                        if key in self.attributes)
         return f"{self.file}, line {self.line}: <{self.tag}{named}>"
 
     def fail(self, message: str) -> SceneError:
         """An error about this element, for the caller to raise."""
         return SceneError(f"{self}: {message}")
+
+
+def abridged(text: str, length: int = 80) -> str:
+    """The beginning of a long text, for messages."""
+    return text if len(text) <= length else f"{text[:length]}..."
 
 
 def read_xml(path: str | os.PathLike) -> Element:
@@ -43,13 +49,11 @@ def read_xml(path: str | os.PathLike) -> Element:
             deeper than `MAX_DEPTH`, or has text between its elements.
     """
     file = os.fspath(path)
-    if not Path(path).is_file():
-        raise SceneError(f"{file}: {'is a folder, not a file' if Path(path).is_dir() else 'file not found'}")
     try:
-        content = Path(path).read_bytes()
+        with opened(path) as source:
+            return parse_xml(source.read(), file)
     except OSError as error:
-        raise SceneError(f"{file}: cannot be read: {error.strerror}") from error
-    return parse_xml(content, file)
+        raise SceneError(str(error)) from error
 
 
 def parse_xml(content: bytes, file: str) -> Element:

@@ -20,13 +20,21 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from torch_radbp.io.xml import Element, read_xml
+from torch_radbp.io.xml import MAX_DEPTH, Element, abridged, read_xml
 from torch_radbp.io.xml_values import PROPERTIES, check_attributes, property_value
 from torch_radbp.plugin import REGISTRY, nearest
 
 DIRECTIVES = ("default", "include", "path", "alias")
 UNSUPPORTED_OBJECTS = ("medium", "phase", "volume", "field")
-VERSION = re.compile(r"(\d+)(\.\d+){0,2}")
+
+# A few small files can describe more than any machine can hold, by including each other and by variables in variables.
+MAX_CHAIN = 50  # files that are open at once, each including the next
+MAX_INCLUDES = 1000
+MAX_ELEMENTS = 1_000_000
+MAX_TEXT = 100_000  # characters of one attribute with its variables replaced
+MAX_TEXTS = 10_000_000  # and of all such attributes
+
+VERSION = re.compile(r"(\d{1,9})(\.\d+){0,2}", re.ASCII)
 
 
 class XMLObject(dict):
@@ -81,6 +89,8 @@ class _Reader:
         self.ids: dict[str, Element] = {}
         self.aliases: dict[str, str] = {}
         self.references: list[XMLObject] = []
+        self.depth = 0  # of the object being read
+        self.includes = self.elements = self.characters = 0  # so far, to be limited
 
     def open(self, path: Path) -> Element:
         """The root of a scene file, its version checked; relative names are looked for beside it from here on."""
@@ -100,7 +110,7 @@ class _Reader:
             if element.tag in PROPERTIES and "type" not in element.attributes:
                 raise element.fail(f"<scene> takes no values; supported inside it: {_supported()}")
             children.append(self.child(element))
-        taken = {child["id"] for child in children if "id" in child and child["type"] != "ref"}
+        taken = {child["id"]: 0 for child in children if "id" in child and child["type"] != "ref"}
         for child in children:
             name = child.get("id") if child["type"] != "ref" else None
             scene[name or _free_name(child["type"], taken)] = child
@@ -124,11 +134,14 @@ class _Reader:
             raise element.fail(f"this element is not supported; supported here: {_supported()}, "
                                f"{', '.join(PROPERTIES)}")
         check_attributes(element, ("type",), ("id", "name", "version"))
+        self.depth += 1
+        if self.depth > MAX_DEPTH:
+            raise element.fail(f"objects are nested more than {MAX_DEPTH} deep, included files counted in")
         node = XMLObject(element, self.folders)
         node["type"] = element.attributes["type"]
         if element.attributes.get("id"):
             node["id"] = self.register(element)
-        taken = {child.attributes["name"] for child in element.children if "name" in child.attributes}
+        taken = {child.attributes["name"]: 0 for child in element.children if "name" in child.attributes}
         for child in self.expand(element.children):
             is_value = child.tag in PROPERTIES and not (child.tag == "spectrum" and "type" in child.attributes)
             value = property_value(child) if is_value else self.child(child)
@@ -137,6 +150,7 @@ class _Reader:
                 first = f"first in line {node.places[name].line}" if name in node.places else "it is reserved"
                 raise child.fail(f"the name {name!r} is given twice in <{element.tag}> ({first})")
             node[name], node.places[name] = value, child
+        self.depth -= 1
         return node
 
     def register(self, element: Element) -> str:
@@ -151,6 +165,10 @@ class _Reader:
     def expand(self, children: list[Element]) -> Iterator[Element]:
         """The elements in order, variables replaced, directives obeyed, included files in the place of <include>."""
         for child in children:
+            self.elements += 1
+            if self.elements > MAX_ELEMENTS:
+                raise child.fail(f"the scene has more than {MAX_ELEMENTS} elements, included files counted in; give what is "
+                                 "the same an id and refer to it")
             element = self.substitute(child)
             if element.tag == "include":
                 yield from self.include(element)
@@ -165,9 +183,15 @@ class _Reader:
         filename = element.attributes["filename"]
         path = find_file(filename, self.folders)
         if path is None:
-            raise element.fail(f"file {filename!r} not found; looked in {_listed(self.folders)}")
+            raise element.fail(f"file {abridged(filename)!r} not found; looked in {_listed(self.folders)}")
         if path.resolve() in self.open_files:
             raise element.fail(f"{filename!r} includes itself")
+        self.includes += 1
+        if len(self.open_files) >= MAX_CHAIN:
+            raise element.fail(f"more than {MAX_CHAIN} files include one another in a chain; include them from one file")
+        if self.includes > MAX_INCLUDES:
+            raise element.fail(f"the scene includes more than {MAX_INCLUDES} files, counted as often as they are included; "
+                               "does each include the next one twice?")
         outer = self.folders
         root = self.open(path)
         if root.tag == "scene":
@@ -186,7 +210,7 @@ class _Reader:
     def path(self, element: Element) -> None:
         """One more folder in which files are looked for."""
         check_attributes(element, ("value",))
-        folder = find_file(element.attributes["value"], self.folders, Path.is_dir)
+        folder = find_file(element.attributes["value"], self.folders, os.path.isdir)
         if folder is None:
             raise element.fail(f"folder {element.attributes['value']!r} not found; looked in {_listed(self.folders)}")
         self.folders = [folder, *self.folders]
@@ -223,10 +247,14 @@ class _Reader:
                                    f"{nearest(wanted, self.variables)}")
             self.used.add(name)
             result += self.variables[name] + piece[len(name):]
+            self.characters += len(self.variables[name])
+            if len(result) > MAX_TEXT or self.characters > MAX_TEXTS:
+                limit = f"{MAX_TEXT} characters here" if len(result) > MAX_TEXT else f"{MAX_TEXTS} characters in this scene"
+                raise element.fail(f"variables in variables grow to more than {limit}, at ${name}; write their values out")
         return result
 
 
-def find_file(name: str, folders: list[Path], exists: Callable[[Path], bool] = Path.is_file) -> Path | None:
+def find_file(name: str, folders: list[Path], exists: Callable[[Path], bool] = os.path.isfile) -> Path | None:
     """The first of `folders` that has `name`, or None; an absolute name stands for itself."""
     return next((folder / name for folder in folders if exists(folder / name)), None)
 
@@ -246,13 +274,14 @@ def _check_version(root: Element) -> None:
         raise root.fail(f"version {version} is newer than what is supported, which is 2.0.0 to 3.x")
 
 
-def _free_name(name: str, taken: set[str]) -> str:
-    """`name`, or name_1, name_2, ...; the result is added to `taken`."""
-    number, free = 0, name
+def _free_name(name: str, taken: dict[str, int]) -> str:
+    """`name`, or name_1, name_2, ...; the result is added to `taken`, which holds the last number given to each name."""
+    number, free = taken.get(name, 0), name
     while free in taken:
         number += 1
         free = f"{name}_{number}"
-    taken.add(free)
+    taken[name] = number
+    taken.setdefault(free, 0)
     return free
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -10,12 +11,12 @@ import numpy as np
 import torch
 
 from torch_radbp.io import transform
-from torch_radbp.io.xml import Element
+from torch_radbp.io.xml import Element, abridged
 from torch_radbp.plugin import SceneError, nearest
 from torch_radbp.pose import look_at
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-INTEGER = re.compile(r"[+-]?\d+")
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+INTEGER = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 
 
 def check_attributes(element: Element, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:
@@ -39,11 +40,11 @@ def numbers(element: Element, attribute: str, counts: tuple[int, ...]) -> list[f
     text = element.attributes[attribute]
     tokens = text.replace(",", " ").split()
     for token in tokens:
-        if not NUMBER.fullmatch(token):
-            raise element.fail(f"{attribute} must be made of finite numbers, got {token!r} in {text!r}")
+        if not NUMBER.fullmatch(token) or not math.isfinite(float(token)):
+            raise element.fail(f"{attribute} must be made of finite numbers, got {abridged(token)!r} in {abridged(text)!r}")
     if len(tokens) not in counts:
         wanted = " or ".join(map(str, counts))
-        raise element.fail(f"{attribute} must have {wanted} numbers, got {len(tokens)} in {text!r}")
+        raise element.fail(f"{attribute} must have {wanted} numbers, got {len(tokens)} in {abridged(text)!r}")
     return [float(token) for token in tokens]
 
 
@@ -64,14 +65,14 @@ def vector(element: Element, default: float | None = None, extra: tuple[str, ...
 def _integer(element: Element) -> int:
     text = element.attributes["value"].strip()
     if not INTEGER.fullmatch(text):
-        raise element.fail(f"value must be an integer, got {text!r}")
+        raise element.fail(f"value must be an integer, got {abridged(text)!r}")
     return int(text)
 
 
 def _boolean(element: Element) -> bool:
     text = element.attributes["value"].strip().lower()
     if text not in ("true", "false"):
-        raise element.fail(f"value must be true or false, got {text!r}")
+        raise element.fail(f"value must be true or false, got {abridged(text)!r}")
     return text == "true"
 
 

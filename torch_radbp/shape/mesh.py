@@ -32,7 +32,10 @@ class Mesh(Surface):
                 are given and are to be recomputed.
         """
         dtype = torch.get_default_dtype()
-        faces = torch.as_tensor(faces).to(torch.int64)
+        faces = torch.as_tensor(faces)
+        if faces.is_floating_point() and not (faces == faces.round()).all():
+            raise ValueError("faces must be indices of vertices, integers, got fractions")
+        faces = faces.to(torch.int64)
         positions = finite("vertex_positions", positions)
         if positions.ndim != 2 or positions.shape[1:] != (3,):
             raise ValueError(f"vertex_positions must have shape (V, 3), got {tuple(positions.shape)}")
@@ -52,6 +55,8 @@ class Mesh(Surface):
             raise ValueError("recompute_normals makes normals of the positions: leave vertex_normals out")
         if normals is not None:
             normals = transform_normals(matrix, finite("vertex_normals", normals, (count, 3)).to(dtype))
+            if (normals.detach().norm(dim=1) < 0.5).any():
+                raise ValueError("vertex_normals must not be zero: leave them out, or ask for recompute_normals")
         elif smooth and not recompute_normals:
             normals = angle_weighted_normals(positions, faces)
         if normals is not None:
