@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torch_radbp.vec import Frame, Vec3
+
 TERMS = 11  # of the series below: the first one left out is 1e-22 of the sum at an angle of 1
 
 
@@ -73,8 +75,6 @@ def look_at(origin: Tensor | Sequence[float], target: Tensor | Sequence[float],
         TypeError: if an argument is not made of real numbers.
         ValueError: if a shape is not (3,), a number is not finite, origin and target coincide, or `up` is parallel to the
             line between them, each as far as the dtype can tell.
-
-    Reference: Duff et al. 2017, "Building an Orthonormal Basis, Revisited", for the direction without `up`.
     """
     given = [value for value in (origin, target, up) if isinstance(value, Tensor) and value.is_floating_point()]
     dtype = torch.get_default_dtype() if not given else given[0].dtype
@@ -89,7 +89,7 @@ def look_at(origin: Tensor | Sequence[float], target: Tensor | Sequence[float],
     if sight.detach().abs().max() <= rounding * scale:
         raise ValueError(f"origin and target must differ, got {origin.tolist()} and {target.tolist()}")
     forward = _unit(sight)
-    upward = _unit(up) if up.detach().any() else _perpendicular(forward)
+    upward = _unit(up) if up.detach().any() else Frame.of(Vec3.of(forward)).s.stack()
     left = torch.linalg.cross(upward, forward)
     if left.detach().norm() <= rounding:
         raise ValueError(f"up must not be parallel to the line of sight, got {up.tolist()} for a line of sight along "
@@ -118,13 +118,6 @@ def _unit(vector: Tensor) -> Tensor:
     """The direction of a vector that is not zero, of any length that the dtype can hold."""
     scaled = vector / vector.detach().abs().max()
     return scaled / scaled.norm()
-
-
-def _perpendicular(n: Tensor) -> Tensor:
-    """The first tangent of Duff et al. of a unit normal."""
-    sign = torch.where(n[2].detach() < 0, -1.0, 1.0).to(n)
-    a = -1.0 / (sign + n[2])
-    return torch.stack([1.0 + sign * n[0] ** 2 * a, sign * n[0] * n[1] * a, -sign * n[0]])
 
 
 def sine_and_cosine_terms(square: Tensor) -> tuple[Tensor, Tensor]:

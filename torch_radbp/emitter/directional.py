@@ -7,8 +7,8 @@ from torch import Tensor
 
 from torch_radbp.emitter.illumination import LightPose, colour
 from torch_radbp.plugin import Emitter, Matrix4, Point3, Texture, finite, positive, register
+from torch_radbp.pose import look_at
 from torch_radbp.shape.surface import affine
-from torch_radbp.vec import Frame, Vec3
 
 
 @register("emitter", "directional")
@@ -50,8 +50,4 @@ def facing(direction: Tensor) -> Tensor:
     direction = finite("direction", direction, (3,)).double()
     if not direction.any():
         raise ValueError("direction must not be zero")
-    n = direction / direction.abs().max()
-    frame = Frame.of(Vec3.of(n / n.norm()))
-    matrix = torch.eye(4, dtype=torch.float64)
-    matrix[:3, :3] = torch.stack([-frame.t.stack(), frame.s.stack(), frame.n.stack()], 1)
-    return matrix
+    return look_at(torch.zeros_like(direction), direction)
