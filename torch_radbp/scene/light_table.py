@@ -29,6 +29,7 @@ from torch_radbp.scene.tensors import (
     PosedLights,
     TriangleTable,
 )
+from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.vec import Frame, Vec2, Vec3, attached, cross, rows, unit_normal
 
 KINDS = {"constant": CONSTANT, "envmap": ENVIRONMENT, "point": POINT, "spot": SPOT, "projector": PROJECTOR,
@@ -36,7 +37,6 @@ KINDS = {"constant": CONSTANT, "envmap": ENVIRONMENT, "point": POINT, "spot": SP
 FLAGS = {CONSTANT: "constant_light", ENVIRONMENT: "environment_map", POINT: "point_lights", SPOT: "spots",
          PROJECTOR: "projectors", DIRECTIONAL: "directional_lights"}
 SMALLEST_SHARE = 1e-12  # of a lamp's area, in one triangle
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear RGB, ITU-R BT.709
 
 
 class Lamp(NamedTuple):
