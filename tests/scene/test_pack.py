@@ -10,6 +10,7 @@ import torch_radbp as rb
 from tests.scenes import diffuse, load, rgb, sensor
 from torch_radbp.scene import pack as packing
 from torch_radbp.scene.pack import pack
+from torch_radbp.shape.mesh import Mesh
 from torch_radbp.shape.normals import angle_weighted_normals
 
 
@@ -76,3 +77,14 @@ def test_one_bent_normal_among_many_flat_ones_is_kept():
         bent[vertex] = torch.tensor([0.6, 0.0, 0.8])
         scene = load(camera=sensor(2), sky={"type": "constant"}, a={**flat, "vertex_normals": bent})
         assert pack(scene).layout.shading_normals
+
+
+def test_a_rendering_makes_the_triangles_of_a_shape_once(monkeypatch):
+    made = []
+    triangles = Mesh.triangles
+    monkeypatch.setattr(Mesh, "triangles", lambda shape: made.append(shape) or triangles(shape))
+    scene = load(camera=sensor(2), hills=grid(4), lamp=grid(2, emitter={"type": "area", "radiance": rgb(1, 2, 3)}))
+    scene.requires_grad_()
+    with pytest.warns(rb.SilhouetteWarning):
+        rb.render(scene, spp=1, max_depth=3)
+    assert made == [scene.hills, scene.lamp]
