@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import inspect
+import math
 import operator
 import typing
 from collections.abc import Iterator, MutableMapping
@@ -71,6 +72,84 @@ class Filename(str):
     """Annotation of a path to a file, relative to the scene description."""
 
 
+FLATTEST = 1e-6  # share of the volume of a box with edges of the same lengths; rounding of float32 makes 1e-7 of nothing
+SMALLEST_VOLUME = 1e-30  # that the axes of a pose span; areas of smaller objects underflow in float32
+
+
+class Domain(NamedTuple):
+    """The values that a parameter may have. Constructors check them, and so does every rendering (`scene.parameters`)."""
+
+    shapes: tuple[tuple[int | str, ...], ...] | None = None  # letters: any length of at least 1; None: any shape
+    low: float = -math.inf
+    high: float = math.inf
+    low_is_in: bool = True
+    high_is_in: bool = True
+    unit: str = ""
+    is_pose: bool = False  # an affine transform that can be inverted
+
+    def check(self, name: str, value: Tensor) -> None:
+        """Raises ValueError unless `value` is in the domain; a value that is not finite is in none."""
+        self.check_shape(name, value)
+        value = value.detach()
+        self.check_range(name, value, *value.aminmax())
+        if self.is_pose:
+            self.check_pose(name, value)
+
+    def check_shape(self, name: str, value: Tensor) -> None:
+        """Raises ValueError unless the shape is one of those possible."""
+        if self.shapes is None or any(fits(tuple(value.shape), shape) for shape in self.shapes):
+            return
+        possible = " or ".join(f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" for shape in self.shapes)
+        raise ValueError(f"{name} must have shape {possible}, got {tuple(value.shape)}")
+
+    def check_range(self, name: str, value: Tensor, least: float, greatest: float, advice: str = "") -> None:
+        """Raises ValueError if the extremes of `value`, NaN if it has one, are outside of the range."""
+        if not (math.isfinite(least) and math.isfinite(greatest)):
+            bad = value.numel() - int(torch.isfinite(value).sum())
+            raise ValueError(f"{name} has {bad} of {value.numel()} values that are NaN or infinite{advice}")
+        if least < self.low or (least == self.low and not self.low_is_in):
+            raise ValueError(f"{name} must be {self.words}, got {float(least):g}{advice}")
+        if greatest > self.high or (greatest == self.high and not self.high_is_in):
+            raise ValueError(f"{name} must be {self.words}, got {float(greatest):g}{advice}")
+
+    @staticmethod
+    def check_pose(name: str, matrix: Tensor) -> None:
+        """Raises ValueError unless a (4, 4) matrix is affine and can be inverted."""
+        matrix = matrix.detach().to("cpu", torch.float64)
+        if (matrix[3] - torch.tensor([0.0, 0, 0, 1], dtype=matrix.dtype)).abs().max() > 1e-5:
+            raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {matrix[3].tolist()}")
+        linear = matrix[:3, :3]
+        volume = torch.linalg.det(linear).abs()
+        # What is thin along its own axes or along the world's is no fault; what is thin in every frame is.
+        box = min(linear.norm(dim=0).prod(), linear.norm(dim=1).prod())
+        if volume < max(SMALLEST_VOLUME, FLATTEST * box):
+            raise ValueError(f"{name} must be invertible, got a matrix with determinant {float(volume):g}")
+
+    @property
+    def words(self) -> str:
+        """The range, after "must be"."""
+        if self.high == math.inf:
+            return f"{'at least' if self.low_is_in else 'greater than'} {self.low:g}{self.unit}"
+        if self.low_is_in and self.high_is_in:
+            return f"in [{self.low:g}, {self.high:g}]{self.unit}"
+        if not self.low_is_in and not self.high_is_in:
+            return f"between {self.low:g} and {self.high:g}{self.unit}"
+        return (f"{'at least' if self.low_is_in else 'more than'} {self.low:g} and "
+                f"{'at most' if self.high_is_in else 'less than'} {self.high:g}{self.unit}")
+
+
+def fits(shape: tuple[int, ...], pattern: tuple[int | str, ...]) -> bool:
+    """Whether a shape is one of those that a pattern of lengths and letters stands for."""
+    return len(shape) == len(pattern) and all(length == wanted if isinstance(wanted, int) else length > 0
+                                              for length, wanted in zip(shape, pattern))
+
+
+NUMBER = Domain(shapes=((),))
+AMOUNT = Domain(low=0.0)  # of light, of roughness
+FRACTION = Domain(low=0.0, high=1.0)
+POSE = Domain(shapes=((4, 4),), is_pose=True)
+
+
 class Attribute(NamedTuple):
     """One row of a plugin's schema."""
 
@@ -98,8 +177,17 @@ class Plugin(nn.Module):
         """Keeps the child `name` as a reference only, because it is registered (and named) elsewhere."""
         self.shared[name] = self._modules.pop(name)
 
+    def domains(self) -> dict[str, Domain]:
+        """The domains of the parameters and tables that it holds, and of the values of its textures, by attribute."""
+        return {}
+
     def freeze(self, name: str, value: Tensor) -> None:
-        """Registers `value` as a parameter that takes no gradient until the user asks for one."""
+        """Registers `value` as a parameter that takes no gradient until the user asks for one.
+
+        Raises:
+            ValueError: if it is not in its domain.
+        """
+        self.domains().get(name, Domain()).check(name, value)
         self.register_parameter(name, nn.Parameter(value, requires_grad=False))
 
 

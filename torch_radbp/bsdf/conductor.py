@@ -9,8 +9,8 @@ from torch import Tensor
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, reflects
-from torch_radbp.plugin import BSDF, Texture, register
-from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.plugin import AMOUNT, BSDF, FRACTION, Domain, Texture, register
+from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3
 
 
@@ -50,10 +50,12 @@ class Conductor(BSDF):
     def __init__(self, *, eta: Texture | float | None = None, k: Texture | float | None = None, material: str = "none",
                  specular_reflectance: Texture | float = 1.0):
         super().__init__()
-        self.eta, self.k = complex_index(material, eta, k)
+        self.eta, self.k = complex_index(self, material, eta, k)
         self.material = "none"  # its name has become numbers, which may change
-        self.specular_reflectance = check_range(
-            "specular_reflectance", as_texture("specular_reflectance", specular_reflectance), upper=1.0)
+        self.specular_reflectance = as_texture(self, "specular_reflectance", specular_reflectance)
+
+    def domains(self) -> dict[str, Domain]:
+        return {"eta": AMOUNT, "k": AMOUNT, "specular_reflectance": FRACTION}
 
     def kind(self) -> ConductorKind:
         """The scattering functions."""

@@ -12,8 +12,8 @@ from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
 from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, side_of
 from torch_radbp.bsdf.number import OwnNumber
-from torch_radbp.plugin import BSDF, Texture, register
-from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.plugin import BSDF, FRACTION, NUMBER, Domain, Texture, register
+from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3
 
 
@@ -98,10 +98,12 @@ class Dielectric(BSDF):
         self.ext_ior = index_of_refraction("ext_ior", ext_ior)
         self.freeze("eta", torch.tensor(index_of_refraction("int_ior", int_ior) / self.ext_ior))
         self.eta_texture = (OwnNumber(self, "eta"),)  # a tuple, so that it is no submodule
-        self.specular_reflectance = check_range(
-            "specular_reflectance", as_texture("specular_reflectance", specular_reflectance), upper=1.0)
-        self.specular_transmittance = check_range(
-            "specular_transmittance", as_texture("specular_transmittance", specular_transmittance), upper=1.0)
+        self.specular_reflectance = as_texture(self, "specular_reflectance", specular_reflectance)
+        self.specular_transmittance = as_texture(self, "specular_transmittance", specular_transmittance)
+
+    def domains(self) -> dict[str, Domain]:
+        return {"eta": NUMBER._replace(low=0.0, low_is_in=False), "specular_reflectance": FRACTION,
+                "specular_transmittance": FRACTION}
 
     @property
     def int_ior(self) -> float:

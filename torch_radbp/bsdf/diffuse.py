@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Choice, Kind, Values
-from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin import BSDF, FRACTION, Domain, Texture, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
-from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3
 
 
@@ -38,7 +38,10 @@ class Diffuse(BSDF):
 
     def __init__(self, *, reflectance: Texture | float = 0.5):
         super().__init__()
-        self.reflectance = check_range("reflectance", as_texture("reflectance", reflectance), upper=1.0)
+        self.reflectance = as_texture(self, "reflectance", reflectance)
+
+    def domains(self) -> dict[str, Domain]:
+        return {"reflectance": FRACTION}
 
     def kind(self) -> DiffuseKind:
         """The scattering functions."""

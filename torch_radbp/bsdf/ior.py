@@ -11,8 +11,8 @@ as those of Palik 1985, "Handbook of Optical Constants of Solids") as `scalar_rg
 
 from __future__ import annotations
 
-from torch_radbp.plugin import Texture, nearest, positive
-from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.plugin import BSDF, Texture, nearest, positive
+from torch_radbp.texture.rgb import as_texture
 
 DIELECTRICS = {
     "vacuum": 1.0, "helium": 1.000036, "hydrogen": 1.000132, "air": 1.000277, "carbon dioxide": 1.00045, "water": 1.333,
@@ -61,8 +61,9 @@ def index_of_refraction(name: str, value: float | str) -> float:
     return positive(name, value)
 
 
-def complex_index(material: str, eta: Texture | float | None, k: Texture | float | None) -> tuple[Texture, Texture]:
-    """The textures eta and k of a conductor: those given, or those of a named material; "none" is a perfect mirror.
+def complex_index(owner: BSDF, material: str, eta: Texture | float | None,
+                  k: Texture | float | None) -> tuple[Texture, Texture]:
+    """The textures eta and k of the conductor `owner`: those given, or those of a named metal; "none": a perfect mirror.
 
     Raises:
         ValueError: if the material is not known, is given beside eta or k, or if a value is negative.
@@ -77,4 +78,4 @@ def complex_index(material: str, eta: Texture | float | None, k: Texture | float
     if named:
         eta, k = CONDUCTORS[material]
     eta, k = 0.0 if eta is None else eta, 1.0 if k is None else k
-    return check_range("eta", as_texture("eta", eta)), check_range("k", as_texture("k", k))
+    return as_texture(owner, "eta", eta), as_texture(owner, "k", k)

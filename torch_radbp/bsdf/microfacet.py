@@ -35,8 +35,8 @@ from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.number import NumberOf
-from torch_radbp.plugin import BSDF, Texture, nearest
-from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.plugin import AMOUNT, BSDF, Texture, nearest
+from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import TINY, Vec2, Vec3, dot, normalize
 
 SMALLEST_ALPHA = 1e-4  # as Mitsuba: below this a surface counts as this rough
@@ -234,9 +234,12 @@ def check_distribution(distribution: str, sample_visible: bool) -> str:
     return distribution
 
 
-def roughness(alpha: Texture | float | None, alpha_u: Texture | float | None,
+ROUGHNESS = {"alpha": AMOUNT, "alpha_u": AMOUNT, "alpha_v": AMOUNT}
+
+
+def roughness(owner: BSDF, alpha: Texture | float | None, alpha_u: Texture | float | None,
               alpha_v: Texture | float | None) -> dict[str, Texture]:
-    """The textures of a material's roughness by attribute: either alpha, or alpha_u and alpha_v.
+    """The textures of the roughness of `owner` by attribute: either alpha, or alpha_u and alpha_v.
 
     Raises:
         ValueError: if both ways are mixed, or a value is negative.
@@ -249,7 +252,7 @@ def roughness(alpha: Texture | float | None, alpha_u: Texture | float | None,
         given = {"alpha_u": alpha_u, "alpha_v": alpha_v}
     else:
         given = {"alpha": 0.1 if alpha is None else alpha}
-    return {name: check_range(name, as_texture(name, value)) for name, value in given.items()}
+    return {name: as_texture(owner, name, value) for name, value in given.items()}
 
 
 def roughness_numbers(owner: BSDF) -> tuple[NumberOf, ...]:

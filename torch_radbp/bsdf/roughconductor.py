@@ -9,9 +9,16 @@ from torch import Tensor
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import Choice, Values, above, reflects
-from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness, roughness_numbers
-from torch_radbp.plugin import BSDF, Texture, register
-from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.bsdf.microfacet import (
+    ROUGHNESS,
+    MicrofacetKind,
+    check_distribution,
+    half_vector,
+    roughness,
+    roughness_numbers,
+)
+from torch_radbp.plugin import AMOUNT, BSDF, FRACTION, Domain, Texture, register
+from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3, dot
 
 
@@ -65,13 +72,15 @@ class RoughConductor(BSDF):
         super().__init__()
         self.distribution = check_distribution(distribution, sample_visible)
         self.sample_visible = sample_visible
-        rough = roughness(alpha, alpha_u, alpha_v)
+        rough = roughness(self, alpha, alpha_u, alpha_v)
         self.alpha, self.alpha_u, self.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
         self.rough_numbers = roughness_numbers(self)
-        self.eta, self.k = complex_index(material, eta, k)
+        self.eta, self.k = complex_index(self, material, eta, k)
         self.material = "none"  # its name has become numbers, which may change
-        self.specular_reflectance = check_range(
-            "specular_reflectance", as_texture("specular_reflectance", specular_reflectance), upper=1.0)
+        self.specular_reflectance = as_texture(self, "specular_reflectance", specular_reflectance)
+
+    def domains(self) -> dict[str, Domain]:
+        return {**ROUGHNESS, "eta": AMOUNT, "k": AMOUNT, "specular_reflectance": FRACTION}
 
     def kind(self) -> RoughConductorKind:
         """The scattering functions."""

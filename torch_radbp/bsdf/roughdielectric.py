@@ -11,8 +11,15 @@ from torch import Tensor
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import Choice, Values, above, side_of
-from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector, roughness, roughness_numbers
-from torch_radbp.plugin import Texture, register
+from torch_radbp.bsdf.microfacet import (
+    ROUGHNESS,
+    MicrofacetKind,
+    check_distribution,
+    half_vector,
+    roughness,
+    roughness_numbers,
+)
+from torch_radbp.plugin import Domain, Texture, register
 from torch_radbp.vec import TINY, Vec3, dot
 
 
@@ -156,9 +163,12 @@ class RoughDielectric(Dielectric):
             raise ValueError(f"int_ior and ext_ior must differ, or there is nothing to see; got {int_ior} and {ext_ior}")
         self.distribution = check_distribution(distribution, sample_visible)
         self.sample_visible = sample_visible
-        rough = roughness(alpha, alpha_u, alpha_v)
+        rough = roughness(self, alpha, alpha_u, alpha_v)
         self.alpha, self.alpha_u, self.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
         self.rough_numbers = roughness_numbers(self)
+
+    def domains(self) -> dict[str, Domain]:
+        return {**ROUGHNESS, **super().domains()}
 
     def kind(self) -> RoughDielectricKind:
         """The scattering functions."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from torch_radbp.plugin import Emitter, Texture, positive, register
-from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.plugin import AMOUNT, Domain, Emitter, Texture, positive, register
+from torch_radbp.texture.rgb import as_texture
 
 
 @register("emitter", "area")
@@ -15,5 +15,8 @@ class Area(Emitter):
 
     def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
         super().__init__()
-        self.radiance = check_range("radiance", as_texture("radiance", radiance))
+        self.radiance = as_texture(self, "radiance", radiance)
         self.sampling_weight = positive("sampling_weight", sampling_weight)
+
+    def domains(self) -> dict[str, Domain]:
+        return {"radiance": AMOUNT}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torch_radbp.emitter.illumination import colour
-from torch_radbp.plugin import Emitter, Texture, positive, register
+from torch_radbp.plugin import AMOUNT, Domain, Emitter, Texture, positive, register
 
 
 @register("emitter", "constant")
@@ -15,8 +15,11 @@ class Constant(Emitter):
 
     def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
         super().__init__()
-        self.radiance = colour("radiance", radiance, self.type)
+        self.radiance = colour(self, "radiance", radiance)
         self.sampling_weight = positive("sampling_weight", sampling_weight)
+
+    def domains(self) -> dict[str, Domain]:
+        return {"radiance": AMOUNT}
 
     def radiated(self) -> Texture:
         """The texture that tells how much light there is."""

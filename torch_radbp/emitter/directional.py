@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.illumination import LightPose, colour
-from torch_radbp.plugin import Emitter, Matrix4, Point3, Texture, finite, positive, register
+from torch_radbp.plugin import AMOUNT, POSE, Domain, Emitter, Matrix4, Point3, Texture, finite, positive, register
 from torch_radbp.pose import look_at
 from torch_radbp.shape.surface import affine
 
@@ -28,10 +28,13 @@ class Directional(Emitter):
         if direction is not None and to_world is not None:
             raise ValueError("give either direction or to_world, not both")
         self.freeze("to_world", affine("to_world", to_world if direction is None else facing(direction)))
-        self.irradiance = colour("irradiance", irradiance, self.type)
+        self.irradiance = colour(self, "irradiance", irradiance)
         self.sampling_weight = positive("sampling_weight", sampling_weight)
 
     direction = None  # resolved into `to_world`
+
+    def domains(self) -> dict[str, Domain]:
+        return {"to_world": POSE, "irradiance": AMOUNT}
 
     def radiated(self) -> Texture:
         """The texture that tells how much light there is."""

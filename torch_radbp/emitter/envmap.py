@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Emitter, Filename, Matrix4, finite, positive, register
+from torch_radbp.emitter.illumination import FACTOR, factor
+from torch_radbp.plugin import AMOUNT, POSE, Domain, Emitter, Filename, Matrix4, finite, positive, register
 from torch_radbp.shape.surface import affine
+from torch_radbp.texture.bitmap import IMAGE
 
 
 @register("emitter", "envmap")
@@ -44,17 +44,17 @@ class Envmap(Emitter):
         data = data[..., None] if data.ndim == 2 else data
         if data.ndim != 3 or data.shape[2] not in (1, 3) or data.numel() == 0:
             raise ValueError(f"bitmap must have shape (H, W), (H, W, 1) or (H, W, 3), got {tuple(data.shape)}")
-        if data.min() < 0:
-            raise ValueError(f"bitmap must be at least 0, got {float(data.min()):g}")
-        if not 0 <= scale < math.inf:
-            raise ValueError(f"scale must be at least 0 and finite, got {scale}")
+        AMOUNT.check("bitmap", data)
         self.filename, self.mis_compensation = filename, mis_compensation
         self.freeze("data", data.expand(-1, -1, 3).contiguous())
-        self.freeze("scale", torch.tensor(float(scale), dtype=torch.get_default_dtype()))
+        self.freeze("scale", factor(scale))
         self.freeze("to_world", affine("to_world", to_world))
         self.sampling_weight = positive("sampling_weight", sampling_weight)
 
     bitmap = None  # resolved into `data`
+
+    def domains(self) -> dict[str, Domain]:
+        return {"data": IMAGE._replace(low=0.0), "scale": FACTOR, "to_world": POSE}
 
     def texels(self) -> Tensor:
         """(H, W, 3) radiance, linear RGB, attached."""

@@ -8,8 +8,21 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Texture
-from torch_radbp.texture.rgb import RGB, as_texture, check_range
+from torch_radbp.plugin import NUMBER, Emitter, Texture
+from torch_radbp.texture.rgb import RGB, as_texture
+
+FACTOR = NUMBER._replace(low=0.0)
+
+
+def factor(scale: float) -> Tensor:
+    """() a factor of the light that an emitter sends.
+
+    Raises:
+        ValueError: if it is negative or not finite.
+    """
+    if not 0 <= scale < math.inf:
+        raise ValueError(f"scale must be at least 0 and finite, got {scale}")
+    return torch.tensor(float(scale), dtype=torch.get_default_dtype())
 
 
 class LightPose(NamedTuple):
@@ -56,13 +69,13 @@ def linear_inverse(name: str, matrix: Tensor) -> Tensor:
     return torch.linalg.inv(linear)
 
 
-def colour(name: str, value: Texture | Tensor | float, emitter: str) -> Texture:
-    """A texture that is one colour, at least 0.
+def colour(emitter: Emitter, name: str, value: Texture | Tensor | float) -> Texture:
+    """A texture that is one colour, from what the attribute `name` of an emitter accepts.
 
     Raises:
         ValueError: if it is an image, or negative.
     """
-    texture = check_range(name, as_texture(name, value))
+    texture = as_texture(emitter, name, value)
     if not isinstance(texture, RGB):
-        raise ValueError(f"{name} of a {emitter} emitter must be one number or an rgb, got a {texture.type}")
+        raise ValueError(f"{name} of a {emitter.type} emitter must be one number or an rgb, got a {texture.type}")
     return texture

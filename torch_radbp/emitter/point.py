@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from torch_radbp.emitter.illumination import LightPose, colour
-from torch_radbp.plugin import Emitter, Matrix4, Point3, Texture, finite, positive, register
+from torch_radbp.plugin import AMOUNT, Domain, Emitter, Matrix4, Point3, Texture, finite, positive, register
 from torch_radbp.shape.surface import affine, transform_points
 
 
@@ -27,10 +27,13 @@ class Point(Emitter):
         origin = torch.zeros(1, 3, dtype=torch.get_default_dtype())
         place = finite("position", position, (3,)) if position is not None else None
         self.freeze("position", transform_points(affine("to_world", to_world), origin)[0] if place is None else place)
-        self.intensity = colour("intensity", intensity, self.type)
+        self.intensity = colour(self, "intensity", intensity)
         self.sampling_weight = positive("sampling_weight", sampling_weight)
 
     to_world = None  # resolved into `position`
+
+    def domains(self) -> dict[str, Domain]:
+        return {"position": Domain(shapes=((3,),)), "intensity": AMOUNT}
 
     def radiated(self) -> Texture:
         """The texture that tells how much light there is."""

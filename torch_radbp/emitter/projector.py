@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 
-import torch
 from torch import Tensor
 
-from torch_radbp.emitter.illumination import LightPose, Scaled, linear_inverse
-from torch_radbp.plugin import Emitter, Matrix4, Texture, positive, register
+from torch_radbp.emitter.illumination import FACTOR, LightPose, Scaled, factor, linear_inverse
+from torch_radbp.plugin import AMOUNT, POSE, Domain, Emitter, Matrix4, Texture, positive, register
 from torch_radbp.sensor.perspective import field_of_view, horizontal_fov
 from torch_radbp.shape.surface import affine
-from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.texture.rgb import as_texture
 
 
 @register("emitter", "projector")
@@ -36,16 +35,17 @@ class Projector(Emitter):
                  fov: float | None = None, focal_length: str | None = None, fov_axis: str = "x",
                  sampling_weight: float = 1.0):
         super().__init__()
-        self.irradiance = check_range("irradiance", as_texture("irradiance", irradiance))
-        if not 0 <= scale < math.inf:
-            raise ValueError(f"scale must be at least 0 and finite, got {scale}")
+        self.irradiance = as_texture(self, "irradiance", irradiance)
         fov, fov_axis = field_of_view(fov, focal_length, fov_axis)
         self.fov = float(fov) if fov_axis == "x" else horizontal_fov(fov, fov_axis, self.aspect())
-        self.freeze("scale", torch.tensor(float(scale), dtype=torch.get_default_dtype()))
+        self.freeze("scale", factor(scale))
         self.freeze("to_world", affine("to_world", to_world))
         self.sampling_weight = positive("sampling_weight", sampling_weight)
 
     fov_axis, focal_length = "x", None  # resolved into `fov`
+
+    def domains(self) -> dict[str, Domain]:
+        return {"to_world": POSE, "irradiance": AMOUNT, "scale": FACTOR}
 
     def aspect(self) -> float:
         """Width / height of the image."""

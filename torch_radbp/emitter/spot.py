@@ -5,9 +5,11 @@ from __future__ import annotations
 import torch
 
 from torch_radbp.emitter.illumination import LightPose, Scaled, colour, linear_inverse
-from torch_radbp.plugin import Emitter, Matrix4, Texture, positive, register
+from torch_radbp.plugin import AMOUNT, NUMBER, POSE, Domain, Emitter, Matrix4, Texture, positive, register
 from torch_radbp.shape.surface import affine
-from torch_radbp.texture.rgb import as_texture, check_range
+from torch_radbp.texture.rgb import as_texture
+
+CUTOFF = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, unit=" degrees")
 
 
 @register("emitter", "spot")
@@ -27,7 +29,8 @@ class Spot(Emitter):
     def __init__(self, *, intensity: Texture | float = 1.0, cutoff_angle: float = 20.0, beam_width: float | None = None,
                  texture: Texture | None = None, to_world: Matrix4 | None = None, sampling_weight: float = 1.0):
         super().__init__()
-        self.intensity = colour("intensity", intensity, self.type)
+        self.add_module("texture", None)
+        self.intensity = colour(self, "intensity", intensity)
         beam_width = 0.75 * cutoff_angle if beam_width is None else beam_width
         if not 0 < cutoff_angle <= 180:
             raise ValueError(f"cutoff_angle must be more than 0 and at most 180 degrees, got {cutoff_angle}")
@@ -36,13 +39,18 @@ class Spot(Emitter):
                              f"{beam_width}")
         if texture is not None and not cutoff_angle < 90:
             raise ValueError(f"cutoff_angle must be less than 90 degrees for a spot with a texture, got {cutoff_angle}")
-        texture = None if texture is None else check_range("texture", as_texture("texture", texture))
+        texture = None if texture is None else as_texture(self, "texture", texture)
         self.add_module("texture", texture)
         dtype = torch.get_default_dtype()
         self.freeze("cutoff_angle", torch.tensor(float(cutoff_angle), dtype=dtype))
         self.freeze("beam_width", torch.tensor(float(beam_width), dtype=dtype))
         self.freeze("to_world", affine("to_world", to_world))
         self.sampling_weight = positive("sampling_weight", sampling_weight)
+
+    def domains(self) -> dict[str, Domain]:
+        widest = CUTOFF if self.texture is None else CUTOFF._replace(high=90.0, high_is_in=False)
+        return {"to_world": POSE, "intensity": AMOUNT, "texture": AMOUNT, "cutoff_angle": widest,
+                "beam_width": NUMBER._replace(low=0.0, unit=" degrees")}
 
     def radiated(self) -> Texture | Scaled:
         """The texture that tells how much light there is."""

@@ -15,6 +15,7 @@ from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.light_table import Lamp, kinds_of, light_table
 from torch_radbp.scene.lookup import TextureBank
+from torch_radbp.scene.parameters import check_extent, check_parameters
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors, TriangleTable, VertexTable
 from torch_radbp.shape.surface import Triangles
@@ -72,14 +73,16 @@ def pack(scene: Scene) -> SceneTensors:
     """The tensors of a scene, attached to its parameters.
 
     Raises:
-        ValueError: if a parameter has become NaN or infinite; the message names it.
+        ValueError: if a parameter is not in its domain; the message names it.
+        TypeError: if the parameters are not of one dtype.
     """
-    check_finite(scene)
+    check_parameters(scene)
     dtype, device = scene.dtype, scene.device
     reflectance, radiance = BankBuilder(), BankBuilder()
     bsdfs = list(scene.bsdfs())
     materials, kinds = material_table(bsdfs, reflectance, device)
     surfaces = [without_flat_normals(shape.oriented()) for shape in scene.shapes]
+    check_extent(scene, [surface.vertices for surface in surfaces])
     counts = [len(surface.faces) for surface in surfaces]
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
     material = [row[id(shape.bsdf)] for shape in scene.shapes]
@@ -119,15 +122,6 @@ def flat_normals(surface: Triangles, faces: Tensor) -> bool:
     """Whether the vertex normals of some faces of a surface, (F, 3), are the normals of these faces."""
     normals, _ = normals_and_clearances(Vec3.of(surface.vertices), faces.unbind(1))
     return bool((surface.normals[faces] - normals.stack()[:, None]).abs().max() < FLAT)
-
-
-def check_finite(scene: Scene) -> None:
-    """Raises ValueError naming the first parameter that is NaN or infinite."""
-    for name, parameter in scene.named_parameters():
-        bad = parameter.numel() - int(torch.isfinite(parameter.detach()).sum())
-        if bad:
-            raise ValueError(f"parameter {name!r} has {bad} of {parameter.numel()} values that are NaN or infinite; "
-                             f"a smaller learning rate or bounds may keep it finite")
 
 
 def material_table(bsdfs: list[BSDF], bank: BankBuilder, device: torch.device) -> tuple[MaterialTable, tuple[Kind, ...]]:

@@ -9,11 +9,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, nearest, positive, register
+from torch_radbp.plugin import NUMBER, POSE, Domain, Film, Matrix4, Sampler, Sensor, nearest, positive, register
 from torch_radbp.sensor.sampler import LowDiscrepancy
 from torch_radbp.shape.surface import affine
 from torch_radbp.vec import Frame, Ray, Vec3, dot, gather, normalize
 
+FIELD_OF_VIEW = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, high_is_in=False, unit=" degrees")
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 
 
@@ -71,6 +72,10 @@ class Perspective(Sensor):
         self.freeze("x_fov", torch.tensor(horizontal_fov(fov, fov_axis, aspect), dtype=dtype))
         self.freeze("principal_point_offset_x", torch.tensor(float(principal_point_offset_x), dtype=dtype))
         self.freeze("principal_point_offset_y", torch.tensor(float(principal_point_offset_y), dtype=dtype))
+
+    def domains(self) -> dict[str, Domain]:
+        return {"to_world": POSE, "x_fov": FIELD_OF_VIEW, "principal_point_offset_x": NUMBER,
+                "principal_point_offset_y": NUMBER}
 
     @property
     def fov(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, register
+from torch_radbp.plugin import BSDF, POSE, Domain, Emitter, Filename, Matrix4, finite, register
 from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
 from torch_radbp.shape.surface import Surface, Triangles, affine, transform_normals, transform_points
 from torch_radbp.vec import attached
@@ -32,10 +32,7 @@ class Mesh(Surface):
                 are given and are to be recomputed.
         """
         dtype = torch.get_default_dtype()
-        faces = torch.as_tensor(faces)
-        if faces.is_floating_point() and not (faces == faces.round()).all():
-            raise ValueError("faces must be indices of vertices, integers, got fractions")
-        faces = faces.to(torch.int64)
+        faces = whole_numbers("faces", faces)
         positions = finite("vertex_positions", positions)
         if positions.ndim != 2 or positions.shape[1:] != (3,):
             raise ValueError(f"vertex_positions must have shape (V, 3), got {tuple(positions.shape)}")
@@ -49,6 +46,7 @@ class Mesh(Surface):
         positions = finite("vertex_positions in world space", transform_points(matrix, positions.to(dtype)))
         if not has_area(positions, faces):
             raise ValueError(f"all {len(faces)} triangles of the mesh are degenerate (area 0)")
+        self.vertex_count = count
         self.freeze("vertex_positions", positions)
         self.recompute_normals = recompute_normals
         if recompute_normals and normals is not None:
@@ -67,6 +65,12 @@ class Mesh(Surface):
         self.register_buffer("faces", faces)
         self.freeze("to_world", matrix)
         self.register_buffer("loaded_to_world", matrix.clone(), persistent=False)
+
+    def domains(self) -> dict[str, Domain]:
+        vector = Domain(shapes=((self.vertex_count, 3),))
+        return {"vertex_positions": vector, "vertex_normals": vector, "to_world": POSE,
+                "vertex_texcoords": Domain(shapes=((self.vertex_count, 2),)),
+                "faces": Domain(shapes=(("F", 3),), low=0, high=self.vertex_count - 1)}
 
     def triangles(self) -> Triangles:
         motion = self.motion()
@@ -88,6 +92,19 @@ def has_area(positions: Tensor, faces: Tensor) -> bool:
     """Whether any triangle has an area; looks no further than the first block with one that has."""
     blocks = (positions[block].unbind(1) for block in faces.split(BLOCK))
     return any(bool(torch.linalg.cross(second - first, third - first).any()) for first, second, third in blocks)
+
+
+def whole_numbers(name: str, values: Tensor) -> Tensor:
+    """`values` as int64.
+
+    Raises:
+        ValueError: if one is no whole number.
+    """
+    values = torch.as_tensor(values)
+    rounded = values.to(torch.int64)
+    if values.is_complex() or values.dtype == torch.bool or not torch.equal(rounded.to(values.dtype), values):
+        raise ValueError(f"{name} must be whole numbers, got {values.dtype} with other values")
+    return rounded
 
 
 class FileMesh(Mesh):

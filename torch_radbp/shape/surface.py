@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.diffuse import Diffuse
-from torch_radbp.plugin import BSDF, Emitter, Shape, finite
+from torch_radbp.plugin import BSDF, POSE, Domain, Emitter, Shape, finite
 
 
 class Triangles(NamedTuple):
@@ -30,10 +30,7 @@ def affine(name: str, matrix: Tensor | None) -> Tensor:
     if matrix is None:
         return torch.eye(4, dtype=dtype)
     matrix = finite(name, matrix, (4, 4))
-    if (matrix[3] - torch.tensor([0.0, 0, 0, 1], dtype=matrix.dtype)).abs().max() > 1e-6:
-        raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {matrix[3].tolist()}")
-    if torch.linalg.det(matrix[:3, :3].double()).abs() < 1e-30:
-        raise ValueError(f"{name} must be invertible, got a matrix with determinant 0")
+    POSE.check(name, matrix)
     return matrix.to(dtype)
 
 
@@ -82,6 +79,9 @@ class Tessellated(Surface):
 
     Parameters: `to_world` (4, 4).
     """
+
+    def domains(self) -> dict[str, Domain]:
+        return {"to_world": POSE}
 
     def place(self, to_world: Tensor | None, surface: Triangles) -> None:
         """Stores the canonical tessellation and the transform."""

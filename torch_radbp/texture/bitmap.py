@@ -5,11 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
+from torch_radbp.plugin import Domain, Filename, Matrix4, Texture, finite, nearest, register
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest")
 LUMINANCE = (0.212671, 0.715160, 0.072169)  # of linear RGB, ITU-R BT.709 with the digits of Mitsuba
+
+IMAGE = Domain(shapes=(("H", "W", 3),))
 
 
 @register("texture", "bitmap")
@@ -51,6 +53,9 @@ class Bitmap(Texture):
         self.freeze("data", data.expand(-1, -1, 3).contiguous())
         matrix = torch.eye(4) if to_uv is None else finite("to_uv", to_uv, (4, 4))
         self.register_buffer("to_uv", matrix.to(torch.get_default_dtype()))
+
+    def domains(self) -> dict[str, Domain]:
+        return {"data": IMAGE}
 
     def texels(self) -> Tensor:
         """(H, W, 3) linear RGB, attached."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Texture, finite, register
+from torch_radbp.plugin import Domain, Plugin, Texture, finite, register
 
 
 @register("texture", "rgb")
@@ -27,6 +27,9 @@ class RGB(Texture):
             raise ValueError(f"value must be one number or three (linear RGB), got shape {tuple(value.shape)}")
         self.freeze("value", value)
 
+    def domains(self) -> dict[str, Domain]:
+        return {"value": Domain(shapes=((), (3,)))}
+
     def texels(self) -> Tensor:
         """(1, 1, 3) linear RGB, attached."""
         return self.value.expand(3).reshape(1, 1, 3)
@@ -36,19 +39,15 @@ class RGB(Texture):
         return self.value.mean().reshape(1, 1)
 
 
-def as_texture(name: str, value: Texture | Tensor | float) -> Texture:
-    """A texture from what an attribute accepts: a texture, one number, or three."""
-    if isinstance(value, Texture):
-        return value
+def as_texture(owner: Plugin, name: str, value: Texture | Tensor | float) -> Texture:
+    """A texture from what the attribute `name` of a plugin accepts: a texture, one number, or three.
+
+    Raises:
+        TypeError: if it is something else.
+        ValueError: if a texel is not in the domain that the plugin has for it.
+    """
     if isinstance(value, (str, bytes, dict)):
         raise TypeError(f"{name} must be a number, three numbers or a texture, got {value!r}")
-    return RGB(value=value)
-
-
-def check_range(name: str, texture: Texture, upper: float = float("inf")) -> Texture:
-    """The texture, checked to have no texel below 0 or above `upper`."""
-    low, high = float(texture.texels().min()), float(texture.texels().max())
-    if low < 0 or high > upper:
-        limits = f"in [0, {upper:g}]" if upper < float("inf") else "at least 0"
-        raise ValueError(f"{name} must be {limits}, got {low if low < 0 else high:g}")
+    texture = value if isinstance(value, Texture) else RGB(value=value)
+    owner.domains()[name].check(name, texture.texels())
     return texture

@@ -1,0 +1,115 @@
+"""What the parameters of a scene are now, by name, and whether every one of them is in its domain.
+
+Parameters change between renderings, by an optimiser, by `torch.func.functional_call`, `torch.nn.utils.parametrize` or
+`.data`. So they are looked at once a call: shapes first, then the extremes of all of them, in one pass over each and one
+transfer from the device. Writing through `.data` leaves no trace on a tensor, so that nothing can be remembered from the
+call before; the pass takes a small part of the time in which the scene is packed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Domain, Plugin, Texture
+from torch_radbp.scene.scene import Scene
+
+DTYPES = (torch.float32, torch.float64)
+LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
+NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
+OUTSIDE = "; keep it inside, with .clamp_() after each step or with a parametrisation"
+
+
+class Held(NamedTuple):
+    """The value of a parameter or of a table, as the renderer sees it, and all domains that it has to be in."""
+
+    value: Tensor
+    domains: list[Domain]
+
+
+def held_values(scene: Scene) -> dict[str, Held]:
+    """By name, everything in a scene that has a domain, and every other parameter.
+
+    What a parametrisation makes is found under the name of the parameter that it stands for. The values of a texture have
+    to be in the domains of the attributes that it is used for; a texture that names no parameters of its own is evaluated.
+    """
+    names = {id(module): name for name, module in scene.named_modules() if isinstance(module, Plugin)}
+    plugins = [(names[id(module)], module) for module in scene.modules() if isinstance(module, Plugin)]
+    found: dict[str, Held] = {}
+    for prefix, plugin in plugins:
+        for attribute, domain in plugin.domains().items():
+            value = getattr(plugin, attribute, None)
+            if isinstance(value, Tensor):
+                found[f"{prefix}.{attribute}"] = Held(value, [domain])
+    for _, plugin in plugins:
+        for attribute, domain in plugin.domains().items():
+            texture = getattr(plugin, attribute, None)
+            if not isinstance(texture, Texture):
+                continue
+            prefix = names[id(texture)]
+            if not texture.domains():
+                found.setdefault(prefix, Held(texture.texels(), [])).domains.append(domain)
+            for own in texture.domains():
+                found[f"{prefix}.{own}"].domains.append(domain)
+    known = {id(held.value) for held in found.values()}
+    found.update({name: Held(value, [Domain()]) for name, value in scene.named_parameters()
+                  if id(value) not in known and value.numel()})
+    return found
+
+
+def check_parameters(scene: Scene) -> None:
+    """Checks the current parameters of a scene.
+
+    Raises:
+        ValueError: naming the first that has a wrong shape, is not finite, is out of range, or is a pose that is none.
+        TypeError: if dtypes or devices are mixed, or the dtype is not supported.
+    """
+    with torch.no_grad():
+        found = held_values(scene)
+        check_types(scene, found)
+        for name, held in found.items():
+            for domain in held.domains:
+                domain.check_shape(f"parameter {name!r}", held.value)
+        extremes = torch.stack([torch.stack(detached(held.value).aminmax()).double() for held in found.values()])
+        for (name, held), (least, greatest) in zip(found.items(), extremes.tolist()):
+            for domain in held.domains:
+                finite = abs(least) < torch.inf and abs(greatest) < torch.inf
+                domain.check_range(f"parameter {name!r}", held.value, least, greatest, OUTSIDE if finite else NOT_FINITE)
+                if domain.is_pose:
+                    domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", held.value)
+
+
+def detached(value: Tensor) -> Tensor:
+    """The same numbers without tangents of forward mode."""
+    return torch.autograd.forward_ad.unpack_dual(value).primal.detach() if value.is_floating_point() else value
+
+
+def check_types(scene: Scene, found: dict[str, Held]) -> None:
+    """Raises TypeError unless all parameters are float32, or all float64, on one device."""
+    first, reference = next(iter(scene.named_parameters()))
+    for name, (value, _) in found.items():
+        if name.endswith("faces"):
+            continue
+        if value.dtype not in DTYPES:
+            raise TypeError(f"parameter {name!r} is {value.dtype}; a scene is rendered in torch.float32 or torch.float64: "
+                            f"convert it with scene.float() or scene.double()")
+        if (value.dtype, value.device) != (reference.dtype, reference.device):
+            raise TypeError(f"parameter {name!r} is {value.dtype} on {value.device}, but {first!r} is {reference.dtype} on "
+                            f"{reference.device}; a scene has one dtype and one device: convert it with .to()")
+
+
+def check_extent(scene: Scene, vertices: list[Tensor]) -> None:
+    """Raises ValueError naming the first shape that is too large for float32.
+
+    Args:
+        scene: its shapes.
+        vertices: (V, 3) of each shape, world space.
+    """
+    for shape, positions in zip(scene.shapes, vertices):
+        largest = max(map(abs, torch.stack(positions.detach().aminmax()).tolist()))
+        if not largest <= LARGEST_COORDINATE:
+            raise ValueError(f"the shape {scene.name_of(shape)!r} has vertices up to {largest:.3g} from the origin along an "
+                             f"axis, and would vanish: areas overflow in float32 beyond {LARGEST_COORDINATE:g}; scale the "
+                             f"whole scene down")
