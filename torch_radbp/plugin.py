@@ -85,6 +85,7 @@ class Domain(NamedTuple):
     low_is_in: bool = True
     high_is_in: bool = True
     unit: str = ""
+    is_index: bool = False  # rows of a table, int64
     is_pose: bool = False  # an affine transform that can be inverted
 
     def check(self, name: str, value: Tensor) -> None:
@@ -102,21 +103,27 @@ class Domain(NamedTuple):
         possible = " or ".join(f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" for shape in self.shapes)
         raise ValueError(f"{name} must have shape {possible}, got {tuple(value.shape)}")
 
-    def check_range(self, name: str, value: Tensor, least: float, greatest: float, advice: str = "") -> None:
-        """Raises ValueError if the extremes of `value`, NaN if it has one, are outside of the range."""
+    def check_range(self, name: str, value: Tensor, least: float, greatest: float, leeway: float = 0.0,
+                    advice: str = "") -> None:
+        """Raises ValueError unless the extremes of `value`, NaN if it has one, are in the range.
+
+        `leeway`: how far they may be outside, as a share of the greatest value that there is or may be; ends that are not
+        in the range have none.
+        """
         if not (math.isfinite(least) and math.isfinite(greatest)):
             bad = value.numel() - int(torch.isfinite(value).sum())
             raise ValueError(f"{name} has {bad} of {value.numel()} values that are NaN or infinite{advice}")
-        if least < self.low or (least == self.low and not self.low_is_in):
+        leeway *= max(abs(least), abs(greatest), self.high if self.high < math.inf else 0.0)
+        if (least < self.low - leeway) if self.low_is_in else (least <= self.low):
             raise ValueError(f"{name} must be {self.words}, got {float(least):g}{advice}")
-        if greatest > self.high or (greatest == self.high and not self.high_is_in):
+        if (greatest > self.high + leeway) if self.high_is_in else (greatest >= self.high):
             raise ValueError(f"{name} must be {self.words}, got {float(greatest):g}{advice}")
 
     @staticmethod
     def check_pose(name: str, matrix: Tensor) -> None:
         """Raises ValueError unless a (4, 4) matrix is affine and can be inverted."""
         matrix = matrix.detach().to("cpu", torch.float64)
-        if (matrix[3] - torch.tensor([0.0, 0, 0, 1], dtype=matrix.dtype)).abs().max() > 1e-5:
+        if (matrix[3] - matrix.new_tensor([0.0, 0, 0, 1])).abs().max() > 1e-5:
             raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {matrix[3].tolist()}")
         linear = matrix[:3, :3]
         volume = torch.linalg.det(linear).abs()

@@ -126,7 +126,14 @@ DISTRIBUTIONS = {"beckmann": Beckmann, "ggx": GGX}
 
 def microfacets(distribution: str, alpha_u: Tensor, alpha_v: Tensor) -> Beckmann | GGX:
     """The distribution called `distribution` with roughness `alpha_u`, `alpha_v`, kept above `SMALLEST_ALPHA`."""
-    return DISTRIBUTIONS[distribution](alpha_u.clamp_min(SMALLEST_ALPHA), alpha_v.clamp_min(SMALLEST_ALPHA))
+    return DISTRIBUTIONS[distribution](floored(alpha_u), floored(alpha_v))
+
+
+def floored(alpha: Tensor) -> Tensor:
+    """`alpha`, at least `SMALLEST_ALPHA`; below it with the derivative that it has there, so that an optimiser that has come
+    to a roughness of 0 can leave it again."""
+    fixed = alpha.detach()
+    return alpha + (fixed.clamp_min(SMALLEST_ALPHA) - fixed)
 
 
 @dataclass(frozen=True)

@@ -135,8 +135,8 @@ class RoughDielectric(Dielectric):
     """A rough boundary between two transparent media: microfacets that each reflect and refract light, once.
 
     Parameters: `alpha` or `alpha_u` and `alpha_v`, textures; `eta`, a number, the index of refraction inside over the one
-    outside; `specular_reflectance`, `specular_transmittance`, textures. Derivatives: with respect to all of them; of
-    roughness below 1e-4, which counts as 1e-4, they are zero.
+    outside; `specular_reflectance`, `specular_transmittance`, textures. Derivatives: with respect to all of them;
+    roughness below 1e-4 counts as 1e-4 and has the derivatives that it has there.
 
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.

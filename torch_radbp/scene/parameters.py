@@ -18,6 +18,7 @@ from torch_radbp.scene.scene import Scene
 
 DTYPES = (torch.float32, torch.float64)
 LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
+LEEWAY = 0.02  # as far as finite differences, those of `check_gradient` among them, lead out of the range of a value
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
 OUTSIDE = "; keep it inside, with .clamp_() after each step or with a parametrisation"
 
@@ -76,7 +77,8 @@ def check_parameters(scene: Scene) -> None:
         for (name, held), (least, greatest) in zip(found.items(), extremes.tolist()):
             for domain in held.domains:
                 finite = abs(least) < torch.inf and abs(greatest) < torch.inf
-                domain.check_range(f"parameter {name!r}", held.value, least, greatest, OUTSIDE if finite else NOT_FINITE)
+                domain.check_range(f"parameter {name!r}", held.value, least, greatest, LEEWAY,
+                                   OUTSIDE if finite else NOT_FINITE)
                 if domain.is_pose:
                     domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", held.value)
 
@@ -89,8 +91,8 @@ def detached(value: Tensor) -> Tensor:
 def check_types(scene: Scene, found: dict[str, Held]) -> None:
     """Raises TypeError unless all parameters are float32, or all float64, on one device."""
     first, reference = next(iter(scene.named_parameters()))
-    for name, (value, _) in found.items():
-        if name.endswith("faces"):
+    for name, (value, domains) in found.items():
+        if any(domain.is_index for domain in domains):
             continue
         if value.dtype not in DTYPES:
             raise TypeError(f"parameter {name!r} is {value.dtype}; a scene is rendered in torch.float32 or torch.float64: "

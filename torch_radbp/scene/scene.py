@@ -93,6 +93,14 @@ class Scene(nn.Module):
     def device(self) -> torch.device:
         return next(iter(self.parameters())).device
 
+    def half(self) -> Scene:
+        """Refused: a scene is rendered in float32 or float64."""
+        raise half_precision(torch.float16)
+
+    def bfloat16(self) -> Scene:
+        """Refused: a scene is rendered in float32 or float64."""
+        raise half_precision(torch.bfloat16)
+
     def get_parameter(self, target: str) -> Tensor:
         """The parameter called `target`.
 
@@ -115,3 +123,9 @@ class Scene(nn.Module):
         for shape in self.shapes:
             seen.setdefault(id(shape.bsdf), shape.bsdf)
         return iter(seen.values())
+
+
+def half_precision(dtype: torch.dtype) -> TypeError:
+    """The error about a dtype of fewer bits."""
+    return TypeError(f"a scene is rendered in torch.float32 or torch.float64, not in {dtype}, which rounds "
+                     f"positions to 3 digits; convert the image instead")

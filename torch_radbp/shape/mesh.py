@@ -70,7 +70,7 @@ class Mesh(Surface):
         vector = Domain(shapes=((self.vertex_count, 3),))
         return {"vertex_positions": vector, "vertex_normals": vector, "to_world": POSE,
                 "vertex_texcoords": Domain(shapes=((self.vertex_count, 2),)),
-                "faces": Domain(shapes=(("F", 3),), low=0, high=self.vertex_count - 1)}
+                "faces": Domain(shapes=(("F", 3),), low=0, high=self.vertex_count - 1, is_index=True)}
 
     def triangles(self) -> Triangles:
         motion = self.motion()
@@ -101,10 +101,9 @@ def whole_numbers(name: str, values: Tensor) -> Tensor:
         ValueError: if one is no whole number.
     """
     values = torch.as_tensor(values)
-    rounded = values.to(torch.int64)
-    if values.is_complex() or values.dtype == torch.bool or not torch.equal(rounded.to(values.dtype), values):
-        raise ValueError(f"{name} must be whole numbers, got {values.dtype} with other values")
-    return rounded
+    if values.is_complex() or values.dtype == torch.bool or not torch.equal(values.to(torch.int64).to(values.dtype), values):
+        raise ValueError(f"{name} must be whole numbers, got others, as {values.dtype}")
+    return values.to(torch.int64)
 
 
 class FileMesh(Mesh):
