@@ -32,7 +32,7 @@ class Mesh(Surface):
                 are given and are to be recomputed.
         """
         dtype = torch.get_default_dtype()
-        faces = whole_numbers("faces", faces)
+        faces = vertex_indices("faces", faces)
         positions = finite("vertex_positions", positions)
         if positions.ndim != 2 or positions.shape[1:] != (3,):
             raise ValueError(f"vertex_positions must have shape (V, 3), got {tuple(positions.shape)}")
@@ -94,15 +94,17 @@ def has_area(positions: Tensor, faces: Tensor) -> bool:
     return any(bool(torch.linalg.cross(second - first, third - first).any()) for first, second, third in blocks)
 
 
-def whole_numbers(name: str, values: Tensor) -> Tensor:
+def vertex_indices(name: str, values: Tensor) -> Tensor:
     """`values` as int64.
 
     Raises:
-        ValueError: if one is no whole number.
+        ValueError: if they are no integers, or cannot be.
     """
     values = torch.as_tensor(values)
-    if values.is_complex() or values.dtype == torch.bool or not torch.equal(values.to(torch.int64).to(values.dtype), values):
-        raise ValueError(f"{name} must be whole numbers, got others, as {values.dtype}")
+    if values.is_complex() or values.dtype == torch.bool:
+        raise ValueError(f"{name} must be indices of vertices, integers, got {values.dtype}")
+    if values.is_floating_point() and not torch.equal(values, values.round()):
+        raise ValueError(f"{name} must be indices of vertices, integers, got fractions")
     return values.to(torch.int64)
 
 
