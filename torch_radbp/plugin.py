@@ -151,6 +151,7 @@ def fits(shape: tuple[int, ...], pattern: tuple[int | str, ...]) -> bool:
                                               for length, wanted in zip(shape, pattern))
 
 
+LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
 NUMBER = Domain(shapes=((),))
 AMOUNT = Domain(low=0.0)  # of light, of roughness
 FRACTION = Domain(low=0.0, high=1.0)

@@ -13,11 +13,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Domain, Plugin, Texture
+from torch_radbp.plugin import LARGEST_COORDINATE, Domain, Plugin, Texture
 from torch_radbp.scene.scene import Scene
 
 DTYPES = (torch.float32, torch.float64)
-LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
 LEEWAY = 0.02  # as far as finite differences, those of `check_gradient` among them, lead out of the range of a value
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
 OUTSIDE = "; keep it inside, with .clamp_() after each step or with a parametrisation"

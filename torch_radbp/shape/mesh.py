@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import BSDF, POSE, Domain, Emitter, Filename, Matrix4, finite, register
+from torch_radbp.plugin import BSDF, LARGEST_COORDINATE, POSE, Domain, Emitter, Filename, Matrix4, finite, register
 from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
 from torch_radbp.shape.surface import Surface, Triangles, affine, transform_normals, transform_points
 from torch_radbp.vec import attached
@@ -68,7 +68,8 @@ class Mesh(Surface):
 
     def domains(self) -> dict[str, Domain]:
         vector = Domain(shapes=((self.vertex_count, 3),))
-        return {"vertex_positions": vector, "vertex_normals": vector, "to_world": POSE,
+        position = vector._replace(low=-LARGEST_COORDINATE, high=LARGEST_COORDINATE)
+        return {"vertex_positions": position, "vertex_normals": vector, "to_world": POSE,
                 "vertex_texcoords": Domain(shapes=((self.vertex_count, 2),)),
                 "faces": Domain(shapes=(("F", 3),), low=0, high=self.vertex_count - 1, is_index=True)}
 
