@@ -92,6 +92,12 @@ def test_a_small_shape_beside_a_large_one_is_looked_at_as_a_whole(few):
     assert "`point.position`" in message and "borders of shadows" in message
 
 
+def test_a_tiny_shape_in_a_huge_scene_has_edges():
+    tiny = {"type": "cube", "to_world": translate((3e-3, 2e-3, 0)) @ scale((1e-3, 1e-3, 1e-3))}
+    message, = messages(load(camera=sensor(4, (0, 0, 0.03)), sky=SKY, sheet=sheet(3000.0), tiny=tiny), "tiny.to_world")
+    assert "6 edges" in message
+
+
 def test_nothing_is_looked_for_unless_something_moves(monkeypatch):
     def refuse(*arguments):
         raise AssertionError("edges or lights are looked at for nothing")

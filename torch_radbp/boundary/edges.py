@@ -54,22 +54,23 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
     without sorting the whole mesh.
 
     Args:
-        vertices: (V, 3), detached.
-        faces: (F, 3) integers.
+        vertices: (V, 3), detached; those of other meshes before and after those that the faces use do not count.
+        faces: (F, 3) integers, F > 0.
         chosen: (C,) rows of `faces`, distinct; None: all.
     """
-    cells = cells_of(vertices)
+    first = int(faces.min())
+    faces = faces - first
+    cells = cells_of(vertices[first:first + int(faces.max()) + 1])
     near = torch.arange(len(faces), device=faces.device)
     if chosen is not None:
         near = touching(cells, faces, faces[chosen].flatten().long())
     vertex, corner = torch.unique(faces[near].long(), return_inverse=True)
     corner = welded(tuple(cell[vertex] for cell in cells))[corner]
     proper = ~(corner == corner.roll(1, 1)).any(1)
-    first, second, third = corner[proper].unbind(1)
-    ends = torch.stack([torch.cat([first, second, third]), torch.cat([second, third, first])])
-    count = max(len(vertex), 1)
-    keys, edge = torch.unique(ends.amin(0) * count + ends.amax(0), return_inverse=True)
-    edges = Edges(vertex, keys // count, keys % count, torch.cat([third, first, second]), edge)
+    one, two, three = corner[proper].unbind(1)
+    ends = torch.stack([torch.cat([one, two, three]), torch.cat([two, three, one])])
+    keys, edge = torch.unique(ends.amin(0) * len(vertex) + ends.amax(0), return_inverse=True)
+    edges = Edges(first + vertex, keys // len(vertex), keys % len(vertex), torch.cat([three, one, two]), edge)
     if chosen is None:
         return edges
     wanted = torch.zeros(len(faces), dtype=torch.bool, device=faces.device).index_fill(0, chosen, True)
@@ -100,10 +101,11 @@ def cells_of(vertices: Tensor) -> tuple[Tensor, Tensor]:
     Vertices in the same place, up to rounding, share a cell of one grid at least, because one is shifted by half a cell
     against the other.
     """
-    extent = float((vertices.amax(0) - vertices.amin(0)).max()) if len(vertices) else 0.0
+    low = vertices.amin(0)
+    extent = float((vertices.amax(0) - low).max())
     # Powers of ten, because coordinates that people write are multiples of them.
     size = 10.0 ** math.floor(math.log10(extent * WELDED)) if extent > 0.0 else 1.0
-    places = (vertices.double() - vertices.double().amin(0)) / size if len(vertices) else vertices
+    places = (vertices.double() - low.double()) / size
     cells = []
     for shift in (0.5, 1.0):
         x, y, z = torch.floor(places + shift).long().unbind(1)
