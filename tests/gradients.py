@@ -20,7 +20,7 @@ EXACT = (*MEMOIZED, *QUADRATIC, rb.TapeAdjoint())
 def cotangent(image: Tensor, seed: int = 0) -> Tensor:
     """Normal numbers in the shape of an image: no symmetry in which a wrong gradient could cancel."""
     generator = torch.Generator().manual_seed(seed)
-    return torch.randn(image.shape, generator=generator, dtype=torch.float64).to(image)
+    return torch.randn(image.shape, generator=generator, dtype=torch.float64, device="cpu").to(image)
 
 
 def image_and_gradients(scene: rb.Scene, names, *, seed: int = 3, sensors=None, adj_image: Tensor | None = None,

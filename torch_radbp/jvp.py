@@ -10,11 +10,13 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call
 
+from torch_radbp.entry import entry
 from torch_radbp.plugin import finite
 from torch_radbp.render import Renderer
 from torch_radbp.scene import Scene
 
 
+@entry
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: Sequence[int] | None = None,
         **settings) -> Tensor:
     """How the image changes when parameters move: its derivative along `tangents`, by forward mode.

@@ -285,7 +285,7 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
     Raises:
         ValueError: if the shape differs or a value is not finite.
     """
-    tensor = value.detach().clone() if isinstance(value, Tensor) else torch.as_tensor(value)
+    tensor = value.detach().clone() if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")
     if not tensor.is_floating_point():
         tensor = tensor.to(torch.get_default_dtype())
     if shape is not None and tuple(tensor.shape) != shape:

@@ -23,6 +23,7 @@ from torch_radbp.adjoint.function import (
 from torch_radbp.adjoint.memory import MemoryPlan, Workload, parse_budget, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
+from torch_radbp.entry import entry
 from torch_radbp.path import Integrand, Settings
 from torch_radbp.plugin import Sensor, boolean, integer, nearest
 from torch_radbp.raycast import RayCaster, make_caster
@@ -125,6 +126,7 @@ class Renderer(nn.Module):
                              f"spp, or render them in separate calls")
         return counts.pop()
 
+    @entry
     def forward(self, seed: int = 0, sensors: SensorChoice = None, spp: int | None = None,
                 seed_grad: int | None = None) -> Tensor:
         """Renders the scene.
@@ -204,6 +206,7 @@ class Renderer(nn.Module):
         return call._replace(adjoint=plan.adjoint, chunks=plan_chunks(views, spp, plan.chunk),
                              retrace=call.retrace or plan.retrace)
 
+    @entry
     def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None) -> MemoryPlan:
         """Chunk and strategy that a call would use, and the bytes that it is predicted to need with its backward pass."""
         return self.plan(self.prepare(0, sensors, spp, None))

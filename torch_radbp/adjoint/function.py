@@ -22,6 +22,7 @@ from torch_radbp.adjoint.finite import (
 )
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
+from torch_radbp.entry import entry
 from torch_radbp.path import Integrand, PathState, Step, sample_camera, start_path, trace
 from torch_radbp.raycast import RayCaster
 from torch_radbp.sampling.sampler import SampleKey
@@ -217,6 +218,7 @@ class RenderFunction(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @entry
     def backward(ctx, grad_images: Tensor):
         call, integrand = ctx.call, ctx.integrand
         saved = iter(ctx.saved_tensors[len(ctx.needs_input_grad) - 1:])

@@ -44,7 +44,7 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
     vertices = vertices[edges.vertex]
     outline = is_silhouette(edges, vertices - position).nonzero().squeeze(1)
     edge = outline[::max(1, -(-len(outline) // MOST_EDGES))].repeat(len(PLACES))
-    share = torch.tensor(PLACES).to(vertices).repeat_interleave(len(edge) // len(PLACES))[:, None]
+    share = vertices.new_tensor(PLACES).repeat_interleave(len(edge) // len(PLACES))[:, None]
     place = vertices[edges.a[edge]] * (1.0 - share) + vertices[edges.b[edge]] * share
     reach = place - position
     distance = reach.norm(dim=1)

@@ -24,6 +24,7 @@ from torch.nn.functional import interpolate
 
 from torch_radbp.check.outcome import GradientCheck, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
+from torch_radbp.entry import entry
 from torch_radbp.jvp import rendering_with_tangent
 from torch_radbp.plugin import finite, integer
 from torch_radbp.render import Renderer
@@ -37,6 +38,7 @@ DIRECTIONS = ("random", "ones")
 STILL = ("value", "data", "scale")  # attributes that move nothing: textures, and factors of emitters
 
 
+@entry
 def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = None, spp: int = 256, seed: int = 0,
                    step: float | None = None, sensors: Sequence[int] | None = None, batches: int = BATCHES,
                    progress: Callable[[int, int], None] | None = None, **settings) -> GradientCheck:
@@ -147,7 +149,7 @@ def informative_cotangents(reference: Tensor, seed: int) -> list[Cotangent]:
         seed: of the random one.
     """
     generator = torch.Generator().manual_seed(seed)
-    coarse = torch.randn(*reference.shape[:2], 4, 4, generator=generator, dtype=reference.dtype)
+    coarse = torch.randn(*reference.shape[:2], 4, 4, generator=generator, dtype=reference.dtype, device="cpu")
     smooth = interpolate(coarse, reference.shape[2:], mode="bilinear", align_corners=True).to(reference.device)
     # Normalised by itself, too, so that a few bright pixels do not drown the others.
     size = reference.abs() + reference.abs().mean()
@@ -164,9 +166,10 @@ def checked_direction(name: str, parameter: Tensor, direction: Tensor | str | No
         if direction not in DIRECTIONS:
             raise ValueError(f"direction must be {' or '.join(map(repr, DIRECTIONS))} or an array of shape "
                              f"{tuple(parameter.shape)}, got {direction!r}")
-        d = torch.ones(parameter.shape, dtype=torch.float64)
+        d = torch.ones(parameter.shape, dtype=torch.float64, device="cpu")
         if direction == "random":
-            d = 0.5 + torch.rand(parameter.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+            generator = torch.Generator().manual_seed(0)
+            d = 0.5 + torch.rand(parameter.shape, generator=generator, dtype=torch.float64, device="cpu")
         if parameter.shape[-2:] == (4, 4):
             d[..., 3, :] = 0
         return d.to(parameter)

@@ -37,7 +37,8 @@ class LightPose(NamedTuple):
     def at(place: Tensor, to_local: Tensor | None = None, cone: Tensor | None = None,
            to_uv: Tensor | None = None) -> LightPose:
         """A pose in which what is not given plays no part."""
-        return LightPose(place, torch.eye(3).to(place) if to_local is None else to_local,
+        same = torch.eye(3, dtype=place.dtype, device=place.device)
+        return LightPose(place, same if to_local is None else to_local,
                          place.new_tensor([math.pi, 1.0]) if cone is None else cone,
                          place.new_zeros(2) if to_uv is None else to_uv)
 
@@ -50,7 +51,7 @@ class Scaled:
         self.has_coordinates = not isinstance(texture, RGB)
         self.wrap_mode = getattr(texture, "wrap_mode", "repeat")
         self.filter_type = getattr(texture, "filter_type", "nearest")
-        self.to_uv = getattr(texture, "to_uv", torch.eye(4))
+        self.to_uv = getattr(texture, "to_uv", None)
 
     def texels(self) -> Tensor:
         """(H, W, 3) linear RGB, attached."""
@@ -66,7 +67,7 @@ def linear_inverse(name: str, matrix: Tensor) -> Tensor:
     linear = matrix[:3, :3]
     if torch.linalg.det(linear.detach().double()) == 0:
         raise ValueError(f"{name} must be invertible, got a matrix with determinant 0")
-    return torch.linalg.inv(linear)
+    return torch.linalg.inv(linear.double()).to(linear.dtype)
 
 
 def colour(emitter: Emitter, name: str, value: Texture | Tensor | float) -> Texture:

@@ -24,11 +24,11 @@ class Filter(ReconstructionFilter):
         raise TypeError(f"{type(self).__name__} does not define its values")
 
     def quantiles(self) -> Tensor:
-        """(TABLE_SIZE,) float64 offsets in pixels at equally spaced values of the cumulative distribution."""
-        x = torch.linspace(-self.radius, self.radius, 4 * TABLE_SIZE + 1, dtype=torch.float64)
+        """(TABLE_SIZE,) float64 on the CPU: offsets in pixels at equally spaced values of the cumulative distribution."""
+        x = torch.linspace(-self.radius, self.radius, 4 * TABLE_SIZE + 1, dtype=torch.float64, device="cpu")
         middle = 0.5 * (x[1:] + x[:-1])
         cumulative = torch.cat([x.new_zeros(1), self.evaluate(middle).cumsum(0)])
-        wanted = torch.linspace(0, 1, TABLE_SIZE, dtype=torch.float64) * cumulative[-1]
+        wanted = torch.linspace(0, 1, TABLE_SIZE, dtype=torch.float64, device="cpu") * cumulative[-1]
         right = torch.searchsorted(cumulative, wanted).clamp(1, len(x) - 1)
         low, high = cumulative[right - 1], cumulative[right]
         fraction = (wanted - low) / torch.where(high > low, high - low, 1.0)
@@ -36,9 +36,9 @@ class Filter(ReconstructionFilter):
 
     def inside(self, size: int) -> tuple[Tensor, Tensor]:
         """The part of the distribution that stays inside a window: for each of its `size` columns (or rows) of pixels,
-        the cumulative probability at the window's near edge, and the probability between its edges; float64."""
+        the cumulative probability at the window's near edge, and the probability between its edges; float64, on the CPU."""
         table = self.quantiles()
-        centre = torch.arange(size, dtype=torch.float64) + 0.5
+        centre = torch.arange(size, dtype=torch.float64, device="cpu") + 0.5
 
         def cumulative(offset: Tensor) -> Tensor:
             right = torch.searchsorted(table, offset).clamp(1, TABLE_SIZE - 1)

@@ -53,5 +53,6 @@ class HDRFilm(Film):
         """For each of `size` columns (or rows): where in its distribution the filter starts to be sampled, and how much
         of it is; all of it with `sample_border`, what lies inside the window without."""
         if self.sample_border:
-            return torch.zeros(size, dtype=torch.float64), torch.ones(size, dtype=torch.float64)
+            whole = torch.ones(size, dtype=torch.float64, device="cpu")
+            return torch.zeros_like(whole), whole
         return self.rfilter.inside(size)

@@ -6,14 +6,24 @@ import os
 from pathlib import Path
 from typing import Any
 
+import torch
+
+from torch_radbp.entry import entry
 from torch_radbp.io.build import build_scene
 from torch_radbp.io.xml_scene import read_scene
 from torch_radbp.plugin import SceneError
 from torch_radbp.scene.scene import Scene
 
+CPU = torch.device("cpu")
+DTYPES = (torch.float32, torch.float64)
 
+
+@entry
 def load(path: str | os.PathLike, **variables: Any) -> Scene:
     """The scene in a Mitsuba 3 XML file.
+
+    Its parameters have torch's default dtype, float32 or float64, and lie on the CPU whatever torch's default device is;
+    `scene.to()` changes both. `torch.autocast` does not concern it.
 
     Args:
         path: the .xml file; names inside it are relative to its folder.
@@ -21,14 +31,18 @@ def load(path: str | os.PathLike, **variables: Any) -> Scene:
 
     Raises:
         SceneError: names file, line and element, and what is supported.
+        TypeError: if torch's default dtype is another.
     """
     if Path(path).suffix.lower() != ".xml":
         raise SceneError(f"{os.fspath(path)}: unknown kind of scene {Path(path).suffix!r}; supported: .xml (Mitsuba 3)")
-    return build_scene(read_scene(path, variables))
+    return built(read_scene(path, variables))
 
 
+@entry
 def load_dict(description: dict[str, Any], base_dir: str | os.PathLike | None = None) -> Scene:
     """The scene that a Python dict in Mitsuba's vocabulary describes, such as `mitsuba.cornell_box()`.
+
+    Its parameters have torch's default dtype and lie on the CPU, as with `load`.
 
     Args:
         description: {"type": "scene", "white": {"type": "diffuse", ...}, ...}. A transform is a 4 x 4 array or one of
@@ -37,5 +51,16 @@ def load_dict(description: dict[str, Any], base_dir: str | os.PathLike | None = 
 
     Raises:
         SceneError: names the path of keys, such as light.emitter.radiance, and what is supported.
+        TypeError: if torch's default dtype is neither float32 nor float64.
     """
-    return build_scene(description, base_dir)
+    return built(description, base_dir)
+
+
+def built(description: dict[str, Any], base_dir: str | os.PathLike | None = None) -> Scene:
+    """The scene in torch's default dtype, on the CPU; errors as `load` says."""
+    dtype = torch.get_default_dtype()
+    if dtype not in DTYPES:
+        raise TypeError(f"scenes are float32 or float64, but torch's default dtype is {dtype}; load under "
+                        f"torch.set_default_dtype(torch.float32)")
+    with CPU:
+        return build_scene(description, base_dir).to(CPU, dtype)

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torch_radbp.entry import entry
 from torch_radbp.io.atomic import check_target, naming
 from torch_radbp.io.attribute_values import is_list, options
 from torch_radbp.io.image import save_image
@@ -20,12 +21,14 @@ from torch_radbp.io.mesh_arrays import MeshArrays
 from torch_radbp.io.ply import write_ply
 from torch_radbp.plugin import REGISTRY, Filename, Matrix4, Plugin, Point3, SceneError, attributes
 from torch_radbp.scene.scene import Scene
+from torch_radbp.shape.surface import transform_normals, transform_points
 
 VERSION = "3.0.0"
 ORDER = ("texture", "bsdf", "sensor", "emitter", "shape")  # so that what is referred to comes first
 MESH_PARAMETERS = ("vertex_positions", "vertex_normals", "vertex_texcoords")
 
 
+@entry
 def save(scene: Scene, path: str | os.PathLike) -> None:
     """Writes a scene as XML that this package and Mitsuba 3 load to the same image.
 
@@ -50,7 +53,7 @@ def save(scene: Scene, path: str | os.PathLike) -> None:
     check_target(path)
     with naming(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         writer = _Writer(scene, path.stem, Path(folder))
-        with torch.no_grad():
+        with torch.no_grad(), torch.device("cpu"):
             root = writer.scene_element()
         ElementTree.indent(root, "    ")
         xml = Path(folder) / path.name
@@ -154,24 +157,34 @@ class _Writer:
 
 
 def _is_as_constructed(plugin: Plugin) -> bool:
-    """Whether a mesh is what its constructor makes of its plain attributes: an unchanged cube, never a file's mesh."""
+    """True if a mesh is what its constructor makes of its plain attributes: an unchanged cube, never a file's mesh.
+
+    It may have been made in either dtype, whatever torch's default dtype is now.
+    """
     schema = attributes(type(plugin))
     if any(attribute.required for attribute in schema.values()):
         return False
     plain = {name: getattr(plugin, name) for name in schema if not isinstance(getattr(plugin, name), nn.Module)}
-    fresh = REGISTRY[plugin.category][plugin.type](**plain)
-    return all(_equal(getattr(plugin, name, None), getattr(fresh, name, None)) for name in (*MESH_PARAMETERS, "faces"))
+    fresh = REGISTRY[plugin.category][plugin.type](**plain | {"to_world": None})
+
+    def made_in(dtype: torch.dtype) -> bool:
+        matrix = plugin.to_world.detach().cpu().to(dtype)
+        made = (transform_points(matrix, fresh.vertex_positions.to(dtype)),
+                transform_normals(matrix, fresh.vertex_normals.to(dtype)), fresh.vertex_texcoords, fresh.faces)
+        return all(_equal(getattr(plugin, name), value) for name, value in zip((*MESH_PARAMETERS, "faces"), made))
+
+    return made_in(torch.float32) or made_in(torch.float64)
 
 
 def _is_default(value: Any, annotation: Any, default: Any) -> bool:
     if default is None and Matrix4 in options(annotation):
-        default = torch.eye(4)
+        default = torch.eye(4, dtype=value.dtype, device=value.device)
     return _equal(value, default)
 
 
 def _equal(value: Any, other: Any) -> bool:
     if isinstance(value, Tensor) and isinstance(other, Tensor | int | float):
-        other = torch.as_tensor(other).to(value)
+        other = torch.as_tensor(other, device=value.device).to(value)
         return value.shape == other.shape and bool((value == other).all())
     return not isinstance(value, Tensor) and not isinstance(other, Tensor) and value == other
 

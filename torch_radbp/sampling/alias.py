@@ -44,7 +44,7 @@ def alias_table(weights: Tensor) -> AliasTable:
     pmf = weights.detach().to("cpu", torch.float64)
     pmf = pmf / pmf.sum()
     threshold = pmf * len(pmf)
-    other = torch.arange(len(pmf))
+    other = torch.arange(len(pmf), device=pmf.device)
     light, heavy = (threshold <= 1.0).nonzero().squeeze(1), (threshold > 1.0).nonzero().squeeze(1)
     if len(light) and len(heavy):
         missing, excess = (1.0 - threshold[light]).cumsum(0), (threshold[heavy] - 1.0).cumsum(0)

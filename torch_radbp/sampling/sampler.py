@@ -67,7 +67,8 @@ def hash32(x: Tensor) -> Tensor:
 
 def seed_key(seed: int, sensor: int) -> int:
     """Folds a 64-bit seed and the index of a sensor into one int32."""
-    folded = torch.tensor([seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, sensor + 1], dtype=torch.int64)
+    folded = torch.tensor([seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, sensor + 1], dtype=torch.int64,
+                          device="cpu")
     low, high, sensor_key = folded.to(torch.int32)
     return int(hash32(hash32(hash32(low) + high) + sensor_key))
 

@@ -51,9 +51,10 @@ class BankBuilder:
         images = [texture.texels().to(dtype=dtype, device=device) for texture in textures]
         sizes = [tuple(image.shape[:2]) for image in images]
         texels = torch.cat([image.reshape(-1, 3) for image in images])
-        counts = torch.tensor([0] + [height * width for height, width in sizes]).cumsum(0)[:-1]
-        matrices = torch.stack([getattr(texture, "to_uv", torch.eye(4)).to(dtype=dtype, device=device)
-                                for texture in textures])
+        offsets = [0, *itertools.accumulate(height * width for height, width in sizes)][:-1]
+        same = torch.eye(4, dtype=dtype, device=device)
+        to_uv = [getattr(texture, "to_uv", None) for texture in textures]
+        matrices = torch.stack([same if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in to_uv])
 
         def integers(values) -> Tensor:
             return torch.as_tensor(values, dtype=torch.int32, device=device)
@@ -62,7 +63,7 @@ class BankBuilder:
             return Vec3(matrices[:, k, 0].contiguous(), matrices[:, k, 1].contiguous(), matrices[:, k, 3].contiguous())
 
         return TextureBank(
-            texels=Vec3.of(texels), offset=integers(counts), width=integers([width for _, width in sizes]),
+            texels=Vec3.of(texels), offset=integers(offsets), width=integers([width for _, width in sizes]),
             height=integers([height for height, _ in sizes]),
             wrap=integers([WRAP_MODES.index(getattr(texture, "wrap_mode", "repeat")) for texture in textures]),
             nearest=torch.tensor([getattr(texture, "filter_type", "nearest") == "nearest" for texture in textures],

@@ -86,7 +86,7 @@ class Mesh(Surface):
         """(4, 4) from where the mesh was loaded to where it is; exactly 1 while it is there."""
         motion = (self.to_world.double() @ torch.linalg.inv(self.loaded_to_world.double())).to(self.to_world.dtype)
         moved = not torch.equal(self.to_world.detach(), self.loaded_to_world)
-        return motion if moved else attached(torch.eye(4).to(motion), motion)
+        return motion if moved else attached(torch.eye(4, dtype=motion.dtype, device=motion.device), motion)
 
 
 def has_area(positions: Tensor, faces: Tensor) -> bool:

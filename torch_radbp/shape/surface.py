@@ -35,13 +35,21 @@ def affine(name: str, matrix: Tensor | None) -> Tensor:
 
 
 def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
-    """(V, 3) points under an affine (4, 4) matrix."""
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
+    """(V, 3) points under an affine (4, 4) matrix.
+
+    Sums instead of a matrix product: that would be rounded to bfloat16 by a backward pass under `torch.autocast`, and by
+    `torch.set_float32_matmul_precision("medium")`.
+    """
+    x, y, z = points.unbind(1)
+    return torch.stack([row[0] * x + row[1] * y + row[2] * z + row[3] for row in matrix[:3]], 1)
 
 
 def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
     """(V, 3) normals under an affine (4, 4) matrix, normalised."""
-    return torch.nn.functional.normalize(normals @ torch.linalg.inv(matrix[:3, :3]), dim=-1)
+    inverse = torch.linalg.inv(matrix[:3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
+    x, y, z = normals.unbind(1)
+    turned = torch.stack([column[0] * x + column[1] * y + column[2] * z for column in inverse.T], 1)
+    return torch.nn.functional.normalize(turned, dim=-1)
 
 
 class Surface(Shape):

@@ -63,4 +63,4 @@ class Bitmap(Texture):
 
     def scalars(self) -> Tensor:
         """(H, W) the values where numbers are wanted: the luminance, as in Mitsuba; attached."""
-        return self.data @ self.data.new_tensor(LUMINANCE)
+        return (self.data * self.data.new_tensor(LUMINANCE)).sum(2)
