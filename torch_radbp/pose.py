@@ -68,8 +68,8 @@ def look_at(origin: Tensor | Sequence[float], target: Tensor | Sequence[float],
             is taken, the same as Mitsuba's.
 
     Returns:
-        (4, 4) matrix for column vectors, in the dtype of the arguments that are floating point tensors, otherwise in
-        torch's default dtype.
+        (4, 4) matrix for column vectors, in the dtype and on the device of the arguments that are floating point tensors,
+        otherwise in torch's default dtype on the CPU.
 
     Raises:
         TypeError: if an argument is not made of real numbers.
@@ -102,7 +102,7 @@ def look_at(origin: Tensor | Sequence[float], target: Tensor | Sequence[float],
 def _point(name: str, value: Tensor | Sequence[float], dtype: torch.dtype, device: torch.device | None) -> Tensor:
     """`value` as a tensor of shape (3,), attached."""
     try:
-        tensor = value if isinstance(value, Tensor) else torch.as_tensor(value)
+        tensor = value if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")
         if tensor.dtype in (torch.bool, torch.complex64, torch.complex128):
             raise TypeError
     except (TypeError, ValueError, RuntimeError):
