@@ -20,7 +20,7 @@ COMPONENTS = tuple(f"{kind}[{axis}]" for kind in ("rotation", "translation") for
 
 
 def moved(matrix: Tensor, rotation_vector: Tensor, translation: Tensor) -> Tensor:
-    """P(w, t) of the module's docstring.
+    """Computes P(w, t) of the module's docstring.
 
     Args:
         matrix: (4, 4) affine.
@@ -50,19 +50,41 @@ class Rigid(nn.Module):
 
 
 def motion_between(matrix: Tensor, other: Tensor) -> Tensor:
-    """The (2, 3) rotation vector, of an angle below pi, and translation that move `matrix` to `other`."""
+    """Computes the (2, 3) rotation vector, of an angle of at most pi, and translation that move `matrix` to `other`."""
     rotation = other[:3, :3] @ torch.linalg.inv(matrix[:3, :3])
+    return torch.stack([rotation_vector(rotation), other[:3, 3] - matrix[:3, 3]])
+
+
+def rotation_vector(rotation: Tensor) -> Tensor:
+    """Computes axis times angle, (3,) radians, of a (3, 3) rotation; at an angle of pi either of the two signs.
+
+    By way of the unit quaternion (w, x, y, z), whose largest component is found first and divides the others: the
+    antisymmetric part of the matrix alone tells angles near pi badly, and the axis at pi not at all.
+
+    Reference: Shepperd 1978, "Quaternion from rotation matrix".
+    """
+    diagonal, trace = rotation.diagonal(), rotation.trace()
+    squares = 0.25 * torch.cat([1 + trace[None], 1 - trace + 2 * diagonal])  # of w, x, y, z
     lower = torch.stack([rotation[2, 1], rotation[0, 2], rotation[1, 0]])
     upper = torch.stack([rotation[1, 2], rotation[2, 0], rotation[0, 1]])
-    axis = 0.5 * (lower - upper)  # times the sine of the angle
-    sine = axis.norm()
-    angle = torch.atan2(sine, 0.5 * (rotation.trace() - 1))
-    scale = angle / sine if sine > 0 else torch.ones_like(angle)
-    return torch.stack([axis * scale, other[:3, 3] - matrix[:3, 3]])
+    w_times_axis = 0.25 * (lower - upper)  # (wx, wy, wz)
+    yz, zx, xy = (0.25 * (lower + upper)).unbind()
+    x2, y2, z2 = squares[1:].unbind()
+    products = torch.stack([  # of the quaternion with itself, one row per component
+        torch.cat([squares[:1], w_times_axis]),
+        torch.stack([w_times_axis[0], x2, xy, zx]),
+        torch.stack([w_times_axis[1], xy, y2, yz]),
+        torch.stack([w_times_axis[2], zx, yz, z2]),
+    ])
+    quaternion = torch.nn.functional.normalize(products[squares.argmax()], dim=0)
+    quaternion = torch.where(quaternion[0] < 0, -quaternion, quaternion)
+    half_sine = quaternion[1:].norm()
+    scale = 2 * torch.atan2(half_sine, quaternion[0]) / half_sine if half_sine > 0 else 2.0
+    return quaternion[1:] * scale
 
 
 class PoseError(NamedTuple):
-    """How far two poses are apart: angle in degrees, distance of their origins in world units."""
+    """Distance of two poses: angle in degrees, distance of their origins in world units."""
 
     angle: float
     distance: float
@@ -75,6 +97,6 @@ class PoseError(NamedTuple):
 
 
 def components(matrix: Tensor, other: Tensor) -> dict[str, float]:
-    """The six numbers of `motion_between` by name; rotations in degrees."""
+    """Returns the six numbers of `motion_between` by name; rotations in degrees."""
     rotation, translation = motion_between(matrix.double(), other.double())
     return dict(zip(COMPONENTS, [*torch.rad2deg(rotation).tolist(), *translation.tolist()]))

@@ -40,13 +40,29 @@ def test_translation_is_along_world_axes():
     torch.testing.assert_close(shifted[:3, :3], MATRIX[:3, :3])
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, 3.1])
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, 3.1, math.pi - 1e-6])
 def test_motion_between_two_matrices_is_the_one_that_moved_them(angle):
     rotation = angle * torch.nn.functional.normalize(vector(1.0, -2.0, 0.7), dim=0)
     translation = vector(0.3, -0.1, 0.2)
     motion = motion_between(MATRIX, moved(MATRIX, rotation, translation))
     torch.testing.assert_close(motion, torch.stack([rotation, translation]), atol=1e-12, rtol=0)
     torch.testing.assert_close(Rigid(MATRIX).right_inverse(Rigid(MATRIX)(motion)), motion, atol=1e-12, rtol=0)
+
+
+HALF_TURNS = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "xy": (1, 1, 0), "yz": (0, -3, 1), "xyz": (-2, 1, 4)}
+
+
+@pytest.mark.parametrize("axis", HALF_TURNS)
+def test_motion_by_half_a_turn_is_found(axis):
+    axis = torch.nn.functional.normalize(vector(*HALF_TURNS[axis]), dim=0)
+    half_turn = 2 * axis[:, None] * axis - torch.eye(3).double()  # exactly 180 degrees: symmetric
+    other = MATRIX.clone()
+    other[:3, :3] = half_turn @ MATRIX[:3, :3]
+    rotation, translation = motion_between(MATRIX, other)
+    assert rotation.norm().item() == pytest.approx(math.pi, abs=1e-12)
+    assert abs(rotation @ axis).item() == pytest.approx(math.pi, abs=1e-12)
+    torch.testing.assert_close(moved(MATRIX, rotation, translation), other, atol=1e-12, rtol=0)
+    assert PoseError.between(other, MATRIX).angle == pytest.approx(180)
 
 
 def test_pose_error_is_angle_and_distance():
