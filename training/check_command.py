@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from torch_radbp.training.clear_errors import Debug, clear_errors
+from torch_radbp.training.progress import TimedProgress
 from torch_radbp.training.render_command import chosen_sensors
 from torch_radbp.training.scene_variables import Define, parse_variables
 
@@ -68,15 +68,10 @@ def check(
         folder = Path("checks") / param if out is None else out
         if folder.exists() and not folder.is_dir():
             raise ValueError(f"--out {folder}: is a file; name a folder")
-        with Progress(
-            TextColumn("checking"), BarColumn(), TextColumn("{task.percentage:3.0f}%"), TimeElapsedColumn(),
-            TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True), transient=True,
-        ) as progress:  # fmt: skip
-            task = progress.add_task("", total=None)
+        with TimedProgress(Console(stderr=True), "rendering", None) as progress:
             result = rb.check_gradient(
                 loaded, param, direction=moves, spp=spp, seed=seed, step=step, sensors=list(indices.values()),
-                batches=batches, max_depth=max_depth, rr_depth=rr_depth,
-                progress=lambda done, total: progress.update(task, completed=done, total=total),
+                batches=batches, max_depth=max_depth, rr_depth=rr_depth, progress=progress.update,
             )  # fmt: skip
         pictures = write_outcome(folder, result, list(indices))
     print_outcome(console, result)

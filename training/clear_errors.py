@@ -7,30 +7,47 @@ from typing import Annotated
 
 import typer
 
+from torch_radbp.training.interrupt import Interrupts
+
 USAGE_ERROR = 2
-INTERRUPTED = 130  # 128 + SIGINT, as shells say it
 
 Debug = Annotated[bool, typer.Option("--debug", help="Show the whole traceback of an error.")]
 
+# What torch_radbp raises on bad input, and what the machine lacks: memory, disk, a library. The rest are our mistakes.
+EXPECTED = (ValueError, TypeError, RuntimeError, OSError, AttributeError, FloatingPointError, MemoryError, ImportError)
+
 
 @contextlib.contextmanager
-def clear_errors(debug: bool) -> Iterator[None]:
-    """Turns the errors that torch_radbp raises on bad input into a message on stderr and exit code 2.
+def clear_errors(debug: bool) -> Iterator[Interrupts]:
+    """Turns errors of the input into a message on stderr and exit code 2; Ctrl-C and SIGTERM into 130 and 143.
 
     Args:
         debug: let errors through as they are.
+
+    Yields:
+        the signals received while the command runs.
     """
+    interrupts = Interrupts()
     try:
-        yield
+        with interrupts:
+            yield interrupts
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED) from None
-    except (ValueError, TypeError, RuntimeError, OSError, AttributeError) as error:
-        # click's own exceptions are RuntimeErrors that carry exit codes; they are no errors of the input.
-        if debug or isinstance(error, typer.Exit | typer.Abort):
+        _leave(interrupts)
+    except EXPECTED as error:
+        # The exceptions of typer are RuntimeErrors that carry exit codes; they are no errors of the input.
+        if isinstance(error, typer.Exit | typer.Abort):
+            raise
+        if interrupts.pending and not debug:  # an import that was broken off fails in ways of its own
+            _leave(interrupts)
+        if debug:
             raise
         print(f"error: {message_of(error)}", file=sys.stderr)
         raise typer.Exit(USAGE_ERROR) from None
+
+
+def _leave(interrupts: Interrupts) -> None:
+    print(interrupts.word, file=sys.stderr)
+    raise typer.Exit(interrupts.exit_code) from None
 
 
 def message_of(error: BaseException) -> str:

@@ -19,14 +19,13 @@ EPILOG = (
     "radbp render scene.xml -o image.png --spp 64\n\n"
     "radbp optimize recipe.toml --out runs/first  (recover parameters from images)\n\n"
     "radbp check scene.xml --param white.reflectance.value  (is a derivative right?)\n\n"
-    "Every command explains itself: radbp render --help"
+    "Every command explains itself: radbp render --help. Completion by the Tab key: radbp --install-completion"
 )
 
 app = typer.Typer(
     help="torch_radbp: render Mitsuba 3 scenes, and recover materials and lights from images by differentiation.",
     epilog=EPILOG,
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

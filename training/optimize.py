@@ -14,7 +14,8 @@ from torch import Tensor
 
 import torch_radbp as rb
 from torch_radbp.training import recipe as schema
-from torch_radbp.training.interrupt import deferred_interrupt
+from torch_radbp.training.checkpoint import save_checkpoint
+from torch_radbp.training.interrupt import Interrupts
 from torch_radbp.training.losses import Objective
 from torch_radbp.training.parameters import RecoveredParameter, choose_parameters
 from torch_radbp.training.run_folder import RunFolder
@@ -120,28 +121,32 @@ def render_buffers(recovery: Recovery, step: int) -> list[Tensor]:
     ]
 
 
-def train(recovery: Recovery, folder: RunFolder, on_step: Callable[[dict[str, float]], None]) -> None:
+def train(
+    recovery: Recovery, folder: RunFolder, on_step: Callable[[dict[str, float]], None], interrupts: Interrupts
+) -> None:
     """Runs the steps that are left.
 
     Args:
         recovery: the problem, at any step.
         folder: gets a metrics row per step and a checkpoint now and then.
         on_step: called after each step with its metrics row.
+        interrupts: Ctrl-C and SIGTERM.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C; `recovery` is then whole, at the last finished step.
+        KeyboardInterrupt: a signal came; `recovery` is then whole, at the last finished step.
         RuntimeError: too many steps in a row whose gradient is not finite.
     """
     recipe, targets = recovery.recipe, recovery.targets.images
     skipped_in_a_row = 0
     for step in range(recovery.step, recipe.steps):
+        interrupts.check()
         started = time.perf_counter()
         recovery.optimizer.zero_grad()
         loss, terms, rendered, trouble = take_gradient(recovery, step, targets)
         finished = time.perf_counter()
 
         usable = trouble is None
-        with deferred_interrupt():
+        with interrupts.held():
             row = {"step": step, "loss": loss.item()} | {f"loss.{name}": term.item() for name, term in terms.items()}
             row["learning_rate_factor"] = recovery.scheduler.get_last_lr()[0] / recovery.scheduler.base_lrs[0]
             if usable:
@@ -159,7 +164,7 @@ def train(recovery: Recovery, folder: RunFolder, on_step: Callable[[dict[str, fl
                 row |= parameter.metrics()
             folder.log(row)
             if recovery.step % recipe.report.checkpoint_every == 0:
-                folder.save_checkpoint(recovery.state_dict())
+                save_checkpoint(folder.checkpoint, recovery.state_dict())
         on_step(row)
 
         skipped_in_a_row = 0 if usable else skipped_in_a_row + 1

@@ -1,53 +1,84 @@
 """`radbp optimize`: a recipe in, recovered parameters and a report out."""
 
 import warnings
+from glob import escape as escape_glob
+from glob import glob
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
-from torch_radbp.training.clear_errors import INTERRUPTED, Debug, clear_errors
+from torch_radbp.training.bundled import bundled_recipes, listing, recipe_path
+from torch_radbp.training.clear_errors import Debug, clear_errors
 
 EPILOG = (
     "Examples:\n\n"
-    "radbp optimize training/recipes/cornell_reflectance.toml\n\n"
-    "radbp optimize recipe.toml --out runs/bright --set render.spp=32 --set optimizer.learning_rate=0.05\n\n"
+    "radbp optimize cornell_reflectance  (a recipe that comes with the package; --list shows them)\n\n"
+    "radbp optimize recipe.toml --out runs/bright -D render.spp=32 -D optimizer.learning_rate=0.05\n\n"
     "radbp optimize recipe.toml --steps 20  (a quick look)\n\n"
     "radbp optimize recipe.toml --out runs/bright --resume  (after Ctrl-C, or with more --steps)\n\n"
-    "Ctrl-C saves the state reached and writes its report; exit code 130."
+    "Ctrl-C or SIGTERM saves the state reached and writes its report; exit code 130 or 143."
 )
 
 
+def _show_list(wanted: bool) -> None:
+    if wanted:
+        print(listing())
+        raise typer.Exit()
+
+
+def _recipe_completion(incomplete: str) -> list[str]:
+    """Returns what the Tab key offers: bundled names and recipes in files; else the shell offers files."""
+    names = [name for name in bundled_recipes() if name.startswith(incomplete)]
+    return names + sorted(glob(f"{escape_glob(incomplete)}*.toml"))
+
+
 def optimize(
-    recipe: Annotated[Path, typer.Argument(help="Recipe, .toml: scene, targets, parameters, losses, optimiser")],
+    recipe: Annotated[
+        Path,
+        typer.Argument(
+            help="Recipe, .toml: scene, targets, parameters, losses, optimiser; or the name of a bundled one.",
+            autocompletion=_recipe_completion,
+        ),
+    ],
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder of the run.  [default: runs/NAME, numbered if it exists]")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out, or the last one.")] = False,
     steps: Annotated[int | None, typer.Option(help="Number of steps instead of the recipe's.")] = None,
-    set_: Annotated[
+    define: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the recipe, dotted: render.spp=32"),
+        typer.Option("-D", "--define", metavar="KEY=VALUE", help="Set a key of the recipe, dotted: render.spp=32"),
     ] = None,
+    show_list: Annotated[
+        bool, typer.Option("--list", callback=_show_list, is_eager=True, help="List the recipes that come with the package.")
+    ] = False,
     debug: Debug = False,
 ) -> None:
     """Recover scene parameters from images, as a recipe says."""
     console = Console()
-    with clear_errors(debug):
+    with clear_errors(debug) as interrupts:
         from torch_radbp.training.run import run
 
-        overrides = [*(set_ or []), *([f"steps={steps}"] if steps is not None else [])]
+        interrupts.check()
+
+        overrides = [*(define or []), *([f"steps={steps}"] if steps is not None else [])]
+        recipe = recipe_path(recipe)
         folder_path = choose_folder(recipe, out, resume)
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: console.print(f"[yellow]warning:[/] {message}")
-            summary, report = run(recipe, overrides, folder_path, resume, console)
+            warnings.showwarning = lambda message, *_, **__: console.print(
+                f"[yellow]warning:[/] {escape(str(message))}", soft_wrap=True, highlight=False
+            )
+            summary, report = run(recipe, overrides, folder_path, resume, console, interrupts)
     console.print(recovered_table(summary))
     console.print("report:", str(report), style="bold", soft_wrap=True)
     if summary["status"] == "interrupted":
         console.print(f"stopped at step {summary['step']}; to continue: --resume --out {folder_path}", soft_wrap=True)
-        raise typer.Exit(INTERRUPTED)
+    if summary["status"] == "interrupted" or interrupts.received:
+        raise typer.Exit(interrupts.exit_code)
 
 
 def choose_folder(recipe: Path, out: Path | None, resume: bool) -> Path:

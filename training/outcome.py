@@ -4,6 +4,7 @@ import platform
 import resource
 import statistics
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -12,21 +13,33 @@ from torch import Tensor
 from torch_radbp.training.false_colour import absolute_error, error_scale, false_colour
 from torch_radbp.training.optimize import Recovery, step_seed
 from torch_radbp.training.parameters import RecoveredParameter
+from torch_radbp.training.passes import Estimate, render_in_passes
 from torch_radbp.training.run_folder import RunFolder
 
+# Samples of a pass, and the noise below which more of them are not seen: 2.5 of the 255 levels of a screen.
+PASS_SPP, INVISIBLE = 32, 0.01
 
-def render_for_report(recovery: Recovery) -> Tensor:
-    """Renders the targets' sensors with the current parameters at the report's spp, (B, 3, H, W)."""
+
+def render_for_report(recovery: Recovery, ended: Callable[[], bool]) -> Estimate:
+    """Renders the targets' sensors with the current parameters, until no noise is seen or the report's spp are reached.
+
+    Args:
+        recovery: the problem at any step.
+        ended: asked after each pass; True ends the rendering with the samples so far.
+    """
     recipe = recovery.recipe
-    with torch.no_grad():
-        # Streams of step -1: samples that no step of the optimisation has used.
-        seed = step_seed(recipe.render.seed, -1, 0)
-        return recovery.renderer(seed=seed, sensors=recovery.targets.sensors, spp=recipe.report.spp)
+    return render_in_passes(
+        recovery.renderer, recovery.targets.sensors, recipe.report.spp,
+        seed=step_seed(recipe.render.seed, -1, 0),  # those of step -1: samples that no step of the optimisation has used
+        passes=min(recipe.report.spp, max(2, -(-recipe.report.spp // PASS_SPP))),
+        go_on=lambda estimate: not ended() and (estimate.noise is None or estimate.noise > INVISIBLE),
+    )  # fmt: skip
 
 
 def save_before(recovery: Recovery, folder: RunFolder) -> None:
     """Writes the target and before images and textures; call it with the parameters at their initial values."""
-    for name, target, before in zip(recovery.targets.names, recovery.targets.images, render_for_report(recovery)):
+    rendered = render_for_report(recovery, lambda: False).image
+    for name, target, before in zip(recovery.targets.names, recovery.targets.images, rendered):
         folder.save_image(name, "target", target)
         folder.save_image(name, "before", before)
     for parameter in recovery.parameters:
@@ -36,7 +49,7 @@ def save_before(recovery: Recovery, folder: RunFolder) -> None:
                 folder.save_texture(parameter.name, "true", parameter.truth)
 
 
-def finish(recovery: Recovery, folder: RunFolder, status: str) -> dict[str, Any]:
+def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable[[], bool]) -> dict[str, Any]:
     """Writes images, recovered parameters, scene and summary of the state reached; returns the summary.
 
     Ends parametrisations: the recovery cannot be trained further.
@@ -45,8 +58,10 @@ def finish(recovery: Recovery, folder: RunFolder, status: str) -> dict[str, Any]
         recovery: the problem at the step reached.
         folder: its run folder, with the before images.
         status: "finished" or "interrupted".
+        hurried: asked while the images are rendered; True ends that with the samples so far.
     """
-    images = [_save_after(recovery, folder, index, after) for index, after in enumerate(render_for_report(recovery))]
+    after = render_for_report(recovery, hurried)
+    images = [_save_after(recovery, folder, index, image) for index, image in enumerate(after.image)]
     for parameter in recovery.parameters:
         if parameter.is_picture:
             folder.save_texture(parameter.name, "recovered", parameter.value)
@@ -58,6 +73,8 @@ def finish(recovery: Recovery, folder: RunFolder, status: str) -> dict[str, Any]
         "steps": recovery.recipe.steps,
         "skipped": recovery.skipped,
         "images": images,
+        "image_spp": after.spp,
+        "image_noise": after.noise,
         "parameters": [_parameter_summary(each) for each in recovery.parameters],
         "cost": _cost(recovery, folder),
         "machine": {

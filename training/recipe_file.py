@@ -1,4 +1,4 @@
-"""Recipes as TOML files: reading with `--set` overrides, and writing the recipe as used."""
+"""Recipes as TOML files: reading with overrides by `-D`, and writing the recipe as used."""
 
 import re
 from pathlib import Path
@@ -64,7 +64,7 @@ def write_recipe(recipe: Recipe, path: Path) -> None:
 def _override(data: dict, override: str) -> None:
     key, equals, text = override.partition("=")
     if not equals or not key.strip():
-        raise RecipeError(f"--set {override!r}: expected key=value, for instance render.spp=32")
+        raise RecipeError(f"-D {override!r}: expected key=value, for instance render.spp=32")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -85,13 +85,13 @@ def _step_into(table, name: str, override: str):
     else:
         table = table.setdefault(name, {})
     if not isinstance(table, (dict, list)):
-        raise RecipeError(f"--set {override!r}: {name!r} is a value, not a table")
+        raise RecipeError(f"-D {override!r}: {name!r} is a value, not a table")
     return table
 
 
 def _list_index(table: list, name: str, override: str) -> int:
     if not name.isdigit() or int(name) >= len(table):
-        raise RecipeError(f"--set {override!r}: expected an index from 0 to {len(table) - 1}, got {name!r}")
+        raise RecipeError(f"-D {override!r}: expected an index from 0 to {len(table) - 1}, got {name!r}")
     return int(name)
 
 

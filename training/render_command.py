@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from torch_radbp.training.clear_errors import Debug, clear_errors
+from torch_radbp.training.progress import TimedProgress
 from torch_radbp.training.scene_variables import Define, parse_variables
 
 # Passes of a long rendering, so that the progress bar moves; few enough that packing the scene costs nothing.
@@ -42,10 +42,9 @@ def render(
 ) -> None:
     """Render a scene to an EXR (linear) or PNG (sRGB) image."""
     with clear_errors(debug):
-        import torch
-
         import torch_radbp as rb
         from torch_radbp.io.image import WRITABLE, save_image
+        from torch_radbp.training.passes import render_in_passes
         from torch_radbp.training.targets import sensor_films
 
         if output.suffix.lower() not in WRITABLE:
@@ -63,28 +62,21 @@ def render(
         }
         samples = {name: renderer.samples([loaded.sensors[index]], None) for name, index in indices.items()}
         console = Console(stderr=True)
-        started = time.perf_counter()
-        with Progress(
-            TextColumn("rendering"), BarColumn(), TextColumn("{task.percentage:3.0f}%"), TimeElapsedColumn(),
-            TextColumn("left"), TimeRemainingColumn(), console=console, transient=True,
-        ) as progress, torch.no_grad():  # fmt: skip
-            task = progress.add_task("", total=sum(samples.values()))
+        started, done = time.perf_counter(), 0
+        with TimedProgress(console, "samples per pixel", sum(samples.values())) as progress:
             for name, index in indices.items():
-                image = 0.0
-                for number, count in enumerate(_passes(samples[name])):
-                    pass_seed = seed + number * 0x1000193
-                    image = image + renderer(seed=pass_seed, sensors=[index], spp=count)[0] * (count / samples[name])
-                    progress.advance(task, count)
+
+                def go_on(estimate, before=done) -> bool:
+                    progress.update(before + estimate.spp)
+                    return True
+
+                passes = min(MOST_PASSES, max(1, samples[name] // 16))
+                image = render_in_passes(renderer, [index], samples[name], seed, passes, go_on).image[0]
                 save_image(paths[name], image)
+                done += samples[name]
         width, height = image.shape[2], image.shape[1]
         for name, path in paths.items():
             console.print(f"{path}  {width} x {height}, {samples[name]} spp, {time.perf_counter() - started:.1f} s")
-
-
-def _passes(spp: int) -> list[int]:
-    """Splits the samples of a pixel into passes of nearly equal size."""
-    count = min(MOST_PASSES, max(1, spp // 16))
-    return [spp // count + (index < spp % count) for index in range(count)]
 
 
 def chosen_sensors(wanted: list[str] | None, known: list[str]) -> dict[str, int]:

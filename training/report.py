@@ -11,6 +11,7 @@ import torch
 from torch_radbp.io.atomic import replacing
 from torch_radbp.io.image import linear_to_srgb
 from torch_radbp.training.chart import Line, line_chart
+from torch_radbp.training.progress import duration
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.report_style import STYLE
 from torch_radbp.training.rigid import COMPONENTS
@@ -233,10 +234,3 @@ def _cost(summary: dict[str, Any]) -> str:
     cells = "".join(f"<tr><th>{name}</th><td>{html.escape(value)}</td></tr>" for name, value in rows)
     return f"<section><h2>Time and memory</h2><table class=narrow>{cells}</table></section>"
 
-
-def duration(seconds: float) -> str:
-    """Returns a time as people say it: `48.1 s`, `6 min 02 s`, `2 h 05 min`."""
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"

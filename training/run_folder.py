@@ -15,11 +15,11 @@ Every file but the event files is written atomically.
 """
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
 import safetensors.torch
-import torch
 from torch import Tensor, nn
 
 import torch_radbp as rb
@@ -36,6 +36,7 @@ class RunFolder:
     def __init__(self, path: Path):
         self.path = Path(path)
         self.metrics = MetricsFile(self.path / "metrics.csv")
+        self.checkpoint = self.path / "checkpoint.pt"
         self.report = self.path / "report.html"
         self._events = None
 
@@ -65,15 +66,13 @@ class RunFolder:
                 "steps. Use the recipe.toml in that folder, or start anew with another --out"
             )
 
-    def has_checkpoint(self) -> bool:
-        return (self.path / "checkpoint.pt").is_file()
 
-    def save_checkpoint(self, state: dict[str, Any]) -> None:
-        with replacing(self.path / "checkpoint.pt") as partial:
-            torch.save(state, partial)
-
-    def load_checkpoint(self) -> dict[str, Any]:
-        return torch.load(self.path / "checkpoint.pt", weights_only=True)
+    def forget_from(self, step: int) -> None:
+        """Cuts metrics.csv back to the steps before `step`, and warns if some of them are not there."""
+        kept = self.metrics.truncate(step)
+        if kept < step:
+            held = f"holds {kept} of the {step} steps so far" if self.metrics.path.exists() else "is missing"
+            warnings.warn(f"{self.metrics.path} {held}; curves and medians of the report lack those steps", stacklevel=2)
 
     def log(self, row: dict[str, float]) -> None:
         """Appends a step to metrics.csv and to the event files."""
@@ -113,8 +112,10 @@ class RunFolder:
         save_image(path, image)
 
     def save_parameters(self, values: dict[str, Tensor]) -> None:
+        # As bytes, because safetensors' own writer makes a file that only its owner may read.
+        data = safetensors.torch.save({name: value.cpu().contiguous() for name, value in values.items()})
         with replacing(self.path / "parameters.safetensors") as partial:
-            safetensors.torch.save_file({name: value.cpu().contiguous() for name, value in values.items()}, partial)
+            partial.write_bytes(data)
 
     def save_scene(self, scene: nn.Module) -> None:
         (self.path / "scene").mkdir(exist_ok=True)

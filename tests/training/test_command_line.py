@@ -32,7 +32,7 @@ def radbp(folder, monkeypatch):
         ((), ["render", "info", "optimize", "radbp render scene.xml -o image.png --spp 64"]),
         (("render",), ["--spp", "--max-depth", "--seed", "--sensor", "--compile", "-D resolution=64", "sRGB"]),
         (("info",), ["radbp info scene.xml", "parameters in a recipe"]),
-        (("optimize",), ["--out", "--resume", "--steps", "--set render.spp=32", "130"]),
+        (("optimize",), ["--out", "--resume", "--steps", "-D render.spp=32", "130"]),
     ],
 )
 def test_help_teaches_with_examples(command, expected, radbp):
@@ -96,7 +96,7 @@ BAD_COMMANDS = {
     "bad variable": (["info", "scene.xml", "-D", "width"], ["NAME=VALUE", "'width'"]),
     "scene that is no XML": (["info", "recipe.toml"], ["recipe.toml", ".xml"]),
     "no such recipe": (["optimize", "nothing.toml"], ["no such recipe: nothing.toml"]),
-    "bad recipe": (["optimize", "recipe.toml", "--set", "render.ssp=1"], ["recipe.toml", "'ssp'", "'spp'"]),
+    "bad recipe": (["optimize", "recipe.toml", "-D", "render.ssp=1"], ["recipe.toml", "'ssp'", "'spp'"]),
     "bad steps": (["optimize", "recipe.toml", "--steps", "0"], ["steps", "greater than or equal to 1"]),
     "nothing to resume": (["optimize", "recipe.toml", "--resume"], ["--resume", "no run of 'recipe'"]),
 }
@@ -126,8 +126,8 @@ def test_debug_shows_the_error_itself(folder, monkeypatch):
 
 
 def test_optimize_prints_the_table_and_the_report(radbp, folder):
-    code, stdout, _ = radbp("optimize", "recipe.toml")
-    assert code == 0
+    code, stdout, stderr = radbp("optimize", "recipe.toml")
+    assert code == 0, stderr
     assert "paint.reflectance.value" in stdout and "0.2000 0.5000 0.7000" in stdout
     assert "report: runs/recipe/report.html" in stdout
     assert (folder / "runs" / "recipe" / "report.html").is_file()

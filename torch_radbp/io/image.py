@@ -85,6 +85,9 @@ def save_image(path: str | os.PathLike, image: Tensor) -> None:
         if suffix == ".exr":
             header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
             OpenEXR.File(header, {"RGB": pixels.numpy()}).write(str(temporary))
+            # OpenEXR is silent if the disk is full when it closes the file.
+            if not np.array_equal(_read_exr(temporary), pixels.numpy()):
+                raise OSError("what was written reads back differently; the disk may be full")
         else:
             bytes8 = (linear_to_srgb(pixels.clamp(0.0, 1.0)) * 255.0).round().to(torch.uint8)
             Image.fromarray(bytes8.numpy()).save(temporary)
