@@ -13,7 +13,7 @@ $(VENV)/.installed: setup.py constraints.txt
 	touch $@
 
 demo: $(VENV)/.installed
-	$(BIN)/radbp optimize training/recipes/cornell_reflectance.toml
+	$(BIN)/radbp optimize cornell_reflectance
 
 test: $(VENV)/.installed
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder

@@ -3,9 +3,21 @@
 from pathlib import Path
 
 from setuptools import find_packages, setup
+from setuptools.command.build_py import build_py
 
 TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli-w>=1.0", "typer>=0.12"]
-TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0"]
+TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0", "setuptools>=70.1"]
+
+ASSETS = "torch_radbp.assets"  # what the bundled recipes need
+ASSET_FILES = ["README.md", "*/scene.xml", "*/target*.exr", "patches.png", "textured_room/*.png"]
+
+
+class BuildWithoutScripts(build_py):
+    """Leaves out the scripts that made the assets."""
+
+    def find_package_modules(self, package, package_dir):
+        return [] if package == ASSETS else super().find_package_modules(package, package_dir)
+
 
 setup(
     name="torch_radbp",
@@ -15,9 +27,11 @@ setup(
     long_description_content_type="text/markdown",
     license="MIT",
     python_requires=">=3.10",
-    packages=[*find_packages(include=["torch_radbp", "torch_radbp.*"]), "torch_radbp.training"],
-    package_dir={"torch_radbp.training": "training"},
-    package_data={"torch_radbp.training": ["recipes/*.toml", "*.md"]},
+    packages=[*find_packages(include=["torch_radbp", "torch_radbp.*"]), "torch_radbp.training", ASSETS],
+    # Side by side in the wheel, as in the repository: recipes name their scenes by ../../assets.
+    package_dir={"torch_radbp.training": "training", ASSETS: "assets"},
+    package_data={"torch_radbp.training": ["recipes/*.toml", "*.md"], ASSETS: ASSET_FILES},
+    cmdclass={"build_py": BuildWithoutScripts},
     install_requires=[
         "torch>=2.13,<2.14",
         "numpy>=1.26",
