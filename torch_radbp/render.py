@@ -62,8 +62,8 @@ class Renderer(nn.Module):
             where a density becomes very narrow, as roughness near 0 does.
         nee: next-event estimation with multiple importance sampling.
         chunk: lanes (paths) traced together; None picks.
-        memory_budget: bytes, or a string such as "2GiB": picks chunk and, unless `adjoint` is given, the stride, so that the
-            predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
+        memory_budget: bytes, or a string such as "2GiB" or "2GB": picks chunk and, unless `adjoint` is given, the stride, so
+            that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
         compile: compile the functions of a bounce; worth it from some dozen renderings on.
         caster: "embree" or "brute"; None picks by device.
 

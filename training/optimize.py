@@ -73,26 +73,32 @@ class Recovery:
 
 def make_renderer(scene, spec: schema.Render) -> rb.Renderer:
     """Returns the renderer that a recipe's `[render]` describes."""
-    match spec.adjoint.strategy:
-        case "memoized":
-            adjoint = rb.MemoizedAdjoint(stride=spec.adjoint.stride, keep_hits=spec.adjoint.keep_hits)
-        case "replay":
-            adjoint = rb.ReplayAdjoint()
-        case "quadratic":
-            adjoint = rb.QuadraticAdjoint()
-        case "tape":
-            adjoint = rb.TapeAdjoint()
     return rb.Renderer(
         scene,
         spp=spec.spp,
         max_depth=spec.max_depth,
         rr_depth=spec.rr_depth,
-        adjoint=adjoint,
+        adjoint=None if spec.adjoint is None else make_adjoint(spec.adjoint),
         sampling=spec.sampling,
         chunk=spec.chunk,
+        memory_budget=spec.memory_budget,
         compile=spec.compile,
         caster=spec.caster,
     )
+
+
+def make_adjoint(spec: schema.Adjoint):
+    """Returns the strategy of a recipe's `[render] adjoint`."""
+    match spec.strategy:
+        case "memoized":
+            return rb.MemoizedAdjoint(stride=spec.stride, keep_hits=spec.keep_hits)
+        case "replay":
+            return rb.ReplayAdjoint()
+        case "quadratic":
+            return rb.QuadraticAdjoint()
+        case "tape":
+            return rb.TapeAdjoint()
+    raise TypeError(f"no strategy for {spec!r}")
 
 
 def make_optimizer(parameters: list[RecoveredParameter], spec: schema.AnyOptimizer) -> torch.optim.Optimizer:

@@ -16,6 +16,7 @@ from pydantic import (
     model_validator,
 )
 
+from torch_radbp.adjoint.memory import parse_budget
 from torch_radbp.plugin import nearest
 
 
@@ -130,15 +131,21 @@ class Adjoint(Table):
         return self
 
 
+def _check_budget(budget: int | str) -> int | str:
+    parse_budget(budget)
+    return budget
+
+
 class Render(Table):
     """Arguments of `torch_radbp.Renderer`; what is left out is taken from the scene file."""
 
     spp: Count = 16  # samples per pixel of each rendered buffer; two_buffer_l2 renders two
     max_depth: int | None = Field(None, ge=-1)
     rr_depth: Count | None = None
-    adjoint: Adjoint = Adjoint()
+    adjoint: Adjoint | None = None  # None: memoized, with the stride that memory_budget leaves room for, else 1
     sampling: str = "hybrid"
     chunk: Count | None = None
+    memory_budget: Annotated[int | str, AfterValidator(_check_budget)] | None = None  # bytes, "2GiB" or "2GB"
     compile: bool = False
     caster: str | None = None
     seed: int = Field(0, ge=0)
@@ -148,7 +155,7 @@ class Render(Table):
 
     @model_validator(mode="after")
     def _check_decorrelate(self):
-        if self.decorrelate and self.adjoint.strategy == "tape":
+        if self.decorrelate and self.adjoint is not None and self.adjoint.strategy == "tape":
             raise ValueError('decorrelate needs a backward pass of its own, which strategy = "tape" does not have')
         return self
 

@@ -152,3 +152,11 @@ def test_recipes_that_come_with_the_package_fit_their_scenes(path):
     for parameter in recovery.parameters:
         assert parameter.truth is not None
         assert not torch.allclose(parameter.value, parameter.truth, atol=0.01), "a recipe does not start from the truth"
+
+
+def test_a_memory_budget_reaches_the_renderer_in_any_unit(folder):
+    spec = ["render={caster='brute', memory_budget='1.5 GB'}"]
+    renderer = Recovery(read_recipe(folder / "recipe.toml", spec)).renderer
+    assert renderer.memory_budget == 1_500_000_000 and not renderer.adjoint_is_chosen
+    chosen = Recovery(read_recipe(folder / "recipe.toml", [*spec, "render.adjoint.stride=2"])).renderer
+    assert chosen.adjoint_is_chosen and chosen.adjoint.stride == 2

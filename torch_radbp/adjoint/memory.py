@@ -7,6 +7,7 @@ memory of the bounce that is being computed. What is not: the scene itself, comp
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -31,7 +32,9 @@ BOUNCE_ADJOINT = {False: 200, True: 60}
 TAPE = 32  # that autograd saves per lane and bounce
 
 SMALLEST_CHUNK = 1 << 12
-UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40}
+MIB = 1 << 20
+UNITS = {"B": 1, "KiB": 1 << 10, "MiB": MIB, "GiB": 1 << 30, "TiB": 1 << 40, "kB": 10**3, "MB": 10**6, "GB": 10**9,
+         "TB": 10**12}
 
 
 class MemoryPlan(NamedTuple):
@@ -49,21 +52,21 @@ class MemoryPlan(NamedTuple):
         return self.kept + self.working
 
 
-def parse_budget(budget: str | int) -> int:
-    """Bytes from a number or a string such as "2GiB".
+def parse_budget(budget: str | int | float) -> int:
+    """Returns the bytes of a number, or of a string such as "2GiB", "2 GB" or "1.5gb": 2 GiB are 2^31, 2 GB 2 * 10^9 bytes.
 
     Raises:
-        ValueError: if it cannot be read or is not positive.
+        ValueError: if it cannot be read, or is less than a byte.
     """
-    text = str(budget).strip()
-    unit = next((unit for unit in UNITS if text.endswith(unit)), None)
+    match = re.fullmatch(r"\s*([0-9.]+(?:e[0-9]+)?)\s*([a-z]*)\s*", str(budget), re.IGNORECASE)
+    factors = {unit.lower(): factor for unit, factor in UNITS.items()} | {"": 1}
     try:
-        size = float(text.removesuffix(unit)) * UNITS[unit] if unit else float(text)
-    except ValueError:
+        size = float(match[1]) * factors[match[2].lower()]
+    except (TypeError, ValueError, KeyError):
         size = -1.0
-    if not 0 < size < float("inf"):
-        raise ValueError(f"memory_budget must be a number of bytes or a string such as '2GiB' ({', '.join(UNITS)}), "
-                         f"got {budget!r}")
+    if isinstance(budget, bool) or not 1 <= size < float("inf"):
+        raise ValueError(f"memory_budget must be a number of bytes or a string such as '2GiB' or '2GB' "
+                         f"({', '.join(UNITS)}), got {budget!r}")
     return int(size)
 
 
@@ -162,6 +165,6 @@ def plan_memory(budget: int, work: Workload, chunk: int, adjoint=None) -> Memory
     fitting = next((plan for plan in plans if plan.peak <= budget), None)
     if fitting is None:
         least = min(plans, key=lambda plan: plan.peak)
-        raise ValueError(f"memory_budget of {budget / UNITS['MiB']:.0f} MiB is too small: the most frugal plan "
-                         f"({least.adjoint}, chunk={least.chunk}) needs {least.peak / UNITS['MiB']:.0f} MiB")
+        raise ValueError(f"memory_budget of {budget / MIB:.0f} MiB is too small: the most frugal plan "
+                         f"({least.adjoint}, chunk={least.chunk}) needs {least.peak / MIB:.0f} MiB")
     return fitting
