@@ -262,6 +262,7 @@ def sensor_indices(scene: Scene, sensors: SensorChoice) -> list[int]:
     return indices
 
 
+@entry
 def render(scene: Scene, *, seed: int = 0, sensors: SensorChoice = None, seed_grad: int | None = None,
            **settings) -> Tensor:
     """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad)`: see `Renderer`.
