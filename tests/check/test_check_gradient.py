@@ -113,8 +113,9 @@ def test_a_parameter_that_is_detached_on_its_way_is_biased():
     assert result.verdict == "biased" and abs(result.comparison.projections[1].relative_error + 0.5) < 0.1, str(result)
 
 
-@pytest.mark.parametrize("name", ["light.to_world", "box.vertex_positions", "sensor.x_fov"])
-def test_a_derivative_without_what_moves_is_biased_probably_by_silhouettes(name, monkeypatch):
+# The field of view is in degrees: in steps of 0.05 whether a jump is seen at 64 samples depends on the seed.
+@pytest.mark.parametrize("name, step", [("light.to_world", 0.05), ("box.vertex_positions", 0.05), ("sensor.x_fov", 2.0)])
+def test_a_derivative_without_what_moves_is_biased_probably_by_silhouettes(name, step, monkeypatch):
     """Forward mode says zero; differences see the thing move, whatever the renderer can differentiate."""
     right = check_module.rendering_with_tangent
 
@@ -126,7 +127,7 @@ def test_a_derivative_without_what_moves_is_biased_probably_by_silhouettes(name,
     monkeypatch.setattr(check_module.Measurement, "backward", lambda self, number, cotangents: [0.0] * len(cotangents))
     scene = cornell(size=8)
     before = scene.get_parameter(name).clone()
-    result = rb.check_gradient(scene, name, spp=64, max_depth=2, step=0.05)
+    result = rb.check_gradient(scene, name, spp=64, max_depth=2, step=step)
     assert result.verdict == "biased, probably by silhouettes", str(result)
     assert result.comparison.difference.abs().max() > 0 and "edges that it moves" in result.explanation
     assert torch.equal(scene.get_parameter(name), before)
