@@ -1,4 +1,4 @@
-"""Silhouettes: where an image changes by jumps, so that its derivative has a part that no derivative of a pixel has."""
+"""Silhouettes: where an image is discontinuous, so that its derivative has a part that no derivative of radiance has."""
 
 from torch_radbp.boundary.silhouette import Sight
 from torch_radbp.boundary.warning import JumpWarning, JumpWatch, Rendering, SilhouetteWarning

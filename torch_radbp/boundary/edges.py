@@ -18,7 +18,7 @@ SOME = 1 << 14  # triangles of a larger shape that are looked at
 class Edges(NamedTuple):
     """E edges between U vertices, at which H corners of triangles lie opposite (two at an edge inside a surface)."""
 
-    vertex: Tensor  # (U,) int64, which vertices of the mesh these are; the others index them
+    vertex: Tensor  # (U,) int64, rows of the mesh's vertices; a, b and opposite index this field
     a: Tensor  # (E,) int64, one end
     b: Tensor  # (E,) the other
     opposite: Tensor  # (H,) int64, the third vertex of a triangle
@@ -26,16 +26,16 @@ class Edges(NamedTuple):
 
 
 def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
-    """Which triangles of some shapes are looked at: a fixed random choice of those of large shapes, all of small ones.
+    """The triangles whose edges are examined: all those of small shapes, a fixed random sample of those of large ones.
 
-    One silhouette of a large mesh is seldom alone, and the time that finding it takes is bounded.
+    This bounds the work. A large mesh with a single silhouette edge is rare, and the sample may miss that edge.
 
     Args:
-        counts: triangles of each shape, which follow each other.
+        counts: the number of triangles of each shape, in the order of the faces.
         device: of the result.
 
     Returns:
-        Row numbers, ascending, int64; None: all.
+        Ascending int64 row numbers; None: all.
     """
     if max(counts) <= MANY:
         return None
@@ -50,11 +50,11 @@ def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
 def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> Edges:
     """The edges of a mesh, or of some of its triangles.
 
-    Vertices in the same place count as one; degenerate triangles are skipped. The neighbours of chosen triangles are found
-    without sorting the whole mesh.
+    Vertices at the same place count as one; degenerate triangles are skipped. The neighbours of the chosen triangles are
+    found without sorting the whole mesh.
 
     Args:
-        vertices: (V, 3), detached; those of other meshes before and after those that the faces use do not count.
+        vertices: (V, 3), detached; may begin and end with vertices of other meshes.
         faces: (F, 3) integers, F > 0.
         chosen: (C,) rows of `faces`, distinct; None: all.
     """
@@ -78,7 +78,7 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
 
 
 def kept(edges: Edges, corners: Tensor) -> Edges:
-    """The edges at which some corners, (H,) bool, lie opposite, with all that lie opposite them."""
+    """The edges that have one of the marked corners, (H,) bool, opposite them; with all corners opposite these edges."""
     keep = torch.zeros(len(edges.a), dtype=torch.bool, device=corners.device).index_fill(0, edges.edge[corners], True)
     there = keep[edges.edge]
     return Edges(edges.vertex, edges.a[keep], edges.b[keep], edges.opposite[there],
@@ -86,20 +86,20 @@ def kept(edges: Edges, corners: Tensor) -> Edges:
 
 
 def touching(cells: tuple[Tensor, Tensor], faces: Tensor, vertices: Tensor) -> Tensor:
-    """The triangles with two corners, at least, in the same places as some vertices; rows of `faces`, ascending."""
+    """The triangles with at least two corners at the places of the given vertices; ascending rows of `faces`."""
     touched = torch.zeros(len(cells[0]), dtype=torch.bool, device=faces.device)
     for cell in cells:
-        slot = ((cell * HASH) >> 32) & (SLOTS - 1)  # other cells may share it: a few triangles more do no harm
+        slot = ((cell * HASH) >> 32) & (SLOTS - 1)  # cells may share a slot: a few more triangles do no harm
         touched |= torch.zeros(SLOTS, dtype=torch.bool, device=faces.device).index_fill(0, slot[vertices], True)[slot]
     first, second, third = (touched.index_select(0, corner) for corner in faces.unbind(1))
     return ((first & second) | (second & third) | (third & first)).nonzero().squeeze(1)
 
 
 def cells_of(vertices: Tensor) -> tuple[Tensor, Tensor]:
-    """The cells of two grids that vertices, (V, 3), lie in; (V,) int64 each.
+    """The cells of two grids that contain the vertices, (V, 3); (V,) int64 each.
 
-    Vertices in the same place, up to rounding, share a cell of one grid at least, because one is shifted by half a cell
-    against the other.
+    One grid is shifted by half a cell against the other, so that vertices at the same place, up to rounding, share a cell
+    of at least one of them.
     """
     low = vertices.amin(0)
     extent = float((vertices.amax(0) - low).max())
@@ -114,7 +114,7 @@ def cells_of(vertices: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def welded(cells: tuple[Tensor, Tensor]) -> Tensor:
-    """(V,) int64: of each vertex the first one in the same place, by the cells that `cells_of` gives."""
+    """For each vertex the first one at the same place, (V,) int64, by the cells from `cells_of`."""
     label = torch.arange(len(cells[0]), device=cells[0].device)
     groups = [torch.unique(cell, return_inverse=True)[1] for cell in cells]
     for group in groups * 2:

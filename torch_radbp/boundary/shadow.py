@@ -1,4 +1,4 @@
-"""Which edges cast a shadow whose border lies in view of a camera."""
+"""Edges that cast a shadow whose border lies in view of a camera."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.vec import Ray, Vec3
 
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # along each edge, from which rays are cast
-MOST_EDGES = 1 << 14  # that are looked at
-APART = 1e-4  # how far from an edge a ray starts, a share of the scene's extent
-FAR_AWAY = 1e4  # where a directional light stands, in the same unit
+MOST_EDGES = 1 << 14  # that are examined
+APART = 1e-4  # distance from the edge at which a ray starts, as a share of the scene's extent
+FAR_AWAY = 1e4  # distance at which a directional light is placed, in the same unit
 
 
 class Shadows(NamedTuple):
-    """S places in view where a border of a shadow lies."""
+    """S points in view on borders of shadows."""
 
-    edge: Tensor  # (S,) int64, which casts it
-    receiver: Tensor  # (S,) int64, triangle on which it lies
+    edge: Tensor  # (S,) int64, the edge that casts the shadow
+    receiver: Tensor  # (S,) int64, the triangle on which the shadow falls
 
 
 def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Tensor, axis: Tensor,
                     sights: Sequence[Sight]) -> Shadows:
-    """The shadows that a light casts into some views. Those that are in view but hidden count as seen.
+    """The shadows that a light casts into some views. A shadow hidden behind a surface counts as seen.
 
     Args:
         edges: of the scene.
         vertices: (V, 3) of the scene as it is now, world space, detached.
-        caster: the same scene.
-        light: (4,) homogeneous coordinates of the light: a position, or with a 0 at the end the direction towards it.
-        axis: (3,) the light shines to this side only; 0: to all.
+        caster: of the same scene.
+        light: (4,) homogeneous coordinates of the light: a position, or with 0 at the end the direction towards it.
+        axis: (3,) the light shines only into directions on this side; 0: into all.
         sights: of the cameras.
     """
     extent = (vertices.amax(0) - vertices.amin(0)).max().double()
@@ -61,5 +61,5 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
 
 
 def ray_from(o: Tensor, d: Tensor) -> Ray:
-    """Rays from (N, 3) points into (N, 3) directions, float32."""
+    """Float32 rays from (N, 3) points in (N, 3) directions."""
     return Ray(*(Vec3(*part.float().contiguous().unbind(1)) for part in (o, d)))

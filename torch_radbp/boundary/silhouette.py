@@ -1,4 +1,4 @@
-"""Which edges are silhouettes for a camera, and lie in its view."""
+"""Edges that are silhouettes for a camera and lie in its view."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_radbp.boundary.edges import Edges
 from torch_radbp.sensor.perspective import PinholeTensors
 
-MARGIN = 1e-4  # at the border of the image, a share of its size: a surface may end exactly there
+MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a surface may end exactly there
 
 
 class Sight(NamedTuple):
@@ -22,7 +22,7 @@ class Sight(NamedTuple):
 
 
 def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
-    """Which edges the image changes at by a jump, if nothing hides them.
+    """The edges at which the image is discontinuous, unless something hides them.
 
     Args:
         edges: of the mesh.
@@ -37,19 +37,20 @@ def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
 
 
 def eye(sight: Sight) -> Tensor:
-    """(3,) where the camera is, float64."""
+    """The camera's position, (3,) float64."""
     return torch.stack(tuple(sight.camera.origin)).double()
 
 
 def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
-    """Whether all triangles at an edge lie on one side of it, as seen from the origin; (E,) bool.
+    """True if all triangles at an edge lie on one side of it, as seen from the origin; (E,) bool.
 
-    So do the one triangle at the rim of a surface, and two of which one is seen from the front and one from behind. However
-    triangles are oriented, two of a flat surface lie on different sides.
+    That is so for the single triangle at the rim of a surface, and for two triangles of which one is seen from the front
+    and the other from behind. The orientation of triangles does not matter: two neighbours in a plane always lie on
+    different sides of their common edge.
 
     Args:
         edges: of the mesh.
-        seen: (U, 3) their vertices relative to the eye.
+        seen: (U, 3) their vertices, relative to the eye.
     """
     plane = torch.linalg.cross(seen[edges.a], seen[edges.b])
     side = torch.sign((plane[edges.edge] * seen[edges.opposite]).sum(1))
@@ -59,7 +60,7 @@ def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
 
 
 def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
-    """Whether a part of an edge lies inside the camera's pyramid of view; (E,) bool.
+    """True if part of an edge lies inside the camera's view frustum; (E,) bool.
 
     Args:
         edges: between `vertices`, (U, 3) float64, world space; an edge of length zero is a point.
@@ -72,7 +73,7 @@ def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
     x, y, z = ((vertices - eye(sight)) @ axes.T).unbind(1)
     left, right = limits(camera.crop_x, camera.size_x, camera.shift_x, width) * camera.tan_x
     top, bottom = limits(camera.crop_y, camera.size_y, camera.shift_y, height) * camera.tan_x / camera.aspect
-    # Distances to the six planes, positive inside. Coordinates run to the left and up.
+    # Distances to the six planes, positive inside; x points to the left, y up.
     inside = torch.stack([left * z - x, x - right * z, top * z - y, y - bottom * z, z - camera.near, camera.far - z])
     start, end = inside[:, edges.a], inside[:, edges.b]
     crossing = start / torch.where(start == end, 1.0, start - end)
@@ -83,6 +84,6 @@ def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
 
 
 def limits(crop: Tensor, size: Tensor, shift: Tensor, pixels: int) -> Tensor:
-    """The tangents, relative to the half image, between which a crop window lies; (2,), of its first and its last pixel."""
+    """The image coordinates, from 1 to -1, of the first and the last pixel of a crop window; (2,) float64."""
     first, last = crop + MARGIN * pixels, crop + (1.0 - MARGIN) * pixels
     return torch.stack([1.0 - 2.0 * (place / size + shift) for place in (first, last)]).double()

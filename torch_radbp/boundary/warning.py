@@ -1,9 +1,9 @@
 """The warnings that a derivative lacks what silhouettes, shadows or jumps of a BSDF contribute.
 
-A derivative of the image is a derivative of its pixels, plus what is gained and lost where one surface ends and another is
-seen behind it. The second part is not computed yet. It is missing if a shape, or the camera, moves and silhouettes are in
-view; of a surface that fills the view nothing is missing. Borders of shadows are silhouettes as a light sees them; looked
-for are those of lights that have a place or a direction, not those of light from all around.
+The derivative of an image has two parts: that of the radiance inside each surface, and what is gained or lost at the edges
+where one surface ends and another appears behind it. The second part is not computed yet. It is missing if a shape or the
+camera moves while silhouettes are in view; a surface that fills the view has none. Borders of shadows are silhouettes as
+seen from a light. They are searched for lights with a position or a direction, but not for light from all around.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from torch_radbp.scene.pack import one_sided
 MOVE_SHAPES = ("to_world", "vertex_positions")
 MOVE_LIGHTS = ("to_world", "position")
 MOVE_VIEWS = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y")
-FLAT = 1e-6  # thickness over extent
-CLOSED = 1e-3  # the sum of a surface's normals over its area
+FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
+CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
 
 
 class SilhouetteWarning(UserWarning):
-    """Derivatives are asked for that lack what silhouettes contribute."""
+    """The derivatives to be computed lack the contribution of silhouettes."""
 
 
 class JumpWarning(SilhouetteWarning):
-    """Derivatives are asked for that lack what the jump of a BSDF contributes, a silhouette of its microfacets."""
+    """The derivatives to be computed lack the contribution of a jump in a BSDF: a silhouette of its microfacets."""
 
 
 class Rendering(NamedTuple):
@@ -46,26 +46,26 @@ class Rendering(NamedTuple):
 
     scene: Scene  # with the parameters of this rendering
     sensors: Sequence[Sensor]
-    sights: Sequence[Sight]  # of the same
+    sights: Sequence[Sight]  # one for each sensor
     caster: RayCaster  # of the scene as it is now
     sampling: str  # "detached", "hybrid" or "attached"
 
     def counts(self) -> list[int]:
-        """How many triangles each shape has; those of the caster are in the order of the shapes."""
+        """The number of triangles of each shape; the caster has them in the order of the shapes."""
         return [len(shape.faces) for shape in self.scene.shapes]
 
 
 class JumpWatch:
-    """Looks at every rendering for jumps whose part is missing from the derivative; warns once of each sort."""
+    """Examines every rendering for discontinuities that the derivative misses; warns once of each kind."""
 
     def __init__(self) -> None:
-        # Which have not warned yet.
+        # Those that have not warned yet.
         self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over]
-        self.known: dict[object, tuple[Tensor, Edges]] = {}  # edges of what was looked at, and the faces that made them
-        self.looked_at: set[str] = set()  # what moves, in the shadows that were looked for
+        self.known: dict[object, tuple[Tensor, Edges]] = {}  # faces and edges of the meshes examined so far
+        self.looked_at: set[str] = set()  # the moving parameters for which shadows have been searched
 
     def look(self, rendering: Rendering) -> None:
-        """Warns if derivatives are asked for that lack something."""
+        """Warns if the derivatives to be computed lack something."""
         for look in self.looks:
             warning = look(rendering)
             if warning is not None:
@@ -73,19 +73,22 @@ class JumpWatch:
                 warnings.warn(warning, stacklevel=level_of_the_caller())
 
     def silhouettes_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """Of the shapes and cameras that move. Hidden silhouettes count as seen."""
+        """The warning about silhouettes of moving shapes and of all shapes if a camera moves, or None.
+
+        Hidden silhouettes count as seen.
+        """
         missing = self.missing(rendering)
         if not missing:
             return None
-        return SilhouetteWarning(f"derivatives of {listed(missing)} lack what its silhouettes contribute: at least "
-                                 f"{max(missing.values())} edges move in view, where the image changes by a jump. A loss "
-                                 f"that depends on outlines, such as that of a shape before a background, has a biased "
-                                 f"gradient; check_gradient tells by how much")
+        return SilhouetteWarning(f"derivatives with respect to {listed(missing)} lack the contribution of silhouettes: at "
+                                 f"least {max(missing.values())} edges move in view, and the image is discontinuous there. "
+                                 f"A loss that depends on outlines, such as a shape's against its background, has a "
+                                 f"biased gradient; check_gradient measures by how much")
 
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """Of lights, shapes that cast them and shapes that they fall on, if these move and show no silhouettes.
+        """The warning about shadows that move because a light, the shape that casts them or the shape below moves, or None.
 
-        Looked for once for each parameter, because it casts rays.
+        Parameters that move silhouettes too are left out. Shadows are searched once for each parameter, by casting rays.
         """
         scene, vertices, faces = rendering.scene, rendering.caster.vertices, rendering.caster.faces
         shapes = [moving(scene, shape, MOVE_SHAPES) for shape in scene.shapes]
@@ -110,12 +113,15 @@ class JumpWatch:
         missing -= self.missing(rendering).keys()
         if not missing:
             return None
-        return SilhouetteWarning(f"derivatives of {listed(sorted(missing))} lack what the borders of shadows contribute: "
-                                 f"some in view move over the surface on which they fall. A loss that depends on where "
-                                 f"shadows lie has a biased gradient; check_gradient tells by how much")
+        return SilhouetteWarning(f"derivatives with respect to {listed(sorted(missing))} lack the contribution of the "
+                                 f"borders of shadows: some in view move over the surface on which they fall. A loss that "
+                                 f"depends on where shadows lie has a biased gradient; check_gradient measures by how much")
 
     def jumps_of_a_bsdf(self, rendering: Rendering) -> JumpWarning | None:
-        """Directions turn at rough glass that jumps with them, and do not carry derivatives; see `Kind.jumps`."""
+        """The warning about a BSDF that is discontinuous in its directions while these turn, or None.
+
+        Directions without derivatives miss that; see `Kind.jumps`.
+        """
         scene, sensors, sampling = rendering.scene, rendering.sensors, rendering.sampling
         jumping = [bsdf for bsdf in one_sided(scene.bsdfs()) if bsdf.kind().jumps and sampling != "attached"]
         turning = [name for plugins, attributes in ((scene.shapes, MOVE_SHAPES), (sensors, MOVE_VIEWS), (jumping, ("eta",)))
@@ -123,18 +129,19 @@ class JumpWatch:
         if not (jumping and turning):
             return None
         bsdf = f"{jumping[0].type} `{scene.name_of(jumping[0])}`"
-        return JumpWarning(f"derivatives of {listed(turning)} lack a part at the {bsdf}: light refracted by GGX facets "
-                           f"ends with a jump, which directions that carry no derivative miss. Use sampling='attached', or "
-                           f"the distribution 'beckmann', which has no jump")
+        return JumpWarning(f"derivatives with respect to {listed(turning)} lack a part at the {bsdf}: its refraction by GGX "
+                           f"facets ends with a jump, which directions without derivatives miss. Use sampling='attached', "
+                           f"or the distribution 'beckmann', which has no jump")
 
     def edges_slid_over(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """Directions follow roughness, index or normals of a surface, and there are edges that they may slide over.
+        """The warning about scattered directions that follow a parameter, and so slide over edges; or None.
 
-        At ideal mirrors and glass they follow the surface itself and the camera too; elsewhere attached directions do, which
-        is not looked for.
+        Attached directions follow the roughness, the index of refraction or the normals of a surface; those of ideal
+        mirrors and glass follow the surface itself and the camera, too. That attached directions at other materials do so
+        as well is not examined.
         """
         scene, sampling = rendering.scene, rendering.sampling
-        turning: dict[str, bool] = {}  # by name; whether the surface is ideal
+        turning: dict[str, bool] = {}  # names of parameters; True: all these surfaces are ideal mirrors or glass
         for bsdf in one_sided(scene.bsdfs()):
             if followed(bsdf.kind(), sampling):
                 turning |= {f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}": bsdf.kind().delta
@@ -149,14 +156,14 @@ class JumpWatch:
         turning = {name: ideal for name, ideal in turning.items() if name not in named}
         if not turning or flat(rendering.caster.vertices):
             return None
-        instead = "" if all(turning.values()) else " Where a surface is not ideal, sampling='hybrid' does not."
-        return SilhouetteWarning(f"derivatives of {listed(turning)} lack what edges contribute where they are seen "
-                                 f"reflected or refracted: directions follow the parameter and slide over the edges of "
-                                 f"what they meet, where radiance changes by a jump.{instead} check_gradient tells by how "
-                                 f"much it matters")
+        instead = "" if all(turning.values()) else " With sampling='hybrid' those of surfaces that are not ideal do not."
+        return SilhouetteWarning(f"derivatives with respect to {listed(turning)} lack the contribution of edges seen by "
+                                 f"reflection or refraction: scattered directions follow the parameter and slide over the "
+                                 f"edges of shapes, where radiance is discontinuous.{instead} check_gradient measures how "
+                                 f"much that matters")
 
     def missing(self, rendering: Rendering) -> dict[str, int]:
-        """The parameters that move silhouettes in view, and how many edges each that were looked at."""
+        """The parameters that move silhouettes in view, each with the number of edges found."""
         scene, missing = rendering.scene, {}
         vertices, faces, counts = rendering.caster.vertices, rendering.caster.faces, rendering.counts()
         for shape, own in zip(scene.shapes, faces.split(counts)):
@@ -172,13 +179,13 @@ class JumpWatch:
         return {name: count for name, count in missing.items() if count}
 
     def edges(self, key: object, vertices: Tensor, faces: Tensor, counts: Sequence[int]) -> Edges:
-        """Those of one or several shapes, all or some of them; found anew only where the faces are others.
+        """The edges of one or several shapes that are examined; found anew only if the faces have changed.
 
         Args:
-            key: what they are remembered by.
+            key: under which they are remembered.
             vertices: (V, 3), detached.
-            faces: (F, 3) of all of the shapes.
-            counts: triangles of each of the shapes.
+            faces: (F, 3) of all these shapes.
+            counts: the number of triangles of each.
         """
         known = self.known.get(key)
         if known is None or not torch.equal(known[0], faces):
@@ -187,21 +194,21 @@ class JumpWatch:
 
 
 def number_in_view(edges: Edges, vertices: Tensor, sights: Sequence[Sight]) -> int:
-    """How many edges are silhouettes in some views."""
+    """The number of silhouettes in some views."""
     return sum(int(silhouettes_in_view(edges, vertices, sight).sum()) for sight in sights)
 
 
 class Light(NamedTuple):
     """A light that casts shadows with a border."""
 
-    place: Tensor  # (4,) homogeneous: a position, the middle of a light with extent; or with a 0 the direction towards it
-    axis: Tensor  # (3,) it shines to this side only; 0: to all
-    shape: Shape | None  # that emits
-    moving: list[str]  # the parameters that move it and that derivatives are asked for
+    place: Tensor  # (4,) homogeneous: the position, or middle, of the light; or with 0 at the end the direction towards it
+    axis: Tensor  # (3,) it shines only into directions on this side; 0: into all
+    shape: Shape | None  # that emits the light
+    moving: list[str]  # the parameters that move it, of those with derivatives
 
 
 def lights_of(rendering: Rendering) -> Iterator[Light]:
-    """All lights that have a place or a direction."""
+    """All lights with a position or a direction."""
     scene, caster = rendering.scene, rendering.caster
     for emitter in scene.emitters:
         if hasattr(emitter, "pose"):
@@ -214,38 +221,38 @@ def lights_of(rendering: Rendering) -> Iterator[Light]:
             first, second, third = caster.vertices[faces.long()].unbind(1)
             normals = torch.linalg.cross(second - first, third - first)
             middle = ((first + second + third) / 3.0).mean(0)
-            # The normals of a closed surface add up to rounding errors.
+            # The normals of a closed surface add up to zero, but for rounding.
             axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
             yield Light(torch.cat([middle, middle.new_ones(1)]), axis, shape, moving(scene, shape, MOVE_SHAPES))
 
 
 def listed(names: Iterable[str]) -> str:
-    """`a` and `b`."""
+    """Names in running text: `a` and `b`."""
     return " and ".join(f"`{name}`" for name in dict.fromkeys(names))
 
 
 def flat(vertices: Tensor) -> bool:
-    """Whether all vertices, (V, 3), lie in one plane, so that no ray from one surface meets another."""
+    """True if all vertices, (V, 3), lie in one plane, so that no ray from one surface meets another."""
     centred = vertices.double() - vertices.double().mean(0)
     squared_extent = torch.linalg.eigvalsh(centred.T @ centred)
     return bool(squared_extent[0] <= FLAT**2 * squared_extent[-1])
 
 
 def moving(scene: Scene, plugin: Plugin, attributes: Sequence[str]) -> list[str]:
-    """The names of those attributes of a plugin that derivatives are asked for."""
+    """The full names of those attributes of a plugin that have derivatives in this rendering."""
     asked = [name for name in attributes if asks_for_derivatives(getattr(plugin, name, None))]
     return [f"{scene.name_of(plugin)}.{name}" for name in asked]
 
 
 def asks_for_derivatives(value) -> bool:
-    """Whether an attribute is a tensor whose derivatives this rendering is to have, backward or forward."""
+    """True if an attribute is a tensor with respect to which this rendering is differentiated, backward or forward."""
     if not isinstance(value, Tensor):
         return False
     return (value.requires_grad and torch.is_grad_enabled()) or tangent_of(value) is not None
 
 
 def level_of_the_caller() -> int:
-    """How many calls up, from the function that asks, the code outside of torch and this package is."""
+    """The stack level of the nearest caller outside torch and this package, as `warnings.warn` counts it."""
     frame, level = sys._getframe(1), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in ("torch", "torch_radbp"):
         frame, level = frame.f_back, level + 1
