@@ -190,13 +190,16 @@ class Plugin(nn.Module):
         return {}
 
     def freeze(self, name: str, value: Tensor) -> None:
-        """Registers `value` as a parameter that takes no gradient until the user asks for one.
+        """Registers `value` as a parameter: an `nn.Parameter` itself, else one that takes no gradient until the user asks.
 
         Raises:
-            ValueError: if it is not in its domain.
+            ValueError: if it is not in its domain, or was computed from something that requires a gradient.
         """
         self.domains().get(name, Domain()).check(name, value)
-        self.register_parameter(name, nn.Parameter(value, requires_grad=False))
+        if value.requires_grad and not isinstance(value, nn.Parameter):
+            raise no_gradient(name)
+        live = isinstance(value, nn.Parameter)
+        self.register_parameter(name, value if live else nn.Parameter(value, requires_grad=False))
 
 
 class Texture(Plugin):
@@ -280,12 +283,19 @@ def nearest(name: str, known: typing.Iterable[str]) -> str:
 
 
 def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tensor:
-    """`value` as a float tensor, checked for shape and for NaN or infinity.
+    """`value` as a float tensor, checked for shape and for NaN or infinity: an `nn.Parameter` itself, else a copy.
 
     Raises:
-        ValueError: if the shape differs or a value is not finite.
+        ValueError: if the shape differs, a value is complex or not finite, or the copy of a tensor would lose its gradient.
     """
-    tensor = value.detach().clone() if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")
+    if isinstance(value, Tensor) and value.requires_grad and not isinstance(value, nn.Parameter):
+        raise no_gradient(name)
+    if isinstance(value, nn.Parameter):
+        tensor = value
+    else:
+        tensor = value.detach().clone() if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")
+    if tensor.is_complex():
+        raise ValueError(f"{name} must be real numbers, got {tensor.dtype}; take its real part")
     if not tensor.is_floating_point():
         tensor = tensor.to(torch.get_default_dtype())
     if shape is not None and tuple(tensor.shape) != shape:
@@ -295,6 +305,13 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
         raise ValueError(f"{name} must be finite, got {bad} of {tensor.numel()} values that are NaN or infinite in "
                          f"{str(torch.get_default_dtype()).removeprefix('torch.')}")
     return tensor
+
+
+def no_gradient(name: str) -> ValueError:
+    """The error about a tensor that cannot become a parameter and would leave its gradient behind."""
+    return ValueError(f"{name} requires a gradient, which would not reach it: only an nn.Parameter, of the dtype, shape and "
+                      f"space in which the scene keeps it, becomes the scene's own parameter. Give one; or load the scene "
+                      f"first and hand the tensor over by torch.func.functional_call or torch.nn.utils.parametrize")
 
 
 def integer(name: str, value: Any, least: int | None = None) -> int:

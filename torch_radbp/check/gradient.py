@@ -175,7 +175,7 @@ def checked_direction(name: str, parameter: Tensor, direction: Tensor | str | No
         return d.to(parameter)
     if not isinstance(direction, Tensor):
         direction = torch.from_numpy(np.asarray(direction, dtype=np.float64))
-    d = finite(f"direction of {name!r}", direction, tuple(parameter.shape)).to(parameter)
+    d = finite(f"direction of {name!r}", direction.detach(), tuple(parameter.shape)).to(parameter)
     if not d.any():
         raise ValueError(f"direction of {name!r} must not be zero everywhere")
     return d

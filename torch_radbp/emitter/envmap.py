@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from torch_radbp.emitter.illumination import FACTOR, factor
-from torch_radbp.plugin import AMOUNT, POSE, Domain, Emitter, Filename, Matrix4, finite, positive, register
+from torch_radbp.plugin import AMOUNT, POSE, Domain, Emitter, Filename, Matrix4, positive, register
 from torch_radbp.shape.surface import affine
-from torch_radbp.texture.bitmap import IMAGE
+from torch_radbp.texture.bitmap import IMAGE, linear_image
 
 
 @register("emitter", "envmap")
@@ -23,7 +22,7 @@ class Envmap(Emitter):
 
     Args:
         filename: EXR, PNG or JPEG. Either this or `bitmap`.
-        bitmap: (H, W), (H, W, 1) or (H, W, 3) linear values.
+        bitmap, data: (H, W), (H, W, 1) or (H, W, 3) linear values; both names mean the same.
         scale: multiplies the image.
         mis_compensation: sample only what is brighter than the average, and leave the rest to BSDF sampling
             (Karlik et al. 2019).
@@ -31,22 +30,14 @@ class Envmap(Emitter):
 
     has_coordinates = False  # is read by direction
 
-    def __init__(self, *, filename: Filename | None = None, bitmap: Tensor | None = None, scale: float = 1.0,
-                 to_world: Matrix4 | None = None, mis_compensation: bool = False, sampling_weight: float = 1.0):
+    def __init__(self, *, filename: Filename | None = None, bitmap: Tensor | None = None, data: Tensor | None = None,
+                 scale: float = 1.0, to_world: Matrix4 | None = None, mis_compensation: bool = False,
+                 sampling_weight: float = 1.0):
         super().__init__()
-        if (filename is None) == (bitmap is None):
-            raise ValueError("an envmap needs either filename or bitmap, and not both")
-        if bitmap is None:
-            from torch_radbp.io.image import read_image  # io reads files for every layer above `vec`
-
-            bitmap = read_image(filename)
-        data = finite("bitmap", bitmap).to(torch.get_default_dtype())
-        data = data[..., None] if data.ndim == 2 else data
-        if data.ndim != 3 or data.shape[2] not in (1, 3) or data.numel() == 0:
-            raise ValueError(f"bitmap must have shape (H, W), (H, W, 1) or (H, W, 3), got {tuple(data.shape)}")
-        AMOUNT.check("bitmap", data)
+        image = linear_image("an envmap", filename, {"bitmap": bitmap, "data": data})
+        AMOUNT.check("data" if data is not None else "bitmap", image)
         self.filename, self.mis_compensation = filename, mis_compensation
-        self.freeze("data", data.expand(-1, -1, 3).contiguous())
+        self.freeze("data", image)
         self.freeze("scale", factor(scale))
         self.freeze("to_world", affine("to_world", to_world))
         self.sampling_weight = positive("sampling_weight", sampling_weight)

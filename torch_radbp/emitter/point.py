@@ -25,7 +25,7 @@ class Point(Emitter):
         if position is not None and to_world is not None:
             raise ValueError("give either position or to_world, not both")
         origin = torch.zeros(1, 3, dtype=torch.get_default_dtype())
-        place = finite("position", position, (3,)) if position is not None else None
+        place = None if position is None else finite("position", position, (3,)).to(origin.dtype)
         self.freeze("position", transform_points(affine("to_world", to_world), origin)[0] if place is None else place)
         self.intensity = colour(self, "intensity", intensity)
         self.sampling_weight = positive("sampling_weight", sampling_weight)

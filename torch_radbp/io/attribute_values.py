@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from torch_radbp.plugin import Filename, Matrix4, Plugin, Point3, Texture
+from torch_radbp.plugin import Filename, Matrix4, Plugin, Point3, Texture, no_gradient
 
 LARGEST_INTEGER = 2**31 - 1
 
@@ -44,13 +44,16 @@ def convert(name: str, value: Any, annotation: Any) -> Any:
     """`value` as one of the plain types that `annotation` allows.
 
     Returns:
-        An int, bool, str or float; a list of three floats for Point3 and colours; a (4, 4) float64 tensor for Matrix4.
+        An int, bool, str or float; a list of three floats for Point3 and colours; a (4, 4) float64 tensor for Matrix4; an
+        `nn.Parameter` as it is, for all that becomes a parameter.
 
     Raises:
         TypeError: if it is of another type or shape.
         ValueError: if a number is not finite, or a matrix is not affine and invertible.
     """
     members = options(annotation)
+    if isinstance(value, Tensor) and (value.requires_grad or isinstance(value, nn.Parameter)):
+        return live(name, value, members)
     if value is None and type(None) in members:
         return None
     if Texture in members:  # which takes plain numbers, too
@@ -67,10 +70,22 @@ def convert(name: str, value: Any, annotation: Any) -> Any:
     raise TypeError(f"{name} must be {expected}, got {shown(value)}")
 
 
+def live(name: str, value: Tensor, members: tuple[Any, ...]) -> nn.Parameter:
+    """`value`, which is to become a parameter of the scene itself, where an attribute takes a tensor.
+
+    Raises:
+        ValueError: if the attribute takes plain numbers, or `value` is no `nn.Parameter`.
+    """
+    if not isinstance(value, nn.Parameter) or not any(member in members for member in (Tensor, Texture, Matrix4, Point3)):
+        raise no_gradient(name)
+    return value
+
+
 def shown(value: Any) -> str:
     """A value as messages print it, a long one by its beginning."""
     if hasattr(value, "shape") and len(value.shape) > 0:
-        return f"{type(value).__name__} of shape {tuple(value.shape)}"
+        kind = f" of {value.dtype}" if "complex" in str(value.dtype) else ""
+        return f"{type(value).__name__} of shape {tuple(value.shape)}{kind}"
     try:
         text = repr(value)
     except ValueError:  # an integer of more digits than Python prints

@@ -14,7 +14,7 @@ from torch import nn
 
 from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories, shown, with_article
 from torch_radbp.io.xml_scene import XMLObject, find_file
-from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, Texture, attributes, nearest
+from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, Texture, attributes, nearest, no_gradient
 from torch_radbp.scene.scene import Scene
 
 MAX_DEPTH = 100  # of objects in objects, references followed
@@ -117,6 +117,7 @@ class _Builder:
                 self.built[path] = cls(**arguments)
             except (ValueError, TypeError, RuntimeError, OSError) as error:
                 raise self.error(path, value, str(error)) from error
+            self.check_live(path, value, arguments, self.built[path])
             self.built[path].id = _given_id(value)
         plugin = self.built[path] if isinstance(value, dict) else value
         if not isinstance(plugin, Plugin) and ("texture" not in expected or len(path) == 1):
@@ -125,6 +126,13 @@ class _Builder:
             found = with_article(plugin.category)
             raise self.error(path, value, f"{found} cannot stand here; supported: {', '.join(expected)}")
         return plugin
+
+    def check_live(self, path: tuple[str, ...], node: dict[str, Any], arguments: dict[str, Any], plugin: Plugin) -> None:
+        """Raises SceneError if an `nn.Parameter` was given that has not become a parameter of the plugin."""
+        own = {id(parameter) for parameter in plugin.parameters()}
+        for key, value in arguments.items():
+            if isinstance(value, nn.Parameter) and id(value) not in own:
+                raise self.error((*path, key), node, str(no_gradient(key)), key)
 
     def referenced(self, path: tuple[str, ...], value: dict[str, Any], expected: Iterable[str]) -> Plugin:
         """The object that a reference names."""
@@ -253,7 +261,7 @@ def _is_colour(value: Any) -> bool:
     return isinstance(value, dict) and value.get("type") in COLOURS
 
 
-def colour_value(name: str, node: dict[str, Any], of_emitter: bool) -> float | list[float]:
+def colour_value(name: str, node: dict[str, Any], of_emitter: bool) -> float | list[float] | nn.Parameter:
     """One number or three (linear RGB) of {"type": "rgb" or "spectrum", "value": ...}; an rgb always has three.
 
     Raises:
@@ -265,7 +273,9 @@ def colour_value(name: str, node: dict[str, Any], of_emitter: bool) -> float | l
         value = convert(name, node["value"], Texture)
     except TypeError as error:
         raise ValueError(f"{error}; spectra over wavelengths are not supported, rendering is in linear RGB") from error
-    if isinstance(value, list):
+    if isinstance(value, nn.Parameter) and node["type"] == "spectrum" and of_emitter:
+        raise no_gradient(name)
+    if isinstance(value, (list, nn.Parameter)):
         return value
     if node["type"] == "rgb":
         return [value] * 3

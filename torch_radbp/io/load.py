@@ -46,7 +46,12 @@ def load_dict(description: dict[str, Any], base_dir: str | os.PathLike | None = 
 
     Args:
         description: {"type": "scene", "white": {"type": "diffuse", ...}, ...}. A transform is a 4 x 4 array or one of
-            Mitsuba's transforms; an object may be a plugin that is already made.
+            Mitsuba's transforms; an object may be a plugin that is already made. An `nn.Parameter` in the place of a texel
+            array, a colour, vertices, a position or a transform becomes the scene's own parameter, shared and not copied,
+            with its `requires_grad`: gradients reach it. It has to be what the scene keeps: of the default dtype, of the
+            parameter's shape (a bitmap (H, W, 3)), in world space (no `to_world` beside vertices, no `radius` beside the
+            `to_world` of a sphere). One that would have to be converted, and any other tensor that requires a gradient, is
+            refused: load the scene first and hand it over by `torch.func.functional_call` or `parametrize`.
         base_dir: folder of relative file names; the current one if None.
 
     Raises:

@@ -16,7 +16,7 @@ class Scene(nn.Module):
 
     Parameter names follow Mitsuba's `mi.traverse`: a material of its own is named by its id (`white.reflectance.value`),
     one that is written inside its shape by the shape (`wall.bsdf.reflectance.data`).
-    All parameters have `requires_grad=False` until the user picks.
+    All parameters have `requires_grad=False` until the user picks, but for an `nn.Parameter` that `load_dict` was given.
 
     Args:
         children: name to plugin: shapes, bsdfs, textures, emitters, sensors. Materials and textures that several shapes

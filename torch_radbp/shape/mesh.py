@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torch_radbp.plugin import BSDF, LARGEST_COORDINATE, POSE, Domain, Emitter, Filename, Matrix4, finite, register
 from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
@@ -43,8 +43,10 @@ class Mesh(Surface):
         if faces.min() < 0 or faces.max() >= count:
             raise ValueError(f"faces must index vertices 0 to {count - 1}, got {int(faces.min())} to {int(faces.max())}")
         matrix = affine("to_world", to_world)
-        positions = finite("vertex_positions in world space", transform_points(matrix, positions.to(dtype)))
-        if not has_area(positions, faces):
+        positions = positions.to(dtype)
+        if to_world is not None:
+            positions = finite("vertex_positions in world space", transform_points(matrix.detach(), positions))
+        if not has_area(positions.detach(), faces):
             raise ValueError(f"all {len(faces)} triangles of the mesh are degenerate (area 0)")
         self.vertex_count = count
         self.freeze("vertex_positions", positions)
@@ -52,11 +54,13 @@ class Mesh(Surface):
         if recompute_normals and normals is not None:
             raise ValueError("recompute_normals makes normals of the positions: leave vertex_normals out")
         if normals is not None:
-            normals = transform_normals(matrix, finite("vertex_normals", normals, (count, 3)).to(dtype))
+            normals = finite("vertex_normals", normals, (count, 3)).to(dtype)
+            if to_world is not None or not isinstance(normals, nn.Parameter):
+                normals = transform_normals(matrix.detach(), normals)
             if (normals.detach().norm(dim=1) < 0.5).any():
                 raise ValueError("vertex_normals must not be zero: leave them out, or ask for recompute_normals")
         elif smooth and not recompute_normals:
-            normals = angle_weighted_normals(positions, faces)
+            normals = angle_weighted_normals(positions.detach(), faces)
         if normals is not None:
             self.freeze("vertex_normals", normals)
         if texcoords is not None:
@@ -64,7 +68,7 @@ class Mesh(Surface):
         self.has_normals, self.has_texcoords = normals is not None, texcoords is not None
         self.register_buffer("faces", faces)
         self.freeze("to_world", matrix)
-        self.register_buffer("loaded_to_world", matrix.clone(), persistent=False)
+        self.register_buffer("loaded_to_world", matrix.detach().clone(), persistent=False)
 
     def domains(self) -> dict[str, Domain]:
         vector = Domain(shapes=((self.vertex_count, 3),))

@@ -23,10 +23,13 @@ class Sphere(Tessellated):
     def __init__(self, *, center: Point3 | None = None, radius: float = 1.0, to_world: Matrix4 | None = None,
                  flip_normals: bool = False, bsdf: BSDF | None = None, emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
-        local = torch.eye(4)
-        local[:3, :3] *= positive("radius", radius)
-        local[:3, 3] = torch.zeros(3) if center is None else finite("center", center, (3,))
-        self.place(affine("to_world", to_world) @ local, unit_sphere())
+        matrix, radius = affine("to_world", to_world), positive("radius", radius)
+        if center is not None or radius != 1:
+            local = torch.eye(4)
+            local[:3, :3] *= radius
+            local[:3, 3] = torch.zeros(3) if center is None else finite("center", center, (3,))
+            matrix = matrix @ local
+        self.place(matrix, unit_sphere())
 
     center, radius = None, 1.0  # resolved into `to_world`
 

@@ -10,8 +10,35 @@ from torch_radbp.plugin import Domain, Filename, Matrix4, Texture, finite, neare
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest")
 LUMINANCE = (0.212671, 0.715160, 0.072169)  # of linear RGB, ITU-R BT.709 with the digits of Mitsuba
-
 IMAGE = Domain(shapes=(("H", "W", 3),))
+
+
+def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | None], raw: bool = False) -> Tensor:
+    """(H, W, 3) linear RGB, from a file or from an array.
+
+    Args:
+        kind: "a bitmap", for messages.
+        filename: PNG, JPEG or EXR, or None.
+        arrays: by the names of attributes that mean the same; (H, W), (H, W, 1) or (H, W, 3), at most one not None.
+        raw: see `Bitmap`.
+
+    Raises:
+        ValueError: unless exactly one is given; on wrong shapes, and values that are not finite.
+    """
+    given = {name: array for name, array in arrays.items() if array is not None}
+    if len(given) + (filename is not None) != 1:
+        own, other = arrays
+        raise ValueError(f"{kind} needs either filename or {own}, and not both; {other} is another name for {own}")
+    if not given:
+        from torch_radbp.io.image import read_image  # io reads files for every layer above `vec`
+
+        given = {"filename": read_image(filename, raw=raw)}
+    (name, data), = given.items()
+    data = finite(name, data).to(torch.get_default_dtype())
+    data = data[..., None] if data.ndim == 2 else data
+    if data.ndim != 3 or data.shape[2] not in (1, 3) or data.numel() == 0:
+        raise ValueError(f"{name} must have shape (H, W), (H, W, 1) or (H, W, 3), got {tuple(data.shape)}")
+    return data if data.shape[2] == 3 else data.expand(-1, -1, 3).contiguous()
 
 
 @register("texture", "bitmap")
@@ -22,7 +49,7 @@ class Bitmap(Texture):
 
     Args:
         filename: PNG, JPEG or EXR. Either this or `data`.
-        data: (H, W), (H, W, 1) or (H, W, 3) linear values.
+        data, bitmap: (H, W), (H, W, 1) or (H, W, 3) linear values; both names mean the same.
         filter_type: bilinear or nearest.
         wrap_mode: repeat, mirror or clamp.
         raw: do not decode sRGB when reading an 8- or 16-bit file.
@@ -32,27 +59,19 @@ class Bitmap(Texture):
         ValueError: on unknown modes, a wrong shape, or values that are not finite.
     """
 
-    def __init__(self, *, filename: Filename | None = None, data: Tensor | None = None, filter_type: str = "bilinear",
-                 wrap_mode: str = "repeat", raw: bool = False, to_uv: Matrix4 | None = None):
+    def __init__(self, *, filename: Filename | None = None, data: Tensor | None = None, bitmap: Tensor | None = None,
+                 filter_type: str = "bilinear", wrap_mode: str = "repeat", raw: bool = False, to_uv: Matrix4 | None = None):
         super().__init__()
-        if (filename is None) == (data is None):
-            raise ValueError("a bitmap needs either filename or data, and not both")
         if filter_type not in FILTERS:
             raise ValueError(f"filter_type {filter_type!r} is not known; {nearest(filter_type, FILTERS)}")
         if wrap_mode not in WRAP_MODES:
             raise ValueError(f"wrap_mode {wrap_mode!r} is not known; {nearest(wrap_mode, WRAP_MODES)}")
-        if data is None:
-            from torch_radbp.io.image import read_image  # io reads files for every layer above `vec`
-
-            data = read_image(filename, raw=raw)
-        data = finite("data", data).to(torch.get_default_dtype())
-        data = data[..., None] if data.ndim == 2 else data
-        if data.ndim != 3 or data.shape[2] not in (1, 3) or data.numel() == 0:
-            raise ValueError(f"data must have shape (H, W), (H, W, 1) or (H, W, 3), got {tuple(data.shape)}")
         self.filename, self.filter_type, self.wrap_mode, self.raw = filename, filter_type, wrap_mode, raw
-        self.freeze("data", data.expand(-1, -1, 3).contiguous())
+        self.freeze("data", linear_image("a bitmap", filename, {"data": data, "bitmap": bitmap}, raw))
         matrix = torch.eye(4) if to_uv is None else finite("to_uv", to_uv, (4, 4))
         self.register_buffer("to_uv", matrix.to(torch.get_default_dtype()))
+
+    bitmap = None  # resolved into `data`
 
     def domains(self) -> dict[str, Domain]:
         return {"data": IMAGE}
