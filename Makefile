@@ -1,9 +1,9 @@
-# `make demo` recovers the Cornell box's reflectances from an image; `make test` runs the tests. Both set up .venv first.
+# `make demo` recovers the Cornell box's reflectances from an image; `make test` runs the tests. All set up .venv first.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint clean
+.PHONY: demo test test-slow test-peer lint clean
 
 $(VENV)/.installed: setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -17,6 +17,15 @@ demo: $(VENV)/.installed
 
 test: $(VENV)/.installed
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+
+# What the tests leave out because it takes minutes, one after another.
+test-slow: $(VENV)/.installed
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --slow -m slow
+
+# All that is compared with Mitsuba, by the version that the references were made with.
+test-peer: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test,peer]"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/peer tests/bsdf tests/io
 
 lint: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet ruff

@@ -1,6 +1,15 @@
-"""What tests of every part use."""
+"""What tests of every part use: fixtures, the option `--slow`, and what is said at the end of a run."""
 
 import pytest
+import torch
+
+pytest_plugins = ["pytester"]
+
+SLOW = "slow: runs with --slow"
+LEFT_OUT = {  # by what the reason of a skipped test holds
+    "'mitsuba'": "comparisons with Mitsuba skipped: install the extra `peer`, or run `make test-peer`",
+    SLOW: "slow tests left out: run `make test-slow`",
+}
 
 
 @pytest.fixture
@@ -11,6 +20,32 @@ def mi():
     return mitsuba
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What takes longest starts first, so that workers end together."""
+@pytest.fixture(params=[1, 2], ids=["1 thread", "2 threads"])
+def threads(request):
+    """torch's number of threads during the test, by which chunks are traced side by side; for `pytest.mark.usefixtures`."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(request.param)
+    yield request.param
+    torch.set_num_threads(before)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slow", action="store_true", help="also run what takes minutes")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """What takes longest starts first, so that workers end together; what is slow only runs if asked for."""
     items.sort(key=lambda item: "test_compile" not in item.nodeid)
+    if not config.getoption("--slow"):
+        for item in items:
+            if item.get_closest_marker("slow"):
+                item.add_marker(pytest.mark.skip(reason=SLOW))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_terminal_summary(terminalreporter) -> None:
+    """Says above pytest's closing line what was left out, and how to run it."""
+    reasons = [str(report.longrepr) for report in terminalreporter.stats.get("skipped", [])]
+    for what, words in LEFT_OUT.items():
+        if count := sum(what in reason for reason in reasons):
+            terminalreporter.write_line(f"{count} {words}")

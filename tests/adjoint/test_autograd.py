@@ -8,6 +8,8 @@ import torch_radbp as rb
 from tests.gradients import cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters
 
+pytestmark = pytest.mark.usefixtures("threads")  # with one and with two
+
 STRATEGIES = [rb.MemoizedAdjoint(), rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), rb.ReplayAdjoint()]
 
 

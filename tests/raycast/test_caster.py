@@ -15,6 +15,8 @@ from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.vec import Vec3
 
+pytestmark = pytest.mark.usefixtures("threads")  # with one and with two
+
 TRIANGLE = torch.tensor([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
 FACE = torch.tensor([[0, 1, 2]])
 DOWN = single_ray((0.0, 0.0, 3.0), (0.0, 0.0, -1.0))

@@ -7,6 +7,8 @@ import torch_radbp as rb
 from tests.gradients import assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters, sensor
 
+pytestmark = pytest.mark.usefixtures("threads")  # with one and with two
+
 ROUNDING = 1e-13  # sums in another order, float64
 LANES = 8 * 8 * 3
 

@@ -23,6 +23,7 @@ def pool(threads: int) -> ThreadPoolExecutor:
     everyone = Barrier(threads)
 
     def stay_alone() -> None:
+        torch.get_num_threads()  # a thread takes the default when it first asks, also after it was told another number
         torch.set_num_threads(1)
         everyone.wait()
 

@@ -1,0 +1,69 @@
+"""What the end of a test run says of tests that were left out, and how tests run with several threads."""
+
+from pathlib import Path
+
+import pytest
+
+CONFTEST = Path(__file__).with_name("conftest.py").read_text().replace('pytest_plugins = ["pytester"]', "")
+INI = """[pytest]
+markers = slow
+"""
+
+
+@pytest.fixture
+def run(pytester, monkeypatch):
+    """Runs pytest on the text of a test module, with this folder's conftest; the result."""
+    def run_tests(text: str, *arguments: str) -> pytest.RunResult:
+        pytester.makeconftest(CONFTEST)
+        pytester.makeini(INI)
+        pytester.makepyfile(text)
+        monkeypatch.setitem(__import__("sys").modules, "mitsuba", None)  # as if it were not installed
+        return pytester.runpytest("-p", "no:cacheprovider", *arguments)
+
+    return run_tests
+
+
+def test_skipped_comparisons_with_mitsuba_are_counted_above_the_closing_line(run):
+    result = run("""
+        import pytest
+        def test_ours(): pass
+        def test_theirs(mi): assert False
+        @pytest.mark.parametrize("name", "ab")
+        def test_theirs_too(name): pytest.importorskip("mitsuba")
+        def test_skipped_for_another_reason(): pytest.skip("no such machine")
+    """)
+    assert result.outlines[-2] == "3 comparisons with Mitsuba skipped: install the extra `peer`, or run `make test-peer`"
+    result.assert_outcomes(passed=1, skipped=4)
+
+
+def test_slow_tests_are_counted_and_run_when_asked_for(run):
+    text = """
+        import pytest
+        def test_quick(): pass
+        @pytest.mark.slow
+        def test_slow(): pass
+    """
+    result = run(text)
+    assert result.outlines[-2] == "1 slow tests left out: run `make test-slow`"
+    result.assert_outcomes(passed=1, skipped=1)
+    result = run(text, "--slow", "-m", "slow")
+    assert "slow tests" not in result.stdout.str()
+    result.assert_outcomes(passed=1, deselected=1)
+
+
+def test_nothing_left_out_is_nothing_said(run):
+    result = run("def test_ours(): pass")
+    result.assert_outcomes(passed=1)
+    assert "left out" not in result.stdout.str() and "Mitsuba" not in result.stdout.str()
+
+
+def test_tests_that_use_threads_run_with_one_thread_and_with_two(run):
+    result = run("""
+        import pytest, torch
+        NUMBERS = []
+        def test_before(): NUMBERS.append(torch.get_num_threads())
+        @pytest.mark.usefixtures("threads")
+        def test_marked(): NUMBERS.append(torch.get_num_threads())
+        def test_after(): assert NUMBERS[1:] == [1, 2] and torch.get_num_threads() == NUMBERS[0]
+    """)
+    result.assert_outcomes(passed=4)
