@@ -116,7 +116,7 @@ class _Builder:
             try:
                 self.built[path] = cls(**arguments)
             except (ValueError, TypeError, RuntimeError, OSError) as error:
-                raise self.error(path, value, str(error)) from error
+                raise self.error(path, value, _with_file(str(error), cls, arguments)) from error
             self.check_live(path, value, arguments, self.built[path])
             self.built[path].id = _given_id(value)
         plugin = self.built[path] if isinstance(value, dict) else value
@@ -251,6 +251,13 @@ class _Builder:
 
 def _is_object(value: Any) -> bool:
     return isinstance(value, nn.Module) or (isinstance(value, dict) and "type" in value)
+
+
+def _with_file(message: str, cls: type[Plugin], arguments: dict[str, Any]) -> str:
+    """The message, with the file that the object is made of if it does not name it."""
+    schema = attributes(cls)
+    files = [value for name, value in arguments.items() if Filename in options(schema[name].annotation)]
+    return ": ".join([*(file for file in files if isinstance(file, str) and file not in message), message])
 
 
 def _given_id(value: Any) -> str | None:

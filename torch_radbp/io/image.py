@@ -49,7 +49,9 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
     except MemoryError:
         raise
     except Exception as error:  # the libraries raise whatever their decoders stumble over
-        raise ValueError(f"{path}: cannot be read as {kind}: {' '.join(str(error).split())}") from error
+        inner = isinstance(error, (LookupError, ArithmeticError, UnicodeError))  # whose messages speak of their own code
+        reason = "its content is damaged" if inner else " ".join(str(error).split())
+        raise ValueError(f"{path}: cannot be read as {kind}: {reason}") from error
     image = torch.from_numpy(np.ascontiguousarray(pixels, dtype=np.float32))
     return image if raw or kind == "EXR" else srgb_to_linear(image)
 

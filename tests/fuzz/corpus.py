@@ -1,0 +1,163 @@
+"""What the fuzzer starts from: scenes of the assets and of the comparison with Mitsuba, meshes, pictures and recipes.
+
+Everything is written into one folder, so that mutants find the files that their originals refer to.
+"""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import OpenEXR
+from PIL import Image
+
+from tests.peer.cases import CASES
+from tests.peer.scene_files import Folder
+from tests.training.conftest import RECIPE, SCENE
+
+ROOT = Path(__file__).parents[2]
+FAMILIES = {"xml": ".xml", "obj": ".obj", "ply": ".ply", "exr": ".exr", "png": ".png", "toml": ".toml"}
+
+
+class Seed(NamedTuple):
+    """A file that loads."""
+
+    folder: Path  # where a mutant of it is to be written
+    content: bytes
+
+
+def build_corpus(root: Path) -> dict[str, list[Seed]]:
+    """The seeds of every family, and in `root` the files that they refer to."""
+    folders = {name: root / name for name in ("meshes", "images", "recipe")}
+    for folder in folders.values():
+        folder.mkdir()
+    shutil.copytree(ROOT / "assets", root / "assets")
+    shutil.copytree(ROOT / "training" / "recipes", root / "training" / "recipes")
+    image_seeds = {"exr": [], "png": []}
+    for path in [*_images(folders["images"]), *sorted((root / "assets").glob("*/*.png"))]:
+        image_seeds[path.suffix[1:]].append(Seed(folders["images"], path.read_bytes()))
+    return {
+        "xml": _scenes(root),
+        "obj": [Seed(folders["meshes"], text.encode()) for text in OBJ],
+        "ply": [Seed(folders["meshes"], content) for content in (PLY, _binary_ply("<"), _binary_ply(">"))],
+        **image_seeds,
+        "toml": _recipes(root, folders["recipe"]),
+    }
+
+
+def _scenes(root: Path) -> list[Seed]:
+    seeds = [Seed(path.parent, path.read_bytes()) for path in sorted((root / "assets").glob("*/scene.xml"))]
+    for name, case in CASES.items():
+        folder = root / "scenes" / name.replace(" ", "_")
+        folder.mkdir(parents=True)
+        seeds.append(Seed(folder, case.build(Folder(folder)).read_bytes()))
+    (root / "assets" / "cornell_box" / "part.xml").write_bytes(seeds[0].content)
+    including = b'<scene version="3.0.0"><include filename="part.xml"/><path value="../poster"/></scene>'
+    return [*seeds, Seed(root / "assets" / "cornell_box", including)]
+
+
+def _recipes(root: Path, folder: Path) -> list[Seed]:
+    (folder / "scene.xml").write_text(SCENE)
+    pixels = np.random.default_rng(0).uniform(0, 1, (6, 8, 3)).astype("f4")
+    _write_exr(folder / "target.exr", {"RGB": pixels})
+    Image.fromarray((pixels[:4, :4] * 255).astype("u1")).save(folder / "picture.png")
+    shipped = root / "training" / "recipes"
+    seeds = [Seed(shipped, path.read_bytes()) for path in sorted(shipped.glob("*.toml"))]
+    return [Seed(folder, RECIPE.encode())] * 4 + seeds
+
+
+def _write_exr(path: Path, channels: dict[str, np.ndarray], compression: str = "ZIP", kind=OpenEXR.scanlineimage) -> Path:
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": kind}
+    if kind == OpenEXR.tiledimage:
+        header["tiles"] = OpenEXR.TileDescription()
+    OpenEXR.File(header, channels).write(str(path))
+    return path
+
+
+def _images(folder: Path) -> list[Path]:
+    """Small images of every compression and mode."""
+    random = np.random.default_rng(0)
+    pixels = random.uniform(0, 1, (9, 7, 3)).astype("f4")
+    paths = [_write_exr(folder / f"{name}.exr", {"RGB": pixels.astype(dtype)}, name)
+             for name, dtype in (("NO", "f4"), ("RLE", "f2"), ("ZIPS", "f4"), ("ZIP", "f4"), ("PIZ", "f2"), ("PXR24", "f4"),
+                                 ("B44", "f2"), ("DWAA", "f2"))]
+    paths.append(_write_exr(folder / "layers.exr", {"beauty.R": pixels[..., 0], "beauty.G": pixels[..., 1],
+                                                    "beauty.B": pixels[..., 2], "A": pixels[..., 0]}))
+    paths.append(_write_exr(folder / "grey.exr", {"Y": pixels[..., 0]}))
+    with_alpha = random.uniform(0, 1, (9, 7, 4)).astype("f4")
+    paths.append(_write_exr(folder / "tiled.exr", {"RGBA": with_alpha}, kind=OpenEXR.tiledimage))
+    colours = Image.fromarray((pixels * 255).astype("u1"))
+    for mode in ("RGB", "RGBA", "L", "LA", "P", "1"):
+        colours.convert(mode).save(folder / f"{mode}.png")
+        paths.append(folder / f"{mode}.png")
+    Image.fromarray((pixels[..., 0] * 65535).astype("u2")).save(folder / "deep.png")
+    return [*paths, folder / "deep.png"]
+
+
+OBJ = [
+    "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    """# a box without a lid
+mtllib box.mtl
+o box
+v -1 -1 0.0
+v 1 -1 0.0
+v 1 1 0.0
+v -1 1 0.0
+v -1.0 -1.0 1e0
+v 1.0 -1.0 1.0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+vn 0 0 1
+vn 0 -1 0
+usemtl grey
+s off
+f 1/1/1 2/2/1 3/3/1 4/4/1
+g side
+f -6/1/-1 -5/2/-1 -1/3/-1 -2/4/-1
+""",
+    "v 0 0 0 1\nv 1 0 0 .5 .5 .5\nv 1 1 0\nv 0 1 0.25\nvn 0 0 1\nvn .1 0 1\nf 1//1 2//2 3//1\nf 1//1 \\\n 3//1 4//2\n",
+    "v 0 0 0\r\nv 1 0 0\r\nv 1 1 0\r\nv 0 1 0\r\nvt 0 0\r\nvt 1 .5 0\r\nf 1/1 2/2 3/1 4/2\r\nl 1 2\r\np 3\r\n",
+]
+PLY = b"""ply
+format ascii 1.0
+comment four corners
+element vertex 4
+property float x
+property float y
+property float z
+property float nx
+property float ny
+property float nz
+property float u
+property float v
+property uchar red
+element face 2
+property uchar flags
+property list uchar int vertex_indices
+element edge 1
+property int a
+property list uchar short b
+end_header
+0 0 0 0 0 1 0 0 255
+1 0 0 0 0 1 1 0 0
+1 1 0 0 0.1 1 1 1 9
+0 1 0.5 0 0 1 0 1 7
+0 3 0 1 2
+1 4 0 1 2 3
+5 2 1 2
+"""
+
+
+def _binary_ply(order: str) -> bytes:
+    header = PLY[:PLY.index(b"end_header\n") + 11]
+    rows = [line.split() for line in PLY[len(header):].decode().splitlines()]
+    body = b"".join(struct.pack(f"{order}8fB", *map(float, row[:8]), int(row[8])) for row in rows[:4])
+    for row in rows[4:6]:
+        body += struct.pack(f"{order}BB{len(row) - 2}i", *map(int, row))
+    body += struct.pack(f"{order}iB2h", *map(int, rows[6]))
+    return header.replace(b"ascii", b"binary_little_endian" if order == "<" else b"binary_big_endian") + body

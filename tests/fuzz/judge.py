@@ -1,0 +1,101 @@
+"""Loads and renders a mutant and judges what happens.
+
+Right is an image of finite radiance that is not negative, or an error of a documented class that names the file in a line
+of reasonable length. Everything else is a fault.
+"""
+
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+
+import torch_radbp as rb
+from torch_radbp.training.optimize import Recovery
+from torch_radbp.training.recipe_file import read_recipe
+
+REFUSALS = (ValueError, TypeError, OSError, rb.NonFiniteError)
+LONGEST_MESSAGE = 3000
+SIZE = 4  # pixels
+
+
+class Verdict(NamedTuple):
+    """What became of a mutant."""
+
+    outcome: str  # "loaded", "refused", "refused to render" or "fault"
+    kind: str  # of the error; of a fault, what tells it from others
+    detail: str
+
+
+def judge(family: str, path: Path) -> Verdict:
+    """Loads and renders the file at `path`."""
+    try:
+        scene = load_mutant(family, path)
+    except REFUSALS as error:
+        return _refusal(error, path)
+    except Exception as error:
+        return _fault(error)
+    if scene is None:
+        return Verdict("loaded", "", "")
+    try:
+        image = render_small(scene)
+    except REFUSALS as error:
+        return Verdict("refused to render", type(error).__name__, str(error))
+    except Exception as error:
+        return _fault(error)
+    if not torch.isfinite(image).all():
+        return Verdict("fault", "pixels that are not finite", str(image.flatten().tolist()))
+    if image.min() < 0:
+        return Verdict("fault", "pixels below 0", str(image.flatten().tolist()))
+    return Verdict("loaded", "", "")
+
+
+def load_mutant(family: str, path: Path) -> rb.Scene | None:
+    """The scene that a file describes or is part of; None for a recipe, which is checked as far as its first step."""
+    if family == "toml":
+        recipe = read_recipe(path)
+        try:
+            Recovery(recipe)
+        except REFUSALS as error:  # about the recipe's parameters or one of its files
+            raise ValueError(f"{path}: {error}") from error
+        return None
+    if family == "xml":
+        return rb.load(path)
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
+    sensor = {"type": "perspective", "film": film, "to_world": rb.look_at([0.5, 0.4, 3], [0.5, 0.5, 0], [0, 1, 0])}
+    scene = {"type": "scene", "sensor": sensor}
+    if family in ("obj", "ply"):
+        return rb.load_dict({**scene, "sky": {"type": "constant"}, "mesh": {"type": family, "filename": str(path)}})
+    picture = {"type": "bitmap", "filename": str(path)}
+    return rb.load_dict({**scene, "sky": {"type": "envmap", "filename": str(path)},
+                         "wall": {"type": "rectangle", "emitter": {"type": "area", "radiance": picture}}})
+
+
+def render_small(scene: rb.Scene) -> torch.Tensor:
+    """Every sensor's image, of 4 x 4 pixels and one sample each."""
+    for sensor in scene.sensors:
+        film = sensor.film
+        film.width = film.height = film.crop_width = film.crop_height = SIZE
+        film.crop_offset_x = film.crop_offset_y = 0
+    with torch.no_grad():
+        return rb.Renderer(scene, spp=1, max_depth=3)(seed=0)
+
+
+def _refusal(error: Exception, path: Path) -> Verdict:
+    message = str(error)
+    kind = type(error).__name__
+    if str(path.parent) not in message and path.name not in message:
+        return Verdict("fault", f"{kind} that does not name the file", f"{message[:500]}\n{traceback.format_exc()}")
+    if len(message) > LONGEST_MESSAGE:
+        return Verdict("fault", f"{kind} of {len(message) // 1000 * 1000} characters", message[:LONGEST_MESSAGE])
+    return Verdict("refused", kind, message)
+
+
+def _fault(error: Exception) -> Verdict:
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "torch_radbp" in frame.filename
+              or "training" in frame.filename]
+    place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
+    text = "".join(traceback.format_exception(error))
+    return Verdict("fault", f"{type(error).__name__} at {place}", text[-6000:])

@@ -1,0 +1,101 @@
+"""The fuzzer's own tests, and a short run of it with a fixed seed."""
+
+import os
+import shutil
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.fuzz.__main__ import Tally, write_mutant
+from tests.fuzz.corpus import FAMILIES, build_corpus
+from tests.fuzz.judge import judge
+from tests.fuzz.worker import Worker
+from tests.io.documents import TRIANGLE_OBJ
+
+CASES = 25  # of each family; `python -m tests.fuzz --minutes 60` is the long run
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory):
+    return build_corpus(tmp_path_factory.mktemp("corpus"))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_seed_loads(corpus, family):
+    for number, seed in enumerate(dict.fromkeys(corpus[family])):
+        path = seed.folder / f"seed{number}{FAMILIES[family]}"
+        path.write_bytes(seed.content)
+        if path.parent.name.startswith(("camera_", "cornell_")) and number % 7:
+            continue  # much alike
+        assert judge(family, path) == ("loaded", "", "")
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_mutants_load_or_are_refused(corpus, family):
+    outcomes = set()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for number in range(CASES):
+            path = write_mutant(corpus, family, seed=0, number=number)
+            verdict = judge(family, path)
+            assert verdict.outcome != "fault", f"{family} {number}: {verdict.kind}\n{verdict.detail}"
+            outcomes.add(verdict.outcome)
+    assert {"loaded", "refused"} <= outcomes
+
+
+def test_mutants_are_a_function_of_seed_family_and_number(corpus):
+    first = [write_mutant(corpus, "xml", 3, number).read_bytes() for number in range(5)]
+    assert first == [write_mutant(corpus, "xml", 3, number).read_bytes() for number in range(5)]
+    assert first != [write_mutant(corpus, "xml", 4, number).read_bytes() for number in range(5)]
+
+
+@pytest.mark.parametrize("fault, kind", [
+    (KeyError("x"), "KeyError at "),
+    (ValueError("no name"), "ValueError that does not name the file"),
+    (ValueError("mesh.obj: " + "x" * 9000), "ValueError of 9000 characters"),
+    (MemoryError(), "MemoryError at "),
+])
+def test_undocumented_errors_are_faults(monkeypatch, tmp_path, fault, kind):
+    def raise_fault(*_, **__):
+        raise fault
+
+    monkeypatch.setattr("tests.fuzz.judge.load_mutant", raise_fault)
+    verdict = judge("obj", tmp_path / "mesh.obj")
+    assert verdict.outcome == "fault" and verdict.kind.startswith(kind)
+
+
+@pytest.mark.parametrize("value, kind", [(torch.nan, "pixels that are not finite"), (-1.0, "pixels below 0")])
+def test_senseless_pixels_are_faults(monkeypatch, tmp_path, value, kind):
+    (tmp_path / "mesh.obj").write_text(TRIANGLE_OBJ)
+    monkeypatch.setattr("tests.fuzz.judge.render_small", lambda scene: torch.full((1, 3, 4, 4), value))
+    assert judge("obj", tmp_path / "mesh.obj")[:2] == ("fault", kind)
+
+
+@pytest.mark.parametrize("program, kind", [
+    ("import os; input(); os.abort()", "process ended by SIGABRT"),
+    ("input(); import ctypes; ctypes.string_at(0)", "process ended by SIGSEGV"),
+    ("input(); raise SystemExit(3)", "process ended by exit code 3"),
+    ("input(); import time; time.sleep(60)", "hangs for 0.5 s"),
+    ("import signal; signal.setitimer(signal.ITIMER_PROF, 0.05)\nwhile True: pass", "process ended by SIGPROF: more than"),
+])
+def test_crashes_and_hangs_are_faults_and_the_next_mutant_is_judged(program, kind):
+    worker = Worker([sys.executable, "-c", program], wall_seconds=0.5 if "sleep" in program else 60)
+    for _ in range(2):
+        verdict = worker.judge("obj", Path("x"))
+        assert verdict[0] == "fault" and verdict[1].startswith(kind)
+    worker.close()
+
+
+def test_faults_are_saved_and_summed_up(tmp_path):
+    (tmp_path / "mutant.obj").write_text("x")
+    tally = Tally(tmp_path / "faults")
+    for number in range(5):
+        tally.add("obj", number, 0, tmp_path / "mutant.obj", ["fault", "KeyError at a.py:3", "trace"])
+    tally.add("obj", 5, 0, tmp_path / "mutant.obj", ["refused", "SceneError", "message"])
+    assert sorted(os.listdir(tmp_path / "faults")) == [f"obj_0_{n}.{end}" for n in range(3) for end in ("obj", "txt")]
+    for line in ("obj: 6 cases", "1 refused SceneError", "5 faults of 1 kinds", "5 obj: KeyError at a.py:3"):
+        assert line in str(tally)
+    shutil.rmtree(tmp_path / "faults")
