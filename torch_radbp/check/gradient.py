@@ -1,13 +1,13 @@
 """`check_gradient`: is the derivative that the renderer computes the derivative of what it renders?
 
-Rendered are R independent batches of each of two estimates of the same derivative image:
+Two estimates of the same derivative image are rendered, in R independent batches each:
 
     finite differences  D_r = (I(theta + h d; seed_r) - I(theta - h d; seed_r)) / (2 h)
     forward mode        J_r = JVP(theta, d; other seed_r)
 
-Both images of a difference share their samples, which takes most of the noise away and leaves the expectation as it is,
-jumps of the integrand included: each of the two is an unbiased image. The samples of forward mode are others, so that the
-two estimates are independent, and an error that depends on the samples cannot hide in both.
+Both images of a difference share their samples, which removes most of the noise and does not change the expectation, even
+where the integrand jumps: each of the two is an unbiased image. Forward mode uses other samples, so that the two estimates
+are independent, and an error that depends on the samples cannot hide in both.
 
 The backward pass is compared with forward mode on the same samples, where <w, J_1> = <VJP_1(w), d> must hold to rounding.
 """
@@ -31,7 +31,7 @@ from torch_radbp.render import Renderer
 from torch_radbp.scene import Scene
 
 BATCHES = 16
-FEWEST_BATCHES = 8  # below, a standard error is itself too uncertain
+FEWEST_BATCHES = 8  # with fewer, a standard error is itself too uncertain
 RELATIVE_STEP = 0.02  # a product of 8 reflectances is a polynomial whose central difference is then 0.4% off
 NEXT_SEED = 0x1000193
 DIRECTIONS = ("random", "ones")
@@ -49,21 +49,21 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     Args:
         scene: left as it is; nothing needs `requires_grad`.
         name: of the parameter, as in `scene.get_parameter`.
-        direction: in which the parameter moves, of its shape; "ones"; "random": from 0.5 to 1.5, so that no symmetry can
-            hide an error and nothing cancels. None: 1 for a single number, else "random". The last row of transforms
-            (4, 4) does not move in the two named ones.
+        direction: along which the parameter moves: a tensor of its shape; "ones"; or "random", numbers from 0.5 to 1.5, so
+            that no symmetry can hide an error and nothing cancels. None: "ones" for a single number, else "random". The
+            two named directions leave the last row of (4, 4) transforms alone.
         spp: samples per pixel of each of the two estimates, over all batches (rounded up to a multiple of `batches`).
         seed: of the random numbers; the same seed gives the same outcome.
-        step: h, to both sides, in units of `direction`. None: what moves the largest entry of the parameter by 2%, or by
-            0.02 if the parameter is zero. Larger steps have less noise where geometry moves, and more error of their own
-            from the curvature of the image; a quarter of it remains with half the step.
+        step: h, to both sides, in units of `direction`. None: a step that moves the largest entry of the parameter by
+            about 2%, or by 0.02 if the parameter is zero. Where geometry moves, larger steps have less noise, but a larger
+            error of their own from the curvature of the image; halving the step reduces that error to a quarter.
         sensors: indices of the sensors to render; None: all.
         batches: independent repetitions, from which standard errors are estimated; at least 8.
         progress: called with the renderings done and all renderings to do.
         **settings: of `Renderer`: `max_depth`, `nee`, `adjoint`, `sampling`, ...
 
     Returns:
-        What was found, with a verdict in words; `str()` of it is a table.
+        The figures, with a verdict in words; its `str()` is a table.
 
     Raises:
         AttributeError: if the scene has no such parameter; the message lists the nearest names.
@@ -83,7 +83,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     reference, _ = measurement.difference(0)
     differences, sizes = zip(*(measurement.difference(k) for k in range(1, batches + 1)))
     tangents = [tangent, *(measurement.forward(k)[1] for k in range(batches + 2, 2 * batches + 1))]
-    # Two roundings of a pixel make the difference uncertain, even where there is no noise.
+    # The rounding of two pixels makes their difference uncertain, even where there is no noise.
     rounding = torch.finfo(image.dtype).eps * torch.stack(sizes).amax(0) / h
     samples = Samples(torch.stack(differences), torch.stack(tangents), rounding)
     cotangents = informative_cotangents(reference, seed)
@@ -102,7 +102,7 @@ class Measurement:
         self.progress, self.done, self.total = progress, 0, total
 
     def arguments(self, number: int) -> dict:
-        """Those of batch `number`; batches of different number share no samples."""
+        """The arguments of the rendering of batch `number`; different batches share no samples."""
         return {"seed": self.seed + number * NEXT_SEED, "sensors": self.sensors, "spp": self.spp}
 
     def count(self, renderings: int) -> None:
@@ -111,7 +111,7 @@ class Measurement:
             self.progress(self.done, self.total)
 
     def difference(self, number: int) -> tuple[Tensor, Tensor]:
-        """The difference quotient of a batch, and the size of the images it was made of; (B, 3, H, W) float64 each."""
+        """The difference quotient of a batch, and the larger of its two images' magnitudes; (B, 3, H, W) float64 each."""
         parameters = {f"scene.{name}": value.detach() for name, value in self.renderer.scene.named_parameters()}
         with torch.no_grad():
             after, before = (functional_call(self.renderer, parameters | {self.name: self.value + h * self.direction},
@@ -142,16 +142,16 @@ class Measurement:
 
 
 def informative_cotangents(reference: Tensor, seed: int) -> list[Cotangent]:
-    """Images to multiply a derivative image by, in which different errors show.
+    """Cotangents that each reveal other errors of a derivative image.
 
     Args:
         reference: (B, 3, H, W) an estimate of the derivative, independent of those that are compared.
-        seed: of the random one.
+        seed: of the random cotangent.
     """
     generator = torch.Generator().manual_seed(seed)
     coarse = torch.randn(*reference.shape[:2], 4, 4, generator=generator, dtype=reference.dtype, device="cpu")
     smooth = interpolate(coarse, reference.shape[2:], mode="bilinear", align_corners=True).to(reference.device)
-    # Normalised by itself, too, so that a few bright pixels do not drown the others.
+    # Each pixel is divided by its own size, too, so that a few bright ones do not drown the others.
     size = reference.abs() + reference.abs().mean()
     own = torch.where(size > 0, reference / torch.where(size > 0, size, 1.0), 0.0)
     return [Cotangent("ones", torch.ones_like(reference)), Cotangent("derivative image", own),
@@ -159,7 +159,7 @@ def informative_cotangents(reference: Tensor, seed: int) -> list[Cotangent]:
 
 
 def checked_direction(name: str, parameter: Tensor, direction: Tensor | str | None) -> Tensor:
-    """The direction as a tensor like the parameter; errors as `check_gradient` says."""
+    """The direction as a tensor like the parameter; raises as `check_gradient` says."""
     if direction is None:
         direction = "ones" if parameter.numel() == 1 else "random"
     if isinstance(direction, str):
@@ -182,16 +182,16 @@ def checked_direction(name: str, parameter: Tensor, direction: Tensor | str | No
 
 
 def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> float:
-    """The step, or a good one."""
+    """The step, or a suitable one if it is None."""
     if step is None:
         largest = float(parameter.abs().max())
         return RELATIVE_STEP * (largest or 1.0) / float(direction.abs().max())
     if not 0 < step < float("inf"):
-        raise ValueError(f"step must be greater than 0 and finite, got {step}; leave it out for one that fits")
+        raise ValueError(f"step must be greater than 0 and finite, got {step}; leave it out to have one chosen")
     return float(step)
 
 
 def what_it_sets(name: str) -> str:
-    """The attribute that a parameter stands for, also if it is one of a `torch.nn.utils.parametrize` parametrisation."""
+    """The attribute that a parameter sets, directly or through a parametrisation of `torch.nn.utils.parametrize`."""
     parts = name.split(".")
     return parts[parts.index("parametrizations") + 1] if "parametrizations" in parts else parts[-1]

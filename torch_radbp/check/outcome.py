@@ -1,4 +1,4 @@
-"""`GradientCheck`: what a check of a gradient found, and the verdict."""
+"""`GradientCheck`: the outcome of a gradient check, and its verdict."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ MOST_ROUNDINGS = 1e4  # of the dtype's epsilon, between forward and backward pas
 
 @dataclass(frozen=True)
 class GradientCheck:
-    """The derivative of an image along a direction by finite differences and by the renderer.
+    """The derivative of an image along a direction, by finite differences and by the renderer.
 
     Attributes:
         name: of the parameter.
         direction: of the parameter's shape.
         step: h of the central differences, in units of `direction`.
         spp: samples per pixel of each estimate.
-        batches: the independent repetitions that they were rendered in.
+        batches: the number of independent repetitions.
         seed: of the random numbers.
         comparison: the images (`difference`, `jvp`, `standard_error`, `z`, each (B, 3, H, W) float64 on the scene's device)
             and the figures (`pixels`, `tiles`, `projections`).
         verdict: "agrees", "biased", "biased, probably by silhouettes" or "too noisy".
-        explanation: why, in a sentence, and what to do.
-        detectable: the smallest relative error of the derivative that would have been noticed.
+        explanation: a sentence that says why, and what to do.
+        detectable: the smallest relative error of the derivative that would have been detected.
     """
 
     name: str
@@ -48,11 +48,11 @@ class GradientCheck:
 
     @property
     def agrees(self) -> bool:
-        """Whether the verdict is "agrees"."""
+        """True if the verdict is "agrees"."""
         return self.verdict == AGREES
 
     def figures(self) -> dict[str, Any]:
-        """The outcome without its images, as numbers and strings for a file."""
+        """The outcome without its images: numbers and strings that a file can hold."""
         comparison = self.comparison
         projections = [projection._asdict() | {"z": projection.z, "relative_error": projection.relative_error}
                        for projection in comparison.projections]
@@ -68,13 +68,13 @@ class GradientCheck:
         return "\n".join([*lines, f"{self.verdict}: {self.explanation}"])
 
     def rows(self) -> list[tuple[str, ...]]:
-        """The table of projections as text, headings first; "off by" and "VJP-JVP" are relative."""
+        """The table of projections as text, headings first; "off by" and "VJP-JVP" are relative errors."""
         body = [(p.name, f"{p.difference:.5g}", f"{p.jvp:.5g}", f"{p.standard_error:.2g}", f"{p.z:+.2f}",
                  f"{p.relative_error:+.2%}", f"{p.backward_error:.1e}") for p in self.comparison.projections]
         return [("projected on", "differences", "JVP", "std error", "z", "off by", "VJP-JVP"), *body]
 
     def summary(self) -> list[tuple[str, str]]:
-        """The other figures as text: what, and how much."""
+        """The other figures as text: label and value."""
         pixels, tiles = self.comparison.pixels, self.comparison.tiles
         bias = f"{tiles.relative_bias:.2%}" if tiles.mean_square_z > tiles.limit else "no more than chance explains"
         return [("pixels: mean square z", f"{pixels.mean_square_z:.2f}"),
@@ -91,14 +91,15 @@ def judge(name: str, direction: Tensor, step: float, spp: int, batches: int, see
           comparison: Comparison) -> GradientCheck:
     """The verdict on a comparison.
 
-    Biased is a derivative of which a projection is 4 standard errors off and 1% of its scale, or whose tiles are off by more
-    than chance allows and by 1%; and one that is not finite, or not the same forward and backward. The 1% is left to the
-    step of the finite differences. Too noisy is one in which an error of 5% would not have shown.
+    A derivative is biased if a projection of it is off by more than 4 standard errors and by more than 1% of its scale, or
+    if its tiles are off by more than chance allows and by more than 1%; the 1% is allowed for the step of the finite
+    differences. It is biased, too, if it is not finite, or if forward mode and the backward pass disagree. It is too noisy
+    if an error of 5% could have gone undetected.
 
     Args:
         name, direction, step, spp, batches, seed: as in `GradientCheck`.
-        moves: whether the parameter moves something, so that silhouettes could be missing.
-        comparison: what was measured.
+        moves: True if the parameter moves geometry, so that silhouettes could be missing.
+        comparison: the measurements.
     """
     informative = comparison.projections[1]
     detectable = MOST_Z * uncertainty(informative)
@@ -118,11 +119,11 @@ def verdict_on(comparison: Comparison, moves: bool, detectable: float, spp: int)
         return BIASED, f"the derivative by forward mode has {comparison.not_finite} values that are NaN or infinite"
     apart = max(comparison.projections, key=lambda projection: projection.backward_error)
     if apart.backward_error > MOST_ROUNDINGS * comparison.eps:
-        return BIASED, (f"forward mode and the backward pass differ by {apart.backward_error:.2g} on the same samples "
-                        f"({apart.name}): one of them is wrong")
+        return BIASED, (f"forward mode and the backward pass differ by {apart.backward_error:.2g}, relative, on the same "
+                        f"samples ({apart.name}): one of them is wrong")
     if not comparison.difference.any() and not comparison.jvp.any():
-        return TOO_NOISY, ("both derivatives are zero everywhere, which tells nothing: the image does not depend on the "
-                           "parameter as seen from here; choose another direction, sensor or max_depth")
+        return TOO_NOISY, ("both derivatives are zero everywhere, so that nothing is compared: what this sensor sees does "
+                           "not depend on the parameter; choose another direction, sensor or max_depth")
     off = [p for p in comparison.projections if abs(p.z) > MOST_Z and abs(p.relative_error) > STEP_ERROR]
     tiles = comparison.tiles
     if off or (tiles.mean_square_z > tiles.limit and tiles.relative_bias > STEP_ERROR):
@@ -131,11 +132,11 @@ def verdict_on(comparison: Comparison, moves: bool, detectable: float, spp: int)
                  else f"off by {tiles.relative_bias:.1%} in tiles of the image, though not in sum")
         held = f"half of the squared error lies in {comparison.pixels.concentration:.1%} of the pixels"
         if moves:
-            return SILHOUETTES, (f"{where}; {held}. The parameter moves something: edges that it moves in the image, in "
-                                 f"shadows or in reflections count too")
-        return BIASED, f"{where}; {held}. If it shrinks with a smaller step, the step was too large"
+            return SILHOUETTES, (f"{where}; {held}. The parameter moves geometry: edges that it moves in the image, in "
+                                 f"shadows or in reflections contribute too, which the renderer leaves out")
+        return BIASED, f"{where}; {held}. If the error shrinks with a smaller step, the step was too large"
     if detectable > DETECT:
         more = math.ceil(min((detectable / DETECT) ** 2, 1e9))
-        return TOO_NOISY, (f"an error below {detectable:.1%} would not show; use {more} times the samples (spp={more * spp})"
-                           f"{', or a larger step' if moves else ''}")
-    return AGREES, f"an error of {max(detectable, STEP_ERROR):.1%} of the derivative would have shown"
+        return TOO_NOISY, (f"an error below {detectable:.1%} would go undetected; use {more} times the samples "
+                           f"(spp={more * spp}){', or a larger step' if moves else ''}")
+    return AGREES, f"an error of {max(detectable, STEP_ERROR):.1%} of the derivative would have been detected"

@@ -1,8 +1,8 @@
-"""How far two noisy derivative images are apart, in units of their standard error and in units of the derivative.
+"""The distance between two noisy derivative images, in units of their standard error and of the derivative itself.
 
-A pixel alone is noisy; the whole image may hide errors that cancel. So both are looked at, and between them a grid of
-tiles, whose sums are close to normal (a pixel with one rare bright path in it is not) and few enough to keep an error in
-place.
+A single pixel is noisy, and in a sum over the image errors may cancel. So both are examined, and between them a grid of
+tiles. Sums over tiles are close to normally distributed, as a pixel with one rare bright path is not, and still tell where
+an error is.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 TILES = 8  # along each side of an image
-FLOOR = 0.2  # of the derivative's size, below which a pixel's error is not divided by the pixel
-STEP_ERROR = 0.01  # relative, that finite differences may have by their step
-CALM = (31, 32)  # the share of tiles without the few that rare bright paths make noisy
-SHARED = 0.25  # of the mean variance of those, which every tile has at least
-BRIGHTEST = 0.995  # quantile that stands for the maximum of an image, so that fireflies do not
+FLOOR = 0.2  # a pixel's error is divided by the pixel, but by no less than this share of the derivative's size
+STEP_ERROR = 0.01  # relative error of finite differences that is put down to their step
+CALM = (31, 32)  # the share of tiles that remains without those that rare bright paths make noisy
+SHARED = 0.25  # least variance of a tile, as a share of the mean variance of the calm ones
+BRIGHTEST = 0.995  # the quantile taken for the maximum of an image, because of fireflies
 
 
 class Samples(NamedTuple):
@@ -31,7 +31,7 @@ class Samples(NamedTuple):
 
 
 class Cotangent(NamedTuple):
-    """An image that derivative images are projected on."""
+    """An image onto which derivative images are projected."""
 
     name: str
     image: Tensor  # (B, 3, H, W) float64
@@ -44,7 +44,7 @@ class Projection(NamedTuple):
     difference: float
     jvp: float
     standard_error: float  # of jvp - difference
-    scale: float  # sum over tiles of |<w, difference>|: what nothing cancels in
+    scale: float  # sum over tiles of |<w, difference>|, in which tiles do not cancel
     backward_error: float  # |<w, JVP> - <VJP(w), d>| of one batch, relative to <|w|, |JVP|>
 
     @property
@@ -59,27 +59,27 @@ class Projection(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """Over all pixels and channels."""
+    """Figures over all pixels and channels."""
 
     mean_square_z: float  # about 1 if nothing is wrong; see `expected_square`
-    share_above_3: float  # of |z|; 0.003 of a normal distribution, 0.01 of 16 batches
+    share_above_3: float  # of |z|; 0.003 for a normal distribution, 0.01 with 16 batches
     max_z: float
-    # mean of |jvp - difference| / max(|difference|, 0.2 S) with S the 99.5% quantile of |difference|; holds the noise too
+    # mean of |jvp - difference| / max(|difference|, 0.2 S) with S the 99.5% quantile of |difference|; includes the noise
     mean_relative_error: float
     concentration: float  # the share of pixels that holds half of the squared error
 
 
 class Tiles(NamedTuple):
-    """Over tiles, 8 x 8 an image, colours added."""
+    """Figures over tiles, 8 x 8 in an image, with the channels added."""
 
     mean_square_z: float
-    limit: float  # of the mean square: five standard deviations above what chance gives
-    # root mean square error without what noise explains, relative to the derivative's; tiles count as they are known
+    limit: float  # of the mean square: five standard deviations above its expectation
+    # root mean square error beyond what noise explains, relative to the derivative's; weighted by the tiles' certainty
     relative_bias: float
 
 
 class Comparison(NamedTuple):
-    """All that was measured. Images are (B, 3, H, W) float64."""
+    """All measurements. Images are (B, 3, H, W) float64."""
 
     difference: Tensor
     jvp: Tensor
@@ -88,7 +88,7 @@ class Comparison(NamedTuple):
     pixels: Pixels
     tiles: Tiles
     projections: list[Projection]
-    not_finite: int  # values of `jvp` that are NaN or infinite; 0 was taken for them
+    not_finite: int  # number of values of `jvp` that are NaN or infinite, which count as 0
     eps: float  # of the renderer's dtype
 
 
@@ -105,13 +105,13 @@ class Mean(NamedTuple):
 
 
 def mean_error(difference: Tensor, jvp: Tensor, rounding: Tensor) -> Mean:
-    """The mean over R of (R, ...) samples and its standard error: of their own spread, and of rounding."""
+    """The mean over R of (R, ...) samples, and its standard error: from their own spread, and from rounding."""
     variance = (difference.var(0) + jvp.var(0)) / len(jvp) + rounding**2
     return Mean(jvp.mean(0) - difference.mean(0), variance.sqrt())
 
 
 def expected_square(samples: int) -> float:
-    """The mean of z^2 if nothing is wrong: of Student's t with as many degrees of freedom as one of the estimates has."""
+    """The mean of z^2 if nothing is wrong: that of Student's t with the degrees of freedom of one of the estimates."""
     return (samples - 1) / (samples - 3)
 
 
@@ -119,9 +119,9 @@ def compare(samples: Samples, cotangents: list[Cotangent], backward: list[float]
     """Compares the two estimates.
 
     Args:
-        samples: of both, on any device.
+        samples: of both estimates, on any device.
         cotangents: independent of the samples.
-        backward: <VJP(w), d> for each cotangent w, of the samples of the first of `samples.jvp`.
+        backward: <VJP(w), d> for each cotangent w, from the samples of the first batch of `samples.jvp`.
         eps: of the renderer's dtype.
     """
     broken = int((~torch.isfinite(samples.jvp)).sum())
@@ -155,7 +155,7 @@ def over_tiles(samples: Samples) -> Tiles:
     # The variance of t^2, from the fourth moment of Student's t.
     spread = 3 * freedom**2 / ((freedom - 2) * (freedom - 4)) - expected_square(len(jvp)) ** 2
     limit = expected_square(len(jvp)) + 5 * math.sqrt(spread / z.numel())
-    # A tile with rare bright paths must not drown the others; none is known better than finite differences are right.
+    # A tile with rare bright paths must not drown the others, and no tile is more certain than finite differences are.
     size = difference.mean(0).square()
     weight = 1 / (noise + STEP_ERROR**2 * size + 1e-12 * size.mean()).clamp_min(1e-300)
     bias = float((weight * (mean.error.square() - own)).sum().clamp_min(0))
@@ -163,10 +163,10 @@ def over_tiles(samples: Samples) -> Tiles:
 
 
 def steadied(variance: Tensor) -> Tensor:
-    """The variance of tiles, (B, rows, columns), from those around them and from all as well.
+    """The variance of tiles, (B, rows, columns), estimated from their neighbours and from all tiles, too.
 
-    Where a step changes the choice of one sample in thousands, a tile in which none changed lacks their part, and its own
-    spread does not tell; that of its neighbours does.
+    If the step changes the path of one sample in thousands, a tile without such a sample lacks that contribution, and its
+    own spread does not show it; the spread of its neighbours does.
     """
     around = avg_pool2d(variance[:, None], 3, stride=1, padding=1, count_include_pad=False)[:, 0]
     calm = variance.flatten().sort().values[:-(-variance.numel() * CALM[0] // CALM[1])]
@@ -186,7 +186,7 @@ def tile_sums(images: Tensor) -> Tensor:
 
 
 def project(samples: Samples, cotangent: Cotangent, backward: float) -> Projection:
-    """The two estimates projected on a cotangent, and the forward against the backward pass."""
+    """The two estimates projected onto a cotangent, and the error of the backward pass against forward mode."""
     w = cotangent.image
     difference, jvp = ((w * images).flatten(1).sum(1) for images in samples[:2])
     mean = mean_error(difference, jvp, (w * samples.rounding).square().sum().sqrt())
@@ -197,13 +197,13 @@ def project(samples: Samples, cotangent: Cotangent, backward: float) -> Projecti
 
 
 def quantile(values: Tensor, share: float) -> Tensor:
-    """The value that `share` of all entries do not exceed."""
+    """The value that a `share` of all entries does not exceed."""
     flat = values.flatten()
     return flat.kthvalue(max(1, round(share * len(flat)))).values
 
 
 def quotient(value: float, unit: float) -> float:
-    """value / unit; 0 / 0 is 0, and anything else over 0 infinite."""
+    """value / unit; 0 / 0 is 0, and anything else over 0 is infinite."""
     if unit == 0:
         return 0.0 if value == 0 else math.copysign(math.inf, value)
     return value / unit
