@@ -39,12 +39,12 @@ class Conductor(BSDF):
 
     Args:
         eta: real part of the index of refraction; 0 by default.
-        k: imaginary part, its extinction; 1 by default, so that both together reflect all light.
-        material: name of a metal that stands for eta and k (of `ior.CONDUCTORS`), or "none".
+        k: imaginary part, the extinction coefficient; 1 by default, which with eta = 0 reflects all light.
+        material: name of a metal in `ior.CONDUCTORS`, in place of eta and k; or "none".
         specular_reflectance: a factor in [0, 1] on the reflected light; physical surfaces have 1.
 
     Raises:
-        ValueError: if the metal is not known or given beside eta or k, or a value is out of range.
+        ValueError: if the metal is unknown or given beside eta or k, or if a value is out of range.
     """
 
     def __init__(self, *, eta: Texture | float | None = None, k: Texture | float | None = None, material: str = "none",

@@ -18,18 +18,18 @@ from torch_radbp.vec import Vec3
 
 
 def relative_index(eta: Tensor, side: Tensor) -> Tensor:
-    """Index of refraction of the far side over the near side; `eta` is the inside's over the outside's."""
+    """Index of refraction of the far side over that of the near side; `eta` is that of the inside over the outside."""
     outside = 0.5 + 0.5 * side
     return outside * eta + (1.0 - outside) / eta
 
 
 def blend(choice: Choice, reflected: Tensor, transmitted: Tensor) -> Tensor:
-    """What belongs to the lobe that was chosen."""
+    """The value of the chosen lobe: that of reflection or that of transmission."""
     return reflected + choice.transmits * (transmitted - reflected)
 
 
 def decide(reflectance: Tensor, choice: Tensor) -> Choice:
-    """Reflects with the probability `reflectance`, which is detached."""
+    """Chooses reflection with the probability `reflectance`, which is detached."""
     transmits = (choice >= reflectance).to(reflectance.dtype)
     return Choice(transmits, torch.where(choice >= reflectance, 1.0 - reflectance, reflectance))
 
@@ -76,7 +76,7 @@ class DielectricKind(DeltaKind):
 
 @register("bsdf", "dielectric")
 class Dielectric(BSDF):
-    """A smooth boundary between two transparent media, such as glass in air; the normal points to the outside.
+    """A smooth boundary between two transparent media, such as glass and air; the normal points to the outside.
 
     Parameters: `eta`, a number, the index of refraction inside over the one outside; `specular_reflectance`,
     `specular_transmittance`, textures. Derivatives: with respect to all of them; of directions, in attached mode, with
@@ -89,7 +89,7 @@ class Dielectric(BSDF):
         specular_transmittance: a factor in [0, 1] on refracted light; physical surfaces have 1.
 
     Raises:
-        ValueError: if a material is not known, or a value is out of range.
+        ValueError: if a material is unknown, or a value is out of range.
     """
 
     def __init__(self, *, int_ior: float | str = "bk7", ext_ior: float | str = "air",
@@ -107,7 +107,7 @@ class Dielectric(BSDF):
 
     @property
     def int_ior(self) -> float:
-        """Index of refraction inside, as `eta` has it now."""
+        """Index of refraction inside, by the current `eta`."""
         return float(self.eta.detach()) * self.ext_ior
 
     def kind(self) -> DielectricKind:

@@ -1,8 +1,9 @@
-"""Fresnel's equations: the share of unpolarised light that an interface reflects.
+"""Fresnel's equations: the fraction of unpolarised light that an interface reflects.
 
-Two numerical points. The root of the complex index of a conductor is taken of whichever of its parts does not cancel, so
-that a perfect mirror (eta = 0) has a derivative. The cosine of refraction has an infinite derivative at the critical
-angle; the root's argument is kept above rounding, which bounds the derivative and moves the value by less than that.
+Two remarks on numerics. The complex root in a conductor's reflectance is computed from that of its two parts which does not
+cancel, so that a perfect mirror (eta = 0) has a derivative. The cosine of refraction has an infinite derivative at the
+critical angle; the argument of its root is kept above the rounding unit, which bounds the derivative and hardly changes
+the value.
 
 Reference: Born and Wolf 1999, "Principles of Optics", sections 1.5.2 and 14.2; Lagarde 2013, "Memo on Fresnel equations".
 """

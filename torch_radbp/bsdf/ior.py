@@ -1,6 +1,6 @@
 """Indices of refraction of named materials, and the attributes of plugins that give one.
 
-All figures are those that Mitsuba 3.9.1 shows for the name, so that one scene gives one image in both:
+All figures are those that Mitsuba 3.9.1 shows for the name, so that a scene gives the same image in both:
 
     mi.traverse(mi.load_dict({"type": "dielectric", "int_ior": name, "ext_ior": "vacuum"}))["eta"]
     mi.traverse(mi.load_dict({"type": "conductor", "material": name}))
@@ -49,10 +49,10 @@ CONDUCTORS = {
 
 
 def index_of_refraction(name: str, value: float | str) -> float:
-    """The index that the attribute `name` gives, as a number or as one of `DIELECTRICS`.
+    """The index that the attribute `name` gives as a number or as the name of one of `DIELECTRICS`.
 
     Raises:
-        ValueError: if the material is not known, or the index not greater than zero.
+        ValueError: if the material is unknown, or the index is not greater than zero.
     """
     if isinstance(value, str):
         if value.lower() not in DIELECTRICS:
@@ -66,7 +66,7 @@ def complex_index(owner: BSDF, material: str, eta: Texture | float | None,
     """The textures eta and k of the conductor `owner`: those given, or those of a named metal; "none": a perfect mirror.
 
     Raises:
-        ValueError: if the material is not known, is given beside eta or k, or if a value is negative.
+        ValueError: if the material is unknown or given beside eta or k, or if a value is negative.
     """
     named = material != "none"
     if named and (eta is not None or k is not None):

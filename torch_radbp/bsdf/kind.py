@@ -1,20 +1,20 @@
-"""What a material offers to the tracer: scattering functions on struct-of-arrays, in the local frame.
+"""The interface between materials and the tracer: scattering functions on structs of arrays, in the local frame.
 
-A material splits in two. What is the same for every surface point is its `Kind`, a hashable value that names the functions
-and their static options; what varies by material and surface point are the values of its `textures`, handed to the
-functions as one `Vec3` each (of a scalar, only `x` counts). Directions are unit vectors with z along the shading normal;
-`wi` points towards the viewer, `wo` along the sampled ray or towards the light.
+A material has two parts. Its `Kind`, a hashable value that names the functions and their static options, is the same at
+every surface point. The values of its `textures` vary, and are handed to the functions as one `Vec3` each (of a scalar only
+`x` is used). Directions are unit vectors with z along the shading normal; `wi` points towards the viewer, `wo` along the
+sampled ray or towards the light.
 
-Sampling has two stages, because a derivative needs the discrete one apart: `choose` decides between reflection and
+Sampling has two stages, because derivatives treat the discrete decision separately: `choose` decides between reflection and
 transmission, with a probability that carries no derivative, and `sample` maps random numbers to a direction, attached.
 For every kind
 
     F = eval / pdf                                                 detached: `pdf` without derivative
-    F = eval / (pdf * choice.probability / probability)            attached: the derivative of the choice is taken out of
-                                                                   the density, the one of the direction is left in
+    F = eval / (pdf * choice.probability / probability)            attached: the density without the derivative of the
+                                                                   choice, but with that of the direction
     F = specular / choice.probability                              ideal specular kinds, in either mode
 
-Every function is smooth where physics is, and values and derivatives are finite everywhere: at grazing angles, at total
+Every function is smooth where the physics is, and values and derivatives are finite everywhere: at grazing angles, at total
 internal reflection, at a roughness of zero, between equal indices of refraction.
 """
 
@@ -46,24 +46,24 @@ class Kind(ABC):
     The defaults are those of a material with one lobe, which only reflects.
     """
 
-    delta: ClassVar[bool] = False  # ideal specular: no direction it scatters into can be found otherwise
-    discrete: ClassVar[bool] = False  # there is something to `choose`
-    oriented: ClassVar[bool] = False  # turning the surface about its normal makes a difference
+    delta: ClassVar[bool] = False  # ideal specular: only `sample` finds the directions into which it scatters
+    discrete: ClassVar[bool] = False  # `choose` has a choice
+    oriented: ClassVar[bool] = False  # anisotropic: turning the surface about its normal makes a difference
 
     @property
     def steering(self) -> tuple[int, ...]:
-        """The values that sampled directions depend on: numbers of the material."""
+        """The numbers of those values on which sampled directions depend."""
         return ()
 
     @property
     def jumps(self) -> bool:
-        """Whether `eval_pdf` jumps somewhere as directions turn, which derivatives at fixed directions miss."""
+        """True if `eval_pdf` is discontinuous in the directions, which derivatives at fixed directions miss."""
         return False
 
     @property
     @abstractmethod
     def slots(self) -> int:
-        """How many values the functions take."""
+        """The number of values that the functions take."""
 
     @abstractmethod
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
@@ -82,17 +82,17 @@ class Kind(ABC):
 
     @abstractmethod
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
-        """A unit vector wo, attached to values and wi. `eval` and `pdf` are zero where it is of no use."""
+        """A unit vector wo, attached to values and wi. `eval` and `pdf` are zero where it cannot be used."""
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> Choice:
-        """Reflection or transmission, decided by the random number `choice`; u and v are those that `sample` will get.
+        """Reflection or transmission, decided by the random number `choice`; `sample` will get the same u and v.
 
         `choice` may be None where the kind is not `discrete`.
         """
         return Choice(torch.zeros_like(wi.z), torch.ones_like(wi.z))
 
     def probability(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor:
-        """`choice.probability` once more, attached; `wo` is what was sampled."""
+        """`choice.probability` again, but attached; `wo` is the sampled direction."""
         return torch.ones_like(wi.z)
 
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
@@ -101,7 +101,7 @@ class Kind(ABC):
 
 
 class DeltaKind(Kind):
-    """Ideal specular scattering: all of it lies in directions that no other strategy finds."""
+    """Ideal specular scattering, into directions that no other sampling strategy finds."""
 
     delta: ClassVar[bool] = True
 

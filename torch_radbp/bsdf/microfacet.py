@@ -1,23 +1,24 @@
-"""Distributions of microfacet normals, their shadowing, and sampling of the normals that a direction sees.
+"""Distributions of microfacet normals, their shadowing, and sampling of the normals visible from a direction.
 
-With t = |(alpha_u x, alpha_v y)| of a direction (x, y, z), the projected area A(w) = cos / G1 of what w sees is
+With t = |(alpha_u x, alpha_v y)| for a direction w = (x, y, z), the projected area A(w) = cos / G1 of the facets that w sees
+is
 
     GGX         A = (z + sqrt(z^2 + t^2)) / 2
     Beckmann    A = z (1 + erf(z / t)) / 2 + t exp(-(z / t)^2) / (2 sqrt(pi))
 
-and the density of visible normals is D(m) <w, m> / A(w): no division by the cosine, so that grazing directions are fine.
+and the density of visible normals is D(m) <w, m> / A(w), without a division by the cosine at grazing directions.
 
 Visible normals of a Beckmann surface are drawn in the space of slopes, where the surface is a normal distribution in each
 direction. Seen from w the slopes q along w's azimuth e have the cumulative distribution A(q) / A(z / t), where
 
     A(q) = z erfc(-q) / 2 + t exp(-q^2) / (2 sqrt(pi)),     q <= z / t,
 
-and those across are not changed. Two normal variates s in a *fixed* frame are turned into what is seen by moving s along e
-by q(s . e) - s . e, where q solves A(q) = (1 + erf(s . e)) / 2 * A(z / t). Near normal incidence that is -e t / (2 z), so
-that the map is smooth there although e is not; a map that rotates its variates into e's frame has derivatives without
-bound. The equation is solved by a fixed number of steps to the zero of the local parabola (cubic convergence, exact at the
-double root q = z / t), inside of the bracket [-sqrt(-log u), min(s . e, z / t)] of the limits of grazing and of normal
-incidence, between which the solution falls monotonically. Its derivative is the implicit function theorem's.
+and the slopes across e keep theirs. Two normal variates s in a *fixed* frame become a visible slope by moving s along e by
+q(s . e) - s . e, where q solves A(q) = (1 + erf(s . e)) / 2 * A(z / t). Near normal incidence that is -e t / (2 z), so that
+the map is smooth there although e is not; a map that rotates its variates into the frame of e has unbounded derivatives. The
+equation is solved by a fixed number of steps to the zero of the local parabola (cubic convergence, exact at the double root
+q = z / t), inside the bracket [-sqrt(-log u), min(s . e, z / t)] given by the limits of grazing and of normal incidence,
+between which the solution falls monotonically. Its derivative is that of the implicit function theorem.
 
 Reference: Walter et al. 2007, "Microfacet Models for Refraction through Rough Surfaces", equations 25, 27 and 33;
 Heitz and d'Eon 2014, "Importance Sampling Microfacet-Based BSDFs using the Distribution of Visible Normals", appendix;
@@ -39,7 +40,7 @@ from torch_radbp.plugin import AMOUNT, BSDF, Texture, nearest
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import TINY, Vec2, Vec3, dot, normalize
 
-SMALLEST_ALPHA = 1e-4  # as Mitsuba: below this a surface counts as this rough
+SMALLEST_ALPHA = 1e-4  # as in Mitsuba: a smoother surface counts as this rough
 SMALLEST_COSINE = 1e-5  # of a microfacet normal; Beckmann's density is zero long before
 SMALLEST_HALF_VECTOR = 1e-14  # squared
 LEAST_NUMBER = 2.0**-25  # random numbers are multiples of 2^-24
@@ -130,8 +131,7 @@ def microfacets(distribution: str, alpha_u: Tensor, alpha_v: Tensor) -> Beckmann
 
 
 def floored(alpha: Tensor) -> Tensor:
-    """`alpha`, at least `SMALLEST_ALPHA`; below it with the derivative that it has there, so that an optimiser that has come
-    to a roughness of 0 can leave it again."""
+    """`alpha`, but at least `SMALLEST_ALPHA`, with the derivative of the identity: so an optimiser can leave 0 again."""
     fixed = alpha.detach()
     return alpha + (fixed.clamp_min(SMALLEST_ALPHA) - fixed)
 
@@ -232,7 +232,7 @@ def check_distribution(distribution: str, sample_visible: bool) -> str:
     """The name of a distribution, checked.
 
     Raises:
-        ValueError: if it is not known, or normals are to be sampled that cannot be seen.
+        ValueError: if it is unknown, or invisible normals are to be sampled.
     """
     if distribution not in DISTRIBUTIONS:
         raise ValueError(f"distribution {distribution!r} is not known; {nearest(distribution, DISTRIBUTIONS)}")
@@ -246,10 +246,10 @@ ROUGHNESS = {"alpha": AMOUNT, "alpha_u": AMOUNT, "alpha_v": AMOUNT}
 
 def roughness(owner: BSDF, alpha: Texture | float | None, alpha_u: Texture | float | None,
               alpha_v: Texture | float | None) -> dict[str, Texture]:
-    """The textures of the roughness of `owner` by attribute: either alpha, or alpha_u and alpha_v.
+    """The roughness textures of `owner` by attribute: either alpha, or alpha_u and alpha_v.
 
     Raises:
-        ValueError: if both ways are mixed, or a value is negative.
+        ValueError: if the two ways are mixed, or a value is negative.
     """
     if (alpha_u is None) != (alpha_v is None):
         raise ValueError("alpha_u and alpha_v must be given both or not at all; for equal roughness give alpha")
@@ -263,6 +263,6 @@ def roughness(owner: BSDF, alpha: Texture | float | None, alpha_u: Texture | flo
 
 
 def roughness_numbers(owner: BSDF) -> tuple[NumberOf, ...]:
-    """What the functions take of the roughness of `owner`: numbers, though its textures may be in colour."""
+    """The roughness of `owner` as the functions take it: numbers, even if its textures are in colour."""
     names = ("alpha",) if owner.alpha is not None else ("alpha_u", "alpha_v")
     return tuple(NumberOf(owner, name) for name in names)

@@ -26,9 +26,9 @@ class OwnNumber(RGB):
 
 
 class NumberOf(Texture):
-    """The texture `name` of `owner` read as a number: what a surface point gets is no colour but its mean or luminance.
+    """The texture `name` of `owner` read as a number: the mean or the luminance of the colour at each surface point.
 
-    A view: it has the texels, the filter and the coordinates of that texture, and no parameters of its own.
+    This is a view: it has the texels, the filter and the coordinates of that texture, and no parameters of its own.
     """
 
     def __init__(self, owner: BSDF, name: str):
@@ -37,17 +37,17 @@ class NumberOf(Texture):
 
     @property
     def texture(self) -> Texture:
-        """What it is a view of, now."""
+        """The texture that `owner` has now."""
         owner, name = self.place
         return getattr(owner, name)
 
     def texels(self) -> Tensor:
-        """(H, W, 3) the numbers, three times; attached."""
+        """(H, W, 3) the numbers, in all three channels; attached."""
         return self.texture.scalars()[..., None].expand(-1, -1, 3)
 
     @property
     def has_coordinates(self) -> bool:
-        """Whether it varies over the surface."""
+        """True if it varies over the surface."""
         return not isinstance(self.texture, RGB)
 
     def __getattr__(self, name: str):

@@ -53,13 +53,13 @@ class RoughConductor(BSDF):
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.
         alpha: roughness, 0.1 by default; for Beckmann the root mean square slope times sqrt(2).
-        alpha_u, alpha_v: instead of it, roughness in the direction in which the surface's coordinate u grows, and across.
-            Of a colour the mean counts, of a bitmap in colour the luminance; the same of alpha.
+        alpha_u, alpha_v: instead of alpha, roughness along the direction in which the surface coordinate u grows, and
+            across. Of a constant colour the mean is used, of a colour bitmap the luminance; likewise for alpha.
         eta: real part of the index of refraction; 0 by default.
-        k: imaginary part, its extinction; 1 by default, so that both together reflect all light.
-        material: name of a metal that stands for eta and k (of `ior.CONDUCTORS`), or "none".
+        k: imaginary part, the extinction coefficient; 1 by default, which with eta = 0 reflects all light.
+        material: name of a metal in `ior.CONDUCTORS`, in place of eta and k; or "none".
         specular_reflectance: a factor in [0, 1] on the reflected light; physical surfaces have 1.
-        sample_visible: true, and nothing else.
+        sample_visible: must be true.
 
     Raises:
         ValueError: if a name is not known, attributes exclude each other, or a value is out of range.

@@ -24,11 +24,11 @@ from torch_radbp.vec import TINY, Vec3, dot
 
 
 class Microgeometry(NamedTuple):
-    """A pair of directions, both seen from the side of `wi`, and the microfacet that takes one to the other."""
+    """The microfacet that scatters light between two directions, both seen from the side of `wi`."""
 
     transmits: Tensor  # 0 or 1
-    possible: Tensor  # 0 or 1: a microfacet that faces the viewer can do so
-    density: Tensor  # of that microfacet's normal, not weighted by what is seen
+    possible: Tensor  # 0 or 1: a microfacet that faces the viewer does so
+    density: Tensor  # of that microfacet's normal, whether visible or not
     cos_i: Tensor  # between wi and the microfacet
     cos_o: Tensor  # between wo and the microfacet, at least 0
     squared: Tensor  # squared length of the half vector
@@ -41,16 +41,16 @@ class RoughDielectricKind(MicrofacetKind):
     """Values: alpha, or alpha_u and alpha_v; eta (a scalar), specular_reflectance, specular_transmittance.
 
     With the half vector h = wi + eta wo of refraction, |dm / dwo| = eta^2 |wo.m| / |h|^2 (Walter et al. 2007, equations 17,
-    20, 21, 24); in the BSDF for radiance eta^2 cancels. Between equal indices h would vanish and refraction be ideal: eta is
-    kept off 1 by a few square roots of the rounding unit, its derivative passed on.
+    20, 21, 24); in the BSDF for radiance eta^2 cancels. Between equal indices h would vanish and refraction would be ideal,
+    so eta is kept away from 1 by a few square roots of the rounding unit; its derivative is passed on.
 
     Where a microfacet reflects below the horizon or refracts above it, `sample` returns a direction on the horizon, for
-    which `eval` and `pdf` are zero: there the light is lost between microfacets.
+    which `eval` and `pdf` are zero: this light is lost between microfacets.
 
-    What is not smooth. A GGX surface has microfacets seen edge-on, of density alpha^2 / pi, and refraction by them ends
-    abruptly where the half vector crosses the horizon; derivatives that hold directions fixed (detached) miss that jump,
-    those that follow the microfacet (attached) do not. And next to the critical angle the derivative of the transmittance
-    is so much greater than the transmittance that choosing by it gives derivatives without finite variance.
+    Two things are not smooth. A GGX surface has microfacets seen edge-on, of density alpha^2 / pi, and refraction by them
+    ends abruptly where the half vector crosses the horizon; derivatives at fixed directions (detached) miss that jump, those
+    that follow the microfacet (attached) do not. Next to the critical angle the derivative of the transmittance is so much
+    larger than the transmittance that a choice in proportion to the latter gives derivatives without finite variance.
     """
 
     discrete: ClassVar[bool] = True
@@ -61,15 +61,15 @@ class RoughDielectricKind(MicrofacetKind):
 
     @property
     def jumps(self) -> bool:
-        """Of GGX: see above."""
+        """True for GGX; see above."""
         return self.distribution == "ggx"
 
     def index(self, values: Values, side: Tensor) -> Tensor:
-        """Index of refraction of the far side over the near side."""
+        """Index of refraction of the far side over that of the near side."""
         return relative_index(apart_from_one(values[-3].x), side)
 
     def microgeometry(self, values: Values, wi: Vec3, wo: Vec3) -> Microgeometry:
-        """Of a pair of directions."""
+        """The microfacet and the Fresnel terms of a pair of directions."""
         side = side_of(wi)
         eta, wi, wo = self.index(values, side), wi * side, wo * side
         transmits = (wo.z < 0).to(side.dtype)
@@ -123,7 +123,7 @@ def apart_from_one(eta: Tensor) -> Tensor:
 
 
 def on_its_side(w: Vec3, side: Tensor) -> Vec3:
-    """`w` where its z has the sign of `side`, else the direction of the horizon below or above it."""
+    """`w` where its z has the sign of `side`, else the direction on the horizon with its azimuth."""
     fine = (w.z * side > 0).to(w.z.dtype)
     level = (w.x * w.x + w.y * w.y).clamp_min(TINY)
     scale = fine + (1.0 - fine) * torch.rsqrt(level)
@@ -132,7 +132,7 @@ def on_its_side(w: Vec3, side: Tensor) -> Vec3:
 
 @register("bsdf", "roughdielectric")
 class RoughDielectric(Dielectric):
-    """A rough boundary between two transparent media: microfacets that each reflect and refract light, once.
+    """A rough boundary between two transparent media: microfacets that reflect and refract light once.
 
     Parameters: `alpha` or `alpha_u` and `alpha_v`, textures; `eta`, a number, the index of refraction inside over the one
     outside; `specular_reflectance`, `specular_transmittance`, textures. Derivatives: with respect to all of them;
@@ -141,13 +141,13 @@ class RoughDielectric(Dielectric):
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.
         alpha: roughness, 0.1 by default; for Beckmann the root mean square slope times sqrt(2).
-        alpha_u, alpha_v: instead of it, roughness in the direction in which the surface's coordinate u grows, and across.
-            Of a colour the mean counts, of a bitmap in colour the luminance; the same of alpha.
+        alpha_u, alpha_v: instead of alpha, roughness along the direction in which the surface coordinate u grows, and
+            across. Of a constant colour the mean is used, of a colour bitmap the luminance; likewise for alpha.
         int_ior: index of refraction inside, a number or a material of `ior.DIELECTRICS`.
-        ext_ior: the same outside; not the same value.
+        ext_ior: index of refraction outside; must differ from int_ior.
         specular_reflectance: a factor in [0, 1] on reflected light; physical surfaces have 1.
         specular_transmittance: a factor in [0, 1] on refracted light; physical surfaces have 1.
-        sample_visible: true, and nothing else.
+        sample_visible: must be true.
 
     Raises:
         ValueError: if a name is not known, attributes exclude each other, or a value is out of range.
@@ -160,7 +160,7 @@ class RoughDielectric(Dielectric):
         super().__init__(int_ior=int_ior, ext_ior=ext_ior, specular_reflectance=specular_reflectance,
                          specular_transmittance=specular_transmittance)
         if float(self.eta) == 1.0:
-            raise ValueError(f"int_ior and ext_ior must differ, or there is nothing to see; got {int_ior} and {ext_ior}")
+            raise ValueError(f"int_ior and ext_ior must differ, or the boundary has no effect; got {int_ior} and {ext_ior}")
         self.distribution = check_distribution(distribution, sample_visible)
         self.sample_visible = sample_visible
         rough = roughness(self, alpha, alpha_u, alpha_v)

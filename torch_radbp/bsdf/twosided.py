@@ -1,4 +1,4 @@
-"""Makes a one-sided material work from both sides."""
+"""A one-sided material, or two, seen from both sides of a surface."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch_radbp.plugin import BSDF, register
 
 @register("bsdf", "twosided")
 class TwoSided(BSDF):
-    """Uses `brdf_0` on the side of the normal and `brdf_1` (or again `brdf_0`) on the other.
+    """Uses `brdf_0` on the side of the normal, and `brdf_1` or, without one, `brdf_0` again on the other.
 
     Raises:
         ValueError: unless one or two one-sided BSDFs are given.
