@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
+from torch_radbp.adjoint.cost import Request, check_cost
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
 from torch_radbp.adjoint.function import (
     RenderCall,
@@ -142,7 +143,8 @@ class Renderer(nn.Module):
             (B, 3, H, W) linear RGB radiance, row 0 at the top, one image per sensor.
 
         Raises:
-            ValueError: for a sensor that does not exist, or sensors of different size or sample count.
+            ValueError: for a sensor that does not exist, or sensors of different size or sample count; for a parameter that
+                is not in its domain; for more paths than can be traced, or more memory than there is.
             NonFiniteError: if the image, or in the backward pass a gradient, is NaN or infinite; a FloatingPointError that
                 says of which parameter, at which bounce, on which material and on how many paths.
         """
@@ -175,9 +177,18 @@ class Renderer(nn.Module):
         if len(sizes) > 1:
             raise ValueError(f"the sensors of one call must have films of one size, got {sorted(sizes)}; "
                              f"render them in separate calls")
+        (width, height), = sizes
+        device = self.scene.device
+        workers = torch.get_num_threads() if device.type == "cpu" else 1
+        max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
+        lanes = len(indices) * width * height * spp
+        lanes = self.chunk or min(LANES[self.compile_stages or workers == 1], -(-lanes // workers))
+        parameters = {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad}
+        keeps = parameters and torch.is_grad_enabled() and seed_grad is None and self.memory_budget is None
+        check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
+                           self.adjoint if keeps else None, self.compile_stages))
         scene = pack(self.scene)
         caster = self.caster_of(scene)
-        width, height = sizes.pop()
         cameras = [available[index].tensors() for index in indices]
         moving = self.sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
             self.sampling == "hybrid" and scene.layout.bending)
@@ -187,19 +198,15 @@ class Renderer(nn.Module):
                       clips=bool(beyond_far_plane(detached(camera), scene.triangles.vertices.p.detach()).any()))
                  for index, camera, sampler in zip(indices, cameras, samplers)]
         stages = compiled() if self.compile_stages else EAGER
-        max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
         settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,
                             sampling=self.sampling if moving else "detached")
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return Integrand(tensors, detached(tensors), caster, settings, max_depth, self.rr_depth, stages.bounce)
 
-        workers = torch.get_num_threads() if scene.device.type == "cpu" else 1
-        lanes = sum(view.width * view.height for view in views) * spp
-        lanes = self.chunk or min(LANES[self.compile_stages or workers == 1], -(-lanes // workers))
         call = RenderCall(scene, caster, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
                           plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers, self.scene,
-                          {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad})
+                          parameters)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)

@@ -168,7 +168,8 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
     for chunk, (sums, _) in zip(call.chunks, traced):
         images[chunk.sensor][:, chunk.first_pixel:chunk.first_pixel + chunk.pixels] += sums / call.spp
     records = [path_record for _, path_record in traced] if record else []
-    images = torch.stack(images).reshape(len(call.views), 3, view.height, view.width)
+    # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
+    images = torch.stack([image.reshape(3, view.height, view.width) for image in images])
     check_images(call, integrand, images.detach())
     return images, records
 

@@ -1,0 +1,81 @@
+"""What a call costs at least, known before its first ray; the absurd is refused with the numbers."""
+
+from __future__ import annotations
+
+import os
+from typing import NamedTuple
+
+import torch
+
+from torch_radbp.adjoint.memory import BOUNCE, UNITS, Workload, predict
+
+MOST_NUMBERED = 2**31 - 1  # pixels of an image, samples of a pixel: int32 counts them
+MOST_PATHS = 10**12  # a day at 10 million paths a second, hours on the fastest devices of today
+IMAGE_COPIES = 2  # of each image: the sums of its chunks, and what is returned
+CHUNK_BYTES = 200  # of the list of chunks, each
+
+
+class Request(NamedTuple):
+    """What a call asks for."""
+
+    images: int
+    width: int  # pixels
+    height: int
+    spp: int
+    chunk: int  # lanes traced together
+    max_depth: int
+    dtype: torch.dtype
+    device: torch.device
+    workers: int  # chunks that are traced side by side
+    adjoint: object | None  # the strategy, if it keeps something of every path; None: nothing is kept
+    compiled: bool
+
+    @property
+    def paths(self) -> int:
+        return self.images * self.width * self.height * self.spp
+
+    @property
+    def least_bytes(self) -> int:
+        """Without what depends on the scene: as if no path went on after its first bounce."""
+        images = IMAGE_COPIES * 3 * self.images * self.width * self.height * self.dtype.itemsize
+        together = min(self.paths, self.workers * self.chunk)
+        working = together * BOUNCE * self.dtype.itemsize
+        if self.adjoint is not None:
+            work = Workload([1.0], self.paths, self.max_depth, self.dtype, self.compiled, self.workers)
+            working = max(working, predict(work, self.chunk, self.adjoint).peak)
+        return images + working + CHUNK_BYTES * -(-self.paths // self.chunk)
+
+    def __str__(self) -> str:
+        return f"{self.images} image{'s' * (self.images > 1)} of {self.width} x {self.height} pixels with spp={self.spp}"
+
+
+def check_cost(request: Request) -> None:
+    """Refuses what no machine traces in a day, and what cannot fit the memory of this one.
+
+    Raises:
+        ValueError: with the number of paths, or the bytes that are needed at least and those that there are.
+    """
+    if request.paths > MOST_PATHS or request.spp > MOST_NUMBERED or request.width * request.height > MOST_NUMBERED:
+        raise ValueError(f"{request}: {request.paths:.3g} paths, and {size_of(request.least_bytes)} of memory at least; one "
+                         f"call traces at most {MOST_PATHS:.0e} paths, {MOST_NUMBERED} pixels of an image and as many "
+                         f"samples of a pixel: average calls of fewer samples with other seeds, or render crops of the film")
+    there = memory_of(request.device)
+    if request.least_bytes > there:
+        remedy = "set memory_budget, or average the gradients of calls of fewer samples with other seeds, or "
+        raise ValueError(f"{request}: {size_of(request.least_bytes)} of memory at least, and there are {size_of(there)}; "
+                         f"{'' if request.adjoint is None else remedy}choose a smaller film, chunk or spp")
+
+
+def size_of(count: float) -> str:
+    """Bytes for people, in binary units."""
+    unit = max((unit for unit in UNITS if UNITS[unit] <= count and len(unit) != 2), key=UNITS.get, default="B")
+    return f"{count / UNITS[unit]:.3g} {unit}"
+
+
+def memory_of(device: torch.device) -> float:
+    """All bytes that a device has, used or not; infinite if it does not tell."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_properties(device).total_memory
+    if device.type != "cpu" or not hasattr(os, "sysconf"):
+        return float("inf")
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
