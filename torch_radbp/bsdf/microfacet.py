@@ -244,6 +244,20 @@ def check_distribution(distribution: str, sample_visible: bool) -> str:
 ROUGHNESS = {"alpha": AMOUNT, "alpha_u": AMOUNT, "alpha_v": AMOUNT}
 
 
+def make_rough(owner: BSDF, distribution: str, sample_visible: bool, alpha: Texture | float | None,
+               alpha_u: Texture | float | None, alpha_v: Texture | float | None) -> None:
+    """Gives `owner` the attributes of a rough surface: its distribution, and the textures of its roughness.
+
+    Raises:
+        ValueError: if a name is unknown, attributes exclude each other, or a value is out of range.
+    """
+    owner.distribution = check_distribution(distribution, sample_visible)
+    owner.sample_visible = sample_visible
+    rough = roughness(owner, alpha, alpha_u, alpha_v)
+    owner.alpha, owner.alpha_u, owner.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
+    owner.rough_numbers = roughness_numbers(owner)
+
+
 def roughness(owner: BSDF, alpha: Texture | float | None, alpha_u: Texture | float | None,
               alpha_v: Texture | float | None) -> dict[str, Texture]:
     """The roughness textures of `owner` by attribute: either alpha, or alpha_u and alpha_v.

@@ -9,14 +9,7 @@ from torch import Tensor
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import Choice, Values, above, reflects
-from torch_radbp.bsdf.microfacet import (
-    ROUGHNESS,
-    MicrofacetKind,
-    check_distribution,
-    half_vector,
-    roughness,
-    roughness_numbers,
-)
+from torch_radbp.bsdf.microfacet import ROUGHNESS, MicrofacetKind, half_vector, make_rough
 from torch_radbp.plugin import AMOUNT, BSDF, FRACTION, Domain, Texture, register
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3, dot
@@ -70,11 +63,7 @@ class RoughConductor(BSDF):
                  eta: Texture | float | None = None, k: Texture | float | None = None, material: str = "none",
                  specular_reflectance: Texture | float = 1.0, sample_visible: bool = True):
         super().__init__()
-        self.distribution = check_distribution(distribution, sample_visible)
-        self.sample_visible = sample_visible
-        rough = roughness(self, alpha, alpha_u, alpha_v)
-        self.alpha, self.alpha_u, self.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
-        self.rough_numbers = roughness_numbers(self)
+        make_rough(self, distribution, sample_visible, alpha, alpha_u, alpha_v)
         self.eta, self.k = complex_index(self, material, eta, k)
         self.material = "none"  # its name has become numbers, which may change
         self.specular_reflectance = as_texture(self, "specular_reflectance", specular_reflectance)

@@ -11,14 +11,7 @@ from torch import Tensor
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import Choice, Values, above, side_of
-from torch_radbp.bsdf.microfacet import (
-    ROUGHNESS,
-    MicrofacetKind,
-    check_distribution,
-    half_vector,
-    roughness,
-    roughness_numbers,
-)
+from torch_radbp.bsdf.microfacet import ROUGHNESS, MicrofacetKind, half_vector, make_rough
 from torch_radbp.plugin import Domain, Texture, register
 from torch_radbp.vec import TINY, Vec3, dot
 
@@ -161,11 +154,7 @@ class RoughDielectric(Dielectric):
                          specular_transmittance=specular_transmittance)
         if float(self.eta) == 1.0:
             raise ValueError(f"int_ior and ext_ior must differ, or the boundary has no effect; got {int_ior} and {ext_ior}")
-        self.distribution = check_distribution(distribution, sample_visible)
-        self.sample_visible = sample_visible
-        rough = roughness(self, alpha, alpha_u, alpha_v)
-        self.alpha, self.alpha_u, self.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
-        self.rough_numbers = roughness_numbers(self)
+        make_rough(self, distribution, sample_visible, alpha, alpha_u, alpha_v)
 
     def domains(self) -> dict[str, Domain]:
         return {**ROUGHNESS, **super().domains()}
