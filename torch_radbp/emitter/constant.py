@@ -8,7 +8,7 @@ from torch_radbp.plugin import AMOUNT, Domain, Emitter, Texture, positive, regis
 
 @register("emitter", "constant")
 class Constant(Emitter):
-    """An endlessly distant surround of constant `radiance`.
+    """An infinitely distant surround of constant `radiance`.
 
     Parameters: `radiance`. Derivatives: with respect to its value.
     """
@@ -22,5 +22,5 @@ class Constant(Emitter):
         return {"radiance": AMOUNT}
 
     def radiated(self) -> Texture:
-        """The texture that tells how much light there is."""
+        """The texture of the emitted light."""
         return self.radiance

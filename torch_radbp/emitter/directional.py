@@ -13,13 +13,13 @@ from torch_radbp.shape.surface import affine
 
 @register("emitter", "directional")
 class Directional(Emitter):
-    """Shines along one direction, with `irradiance` (W / m^2) on a surface across it.
+    """Shines along one direction, with `irradiance` (W / m^2) on a surface perpendicular to it.
 
     Parameters: `to_world` (4, 4), `irradiance`. Derivatives: with respect to both.
 
     Args:
         direction: in which the light travels, of any length; either this or `to_world`.
-        to_world: its +z is that direction; length and the other axes do not count.
+        to_world: its +z axis is that direction; scale and the other axes have no effect.
     """
 
     def __init__(self, *, direction: Point3 | None = None, to_world: Matrix4 | None = None,
@@ -37,7 +37,7 @@ class Directional(Emitter):
         return {"to_world": POSE, "irradiance": AMOUNT}
 
     def radiated(self) -> Texture:
-        """The texture that tells how much light there is."""
+        """The texture of the emitted light."""
         return self.irradiance
 
     def pose(self) -> LightPose:

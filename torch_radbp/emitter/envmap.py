@@ -12,11 +12,11 @@ from torch_radbp.texture.bitmap import IMAGE, linear_image
 
 @register("emitter", "envmap")
 class Envmap(Emitter):
-    """An endlessly distant surround, an image by latitude and longitude.
+    """An infinitely distant surround: an image by latitude and longitude.
 
     The first row lies at the local +y pole, the last at -y, and the image is interpolated between the centres of its
-    columns, around the seam, as in Mitsuba (which enlarges images of fewer than 3 rows or 2 columns first; here they are
-    read as they are). Under a `to_world` that is not rigid, the direction is normalised after the transform.
+    columns, also across the seam, as in Mitsuba (which first enlarges images of fewer than 3 rows or 2 columns; here they
+    are read as they are). With a `to_world` that is not rigid, directions are normalised after the transform.
 
     Parameters: `data` (H, W, 3) linear RGB, `scale` (), `to_world` (4, 4). Derivatives: with respect to all.
 
@@ -24,11 +24,11 @@ class Envmap(Emitter):
         filename: EXR, PNG or JPEG. Either this or `bitmap`.
         bitmap, data: (H, W), (H, W, 1) or (H, W, 3) linear values; both names mean the same.
         scale: multiplies the image.
-        mis_compensation: sample only what is brighter than the average, and leave the rest to BSDF sampling
-            (Karlik et al. 2019).
+        mis_compensation: sample only texels brighter than the average, and leave the rest to BSDF sampling (Karlik et al.
+            2019).
     """
 
-    has_coordinates = False  # is read by direction
+    has_coordinates = False  # read by direction
 
     def __init__(self, *, filename: Filename | None = None, bitmap: Tensor | None = None, data: Tensor | None = None,
                  scale: float = 1.0, to_world: Matrix4 | None = None, mis_compensation: bool = False,
@@ -52,5 +52,5 @@ class Envmap(Emitter):
         return self.data * self.scale
 
     def radiated(self) -> Envmap:
-        """The texture that tells how much light there is."""
+        """The texture of the emitted light."""
         return self

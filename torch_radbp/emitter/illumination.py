@@ -1,4 +1,4 @@
-"""What the emitters hand to the tables of a scene: poses of lights without extent, and textures times a factor."""
+"""Records that emitters hand to the tables of a scene: poses of lights without extent, and textures times a factor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FACTOR = NUMBER._replace(low=0.0)
 
 
 def factor(scale: float) -> Tensor:
-    """() a factor of the light that an emitter sends.
+    """A checked factor of the light that an emitter sends, ().
 
     Raises:
         ValueError: if it is negative or not finite.
@@ -26,7 +26,7 @@ def factor(scale: float) -> Tensor:
 
 
 class LightPose(NamedTuple):
-    """Where a light without extent stands and how it spreads its light; attached."""
+    """The place of a light without extent, and how it spreads its light; attached."""
 
     place: Tensor  # (3,) position; of a directional light the unit direction towards it
     to_local: Tensor  # (3, 3) from world directions to those of the light, which shines along its +z
@@ -36,7 +36,7 @@ class LightPose(NamedTuple):
     @staticmethod
     def at(place: Tensor, to_local: Tensor | None = None, cone: Tensor | None = None,
            to_uv: Tensor | None = None) -> LightPose:
-        """A pose in which what is not given plays no part."""
+        """A pose whose other fields have no effect unless they are given."""
         same = torch.eye(3, dtype=place.dtype, device=place.device)
         return LightPose(place, same if to_local is None else to_local,
                          place.new_tensor([math.pi, 1.0]) if cone is None else cone,
@@ -44,7 +44,7 @@ class LightPose(NamedTuple):
 
 
 class Scaled:
-    """A texture times a factor, one number or three; what a bank of textures needs to know of it."""
+    """A texture times a factor, one number or three, with all that a bank of textures reads."""
 
     def __init__(self, texture: Texture, factor: Tensor):
         self.texture, self.factor = texture, factor
@@ -59,7 +59,7 @@ class Scaled:
 
 
 def linear_inverse(name: str, matrix: Tensor) -> Tensor:
-    """(3, 3) from world to local directions of an affine (4, 4) pose, attached.
+    """The (3, 3) matrix from world to local directions of an affine (4, 4) pose, attached.
 
     Raises:
         ValueError: if the pose flattens space.
@@ -71,7 +71,7 @@ def linear_inverse(name: str, matrix: Tensor) -> Tensor:
 
 
 def colour(emitter: Emitter, name: str, value: Texture | Tensor | float) -> Texture:
-    """A texture that is one colour, from what the attribute `name` of an emitter accepts.
+    """A texture of one colour, from any value that the attribute `name` of an emitter accepts.
 
     Raises:
         ValueError: if it is an image, or negative.

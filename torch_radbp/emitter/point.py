@@ -36,7 +36,7 @@ class Point(Emitter):
         return {"position": Domain(shapes=((3,),)), "intensity": AMOUNT}
 
     def radiated(self) -> Texture:
-        """The texture that tells how much light there is."""
+        """The texture of the emitted light."""
         return self.intensity
 
     def pose(self) -> LightPose:

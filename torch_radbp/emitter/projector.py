@@ -15,17 +15,18 @@ from torch_radbp.texture.rgb import as_texture
 
 @register("emitter", "projector")
 class Projector(Emitter):
-    """The reverse of a pinhole camera: throws an image along its local +z, as a camera there would see it.
+    """The reverse of a pinhole camera: projects an image along its local +z, as a camera there would see it.
 
-    A screen at distance 1 across the axis receives pi times `scale` times `irradiance` on the axis, as in Mitsuba.
+    A screen at distance 1, perpendicular to the axis, receives pi times `scale` times `irradiance` on the axis, as in
+    Mitsuba.
 
-    Parameters: `to_world` (4, 4), `irradiance`, `scale` (). Derivatives: with respect to all; not for the edge of the image,
-    where light changes at once.
+    Parameters: `to_world` (4, 4), `irradiance`, `scale` (). Derivatives: with respect to all, except for the contribution of
+    the edge of the image, where the light is discontinuous.
 
     Args:
         irradiance: the image; its resolution gives the aspect ratio (1 for a plain colour).
-        scale: multiplies it.
-        to_world: its scale does not count.
+        scale: multiplies the image.
+        to_world: its scale has no effect.
         fov: degrees, along `fov_axis`. Either this or `focal_length`.
         focal_length: such as "50mm", for 35 mm film.
         fov_axis: x, y, diagonal, smaller or larger.
@@ -53,7 +54,7 @@ class Projector(Emitter):
         return width / height
 
     def radiated(self) -> Scaled:
-        """The texture that tells how much light there is: intensity along the axis."""
+        """The texture of the emitted light: the intensity, as it would be along the axis."""
         return Scaled(self.irradiance, self.scale * math.pi)
 
     def pose(self) -> LightPose:

@@ -19,11 +19,11 @@ class Spot(Emitter):
     Parameters: `to_world` (4, 4), `intensity`, `cutoff_angle`, `beam_width` (), `texture`. Derivatives: with respect to all.
 
     Args:
-        intensity: in the beam.
+        intensity: inside the beam.
         cutoff_angle: degrees from the axis at which the light ends.
-        beam_width: degrees up to which it is at its full strength; three quarters of the cutoff by default.
+        beam_width: degrees from the axis up to which it has its full strength; three quarters of the cutoff by default.
         texture: multiplies the intensity; covers the square around the cone, whose cutoff must be less than 90 degrees.
-        to_world: its scale does not count.
+        to_world: its scale has no effect.
     """
 
     def __init__(self, *, intensity: Texture | float = 1.0, cutoff_angle: float = 20.0, beam_width: float | None = None,
@@ -53,11 +53,11 @@ class Spot(Emitter):
                 "beam_width": NUMBER._replace(low=0.0, unit=" degrees")}
 
     def radiated(self) -> Texture | Scaled:
-        """The texture that tells how much light there is."""
+        """The texture of the emitted light."""
         return self.intensity if self.texture is None else Scaled(self.texture, self.intensity.value)
 
     def pose(self) -> LightPose:
-        """Attached.
+        """The pose and the cone, attached.
 
         Raises:
             ValueError: if an optimiser has moved the angles past each other.

@@ -1,7 +1,7 @@
-"""What every reconstruction filter shares.
+"""The base of reconstruction filters.
 
 Filters are importance-sampled: the offset of a sample from its pixel's centre is drawn from the filter itself, so that a
-pixel is the plain mean of its samples (Ernst et al. 2006, "Filter Importance Sampling").
+pixel is the unweighted mean of its samples (Ernst et al. 2006, "Filter Importance Sampling").
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_radbp.plugin import ReconstructionFilter
 
-TABLE_SIZE = 4097  # linear in between, which widens the tails: a Gaussian's variance by 0.1%
+TABLE_SIZE = 4097  # linear interpolation widens the tails: the variance of a Gaussian grows by 0.1%
 
 
 class Filter(ReconstructionFilter):
@@ -24,7 +24,7 @@ class Filter(ReconstructionFilter):
         raise TypeError(f"{type(self).__name__} does not define its values")
 
     def quantiles(self) -> Tensor:
-        """(TABLE_SIZE,) float64 on the CPU: offsets in pixels at equally spaced values of the cumulative distribution."""
+        """Offsets in pixels at equally spaced values of the cumulative distribution: (TABLE_SIZE,) float64, on the CPU."""
         x = torch.linspace(-self.radius, self.radius, 4 * TABLE_SIZE + 1, dtype=torch.float64, device="cpu")
         middle = 0.5 * (x[1:] + x[:-1])
         cumulative = torch.cat([x.new_zeros(1), self.evaluate(middle).cumsum(0)])
@@ -35,8 +35,12 @@ class Filter(ReconstructionFilter):
         return x[right - 1] + fraction * (x[right] - x[right - 1])
 
     def inside(self, size: int) -> tuple[Tensor, Tensor]:
-        """The part of the distribution that stays inside a window: for each of its `size` columns (or rows) of pixels,
-        the cumulative probability at the window's near edge, and the probability between its edges; float64, on the CPU."""
+        """The part of the distribution inside a window, for each of the window's `size` columns (or rows) of pixels.
+
+        Returns:
+            The cumulative probability at the window's near edge, and the probability between its edges; (size,) float64
+            each, on the CPU.
+        """
         table = self.quantiles()
         centre = torch.arange(size, dtype=torch.float64, device="cpu") + 0.5
 

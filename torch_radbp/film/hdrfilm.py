@@ -17,9 +17,9 @@ class HDRFilm(Film):
 
     Args:
         width, height: of the whole image, pixels.
-        crop_offset_x, crop_offset_y, crop_width, crop_height: the window that is rendered; the whole image if not given.
+        crop_offset_x, crop_offset_y, crop_width, crop_height: the window that is rendered; by default the whole image.
         sample_border: let pixels at the border of the window use samples from outside it.
-        pixel_format: rgb. component_format, file_format: of files that Mitsuba writes; no effect here.
+        pixel_format: rgb. component_format, file_format: of the files that Mitsuba writes; without effect here.
         rfilter: box, tent or gaussian.
     """
 
@@ -50,8 +50,13 @@ class HDRFilm(Film):
         self.rfilter = Gaussian() if rfilter is None else rfilter
 
     def sampled_part(self, size: int) -> tuple[Tensor, Tensor]:
-        """For each of `size` columns (or rows): where in its distribution the filter starts to be sampled, and how much
-        of it is; all of it with `sample_border`, what lies inside the window without."""
+        """The part of the filter's distribution that each of `size` columns (or rows) of pixels samples.
+
+        That is all of it with `sample_border`, else what lies inside the window.
+
+        Returns:
+            The cumulative probability at which the part begins, and its probability; (size,) float64 each, on the CPU.
+        """
         if self.sample_border:
             whole = torch.ones(size, dtype=torch.float64, device="cpu")
             return torch.zeros_like(whole), whole

@@ -12,13 +12,13 @@ class AliasTable(NamedTuple):
     """A discrete distribution over E entries."""
 
     pmf: Tensor  # (E,) probability of each entry
-    threshold: Tensor  # (E,) keep the drawn entry below this, else take `other`
+    threshold: Tensor  # (E,) the drawn entry is kept with this probability, else replaced by `other`
     other: Tensor  # (E,) int32
 
     def sample(self, bits: Tensor, split: Tensor) -> Tensor:
-        """Entries, int32.
+        """Entries drawn from the distribution, (N,) int32.
 
-        One number for both would not do: what is left of 32 bits after they have picked one of a million entries is too
+        A single number would not suffice: once 32 bits have picked one of a million entries, the rest of them is too
         coarse to decide between that entry and its other.
 
         Args:
@@ -33,11 +33,11 @@ class AliasTable(NamedTuple):
 
 
 def alias_table(weights: Tensor) -> AliasTable:
-    """Builds the table for non-negative weights, not all zero.
+    """The alias table of non-negative weights, not all zero.
 
-    Every entry has room for the mean weight. Light entries, in order, are filled up by the first heavy entry that has any of
-    its excess left; the last of them may take more than there was, for which the next heavy entry makes up. Who fills whom
-    follows from prefix sums of what is missing and of what is in excess.
+    Each entry is a bucket that holds the mean weight. Light entries are filled up, in order, from the first heavy entry with
+    excess left. The last one filled may take more than there is; the heavy entry is then light itself and is filled from
+    the next. Which entry fills which follows from prefix sums of the missing and of the excess weight.
 
     Reference: Huebschle-Schneider and Sanders 2019, "Parallel Weighted Random Sampling", section 4.
     """
@@ -52,7 +52,7 @@ def alias_table(weights: Tensor) -> AliasTable:
         excess[-1] = missing[-1]
         before = torch.cat([missing.new_zeros(1), missing[:-1]])
         other[light] = heavy[torch.searchsorted(excess, before)]
-        # The light entry that takes more of each heavy one than is left.
+        # For each heavy entry, the light one that takes more than is left.
         exhausting = torch.searchsorted(missing, excess[:-1], right=True).clamp_max(len(light) - 1)
         threshold[heavy[:-1]] = 1.0 - (missing[exhausting] - excess[:-1])
         threshold[heavy[-1]] = 1.0

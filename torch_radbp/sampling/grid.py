@@ -9,12 +9,12 @@ from torch import Tensor
 
 
 class GridSample(NamedTuple):
-    """A cell per lane, and where in it."""
+    """A cell per lane, and a place in it."""
 
     row: Tensor  # (N,) int64
     column: Tensor  # (N,) int64
-    down: Tensor  # (N,) in [0, 1], uniform: what is left of the number that picked the row
-    across: Tensor  # (N,) likewise, of the column
+    down: Tensor  # (N,) uniform in [0, 1]: the remainder of the number that picked the row
+    across: Tensor  # (N,) likewise for the column
 
 
 class GridDistribution(NamedTuple):
@@ -34,22 +34,22 @@ class GridDistribution(NamedTuple):
         row = (torch.searchsorted(self.rows, u, right=True) - 1).clamp_max(count - 1)
         above, below = self.rows.index_select(0, row), self.rows.index_select(0, row + 1)
         v = v + row
-        # The end of a row is the start of the next: what is left of a cell stands before it, in its row or not.
+        # The end of a row is the start of the next, so that the lower bound of a cell is always the entry before it.
         cell = (torch.searchsorted(self.cells, v, right=True) - 1).clamp_max(count * columns - 1)
         left, right = self.cells.index_select(0, cell), self.cells.index_select(0, cell + 1)
         return GridSample(row, cell - row * columns, within(u, above, below), within(v, left, right))
 
 
 def within(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """How far `u` lies between two bounds, 0 to 1."""
+    """The position of `u` between two bounds, from 0 to 1."""
     return ((u - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
 
 
 def grid_distribution(weights: Tensor) -> tuple[GridDistribution, Tensor]:
-    """The distribution in proportion to weights, and the probability of every cell.
+    """The distribution proportional to weights, and the probability of every cell.
 
     Args:
-        weights: (R, C), not negative, not all zero.
+        weights: (R, C), non-negative, not all zero.
 
     Returns:
         The distribution, and its (R C,) float64 probabilities.

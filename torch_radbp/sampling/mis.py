@@ -6,9 +6,9 @@ from torch import Tensor
 
 
 def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
-    """Weight of a sample drawn with density `pdf` > 0 where the other technique has density `other`.
+    """The weight of a sample drawn with density `pdf` > 0 where the other technique has density `other`.
 
-    An infinite `pdf` (a direction that was not left to chance) has weight 1.
+    An infinite `pdf` (of ideal specular scattering) gives weight 1.
 
     Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", section 9.2.4, exponent 2.
     """

@@ -1,14 +1,14 @@
 """Counter-based random numbers: a pure function of (seed, sensor, pixel, sample, depth, dimension).
 
-Nothing is stored or restored for a replay, and results do not depend on chunk size, schedule or order of execution. All is
-int32 arithmetic, which wraps in torch on every device. float32 and float64 renderings use the same 24 random bits, so that
-both follow the same paths.
+Nothing is stored or restored for a replay, and results do not depend on chunk size, schedule or order of execution. All
+arithmetic is in int32, which wraps in torch on every device. float32 and float64 renderings use the same 24 random bits, so
+that both follow the same paths.
 
-The samples of a pixel are points of low discrepancy: at every bounce, four dimensions at a time, the points of a sequence in
-an order of that pixel and bounce, moved by a random shift of that pixel, bounce and dimension. The first two dimensions are
-those of Sobol', of which every 2^k samples leave no elementary interval of area 2^-k empty; the other two form a lattice.
-Each number by itself, and all numbers of a path together, are distributed as if they were independent, and so is what
-belongs to different pixels, sensors and seeds. Independent samples are the same with one point for all and a shift for each.
+The samples of a pixel are points of low discrepancy. At every bounce, four dimensions at a time are the points of one
+sequence, in an order that depends on pixel and bounce, moved by a random shift that depends on pixel, bounce and dimension.
+The first two dimensions are those of Sobol': every 2^k samples leave no elementary interval of area 2^-k empty. The other
+two form a lattice. Each number by itself, and all numbers of a path together, are distributed as if they were independent,
+and so are those of different pixels, sensors and seeds. Independent samples use a single point, and a shift for each sample.
 
 References: Sobol' 1967; Cranley and Patterson 1976 (shifts); Burley 2020, "Practical Hash-based Owen Scrambling" (orders);
 Vegdahl 2021, "Building a Better LK Hash" (constants); Cools, Kuo and Nuyens 2006 (the lattice).
@@ -33,21 +33,21 @@ CAMERA_DEPTH = -1  # the depth under which the camera draws its numbers
 
 
 class SampleKey(NamedTuple):
-    """What the random numbers of a call depend on; () int32 each."""
+    """The key of all random numbers of a call and sensor; () int32 each."""
 
     seed: Tensor  # from `seed_key`
     shared: Tensor  # -1: the samples of a pixel are points of one sequence; 0: they are independent
 
 
 class LaneKey(NamedTuple):
-    """What all random numbers of a lane depend on; (N,) int32 each."""
+    """The key of all random numbers of a lane; (N,) int32 each."""
 
-    shift: Tensor  # one for all samples of a pixel, or for each
-    point: Tensor  # its place in the sequence, with the bits reversed: the first coordinate as a fraction of 2^32
+    shift: Tensor  # the same for all samples of a pixel, or another for each
+    point: Tensor  # bit-reversed index in the sequence: the first coordinate as a fraction of 2^32
 
 
 class BounceKey(NamedTuple):
-    """What the random numbers of a lane at one bounce depend on; (N,) int32 each."""
+    """The key of the random numbers of a lane at one bounce; (N,) int32 each."""
 
     shift: Tensor
     first: Tensor  # coordinates of the point
@@ -93,9 +93,9 @@ def reversed_bits(x: Tensor) -> Tensor:
 
 
 def reordered(point: Tensor, order: Tensor) -> Tensor:
-    """Points of a sequence in another order: of any 2^k that follow each other from a multiple of 2^k on, none is doubled.
+    """Points of a sequence in another order: any 2^k successive points from a multiple of 2^k on remain distinct.
 
-    Each bit is flipped or not depending on all that are less significant, which are those of greater indices.
+    Each bit is flipped depending on all less significant bits, which belong to greater indices.
 
     Args:
         point: (N,) int32, bit-reversed indices.
@@ -115,7 +115,7 @@ def second_coordinate(first: Tensor) -> Tensor:
 
 
 def depth_counter(depth: int, device: torch.device) -> Tensor:
-    """() int32: the address of the random numbers that bounce `depth` draws."""
+    """The address of the random numbers that bounce `depth` draws, () int32."""
     return hash32(torch.tensor(depth + 1, dtype=torch.int32, device=device) ^ 0x3C6EF35F)
 
 
@@ -132,11 +132,11 @@ def bounce_key(key: LaneKey, counter: Tensor) -> BounceKey:
 
 
 def random_bits(key: BounceKey, dimension: int) -> Tensor:
-    """32 random bits per lane, int32; `unit` and `fine_unit` make numbers in [0, 1) of them.
+    """32 random bits per lane, int32; `unit` and `fine_unit` turn them into numbers in [0, 1).
 
-    Four dimensions from a multiple of four on are the coordinates of one point. Shifts are the coordinates of one point of a
-    lattice of 2^32 points (a hash times odd multipliers, modulo 2^32): far finer than any number of samples resolves, and a
-    quarter of the work of a hash each.
+    Four dimensions from a multiple of four on are the coordinates of one point. Their shifts are the coordinates of a point
+    of a lattice of 2^32 points (a hash times odd multipliers, modulo 2^32): far finer than any number of samples resolves,
+    at a quarter of the cost of a hash for each.
 
     Args:
         key: from `bounce_key`.
@@ -154,7 +154,7 @@ def unit(bits: Tensor, dtype: torch.dtype) -> Tensor:
 
 
 def fine_unit(bits: Tensor) -> Tensor:
-    """Uniform float64 numbers in [0, 1) from all 32 random `bits`: for what picks one of many."""
+    """Uniform float64 numbers in [0, 1) from all 32 random `bits`, fine enough to pick one of many entries."""
     return torch.rsub(bits.to(torch.float64), 0.5, alpha=-1.0 / (1 << 32))
 
 

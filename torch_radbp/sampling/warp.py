@@ -32,6 +32,6 @@ UNIFORM_SPHERE_PDF = 1.0 / (4.0 * math.pi)
 
 
 def square_to_uniform_triangle(u: Tensor, v: Tensor) -> Vec2:
-    """Barycentric coordinates of the second and third vertex, uniform over the area."""
+    """Barycentric coordinates of the second and third vertex, uniform over the triangle's area."""
     root = torch.sqrt(u)
     return Vec2(root * (1.0 - v), root * v)

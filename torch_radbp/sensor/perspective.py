@@ -34,13 +34,13 @@ class PinholeTensors(NamedTuple):
     crop_x: Tensor  # left edge of the crop window, pixels
     crop_y: Tensor
     quantiles: Tensor  # (TABLE_SIZE,) of the reconstruction filter
-    inside_x: tuple[Tensor, Tensor]  # (W,) each: the part of the filter that a column of pixels samples: start, length
+    inside_x: tuple[Tensor, Tensor]  # (W,) each: start and length of the part of the filter that a column samples
     inside_y: tuple[Tensor, Tensor]  # (H,) each
 
 
 @register("sensor", "perspective")
 class Perspective(Sensor):
-    """A pinhole camera; looks along its local +z, y up, x to the left, as in Mitsuba.
+    """A pinhole camera. It looks along its local +z, with y up and x to the left, as in Mitsuba.
 
     Parameters: `to_world` (4, 4), `x_fov` (), `principal_point_offset_x`, `principal_point_offset_y` ().
 
@@ -49,8 +49,8 @@ class Perspective(Sensor):
         focal_length: such as "50mm", for a 35 mm film (36 x 24 mm, measured along the diagonal).
         fov_axis: x, y, diagonal, smaller or larger.
         near_clip, far_clip: distances along the viewing axis between which surfaces are seen.
-        principal_point_offset_x, principal_point_offset_y: shift of the image, fraction of its size.
-        focus_distance, shutter_open, shutter_close: accepted; a pinhole without motion has no use for them.
+        principal_point_offset_x, principal_point_offset_y: shift of the image, as a fraction of its size.
+        focus_distance, shutter_open, shutter_close: accepted, but without effect on a pinhole without motion.
     """
 
     def __init__(self, *, to_world: Matrix4 | None = None, fov: float | None = None, focal_length: str | None = None,
@@ -105,10 +105,10 @@ class Perspective(Sensor):
 
 
 def field_of_view(fov: float | None, focal_length: str | None, fov_axis: str) -> tuple[float, str]:
-    """Degrees and the axis along which they are measured; 50 mm film if neither is given.
+    """The angle in degrees, and the axis along which it is measured; a 50 mm lens if neither is given.
 
     Raises:
-        ValueError: if both are given, the axis is not known or the angle is out of range.
+        ValueError: if both are given, the axis is unknown, or the angle is out of range.
     """
     if fov_axis not in FOV_AXES:
         raise ValueError(f"fov_axis {fov_axis!r} is not known; {nearest(fov_axis, FOV_AXES)}")
@@ -170,7 +170,7 @@ def camera_ray(camera: PinholeTensors, column: Tensor, row: Tensor, u: Tensor, v
 
 
 def beyond_far_plane(camera: PinholeTensors, p: Vec3) -> Tensor:
-    """Whether points are too far away to be seen, bool."""
+    """True where points lie beyond the far plane and cannot be seen."""
     return dot(p - camera.origin, camera.axes.n) > camera.far
 
 

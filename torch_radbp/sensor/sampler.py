@@ -7,17 +7,17 @@ from torch_radbp.plugin import Sampler, register
 
 @register("sampler", "independent")
 class Independent(Sampler):
-    """Independent random numbers for every sample. Args as for every sampler."""
+    """Independent random numbers for every sample. Arguments: see `Sampler`."""
 
     low_discrepancy = False
 
 
 @register("sampler", "ldsampler")
 class LowDiscrepancy(Sampler):
-    """Samples of a pixel that keep out of each other's way; the default of sensors. Args as for every sampler.
+    """A low-discrepancy sequence in each pixel; the default of sensors. Arguments: see `Sampler`.
 
-    Without bias for any number of samples, best for powers of two. Different pixels and seeds are independent. See
-    `torch_radbp.sampling.sampler`. Mitsuba's plugin of this name differs in the numbers, not in the purpose.
+    Unbiased for any number of samples, and best for powers of two. Different pixels and seeds are independent. See
+    `torch_radbp.sampling.sampler`. Mitsuba's plugin of this name serves the same purpose with other numbers.
     """
 
     low_discrepancy = True

@@ -9,7 +9,7 @@ from torch_radbp.plugin import Domain, Filename, Matrix4, Texture, finite, neare
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest")
-LUMINANCE = (0.212671, 0.715160, 0.072169)  # of linear RGB, ITU-R BT.709 with the digits of Mitsuba
+LUMINANCE = (0.212671, 0.715160, 0.072169)  # weights of linear RGB, ITU-R BT.709 with Mitsuba's digits
 IMAGE = Domain(shapes=(("H", "W", 3),))
 
 
@@ -81,5 +81,5 @@ class Bitmap(Texture):
         return self.data
 
     def scalars(self) -> Tensor:
-        """(H, W) the values where numbers are wanted: the luminance, as in Mitsuba; attached."""
+        """The values as numbers, (H, W): the luminance, as in Mitsuba; attached."""
         return (self.data * self.data.new_tensor(LUMINANCE)).sum(2)

@@ -35,16 +35,16 @@ class RGB(Texture):
         return self.value.expand(3).reshape(1, 1, 3)
 
     def scalars(self) -> Tensor:
-        """(1, 1) the value where a number is wanted: the mean of the channels, as in Mitsuba; attached."""
+        """The value as a number, (1, 1): the mean of the channels, as in Mitsuba; attached."""
         return self.value.mean().reshape(1, 1)
 
 
 def as_texture(owner: Plugin, name: str, value: Texture | Tensor | float) -> Texture:
-    """A texture from what the attribute `name` of a plugin accepts: a texture, one number, or three.
+    """The texture for the attribute `name` of a plugin, from a texture, one number or three.
 
     Raises:
-        TypeError: if it is something else.
-        ValueError: if a texel is not in the domain that the plugin has for it.
+        TypeError: if the value is of another type.
+        ValueError: if a texel is not in the attribute's domain.
     """
     if isinstance(value, (str, bytes, dict)):
         raise TypeError(f"{name} must be a number, three numbers or a texture, got {value!r}")
