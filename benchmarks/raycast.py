@@ -14,7 +14,8 @@ import time
 import torch
 import trimesh
 
-from torch_radbp.raycast import Ray, make_caster, team
+from torch_radbp.jit import team
+from torch_radbp.raycast import Ray, make_caster
 from torch_radbp.vec import Vec3, dot, normalize
 
 BRUTE_LANES = 1 << 12

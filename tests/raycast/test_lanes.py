@@ -7,7 +7,8 @@ import torch
 
 from tests.raycast.meshes import mesh, random_rays, take
 from tests.raycast.test_hits import CASTERS
-from torch_radbp.raycast import Ray, make_caster, packets, team
+from torch_radbp.jit import team
+from torch_radbp.raycast import Ray, make_caster, packets
 from torch_radbp.vec import Vec3
 
 

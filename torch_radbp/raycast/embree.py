@@ -1,7 +1,7 @@
 """Ray casting on the CPU by Embree 4, called in packets from compiled loops on torch's own threads.
 
 Of the `embreex` wheel only the shared library is used (`library.py`). Lanes go to it through the loops of `packets.py`,
-which run on the threads of `team.py`.
+which run on the threads of `jit/team.py`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_radbp.raycast import library, packets, team
+from torch_radbp.jit import team
+from torch_radbp.raycast import library, packets
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.vec import Vec3, crossing, dot

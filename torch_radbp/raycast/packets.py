@@ -2,7 +2,7 @@
 
 A query is described by one `JOB` record, and `closest_hit` and `any_hit` take its address. Any number of threads may
 run them on one record at once, because each takes its next block of lanes from a shared atomic counter. They touch no
-Python object and need no interpreter lock, so they run on OpenMP's threads as well as on Python's (see `team.py`).
+Python object and need no interpreter lock, so they run on OpenMP's threads as well as on Python's (see `jit/team.py`).
 """
 
 import numba

@@ -14,6 +14,7 @@ class AliasTable(NamedTuple):
     pmf: Tensor  # (E,) probability of each entry
     threshold: Tensor  # (E,) the drawn entry is kept with this probability, else replaced by `other`
     other: Tensor  # (E,) int32
+    count: Tensor  # () int64, E
 
     def sample(self, bits: Tensor, split: Tensor) -> Tensor:
         """Entries drawn from the distribution, (N,) int32.
@@ -25,8 +26,7 @@ class AliasTable(NamedTuple):
             bits: (N,) int32 random bits, which pick an entry.
             split: (N,) uniform numbers in [0, 1), which decide between that entry and its other.
         """
-        count = self.pmf.shape[0]
-        entry = (((bits.to(torch.int64) & 0xFFFFFFFF) * count) >> 32).to(torch.int32)
+        entry = (((bits.to(torch.int64) & 0xFFFFFFFF) * self.count) >> 32).to(torch.int32)
         keep = (split < self.threshold.index_select(0, entry)).to(torch.int32)
         other = self.other.index_select(0, entry)
         return other + keep * (entry - other)
@@ -58,4 +58,5 @@ def alias_table(weights: Tensor) -> AliasTable:
         threshold[heavy[-1]] = 1.0
         other[heavy[:-1]] = heavy[1:]
     to = {"dtype": weights.dtype, "device": weights.device}
-    return AliasTable(pmf.to(**to), threshold.clamp(0.0, 1.0).to(**to), other.to(weights.device, torch.int32))
+    return AliasTable(pmf.to(**to), threshold.clamp(0.0, 1.0).to(**to), other.to(weights.device, torch.int32),
+                      torch.tensor(len(pmf), device=weights.device))

@@ -13,6 +13,16 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
+PART = 4096  # lanes that a thread takes at a time
+
+
+class Job(ctypes.Structure):
+    """A loop over lanes, of which threads take one part after the other."""
+
+    _fields_ = [("lanes", ctypes.c_int64), ("part", ctypes.c_int64), ("next", ctypes.c_int64),
+                ("inputs", ctypes.c_void_p), ("outputs", ctypes.c_void_p)]
+
+
 LoopBody = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
@@ -49,3 +59,15 @@ def run(body: int, argument: int, threads: int) -> None:
         calls = [thread_pool(threads).submit(LoopBody(body), argument) for _ in range(threads)]
         for call in calls:
             call.result()
+
+
+def run_lanes(body: int, lanes: int, inputs: ctypes.Array, outputs: ctypes.Array) -> None:
+    """Runs the C function at `body`, which takes parts of a `Job`, on all of torch's threads.
+
+    Args:
+        body: its address.
+        lanes: how many.
+        inputs, outputs: addresses of what it reads and writes.
+    """
+    job = Job(lanes, PART, 0, ctypes.addressof(inputs), ctypes.addressof(outputs))
+    run(body, ctypes.addressof(job), threads=max(1, min(torch.get_num_threads(), -(-lanes // PART))))

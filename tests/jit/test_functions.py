@@ -1,0 +1,179 @@
+"""What a function of lanes may be, how it is called, and the errors of what it may not be."""
+
+import threading
+from typing import NamedTuple
+
+import pytest
+import torch
+from torch import Tensor
+
+from torch_radbp.jit import LaneFunction, UnknownOperation
+
+LANES = (0, 1, 15, 16, 17, 100_003)
+
+
+class Point(NamedTuple):
+    x: Tensor
+    y: Tensor | None
+
+
+def mixed(point: Point, colours: tuple, index: Tensor, scale: Tensor, power: int):
+    """Something of everything: tables, numbers, constants, a derivative inside, results of several dtypes."""
+    x = point.x.detach().clone().requires_grad_()
+    with torch.enable_grad():
+        value = (torch.sin(x) ** power * scale).exp()
+        slope, = torch.autograd.grad(value, [x], torch.ones_like(x))
+    red = colours[0].index_select(0, index)
+    near = (red < 0.5) & (slope > 0)
+    return Point(torch.where(near, slope, red), None), [index + 1, near, index], value.detach()
+
+
+def arguments(lanes: int, dtype: torch.dtype = torch.float32):
+    generator = torch.Generator().manual_seed(3)
+    x = torch.randn(lanes, generator=generator, dtype=dtype)
+    index = torch.randint(7, (lanes,), generator=generator).to(torch.int32)
+    return Point(x, None), (torch.rand(7, generator=generator, dtype=dtype),), index, torch.tensor(0.7, dtype=dtype), 3
+
+
+def assert_close(found, expected, rtol: float) -> None:
+    """The same nesting, types and numbers."""
+    assert type(found) is type(expected)
+    if isinstance(expected, Tensor):
+        assert found.dtype == expected.dtype and not found.requires_grad
+        torch.testing.assert_close(found, expected, rtol=rtol, atol=1e-6 if rtol > 1e-8 else 1e-14)
+    elif isinstance(expected, (tuple, list)):
+        assert len(found) == len(expected)
+        for a, b in zip(found, expected):
+            assert_close(a, b, rtol)
+    else:
+        assert found == expected
+
+
+@pytest.mark.parametrize("lanes", LANES)
+@pytest.mark.parametrize("width", [1, 4, 8, 16])
+@pytest.mark.parametrize("dtype, rtol", [(torch.float32, 3e-6), (torch.float64, 1e-13)], ids=str)
+def test_any_width_and_number_of_lanes(lanes, width, dtype, rtol):
+    given = arguments(lanes, dtype)
+    assert_close(LaneFunction(mixed, tables=("colours",), width=width)(*given), mixed(*given), rtol)
+
+
+def test_results_are_the_same_bits_for_any_width_that_fuses_the_same():
+    given = arguments(1003)
+    results = [LaneFunction(mixed, tables=("colours",), width=width)(*given) for width in (1, 4, 8, 16)]
+    for other in results[1:]:
+        assert torch.equal(other[0].x, results[0][0].x) and torch.equal(other[2], results[0][2])
+
+
+def test_results_are_the_same_bits_for_any_number_of_threads():
+    given, before = arguments(100_003), torch.get_num_threads()
+    function = LaneFunction(mixed, tables=("colours",))
+    try:
+        results = []
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            results.append(function(*given)[0].x)
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(results[0], results[1]) and torch.equal(results[0], results[2])
+
+
+def test_one_structure_is_compiled_once_and_another_anew():
+    function = LaneFunction(mixed, tables=("colours",))
+    for lanes in (5, 100, 3000):
+        function(*arguments(lanes))
+    point, colours, index, scale, power = arguments(50)
+    function(point, (torch.rand(99),), index, scale, power)  # tables of any length
+    assert len(function.compiled) == 1
+    function(point, colours, index, scale, 2)
+    function(*arguments(5, torch.float64))
+    assert len(function.compiled) == 3
+
+
+def test_arguments_that_are_returned_are_not_copied():
+    given = arguments(100)
+    assert LaneFunction(mixed, tables=("colours",))(*given)[1][2] is given[2]
+
+
+def test_a_tensor_that_is_given_twice_is_read_once():
+    function = LaneFunction(lambda a, b: a * 2 + b * 2)
+    x, y = torch.rand(2, 40).unbind(0)
+    assert torch.equal(function(x, x), x * 2 + x * 2) and torch.equal(function(x, y), x * 2 + y * 2)
+    assert [len(compiled.inputs) for compiled in function.compiled.values()] == [1, 2]
+
+
+def test_parts_and_expanded_tensors_are_lanes_too():
+    function = LaneFunction(lambda a, b: a - 2 * b)
+    a, b = torch.rand(80)[::2], torch.rand(1).expand(40)
+    torch.testing.assert_close(function(a, b), a - 2 * b)
+
+
+def test_constants_of_the_function_and_numbers_are_spread_over_the_lanes():
+    found = LaneFunction(lambda x, n: (torch.full_like(x, 0.25), n.expand(x.shape), torch.tensor(3.0) + 0 * x))(
+        torch.rand(20), torch.tensor(5))
+    assert [tensor.unique().tolist() for tensor in found] == [[0.25], [5], [3.0]]
+    assert all(tensor.shape == (20,) for tensor in found)
+
+
+def test_calls_from_several_threads_run_side_by_side():
+    given, function, results = arguments(20_000), LaneFunction(mixed, tables=("colours",)), [None] * 6
+
+    def call(k):
+        results[k] = [function(*given)[2] for _ in range(20)][-1]
+
+    threads = [threading.Thread(target=call, args=(k,)) for k in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(function.compiled) == 1
+    assert all(torch.equal(result, results[0]) for result in results)
+
+
+REFUSED = {
+    "a sum over lanes": (lambda x: x + x.sum(), "sum"),
+    "a sort": (lambda x: x.sort()[0], "sort"),
+    "a matrix": (lambda x: torch.stack([x, x]).mean(0), "stack|cat|mean"),
+    "reading of lanes": (lambda x: x.index_select(0, x.to(torch.int32)), "not declared a table"),
+    "a decision in Python": (lambda x: x if bool((x > 0).all()) else -x, "all|item"),
+    "a table of the function's own": (lambda x: x + torch.rand(3)[x.to(torch.int64)], "rand|no argument|table"),
+}
+
+
+@pytest.mark.parametrize("function, words", REFUSED.values(), ids=REFUSED)
+def test_what_is_not_of_lanes_is_refused_by_name_and_line(function, words):
+    with pytest.raises(UnknownOperation, match=f"({words}).*test_functions.py"):
+        LaneFunction(function)(torch.rand(10))
+
+
+def test_tables_have_no_length_and_are_no_lanes():
+    for function, words in ((lambda x, table: x * len(table), "length of a table"),
+                            (lambda x, table: x * table.shape[0], "length of a table"),
+                            (lambda x, table: x + table, "a table, which can only be read")):
+        with pytest.raises(UnknownOperation, match=words):
+            LaneFunction(function, tables=("table",))(torch.rand(10), torch.rand(10))
+
+
+def test_an_operation_that_was_refused_leaves_no_trace():
+    with pytest.raises(UnknownOperation):
+        LaneFunction(lambda x: x.sort()[0])(torch.rand(4))
+    assert torch.equal(torch.arange(3).sort()[0], torch.arange(3))
+
+
+def test_calls_that_make_no_sense_are_errors():
+    function = LaneFunction(lambda a, b: a + b)
+    with pytest.raises(ValueError, match="3 and of 4 lanes"):
+        function(torch.rand(3), torch.rand(4))
+    with pytest.raises(ValueError, match=r"\(\) and \(N,\), got \(2, 2\)"):
+        function(torch.rand(2, 2), torch.rand(2))
+    with pytest.raises(ValueError, match="no tensor with an entry per lane"):
+        function(torch.tensor(1.0), torch.tensor(2.0))
+    with pytest.raises(ValueError, match="compiled for the CPU, got a tensor on meta"):
+        function(torch.rand(3, device="meta"), torch.rand(3))
+    with pytest.raises(TypeError, match="takes 2 arguments by position, got 1"):
+        function(torch.rand(3))
+    with pytest.raises(RuntimeError, match="records no derivative"):
+        function(torch.rand(3, requires_grad=True), torch.rand(3))
+    with torch.no_grad():
+        function(torch.rand(3, requires_grad=True), torch.rand(3))
+    with pytest.raises(ValueError, match="has no parameters"):
+        LaneFunction(lambda a: a, tables=("b",))

@@ -1,0 +1,188 @@
+"""Every operation of the lane compiler against torch, on random and on edge values, for every width and number of lanes.
+
+Bit for bit where torch rounds once; sums of products may be fused, which is tested apart.
+"""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from torch_radbp.jit import LaneFunction
+
+WIDTHS = (1, 4, 8, 16)
+FLOATS = (torch.float32, torch.float64)
+INTEGERS = (torch.int32, torch.int64)
+EDGES = {
+    torch.float32: [0.0, -0.0, 1.0, -1.0, 0.5, 1.5, 2.5, -2.5, math.inf, -math.inf, math.nan, 1e-45, -1e-45, 1.17549435e-38,
+                    3.4028235e38, -3.4028235e38, 16777217.0, 0.49999997],
+    torch.float64: [0.0, -0.0, 1.0, -1.0, 0.5, 1.5, 2.5, -2.5, math.inf, -math.inf, math.nan, 5e-324, -5e-324, 2.3e-308,
+                    1.7976931348623157e308, -1.7976931348623157e308, 2.0**53 + 1, 0.49999999999999994],
+    torch.int32: [0, 1, -1, 2, 7, -7, 2**31 - 1, -(2**31)],
+    torch.int64: [0, 1, -1, 2, 7, -7, 2**63 - 1, -(2**63)],
+    torch.bool: [False, True],
+}
+
+
+def pairs(dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
+    """Every pair of edge values, and random values."""
+    edges = torch.tensor(EDGES[dtype], dtype=dtype)
+    a, b = (column.clone() for column in torch.cartesian_prod(edges, edges).unbind(1))
+    generator = torch.Generator().manual_seed(1)
+    if dtype.is_floating_point:
+        more = 10 ** torch.empty(2, 333).uniform_(-3, 3, generator=generator) * torch.randn(2, 333, generator=generator)
+    else:
+        more = torch.randint(-1000, 1000, (2, 333), generator=generator)
+    more = more.to(dtype)
+    return torch.cat([a, more[0]]), torch.cat([b, more[1]])
+
+
+def assert_same(found: torch.Tensor, expected: torch.Tensor) -> None:
+    """Equal to the last bit, signs of zeros too; NaN is NaN."""
+    assert found.dtype == expected.dtype and found.shape == expected.shape
+    if expected.dtype.is_floating_point:
+        assert torch.equal(found.isnan(), expected.isnan())
+        known = ~expected.isnan()
+        found, expected = found[known], expected[known]
+        assert torch.equal(found.signbit(), expected.signbit())
+    assert torch.equal(found, expected)
+
+
+def check(function, *arguments, width=None, tables=()):
+    assert_same(LaneFunction(function, tables=tables, width=width)(*arguments), function(*arguments))
+
+
+UNARY = {name: getattr(torch, name) for name in ("neg", "abs", "floor", "ceil", "trunc", "round", "isnan", "isinf",
+                                                 "isfinite", "sign", "square", "reciprocal")}
+BINARY = {name: getattr(torch, name) for name in ("add", "sub", "mul", "div", "maximum", "minimum", "copysign",
+                                                  "eq", "ne", "lt", "le", "gt", "ge", "logical_and", "logical_or")}
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+@pytest.mark.parametrize("name", UNARY)
+def test_functions_of_one_float(name, dtype, width):
+    check(lambda x: UNARY[name](x), pairs(dtype)[0], width=width)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+@pytest.mark.parametrize("name", BINARY)
+def test_functions_of_two_floats(name, dtype, width):
+    a, b = pairs(dtype)
+    if name in ("maximum", "minimum"):  # of zeros of both signs torch gives either
+        differ = ~((a == 0) & (b == 0))
+        a, b = a[differ], b[differ]
+    check(lambda x, y: BINARY[name](x, y), a, b, width=width)
+
+
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+def test_remainders_of_floats(dtype):
+    a, b = pairs(dtype)
+    usual = torch.isfinite(a) & torch.isfinite(b) & (a.abs() < 1e6 * b.abs()) & (b.abs() > 1e-30)
+    check(lambda x, y: torch.remainder(x, y), a[usual], b[usual])
+    check(lambda x, y: torch.fmod(x, y), a[usual], b[usual])
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+def test_square_roots_are_rounded_exactly(dtype, width):
+    """As numpy's; those of torch may be one unit off."""
+    x = pairs(dtype)[0]
+    with np.errstate(invalid="ignore"):
+        assert_same(LaneFunction(lambda x: torch.sqrt(x), width=width)(x), torch.from_numpy(np.sqrt(x.numpy())))
+
+
+INTEGER = {
+    "add": lambda x, y: x + y, "sub": lambda x, y: x - y, "mul": lambda x, y: x * y, "and": lambda x, y: x & y,
+    "or": lambda x, y: x | y, "xor": lambda x, y: x ^ y, "not": lambda x, y: ~x, "neg": lambda x, y: -x,
+    "abs": lambda x, y: x.abs(), "left": lambda x, y: x << (y & 15), "right": lambda x, y: x >> (y & 15),
+    "lt": lambda x, y: x < y, "ge": lambda x, y: x >= y, "eq": lambda x, y: x == y, "maximum": lambda x, y: x.maximum(y),
+    "minimum": lambda x, y: x.minimum(y),
+    "alpha": lambda x, y: torch.add(x, y, alpha=-7), "rsub": lambda x, y: torch.rsub(x, y, alpha=3),
+    "clamp": lambda x, y: x.clamp(-3, 5), "true division": lambda x, y: x / 3, "sign": lambda x, y: x.sign(),
+}
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("dtype", INTEGERS, ids=str)
+@pytest.mark.parametrize("name", INTEGER)
+def test_functions_of_integers_wrap_around_as_in_torch(name, dtype, width):
+    check(INTEGER[name], *pairs(dtype), width=width)
+
+
+@pytest.mark.parametrize("dtype", INTEGERS, ids=str)
+@pytest.mark.parametrize("name", ["floor", "trunc", "remainder", "fmod"])
+def test_division_of_integers(name, dtype):
+    a, b = pairs(dtype)
+    defined = (b != 0) & ~((b == -1) & (a == torch.iinfo(dtype).min))
+    a, b = a[defined], b[defined]
+    functions = {"remainder": torch.remainder, "fmod": torch.fmod}
+    check(lambda x, y: functions[name](x, y) if name in functions else torch.div(x, y, rounding_mode=name), a, b)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("name", ["and", "or", "xor", "not", "lt", "ge", "mul", "add"])
+def test_functions_of_bools(name, width):
+    functions = INTEGER | {"mul": lambda x, y: x * y, "add": lambda x, y: x + y}
+    check(functions[name], *pairs(torch.bool), width=width)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("want", [*FLOATS, *INTEGERS, torch.bool], ids=str)
+@pytest.mark.parametrize("have", [*FLOATS, *INTEGERS, torch.bool], ids=str)
+def test_conversions(have, want, width):
+    x = pairs(have)[0]
+    if have.is_floating_point and want in INTEGERS:
+        x = x[x.abs() < 2**31 - 200]
+    check(lambda x: x.to(want), x, width=width)
+
+
+@pytest.mark.parametrize("number", [2, 2.5, -0.0, math.inf], ids=str)
+@pytest.mark.parametrize("dtype", [*FLOATS, *INTEGERS], ids=str)
+def test_python_numbers_have_the_dtype_that_torch_gives_them(number, dtype):
+    x, _ = pairs(dtype)
+    for function in (lambda x: x + number, lambda x: number - x, lambda x: x * number, lambda x: x < number,
+                     lambda x: torch.where(x > 0, x, number), lambda x: torch.where(x > 0, number, 0)):
+        check(function, x)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("dtype", [*FLOATS, *INTEGERS, torch.bool], ids=str)
+@pytest.mark.parametrize("at", INTEGERS, ids=str)
+def test_tables_are_read_at_indices(dtype, at, width):
+    table = pairs(dtype)[0]
+    index = torch.randint(len(table), (1003,), generator=torch.Generator().manual_seed(2)).to(at)
+    check(lambda table, i: table.index_select(0, i), table, index, width=width, tables=("table",))
+    check(lambda table, i: table[i], table, index, width=width, tables=("table",))
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+def test_bits_can_be_read_as_another_dtype(dtype, width):
+    integer = {torch.float32: torch.int32, torch.float64: torch.int64}[dtype]
+    check(lambda x: x.view(integer), pairs(dtype)[0], width=width)
+    check(lambda x: (x.view(integer) ^ 1).view(dtype).abs(), pairs(dtype)[0], width=width)
+
+
+@pytest.mark.parametrize("exponent", [-2, -1, 0, 1, 2, 3, 5, 0.5])
+def test_powers(exponent):
+    x = torch.rand(1000, dtype=torch.float64) + 0.1
+    torch.testing.assert_close(LaneFunction(lambda x: x**exponent)(x), x**exponent, rtol=1e-15, atol=0)
+
+
+@pytest.mark.parametrize("dtype, tolerance", [(torch.float32, 1e-6), (torch.float64, 1e-15)], ids=str)
+def test_general_powers(dtype, tolerance):
+    x, y = torch.rand(2, 1000, dtype=dtype).unbind(0)
+    found = LaneFunction(lambda x, y: x ** (4 * y))(x, y)
+    torch.testing.assert_close(found, x ** (4 * y), rtol=tolerance, atol=0)
+
+
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+def test_only_products_and_sums_may_be_fused(dtype):
+    a, b = pairs(dtype)
+    usual = torch.isfinite(a * b)
+    found = LaneFunction(lambda a, b: a * b + 1.0)(a, b)[usual]
+    expected = (a * b + 1.0)[usual]
+    assert ((found - expected).abs() <= torch.finfo(dtype).eps * ((a * b)[usual].abs() + expected.abs())).all()

@@ -1,0 +1,55 @@
+"""The program and LLVM's text as values that can be read."""
+
+import subprocess
+import sys
+
+import torch
+
+from torch_radbp.jit.emit import emit
+from torch_radbp.jit.graph import LANES, NUMBER, TABLE
+from torch_radbp.jit.machine import host_width
+from torch_radbp.jit.trace import trace
+
+
+def shaded(table, index, x, scale):
+    return [table.index_select(0, index) * x * scale + 1.0, x * scale]
+
+
+PROGRAM = trace(shaded, [torch.float32, torch.int32, torch.float32, torch.float32], [TABLE, LANES, LANES, NUMBER])
+
+
+def test_a_program_lists_its_values():
+    assert str(PROGRAM).splitlines() == [
+        "v0 = input 0(): table float32", "v1 = input 1(): lanes int32", "v2 = input 2(): lanes float32",
+        "v3 = input 3(): number float32", "v4 = gather(v0, v1): lanes float32", "v5 = mul(v4, v2): lanes float32",
+        "v6 = mul(v5, v3): lanes float32", "v7 = constant 1.0(): number float32", "v8 = add(v6, v7): lanes float32",
+        "v9 = mul(v2, v3): lanes float32", "return v8, v9"]
+
+
+def test_what_no_result_needs_is_left_out_and_equal_values_are_one():
+    program = trace(lambda x, y: [(x + 1) * (x + 1), (torch.sin(y), x)[1]], [torch.float32] * 2, [LANES] * 2)
+    assert [value.operation for value in program.values] == ["input", "constant", "add", "mul"]
+    assert len(program.inputs) == 1
+
+
+def test_a_gather_is_one_instruction_of_base_and_32_bit_indices():
+    text = emit(PROGRAM, 8)
+    assert "getelementptr float, ptr %in0, <8 x i32>" in text
+    assert text.count("call <8 x float> @llvm.masked.gather.v8f32.v8p0") == 1
+    assert "fadd contract <8 x float>" in text and "nnan" not in text and "ninf" not in text
+
+
+def test_single_lanes_have_no_vectors():
+    text = emit(PROGRAM, 1)
+    assert "<" not in text.replace("icmp slt", "") and "load float" in text
+
+
+def test_the_width_is_that_of_the_processor():
+    assert host_width() in (4, 8, 16)
+
+
+def test_the_compiler_imports_nothing_of_rendering():
+    code = ("import sys, torch_radbp.jit; "
+            "print([name for name in sys.modules if name.startswith('torch_radbp.') and '.jit' not in name])")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

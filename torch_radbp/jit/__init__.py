@@ -1,0 +1,20 @@
+"""A compiler for functions of lanes: plain torch in, one fused loop of vector instructions out.
+
+    fused = LaneFunction(function, tables=("colours",))
+    result = fused(colours, index, u)          # the first call traces and compiles, in tenths of a second
+
+In the order of data:
+
+1. `trace.py` runs the function once on tensors without contents and notes what torch comes down to, derivatives included.
+   `operations.py` says what that is in terms of some forty operations, `elementary.py` writes sin, exp, ... with them.
+2. `graph.py` is the program that results: values, each computed from others.
+3. `emit.py` writes it as LLVM's text, for vectors of any width or for single lanes.
+4. `machine.py` makes machine code of that, `run.py` calls it on tensors, `team.py` on several threads.
+
+It knows torch and LLVM, and nothing of rendering.
+"""
+
+from torch_radbp.jit.refusal import UnknownOperation
+from torch_radbp.jit.run import LaneFunction
+
+__all__ = ["LaneFunction", "UnknownOperation"]

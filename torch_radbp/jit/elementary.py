@@ -1,0 +1,145 @@
+"""Elementary functions of float32 in basic operations, so that a vector of lanes needs no call of the C library.
+
+Each reduces its argument to a small interval and sums a polynomial there, of degree and coefficients such that the error of
+the polynomial is below a quarter of a rounding (least squares at Chebyshev nodes, relative to the function;
+`tests/jit/test_elementary.py` derives them anew). Errors in units in the last place against float64, over all of float32,
+subnormals included, as that test measures them:
+
+    exp 1.1    log 0.9    log1p 2.3    sin, cos 1.5 (tan 3.1) for |x| <= 2^15    atan2, atan 2.7    asin, acos 3.5
+
+Beyond 2^15 the absolute error of sin and cos is at most 2^-23 + 2^-52 |x|. Other functions go by float64 and the C library.
+
+Reference: Muller 2016, "Elementary Functions: Algorithms and Implementation".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+LN2_HIGH, LN2_LOW = 0.693359375, -2.12194440e-4  # of ln 2: the first has few digits, so that its multiples are exact
+
+# Coefficients of (exp(r) - 1 - r) / r^2, (log(1 + f) - f + f^2 / 2) / f^3, (sin(x) - x) / x^3, (cos(x) - 1 + x^2 / 2) / x^4
+# and (atan(t) - t) / t^3; the last three are polynomials of the square.
+EXP = (0.499999881, 0.166665182, 0.0416695327, 0.00836891588, 0.00137514074)
+LOG = (0.333333105, -0.250000149, 0.200022042, -0.166676432, 0.142178908, -0.124112688, 0.11904712, -0.116464347,
+       0.0667527169)
+SIN = (-0.166666538, 0.00833214819, -0.000195139321)
+COS = (0.0416666456, -0.00138872897, 2.44305738e-05)
+ATAN = (-0.333333135, 0.199984238, -0.142427444, 0.105885722, -0.0606607124)
+
+IN_LIBRARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "exp2", "expm1", "log", "log2",
+              "log10", "log1p", "erf", "erfc", "atan2", "hypot", "pow")
+
+
+def in_double(function: Callable[..., Tensor], *arguments: Tensor | float) -> Tensor:
+    """`function` of float32 arguments by way of float64."""
+    return function(*(argument.double() if isinstance(argument, Tensor) else argument for argument in arguments)).float()
+
+
+def polynomial(x: Tensor, coefficients: tuple[float, ...]) -> Tensor:
+    """The sum of coefficients[k] x^k."""
+    total = torch.full_like(x, coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        total = total * x + coefficient
+    return total
+
+
+def power_of_two(exponent: Tensor) -> Tensor:
+    """2^exponent of int32 exponents from -126 to 127, by its bits."""
+    return ((exponent + 127) << 23).view(torch.float32)
+
+
+def exp(x: Tensor) -> Tensor:
+    x = x.clamp(-104.0, 89.0)  # zero and infinity beyond
+    exponent = torch.round(x * (1 / math.log(2)))
+    rest = (x - exponent * LN2_HIGH) - exponent * LN2_LOW
+    mantissa = 1.0 + (rest + rest * rest * polynomial(rest, EXP))
+    whole = exponent.to(torch.int32)
+    half = whole >> 1
+    return mantissa * power_of_two(half) * power_of_two(whole - half)
+
+
+def log(x: Tensor) -> Tensor:
+    subnormal = x < 2.0**-126
+    bits = torch.where(subnormal, x * 2.0**24, x).view(torch.int32)
+    # The exponent for which the mantissa lies between sqrt(1/2) and sqrt(2).
+    exponent = (bits - 0x3F3504F3) >> 23
+    mantissa = (bits - (exponent << 23)).view(torch.float32)
+    exponent = exponent.to(torch.float32) - torch.where(subnormal, 24.0, 0.0)
+    f = mantissa - 1.0
+    square = f * f
+    result = exponent * LN2_HIGH + (f + (exponent * LN2_LOW + (square * f * polynomial(f, LOG) - 0.5 * square)))
+    result = torch.where(x > 0, result, torch.where(x == 0, -math.inf, math.nan))
+    return torch.where(x == math.inf, x, result)
+
+
+def log1p(x: Tensor) -> Tensor:
+    """Kahan's: the rounding of 1 + x cancels."""
+    rounded = 1.0 + x
+    exact = rounded == 1.0
+    result = log(rounded) * (x / torch.where(exact, 1.0, rounded - 1.0))
+    return torch.where(exact | (x == math.inf), x, result)
+
+
+def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """sin and cos of x less a multiple of pi / 2, and which multiple, modulo 4; the difference is taken in float64."""
+    turns = torch.round(x.double() * (2 / math.pi))
+    rest = (x.double() - turns * (math.pi / 2)).float()
+    square = rest * rest
+    sine = rest + rest * square * polynomial(square, SIN)
+    cosine = 1.0 - 0.5 * square + square * square * polynomial(square, COS)
+    return sine, cosine, (turns - 4.0 * torch.floor(0.25 * turns)).float()
+
+
+def sin(x: Tensor) -> Tensor:
+    sine, cosine, quarter = quadrant(x)
+    value = torch.where((quarter == 1) | (quarter == 3), cosine, sine)
+    return torch.where(x == 0, x, torch.where(quarter >= 2, -value, value))
+
+
+def cos(x: Tensor) -> Tensor:
+    sine, cosine, quarter = quadrant(x)
+    value = torch.where((quarter == 1) | (quarter == 3), sine, cosine)
+    return torch.where((quarter == 1) | (quarter == 2), -value, value)
+
+
+def tan(x: Tensor) -> Tensor:
+    sine, cosine, quarter = quadrant(x)
+    odd = (quarter == 1) | (quarter == 3)
+    return torch.where(x == 0, x, torch.where(odd, -cosine, sine) / torch.where(odd, sine, cosine))
+
+
+def atan2(y: Tensor, x: Tensor) -> Tensor:
+    ax, ay = x.abs(), y.abs()
+    low, high = torch.minimum(ax, ay), torch.maximum(ax, ay)
+    slope = torch.where(high == 0, 0.0, torch.where(low == math.inf, 1.0, low / high))
+    # atan(t) = pi / 4 + atan((t - 1) / (t + 1)), so that the polynomial ends at tan(pi / 8).
+    steep = slope > math.tan(math.pi / 8)
+    t = torch.where(steep, (slope - 1.0) / (slope + 1.0), slope)
+    square = t * t
+    angle = t + t * square * polynomial(square, ATAN)
+    angle = torch.where(steep, math.pi / 4 + angle, angle)
+    angle = torch.where(ay > ax, math.pi / 2 - angle, angle)
+    angle = torch.where(torch.copysign(torch.ones_like(x), x) < 0, math.pi - angle, angle)
+    return torch.where((x != x) | (y != y), math.nan, torch.copysign(angle, y))
+
+
+def atan(x: Tensor) -> Tensor:
+    return atan2(x, torch.ones_like(x))
+
+
+def asin(x: Tensor) -> Tensor:
+    return atan2(x, torch.sqrt((1.0 - x) * (1.0 + x)))
+
+
+def acos(x: Tensor) -> Tensor:
+    return atan2(torch.sqrt((1.0 - x) * (1.0 + x)), x)
+
+
+FORMULAS: dict[str, Callable[..., Tensor]] = {
+    "exp": exp, "log": log, "log1p": log1p, "sin": sin, "cos": cos, "tan": tan, "atan2": atan2, "atan": atan, "asin": asin,
+    "acos": acos}

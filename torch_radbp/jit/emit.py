@@ -1,0 +1,283 @@
+"""From a program to the text of LLVM's intermediate representation: one loop over blocks of lanes.
+
+    void lanes(i64 first, i64 last, ptr inputs, ptr outputs)
+
+computes the lanes from `first` to `last` in blocks of W, of vectors of W lanes or, for W = 1, of scalars, as a thread of a
+GPU does. If the last block is not full, it is moved back so that it ends at `last`; lanes that are computed twice get the
+same results twice. So at least W lanes must be given (`run.py` sees to that). `inputs` and `outputs` are arrays of pointers.
+`lanes_of_job` calls it for parts of a `team.Job` until none is left, and may run on several threads at once.
+
+Every operation is one line of a table; the types stand in it as {T} (vector) and {W}. Of the liberties that compilers take
+with floating point only the fusing of a product and a sum is allowed: infinities, NaN and signs of zeros are as in torch.
+
+Reference: LLVM Language Reference Manual.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+import torch
+
+from torch_radbp.jit.graph import NUMBER, TABLE, Program, Value
+
+SCALARS = {torch.float32: "float", torch.float64: "double", torch.int32: "i32", torch.int64: "i64", torch.bool: "i1"}
+SUFFIXES = {torch.float32: "f32", torch.float64: "f64", torch.int32: "i32", torch.int64: "i64", torch.bool: "i1"}
+INTEGERS = (torch.bool, torch.int32, torch.int64)
+
+FLOATING = {
+    "neg": "fneg {T} {0}", "add": "fadd contract {T} {0}, {1}", "sub": "fsub contract {T} {0}, {1}",
+    "mul": "fmul contract {T} {0}, {1}", "div": "fdiv {T} {0}, {1}", "rem": "frem {T} {0}, {1}",
+    "eq": "fcmp oeq {T} {0}, {1}", "ne": "fcmp une {T} {0}, {1}", "lt": "fcmp olt {T} {0}, {1}",
+    "le": "fcmp ole {T} {0}, {1}", "gt": "fcmp ogt {T} {0}, {1}", "ge": "fcmp oge {T} {0}, {1}",
+}
+INTEGER = {
+    "neg": "sub {T} zeroinitializer, {0}", "add": "add {T} {0}, {1}", "sub": "sub {T} {0}, {1}", "mul": "mul {T} {0}, {1}",
+    "div": "sdiv {T} {0}, {1}", "rem": "srem {T} {0}, {1}", "and": "and {T} {0}, {1}", "or": "or {T} {0}, {1}",
+    "xor": "xor {T} {0}, {1}", "shl": "shl {T} {0}, {1}", "ashr": "ashr {T} {0}, {1}",
+    "eq": "icmp eq {T} {0}, {1}", "ne": "icmp ne {T} {0}, {1}", "lt": "icmp slt {T} {0}, {1}",
+    "le": "icmp sle {T} {0}, {1}", "gt": "icmp sgt {T} {0}, {1}", "ge": "icmp sge {T} {0}, {1}",
+}
+# Of bools, true is 1, so that their order is that of unsigned numbers.
+BOOLEAN = {"lt": "icmp ult {T} {0}, {1}", "le": "icmp ule {T} {0}, {1}", "gt": "icmp ugt {T} {0}, {1}",
+           "ge": "icmp uge {T} {0}, {1}"}
+# LLVM's functions of vectors; those of the last two rows become calls of the C library, lane by lane.
+INTRINSICS = {
+    "abs": "fabs", "floor": "floor", "ceil": "ceil", "trunc": "trunc", "round": "roundeven", "sqrt": "sqrt",
+    "copysign": "copysign",
+    **{name: name for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "exp2", "log",
+                               "log2", "log10", "pow", "atan2")},
+}
+LIBRARY = ("expm1", "log1p", "erf", "erfc", "hypot")  # of the C library, without an intrinsic of LLVM
+
+
+TAKE_PARTS = """\
+define void @lanes_of_job(ptr %job) {
+entry:
+  %lanes = load i64, ptr %job, align 8
+  %size_at = getelementptr i64, ptr %job, i64 1
+  %size = load i64, ptr %size_at, align 8
+  %next_at = getelementptr i64, ptr %job, i64 2
+  %inputs_at = getelementptr i64, ptr %job, i64 3
+  %inputs = load ptr, ptr %inputs_at, align 8
+  %outputs_at = getelementptr i64, ptr %job, i64 4
+  %outputs = load ptr, ptr %outputs_at, align 8
+  br label %take
+take:
+  %first = atomicrmw add ptr %next_at, i64 %size monotonic
+  %left = icmp slt i64 %first, %lanes
+  br i1 %left, label %work, label %done
+work:
+  %end = add i64 %first, %size
+  %over = icmp sgt i64 %end, %lanes
+  %last = select i1 %over, i64 %lanes, i64 %end
+  call void @lanes(i64 %first, i64 %last, ptr %inputs, ptr %outputs)
+  br label %take
+done:
+  ret void
+}
+"""
+
+
+class Emitter:
+    """The text of one program for blocks of `width` lanes."""
+
+    def __init__(self, program: Program, width: int):
+        self.program, self.width = program, width
+        self.entry: list[str] = []  # before the loop
+        self.body: list[str] = []
+        self.declared: dict[str, str] = {}
+        self.names: dict[Value, str] = {}
+
+    def text(self) -> str:
+        """The module."""
+        for number in range(len(self.program.inputs)):
+            self.entry += [f"%place{number} = getelementptr ptr, ptr %inputs, i64 {number}",
+                           f"%in{number} = load ptr, ptr %place{number}, align 8"]
+        for value in self.program.values:
+            self.names[value] = self.emit(value)
+        for number, value in enumerate(value for value in self.program.outputs if value is not None):
+            self.store(number, value)
+        return "\n".join([
+            TAKE_PARTS,
+            "define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {", "entry:",
+            *indented(self.entry), f"  %final = sub i64 %last, {self.width}", "  br label %loop", "loop:",
+            "  %at = phi i64 [ %first, %entry ], [ %next, %loop ]",
+            "  %over = icmp sgt i64 %at, %final", "  %i = select i1 %over, i64 %final, i64 %at", *indented(self.body),
+            f"  %next = add i64 %at, {self.width}", "  %more = icmp slt i64 %next, %last",
+            "  br i1 %more, label %loop, label %done", "done:", "  ret void", "}", *self.declared.values(), ""])
+
+    # -- Types and constants --------------------------------------------------------------------------------------------
+
+    def vector(self, scalar: str) -> str:
+        """The type of a block of lanes."""
+        return scalar if self.width == 1 else f"<{self.width} x {scalar}>"
+
+    def suffix(self, name: str) -> str:
+        """How the names of LLVM's functions tell a block of lanes."""
+        return name if self.width == 1 else f"v{self.width}{name}"
+
+    def everywhere(self, scalar: str, literal: str) -> str:
+        """A constant block of equal lanes."""
+        return literal if self.width == 1 else f"splat ({scalar} {literal})"
+
+    def constant(self, value: Value) -> str:
+        """A constant of the program."""
+        return self.everywhere(SCALARS[value.dtype], literal(value.static, value.dtype))
+
+    # -- Values ---------------------------------------------------------------------------------------------------------
+
+    def line(self, text: str, lines: list[str] | None = None) -> str:
+        """Adds an instruction and returns the name of its result."""
+        lines = self.body if lines is None else lines
+        name = f"%{'e' if lines is self.entry else 'b'}{len(lines)}"
+        lines.append(f"{name} = {text}")
+        return name
+
+    def emit(self, value: Value) -> str:
+        """The name of a value, after the instructions that compute it."""
+        operation, dtype = value.operation, value.dtype
+        if operation == "constant":
+            return self.constant(value)
+        if operation == "input":
+            return self.load(value)
+        names = [self.names[argument] for argument in value.arguments]
+        if operation == "gather":
+            return self.gather(value)
+        working = value.arguments[-1].dtype  # of the operands; of a comparison the result is bool
+        types = {"T": self.vector(SCALARS[working])}
+        if operation == "select":
+            condition = self.vector("i1")
+            return self.line(f"select {condition} {names[0]}, {types['T']} {names[1]}, {types['T']} {names[2]}")
+        if operation == "cast":
+            return self.cast(names[0], working, dtype)
+        if operation == "bitcast":
+            return self.line(f"bitcast {types['T']} {names[0]} to {self.vector(SCALARS[dtype])}")
+        if operation == "not":
+            return self.line(f"xor {types['T']} {names[0]}, {self.everywhere(SCALARS[working], literal(-1, working))}")
+        if operation == "abs" and working in INTEGERS:
+            return self.call(f"llvm.abs.{self.suffix(SUFFIXES[working])}", working, names, ", i1 false")
+        table = FLOATING if working not in INTEGERS else INTEGER | (BOOLEAN if working == torch.bool else {})
+        if operation in table:
+            return self.line(table[operation].format(*names, **types))
+        if operation in INTRINSICS and working not in INTEGERS:
+            return self.call(f"llvm.{INTRINSICS[operation]}.{self.suffix(SUFFIXES[working])}", working, names)
+        if operation in LIBRARY and working == torch.float64:
+            return self.lane_by_lane(operation, names)
+        raise NotImplementedError(f"{value!r} has no instruction")
+
+    def call(self, function: str, dtype: torch.dtype, names: list[str], more: str = "") -> str:
+        """A call of a function of blocks of lanes."""
+        kind = self.vector(SCALARS[dtype])
+        parameters = ", ".join([kind] * len(names)) + (", i1" if more else "")
+        self.declared[function] = f"declare {kind} @{function}({parameters})"
+        return self.line(f"call {kind} @{function}({', '.join(f'{kind} {name}' for name in names)}{more})")
+
+    def lane_by_lane(self, function: str, names: list[str]) -> str:
+        """Calls of a function of the C library, one a lane."""
+        self.declared[function] = f"declare double @{function}({', '.join(['double'] * len(names))})"
+        if self.width == 1:
+            return self.line(f"call double @{function}({', '.join(f'double {name}' for name in names)})")
+        kind, result = self.vector("double"), "poison"
+        for lane in range(self.width):
+            parts = [self.line(f"extractelement {kind} {name}, i32 {lane}") for name in names]
+            answer = self.line(f"call double @{function}({', '.join(f'double {part}' for part in parts)})")
+            result = self.line(f"insertelement {kind} {result}, double {answer}, i32 {lane}")
+        return result
+
+    def cast(self, name: str, have: torch.dtype, want: torch.dtype) -> str:
+        """Conversions as `Tensor.to` makes them; a float beyond the range of an integer gives some integer."""
+        source, target = self.vector(SCALARS[have]), self.vector(SCALARS[want])
+        if want == torch.bool:
+            zero = "zeroinitializer" if self.width > 1 else literal(0, have)
+            return self.line(f"{'icmp ne' if have in INTEGERS else 'fcmp une'} {source} {name}, {zero}")
+        if have in INTEGERS and want in INTEGERS:
+            word = "zext" if have == torch.bool else "sext" if want == torch.int64 else "trunc"
+            return self.line(f"{word} {source} {name} to {target}")
+        if have in INTEGERS:
+            return self.line(f"{'uitofp' if have == torch.bool else 'sitofp'} {source} {name} to {target}")
+        if want in INTEGERS:
+            return self.line(f"freeze {target} " + self.line(f"fptosi {source} {name} to {target}"))
+        return self.line(f"{'fpext' if want == torch.float64 else 'fptrunc'} {source} {name} to {target}")
+
+    # -- Memory ---------------------------------------------------------------------------------------------------------
+
+    def load(self, value: Value) -> str:
+        """An input: the pointer of a table, a number in every lane, or the block of lanes."""
+        number, scalar = self.program.inputs.index(value), SCALARS[value.dtype]
+        pointer = f"%in{number}"
+        if value.kind == TABLE:
+            return pointer
+        if value.kind == NUMBER:
+            lines, kind = self.entry, memory(value.dtype)
+            loaded = self.line(f"load {kind}, ptr {pointer}, align 1", lines)
+            if value.dtype == torch.bool:
+                loaded = self.line(f"trunc i8 {loaded} to i1", lines)
+            if self.width == 1:
+                return loaded
+            vector = self.vector(scalar)
+            first = self.line(f"insertelement {vector} poison, {scalar} {loaded}, i32 0", lines)
+            return self.line(f"shufflevector {vector} {first}, {vector} poison, <{self.width} x i32> zeroinitializer", lines)
+        kind = self.vector(memory(value.dtype))
+        place = self.line(f"getelementptr {memory(value.dtype)}, ptr {pointer}, i64 %i")
+        loaded = self.line(f"load {kind}, ptr {place}, align {alignment(value.dtype)}")
+        return self.line(f"trunc {kind} {loaded} to {self.vector('i1')}") if value.dtype == torch.bool else loaded
+
+    def gather(self, value: Value) -> str:
+        """Entries of a table: base and 32-bit index, which is one instruction where there is one."""
+        table, index = value.arguments
+        scalar, at = memory(table.dtype), SCALARS[index.dtype]
+        kind = self.vector(scalar)
+        if self.width == 1:
+            place = self.line(f"getelementptr {scalar}, ptr {self.names[table]}, {at} {self.names[index]}")
+            entry = self.line(f"load {scalar}, ptr {place}, align {alignment(table.dtype)}")
+        else:
+            pointers = self.vector("ptr")
+            places = self.line(f"getelementptr {scalar}, ptr {self.names[table]}, {self.vector(at)} {self.names[index]}")
+            function = f"llvm.masked.gather.{self.suffix(scalar_suffix(scalar))}.{self.suffix('p0')}"
+            self.declared[function] = f"declare {kind} @{function}({pointers}, i32, {self.vector('i1')}, {kind})"
+            entry = self.line(f"call {kind} @{function}({pointers} {places}, i32 {alignment(table.dtype)}, "
+                              f"{self.vector('i1')} {self.everywhere('i1', 'true')}, {kind} poison)")
+        return self.line(f"trunc {kind} {entry} to {self.vector('i1')}") if table.dtype == torch.bool else entry
+
+    def store(self, number: int, value: Value) -> None:
+        """Writes a block of an output."""
+        self.entry += [f"%result{number} = getelementptr ptr, ptr %outputs, i64 {number}",
+                       f"%out{number} = load ptr, ptr %result{number}, align 8"]
+        kind, name = self.vector(memory(value.dtype)), self.names[value]
+        if value.dtype == torch.bool:
+            name = self.line(f"zext {self.vector('i1')} {name} to {kind}")
+        place = self.line(f"getelementptr {memory(value.dtype)}, ptr %out{number}, i64 %i")
+        self.body.append(f"store {kind} {name}, ptr {place}, align {alignment(value.dtype)}")
+
+
+def emit(program: Program, width: int) -> str:
+    """The module of `program`, LLVM's text, for blocks of `width` lanes; 1 is a lane at a time."""
+    return Emitter(program, width).text()
+
+
+def indented(lines: list[str]) -> Iterator[str]:
+    return (f"  {line}" for line in lines)
+
+
+def memory(dtype: torch.dtype) -> str:
+    """The type of an element in memory: a bool is a byte."""
+    return "i8" if dtype == torch.bool else SCALARS[dtype]
+
+
+def scalar_suffix(scalar: str) -> str:
+    return {"float": "f32", "double": "f64"}.get(scalar, scalar)
+
+
+def alignment(dtype: torch.dtype) -> int:
+    return 1 if dtype == torch.bool else dtype.itemsize
+
+
+def literal(number: bool | int | float, dtype: torch.dtype) -> str:
+    """A constant of LLVM: floats by the bits of the double that equals them."""
+    if dtype == torch.bool:
+        return "true" if number else "false"
+    if dtype in INTEGERS:
+        return str(int(number))
+    return f"0x{struct.unpack('<Q', struct.pack('<d', number))[0]:016X}"

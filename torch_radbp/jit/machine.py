@@ -1,0 +1,38 @@
+"""Machine code from LLVM's text, for the processor that this runs on."""
+
+from __future__ import annotations
+
+import functools
+
+from llvmlite import binding as llvm
+
+
+@functools.cache
+def host_width() -> int:
+    """How many float32 lanes this processor has in a vector: 16 with AVX-512, 8 with AVX2, 4 elsewhere."""
+    features = llvm.get_host_cpu_features()
+    return 16 if features.get("avx512f") else 8 if features.get("avx2") else 4
+
+
+@functools.cache
+def initialized() -> llvm.Target:
+    """LLVM's target for this machine, ready for use."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple()
+
+
+class MachineCode:
+    """A module's function `lanes_of_job` as machine code; it lies at `address` as long as this object lives."""
+
+    def __init__(self, text: str):
+        machine = initialized().create_target_machine(cpu=llvm.get_host_cpu_name(),
+                                                      features=llvm.get_host_cpu_features().flatten(), opt=2)
+        module = llvm.parse_assembly(text)
+        module.triple = machine.triple
+        module.verify()
+        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
+        builder.getModulePassManager().run(module, builder)
+        self.engine = llvm.create_mcjit_compiler(module, machine)
+        self.engine.finalize_object()
+        self.address = self.engine.get_function_address("lanes_of_job")

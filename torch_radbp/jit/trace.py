@@ -1,0 +1,130 @@
+"""From a function in plain torch to a program: the function runs once on tensors without contents.
+
+The tensors are on torch's `meta` device. A dispatch mode sees every basic operation that torch comes down to, those of
+`torch.autograd.grad` inside of the function included, lets torch work out the result's dtype, and notes the operation.
+Nothing that is not a tensor is looked at: it is a constant of the program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from torch_radbp.jit.graph import NUMBER, TABLE, Builder, Program, Value, program
+from torch_radbp.jit.operations import DECOMPOSED, HANDLERS
+from torch_radbp.jit.refusal import refusal
+
+SIZE = 1_000_003  # of lanes while tracing; what they are is known by their kind, not by their size
+
+
+def trace(function: Callable[..., Sequence[Tensor | None]], dtypes: Sequence[torch.dtype], kinds: Sequence[str]) -> Program:
+    """The program of a function of flat tensors.
+
+    Args:
+        function: takes one tensor for each of `dtypes`, and returns tensors of the lanes or numbers, or None.
+        dtypes: float32, float64, int32, int64 or bool.
+        kinds: of each tensor, LANES, NUMBER or TABLE.
+
+    Raises:
+        UnknownOperation: if the function comes down to an operation that is not one of lanes.
+    """
+    tracer = Tracer()
+    arguments = [tracer.argument(place, dtype, kind) for place, (dtype, kind) in enumerate(zip(dtypes, kinds))]
+    with tracer:
+        results = function(*arguments)
+        outputs = tuple(None if result is None else tracer.lanes_or_number(result, "the result") for result in results)
+    return program(outputs)
+
+
+class TableStandIn(Tensor):
+    """A table while a function is traced: it has no length, since the tables of later calls may have another."""
+
+    @classmethod
+    def __torch_function__(cls, func, types, args=(), kwargs=None):
+        if func in (Tensor.shape.__get__, Tensor.size, Tensor.__len__, Tensor.numel, Tensor.nelement):
+            raise refusal("the length of a table, which may differ from call to call (hand it over as a number),")
+        with torch._C.DisableTorchFunctionSubclass():
+            return func(*args, **(kwargs or {}))
+
+
+class Tracer(TorchDispatchMode):
+    """Notes what is done with the tensors that it knows."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.builder = Builder()
+        self.values: dict[int, Value] = {}
+        self.alive: list[Tensor] = []  # so that no other tensor gets the id of one that was seen
+
+    def argument(self, place: int, dtype: torch.dtype, kind: str) -> Tensor:
+        """A tensor that stands for the argument number `place`."""
+        tensor = torch.empty(() if kind == NUMBER else (SIZE,), dtype=dtype, device="meta")
+        tensor = tensor.as_subclass(TableStandIn) if kind == TABLE else tensor
+        return self.note(tensor, self.builder.value("input", (), dtype, kind, place))
+
+    def note(self, tensor: Tensor, value: Value) -> Tensor:
+        """Remembers that `tensor` has `value`."""
+        self.values[id(tensor)] = value
+        self.alive.append(tensor)
+        return tensor
+
+    def value_of(self, tensor: Tensor, what: str) -> Value:
+        """The value of a tensor that was seen; a tensor made elsewhere is read now if it is one number."""
+        if id(tensor) in self.values:
+            return self.values[id(tensor)]
+        if tensor.device.type != "meta" and tensor.numel() == 1:
+            return self.builder.constant(tensor.item(), tensor.dtype)
+        raise refusal(f"{what}: a tensor {tuple(tensor.shape)} of {tensor.device} that is no argument of the function")
+
+    def lanes_or_number(self, tensor: Tensor, what: str) -> Value:
+        """The value of a tensor, which must not be a table."""
+        value = self.value_of(tensor, what)
+        if value.kind == TABLE:
+            raise refusal(f"{what}: a table, which can only be read at indices")
+        return value
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        kwargs = kwargs or {}
+        name = func.overloadpacket.__name__
+        handler = HANDLERS.get(name)
+        if handler is None:
+            with self:  # what is called now is traced too
+                answer = DECOMPOSED.get(name, func.decompose)(*args, **kwargs)
+            if answer is NotImplemented:
+                raise refusal(f"torch.{name} ({func})")
+            return answer
+        result = func(*args, **kwargs)
+        if result.dim() > 1 or (result.dim() == 1 and len(result) != SIZE):
+            raise refusal(f"torch.{name} makes a tensor of shape {tuple(result.shape)} of lanes")
+        value = handler(self, result, *args, name=name, **kwargs)
+        if value.dtype != result.dtype:
+            value = self.builder.cast(value, result.dtype)
+        return self.note(result, value)
+
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        """False: torch is not to import its compiler for this mode."""
+        return False
+
+    # What handlers are written with.
+
+    def operand(self, argument: Value | Tensor | bool | int | float, dtype: torch.dtype) -> Value:
+        """An argument of an operation in the dtype in which the operation works."""
+        if isinstance(argument, Tensor):
+            argument = self.lanes_or_number(argument, "an operand")
+        return self.builder.cast(argument, dtype) if isinstance(argument, Value) else self.builder.constant(argument, dtype)
+
+    def apply(self, operation: str, dtype: torch.dtype, *arguments) -> Value:
+        """An operation on arguments brought to `dtype`, with a result in it."""
+        return self.builder.value(operation, tuple(self.operand(argument, dtype) for argument in arguments), dtype)
+
+    def compare(self, operation: str, dtype: torch.dtype, a, b) -> Value:
+        """A comparison of arguments brought to `dtype`."""
+        return self.builder.value(operation, (self.operand(a, dtype), self.operand(b, dtype)), torch.bool)
+
+    def select(self, condition: Value, a: Value, b: Value) -> Value:
+        """`a` where the condition holds, else `b`."""
+        return a if a is b else self.builder.value("select", (condition, a, b), a.dtype)
