@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
+from torch_radbp.adjoint.function import differentiable
 from torch_radbp.training import recipe as schema
 from torch_radbp.training.checkpoint import save_checkpoint
 from torch_radbp.training.interrupt import Interrupts
@@ -43,7 +44,8 @@ class Recovery:
         self.parameters = choose_parameters(self.scene, recipe.parameters)
         self.renderer = make_renderer(self.scene, recipe.render)
         # The renderer checks parameters and caster when it first renders: make it do so now, before files are written.
-        self.renderer.prepare(seed=0, sensors=self.targets.sensors, spp=1, seed_grad=None)
+        call = self.renderer.prepare(seed=0, sensors=self.targets.sensors, spp=1, seed_grad=None)
+        check_influence(self.parameters, differentiable((call.scene, [view.camera for view in call.views])))
         self.objective = Objective(recipe.loss)
         self.optimizer = make_optimizer(self.parameters, recipe.optimizer)
         self.scheduler = make_scheduler(self.optimizer, recipe.schedule, recipe.steps)
@@ -69,6 +71,23 @@ class Recovery:
                 each.raw.copy_(state["parameters"][each.name])
         self.optimizer.load_state_dict(state["optimizer"])
         self.scheduler.load_state_dict(state["scheduler"])
+
+
+def check_influence(parameters: list[RecoveredParameter], leaves: list[Tensor]) -> None:
+    """Raises ValueError naming the first parameter that no rendering reads.
+
+    Args:
+        parameters: to be recovered.
+        leaves: everything that a rendering reads and that is to be differentiated, attached.
+    """
+    raw = [each.raw for each in parameters]
+    sums = [leaf.sum() for leaf in leaves]
+    read = torch.autograd.grad(sums, raw, allow_unused=True) if sums else [None] * len(raw)
+    for each, gradient in zip(parameters, read):
+        if gradient is None:
+            hint = "; texture coordinates are read where a material or an emitter has a bitmap" * ("texcoords" in each.name)
+            raise ValueError(f"parameter {each.name!r} cannot be recovered: no sensor with a target sees what it changes"
+                             f"{hint}")
 
 
 def make_renderer(scene, spec: schema.Render) -> rb.Renderer:

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
 from torch_radbp.io.image import read_image
-from torch_radbp.plugin import nearest
+from torch_radbp.plugin import Domain, nearest
+from torch_radbp.scene.parameters import held_values
 from torch_radbp.training import recipe
 from torch_radbp.training.rigid import PoseError, Rigid, components, moved
 
@@ -132,10 +133,10 @@ def choose_parameters(scene: nn.Module, specs: list[recipe.Parameter]) -> list[R
     Nothing is changed unless everything is right.
 
     Raises:
-        ValueError: a name that does not exist (with the nearest), a wrong shape, a value that is not finite or out of
-            bounds.
+        ValueError: a name that does not exist (with the nearest), a wrong shape, a value that is not finite, out of
+            bounds, or none that the parameter can have, such as a pose that is no affine transform.
     """
-    known = dict(scene.named_parameters())
+    known, held = dict(scene.named_parameters()), held_values(scene)
     chosen: dict[str, RecoveredParameter] = {}
     for spec in specs:
         names = [name for name in known if fnmatchcase(name, spec.name)]
@@ -144,13 +145,13 @@ def choose_parameters(scene: nn.Module, specs: list[recipe.Parameter]) -> list[R
         for name in names:
             if name in chosen:
                 raise ValueError(f"parameter {name!r} is named twice, by {chosen[name].spec.name!r} and {spec.name!r}")
-            chosen[name] = _choose(scene, name, known[name], spec)
+            chosen[name] = _choose(scene, name, known[name], spec, held[name].domains)
     for parameter in chosen.values():
         _start(parameter)
     return list(chosen.values())
 
 
-def _choose(scene: nn.Module, name: str, held: Tensor, spec: recipe.Parameter) -> RecoveredParameter:
+def _choose(scene: nn.Module, name: str, held: Tensor, spec: recipe.Parameter, domains: list[Domain]) -> RecoveredParameter:
     path, _, attribute = name.rpartition(".")
     before = _initial(held, spec, name)
     if spec.truth is None or spec.truth == "scene":
@@ -169,6 +170,9 @@ def _choose(scene: nn.Module, name: str, held: Tensor, spec: recipe.Parameter) -
         raise ValueError(f'parameter {name!r}: parametrisation = "log" needs positive initial values')
     if spec.parametrisation == "rigid":
         _check_poses(name, before, truth)
+    for role, value in (("initial", before), ("truth", truth)):
+        for domain in domains if value is not None else ():
+            domain.check(f"parameter {name!r}: {role}", value)
     return RecoveredParameter(name, scene.get_submodule(path), attribute, spec, before, truth)
 
 

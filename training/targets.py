@@ -8,7 +8,10 @@ from torch import Tensor
 from torch_radbp.io.image import read_image
 from torch_radbp.plugin import Sensor, nearest
 from torch_radbp.scene import Scene
+from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.training import recipe
+
+MOST_NEGATIVE = 0.01  # share of the pixels; filters with negative lobes leave some beside bright ones
 
 
 class Targets(NamedTuple):
@@ -39,7 +42,7 @@ def read_targets(specs: list[recipe.Target], films: dict[str, tuple[int, int]]) 
         films: (height, width) of the film of every sensor of the scene, by sensor name, in the scene's order.
 
     Raises:
-        ValueError: unknown or repeated sensor, wrong size, NaN or infinity.
+        ValueError: unknown or repeated sensor, wrong size, NaN or infinity, negative radiance.
     """
     known = list(films)
     names = [_sensor_name(spec, known) for spec in specs]
@@ -75,4 +78,8 @@ def _read_target(spec: recipe.Target, sensor: str, film: tuple[int, int]) -> Ten
     bad = int((~image.isfinite()).sum())
     if bad:
         raise ValueError(f"target {spec.image} has {bad} values that are NaN or infinite; mend the image first")
+    dark = int((image @ image.new_tensor(LUMINANCE) < 0).sum())
+    if dark > MOST_NEGATIVE * height * width:
+        raise ValueError(f"target {spec.image} has {dark} of {height * width} pixels of negative luminance, but radiance is "
+                         f"at least 0; a target is a linear image, neither shifted nor normalised")
     return image.permute(2, 0, 1).contiguous()
