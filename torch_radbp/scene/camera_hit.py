@@ -1,4 +1,4 @@
-"""What a camera ray meets: the closest surface, but for what the camera is not to see."""
+"""The closest visible surface on a camera ray: without hidden emitters, and not beyond the far plane."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from torch_radbp.vec import Ray, dot, rows
 
 
 def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: PinholeTensors | None, hide_emitters: bool):
-    """The closest surface that is to be seen, a `raycast.Hit`.
+    """The closest visible surface, a `raycast.Hit`.
 
     Args:
         caster: a `RayCaster`.
         scene: detached.
         ray: (N,) camera rays.
-        clipping: the camera, if its far plane cuts the scene.
-        hide_emitters: whether emitters are not to be seen.
+        clipping: the camera, if its far plane cuts the scene; else None.
+        hide_emitters: True if the camera does not see emitters.
     """
     hit = caster.intersect(ray)
     if hide_emitters and scene.layout.area_lights:
@@ -30,7 +30,7 @@ def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: PinholeTensors |
 
 
 def behind_emitters(caster, scene: SceneTensors, ray: Ray, hit):
-    """The closest surface that is no emitter."""
+    """The closest surface that does not emit light."""
     while True:
         hidden = ((hit.prim >= 0) & (scene.triangles.emitter[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)
         if len(hidden) == 0:

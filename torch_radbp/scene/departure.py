@@ -1,13 +1,13 @@
-"""How a path leaves a vertex, and which derivatives go along.
+"""The ray by which a path leaves a vertex, and the derivatives that it carries.
 
-The next vertex either *slides* or is *glued*. It slides where the direction was not left to chance, or carries derivatives
-itself: then it lies wherever the attached ray meets the surface. Otherwise it is glued to the triangle that the ray met: it
-moves with the triangle, the direction follows both ends, and an integral over directions has become one over surfaces, whose
-element of solid angle
+The next vertex either *slides* or is *glued*. It slides if the direction is that of ideal specular scattering, or carries
+derivatives itself: then it lies where the attached ray meets the surface. Otherwise it is glued to the triangle that the ray
+met: it moves with the triangle, the direction follows both ends, and the integral over directions becomes one over surfaces,
+whose element of solid angle
 
     G = |n' . d| A' / |x' - x|^2
 
-moves too: the weight is multiplied by G over its own value. A direction in which there is nothing stays as it is.
+changes, too: the weight is multiplied by G over its own value. A direction in which the ray meets nothing is fixed.
 
 Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4; Worchel et al. 2025, arXiv 2504.05750.
 """
@@ -31,13 +31,13 @@ def departure(si: SurfaceInteraction, wo: Vec3) -> Ray:
 
 def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInteraction, sample: BSDFSample, following,
                        sampling: str, there: Corners | None = None) -> tuple[Vec3, Ray]:
-    """The weight of the sample and the ray that leaves with it, with the derivatives that `sampling` asks for.
+    """The weight of a sample and the ray that leaves in its direction, with the derivatives that `sampling` includes.
 
     Args:
         scene: attached; gives the geometry of the next vertex.
         material, si: of this vertex, attached.
         sample: the direction.
-        following: a `raycast.Hit`: what the ray meets.
+        following: the `raycast.Hit` of that ray.
         sampling: "detached", "hybrid" or "attached".
         there: the corners of the triangle that the ray meets; None: as the scene has them.
 
@@ -62,14 +62,14 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
 
 
 def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor) -> tuple[Vec3, Tensor]:
-    """From `o` to the point of a triangle that `d` met: the direction, and the change of its solid angle, of value 1.
+    """The direction from `o` to the point of a triangle that `d` met, and the change of its solid angle, of value 1.
 
     Args:
         there: the corners of the triangle, attached.
         o: attached.
         d: (N,) detached.
         hit: a `raycast.Hit`.
-        glued: (N,) bool: where there is a triangle; elsewhere the direction stays.
+        glued: (N,) bool: where there is a triangle; elsewhere the direction is fixed.
     """
     p0, e1, e2 = edges(*there)
     reach = p0 + e1 * hit.u + e2 * hit.v - o

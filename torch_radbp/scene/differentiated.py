@@ -1,4 +1,4 @@
-"""Whether a tensor is differentiated: backward (`requires_grad`), or forward (tangents of `torch.autograd.forward_ad`)."""
+"""Tests of whether a tensor is differentiated: backward (`requires_grad`), or forward (`torch.autograd.forward_ad`)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ def tangent_of(tensor: Tensor) -> Tensor | None:
 
 
 def differentiated(tensor: Tensor) -> bool:
-    """Whether something is to be differentiated with respect to `tensor`."""
+    """True if `tensor` requires a gradient or has a tangent."""
     return tensor.requires_grad or tangent_of(tensor) is not None
 
 
 def any_differentiated(record) -> bool:
-    """The same of any tensor of a record."""
+    """True if any tensor of a record requires a gradient or has a tangent."""
     return any(differentiated(leaf) for leaf in tree_flatten(record)[0] if isinstance(leaf, Tensor))

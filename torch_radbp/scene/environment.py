@@ -25,7 +25,7 @@ from torch_radbp.scene.tensors import EnvironmentMap, SceneTensors
 from torch_radbp.vec import TINY, Frame, Vec2, Vec3, cross, dot
 
 LEAST_WEIGHING = 1e-7  # per steradian; keeps quotients of densities finite
-NEAR_POLE = 1e-12  # squared distance from the axis below which the longitude is not defined
+NEAR_POLE = 1e-12  # squared distance from the axis below which the longitude is undefined
 
 
 def environment_radiance(scene: SceneTensors, d: Vec3) -> Vec3:
@@ -46,7 +46,7 @@ def environment_radiance(scene: SceneTensors, d: Vec3) -> Vec3:
 
 
 def environment_pdf(scene: SceneTensors, proposal: SceneTensors, d: Vec3) -> Tensor:
-    """Density over solid angle of `sample_environment`: the pose of `scene`, the probabilities of `proposal`; (N,)."""
+    """Density over solid angle of `sample_environment`, (N,): the pose is of `scene`, the probabilities of `proposal`."""
     local, jacobian = local_direction(scene.lights.environment, d)
     uv = latitude_longitude(local.detach())
     environment = proposal.lights.environment
@@ -58,10 +58,10 @@ def environment_pdf(scene: SceneTensors, proposal: SceneTensors, d: Vec3) -> Ten
 
 
 def environment_weighing(proposal: SceneTensors, d: Vec3) -> Tensor:
-    """A continuous stand-in for `environment_pdf` in weights of multiple importance sampling; (N,).
+    """A continuous substitute for `environment_pdf` in the weights of multiple importance sampling, (N,).
 
-    In proportion to the interpolated image, and next to nothing wherever directions are never picked. The pose carries no
-    derivative, `d` does.
+    It is proportional to the interpolated image, and almost zero wherever directions are never picked. It is attached to
+    `d`, but not to the pose.
     """
     environment = proposal.lights.environment
     local, jacobian = local_direction(environment, d)
@@ -112,7 +112,7 @@ def sample_environment(proposal: SceneTensors, u: Tensor, v: Tensor) -> tuple[Ve
 
 
 def local_direction(environment: EnvironmentMap, d: Vec3) -> tuple[Vec3, Tensor]:
-    """The unit directions in which the map is read, and the solid angle that they cover per solid angle of the world."""
+    """The unit directions in which the map is read, and their solid angle per solid angle in the world."""
     # One row serves all lanes: broadcast, not gathered.
     only = torch.zeros_like(environment.rows)
     to_local = Frame(*(lookup(row, only) for row in environment.to_local))

@@ -23,14 +23,14 @@ class Path(Integrator):
 
 @register("integrator", "prb")
 class PathReplay(Path):
-    """Mitsuba's differentiable integrator; the same defaults here (`adjoint=` chooses the method)."""
+    """Mitsuba's differentiable integrator; here the same as `path`, since `adjoint=` chooses the method."""
 
 
 def depths(max_depth: int, rr_depth: int) -> tuple[int, int]:
     """Both depths as integers.
 
     Raises:
-        ValueError: if one is no integer, or makes no sense.
+        ValueError: if one is not an integer, or out of range.
     """
     max_depth, rr_depth = integer("max_depth", max_depth), integer("rr_depth", rr_depth)
     if max_depth < -1:

@@ -1,4 +1,4 @@
-"""What is known about the point where a ray meets a surface."""
+"""The point where a ray meets a surface, with all that is known about it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     p0, e1, e2 = edges(*(at_corners(vertices.p, rows) if here is None else here))
     if slides is not None:
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
-    p = p0 + e1 * hit.u + e2 * hit.v  # not o + t d, which rounding takes off the surface, the farther the longer the ray
+    p = p0 + e1 * hit.u + e2 * hit.v  # not o + t d, which for a long ray lies off the surface by rounding
     if slides is not None:
         t = attached(t, dot(p - ray.o, ray.d))
         n = attached(n, unit_normal(e1, e2))
@@ -117,12 +117,12 @@ def clearance(corners: Corners) -> Tensor:
 
 
 def corner_rows(scene: SceneTensors, hit) -> tuple[Tensor, Tensor, Tensor]:
-    """(N,) int32: which vertices the triangles have that were hit."""
+    """The vertices of the triangles that were hit, (N,) int32 rows of the vertex table."""
     return tuple(lookup(corner, hit.prim.clamp_min(0)) for corner in scene.triangles.corners)
 
 
 def at_corners(table: Vec2 | Vec3, rows: tuple[Tensor, Tensor, Tensor]) -> tuple[Vec2 | Vec3, ...]:
-    """What the three vertices of triangles have."""
+    """The entries of a table at the three vertices of triangles."""
     return tuple(lookup(table, row) for row in rows)
 
 
@@ -132,13 +132,13 @@ def edges(p0: Vec3, p1: Vec3, p2: Vec3) -> tuple[Vec3, Vec3, Vec3]:
 
 
 def interpolated(corners: tuple[Vec2 | Vec3, ...], u: Tensor, v: Tensor) -> Vec2 | Vec3:
-    """What lies between three vertices, at the barycentric coordinates of the second and the third."""
+    """Interpolates between three vertices, by the barycentric coordinates of the second and the third."""
     first, second, third = corners
     return first * (1.0 - u - v) + second * u + third * v
 
 
 def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tensor):
-    """The hit with barycentric coordinates attached to ray and triangle where it slides."""
+    """The hit, with barycentric coordinates attached to ray and triangle where it slides."""
     volume, of_u, of_v = crossing(ray, p0, e1, e2)
     slides = slides & (volume.abs() > TINY)  # else it is seen edge-on
     volume = torch.where(slides, volume, 1.0)

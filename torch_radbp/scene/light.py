@@ -1,4 +1,4 @@
-"""Light that leaves surfaces and surround, and next-event estimation's choice of it."""
+"""Light emitted by surfaces and surround, and how next-event estimation samples it."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ SMALLEST_COSINE = 1e-9  # at a light's surface; keeps densities finite
 
 
 class LightSample(NamedTuple):
-    """A point on a light per lane, seen from a surface. Attached to the surface point and to the light, but for choices."""
+    """A point on a light per lane, as seen from a surface; attached to the surface point and to the light."""
 
-    d: Vec3  # unit direction towards it; of the surround a fixed one
+    d: Vec3  # unit direction towards it; fixed for the surround
     radiance: Vec3  # that it sends back (for a light without extent: intensity / distance^2, or irradiance)
     pdf: Tensor  # density over solid angle; probability for a light without extent; 0: cannot be used
-    weighing: Tensor  # what stands for it in weights of multiple importance sampling
-    findable: Tensor | float  # 1: BSDF sampling finds it too; 0: it cannot (a light without extent)
+    weighing: Tensor  # used instead of `pdf` in the weights of multiple importance sampling
+    findable: Tensor | float  # 1: BSDF sampling can find it too; 0: it cannot (a light without extent)
     target: Vec3  # the point, world space
     distant: Tensor | None  # bool: it is a direction rather than a point; None: it never is
 
@@ -43,7 +43,7 @@ class LightNumbers(NamedTuple):
 
 
 class Aim(NamedTuple):
-    """Where to look for light, by one kind of light."""
+    """The direction of a light sample, as one kind of light chooses it."""
 
     d: Vec3
     pdf: Tensor

@@ -1,4 +1,4 @@
-"""The emitters of a scene as tables: what next-event estimation picks from, poses, and the environment map."""
+"""The emitters of a scene as tables: the elements for next-event estimation, poses, and the environment map."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ KINDS = {"constant": CONSTANT, "envmap": ENVIRONMENT, "point": POINT, "spot": SP
          "directional": DIRECTIONAL}
 FLAGS = {CONSTANT: "constant_light", ENVIRONMENT: "environment_map", POINT: "point_lights", SPOT: "spots",
          PROJECTOR: "projectors", DIRECTIONAL: "directional_lights"}
-SMALLEST_SHARE = 1e-12  # of a lamp's area, in one triangle
+SMALLEST_SHARE = 1e-12  # of a lamp's area: smaller triangles are never picked
 
 
 class Lamp(NamedTuple):
@@ -61,11 +61,11 @@ def light_table(scene: Scene, triangles: TriangleTable, radiance: Tensor, counts
     """The elements that next-event estimation picks from.
 
     Args:
-        scene: its shapes and emitters.
+        scene: gives shapes and emitters.
         triangles: of all shapes, attached.
         radiance: (T,) int32, the texture that each triangle emits; -1: none.
-        counts: triangles of each shape.
-        lamps: the other emitters.
+        counts: the number of triangles of each shape.
+        lamps: the emitters that belong to no shape.
     """
     emitting = (radiance >= 0).nonzero().squeeze(1)
     corners = tuple(rows(triangles.vertices, corner[emitting]) for corner in triangles.corners)
@@ -76,10 +76,10 @@ def light_table(scene: Scene, triangles: TriangleTable, radiance: Tensor, counts
     weights = [area.new_zeros(0)]
     for (shape, _), own in zip(shapes, area.detach().split([count for _, count in shapes])):
         share = own / own.sum()
-        # What is never picked is left out: the derivative of 1 / area might overflow.
+        # Tiny triangles are never picked: the derivative of 1 / area might overflow.
         weights.append(torch.where(share > SMALLEST_SHARE, share, 0.0) * shape.emitter.sampling_weight)
     pmf = torch.cat(weights) / (total or 1.0)
-    # A triangle without area is never picked, and must not make others infinite.
+    # A degenerate triangle is never picked, and must not make gradients infinite.
     picked = pmf > 0
     surfaces = EmittingTriangles(
         corners, n=attached(rows(triangles.n, emitting), unit_normal(e1, e2)), smooth=rows(triangles.smooth, emitting),
@@ -124,8 +124,9 @@ def environment_map(emitter: Envmap, like: Tensor) -> EnvironmentMap:
     """The tables of an environment map: its pose, and the distribution of the cells between its texels.
 
     A cell is picked in proportion to its solid angle and to the mean luminance of its corners, which is that of the
-    interpolated image; inside of a cell, directions are uniform over solid angle. A black cell is never picked, nor does it
-    send light; derivatives of its texels come from BSDF sampling. A map that is black altogether is picked uniformly.
+    interpolated image; inside a cell, directions are uniform over solid angle. A black cell is never picked, since it sends
+    no light; the derivatives of its texels come from BSDF sampling. Of a map that is black everywhere, all cells are picked
+    uniformly over solid angle.
 
     Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section 12.5.
     """

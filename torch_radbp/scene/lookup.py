@@ -1,8 +1,8 @@
-"""Reading tables by lane, so that a local derivative knows what was read and where.
+"""Reads of tables by lane that record, for local derivatives, what was read and where.
 
-The derivative of a gather is a scatter-add. Inside the local vector-Jacobian product of a bounce no table is ever
-scattered into: a tapped table hands out what it gathered as leaves and remembers the indices; the sweep adds the leaves'
-adjoints to one gradient buffer afterwards, with `index_add_`. Plain autograd (the oracle) reads plain tensors.
+The derivative of a gather is a scatter-add. The local vector-Jacobian product of a bounce never scatters into a table: a
+tapped table returns what it gathers as leaves and remembers the indices, and the sweep adds the adjoints of the leaves to
+one gradient buffer afterwards, with `index_add_`. Plain autograd (the oracle) reads plain tensors.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ class Read(NamedTuple):
 
     index: Tensor  # (N,) int32
     leaf: Tensor  # (N,) the entries
-    found: Tensor | None  # (N,) a part of their adjoint that is known before
+    found: Tensor | None  # (N,) a part of their adjoint that is already known
 
 
 class Tap:
-    """A table whose entries are wanted as leaves: `reads` lists what was gathered, in order."""
+    """A table that returns its entries as leaves; `reads` lists what was gathered, in order."""
 
     def __init__(self, table: Tensor):
         self.table = table
         self.reads: list[Read] = []
 
     def read(self, index: Tensor, known: Tensor | None = None, found: Tensor | None = None) -> Tensor:
-        """The entries at `index`, which need not be gathered if they are `known`; `found`: see `Read`."""
+        """The entries at `index`, which are not gathered again if they are `known`; `found`: see `Read`."""
         leaf = (gather(self.table, index) if known is None else known).detach().requires_grad_()
         self.reads.append(Read(index, leaf, found))
         return leaf

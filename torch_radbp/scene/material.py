@@ -1,4 +1,4 @@
-"""What light does at a surface point: the BSDF there, whichever kind each lane meets."""
+"""Scattering at a surface point: the BSDF there, whichever kind of material each lane meets."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from torch_radbp.scene.lookup import lookup, sample_texture
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, where
 
-LEAST_DENSITY = 1e-15  # of a direction that can be drawn; in float32, the square of its reciprocal is a number
-HARMLESS = 0.5  # a value that every kind of material can take, for lanes of other kinds
+LEAST_DENSITY = 1e-15  # of a direction that can be drawn; the square of its reciprocal is finite in float32
+HARMLESS = 0.5  # for lanes of other kinds: a value at which every kind of material is finite
 
 
 class Material(NamedTuple):
-    """The material of each lane, with its textures read."""
+    """The material of each lane, with the values of its textures."""
 
     kinds: tuple[Kind, ...]  # all that the scene has
     kind: Tensor | None  # (N,) int32, which of them; None if there is one
-    values: Values  # (N,) each; what the functions of a kind take, and unused ones after them
+    values: Values  # (N,) each: the values that the functions of a kind take, then unused ones
 
     def of(self, number: int) -> Values:
-        """The values as kind `number` takes them; harmless where a lane is of another kind."""
+        """The values for kind `number`; harmless ones where a lane is of another kind."""
         values = self.values[:self.kinds[number].slots]
         if self.kind is None:
             return values
@@ -34,7 +34,7 @@ class Material(NamedTuple):
 
     @property
     def discrete(self) -> bool:
-        """Whether `sample` has to choose between reflection and transmission."""
+        """True if `sample` has to choose between reflection and transmission."""
         return any(kind.discrete for kind in self.kinds)
 
     def detach(self) -> Material:
@@ -42,11 +42,11 @@ class Material(NamedTuple):
 
 
 class BSDFSample(NamedTuple):
-    """A direction in which the path goes on."""
+    """A direction in which the path continues."""
 
     wo: Vec3  # unit, local; attached if the lane is `followed`
     weight: Vec3  # bsdf * |cos| / pdf; attached to the material, the density only if the lane is `followed`
-    pdf: Tensor  # density over solid angle; infinite for ideal specular scattering, which is not left to chance; 0: none
+    pdf: Tensor  # density over solid angle; infinite for ideal specular scattering; 0: the path ends
 
 
 def material_at(scene: SceneTensors, si: SurfaceInteraction) -> Material:
@@ -67,7 +67,7 @@ def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
 
 
 def followed(kind: Kind, sampling: str) -> bool:
-    """Whether derivatives follow the directions that `sample` draws for this kind of material."""
+    """True if the directions that `sample` draws for this kind of material carry derivatives."""
     return sampling == "attached" or (sampling == "hybrid" and kind.delta)
 
 
@@ -102,7 +102,7 @@ def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Ten
 
 
 def chosen(kind: Tensor | None, parts: list):
-    """Of what each kind gives, that of each lane's own."""
+    """The result of each lane's own kind, from the results of all kinds."""
     result = parts[0]
     for number, part in enumerate(parts[1:], start=1):
         mine = kind == number

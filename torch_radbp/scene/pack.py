@@ -23,9 +23,9 @@ from torch_radbp.texture.bitmap import WRAP_MODES
 from torch_radbp.texture.rgb import RGB
 from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
 
-BLOCK = 1 << 15  # triangles whose normals are computed together
-FEW = 1 << 10  # triangles that mostly tell whether all vertex normals are those of the faces
-FLAT = 1e-5  # the largest difference of a vertex normal from that of its face
+BLOCK = 1 << 15  # number of triangles that are processed at a time
+FEW = 1 << 10  # number of triangles examined before all of a surface are
+FLAT = 1e-5  # largest difference between a vertex normal and that of its face on a flat surface
 
 
 class BankBuilder:
@@ -111,7 +111,7 @@ def pack(scene: Scene) -> SceneTensors:
 
 
 def without_flat_normals(surface: Triangles) -> Triangles:
-    """The surface without vertex normals if they are those of its faces and nothing can change that."""
+    """The surface without vertex normals if they equal those of its faces, and no derivative can tell them apart."""
     if surface.normals is None or differentiated(surface.normals) or differentiated(surface.vertices):
         return surface
     some = surface.faces[::max(1, len(surface.faces) // FEW)]
@@ -120,7 +120,7 @@ def without_flat_normals(surface: Triangles) -> Triangles:
 
 
 def flat_normals(surface: Triangles, faces: Tensor) -> bool:
-    """Whether the vertex normals of some faces of a surface, (F, 3), are the normals of these faces."""
+    """True if the vertex normals of some faces of a surface, (F, 3), equal the normals of these faces."""
     normals, _ = normals_and_clearances(Vec3.of(surface.vertices), faces.unbind(1))
     return bool((surface.normals[faces] - normals.stack()[:, None]).abs().max() < FLAT)
 
@@ -156,7 +156,7 @@ def concatenated_faces(surfaces: list[Triangles], device: torch.device) -> Tenso
 
 def vertex_table(surfaces: list[Triangles], normals: bool, uv: bool, dtype: torch.dtype,
                  device: torch.device) -> VertexTable:
-    """The vertices of all surfaces; normals and coordinates if they are asked for, zero where a surface has none."""
+    """The vertices of all surfaces; if wanted with normals and uv, which are zero where a surface has none."""
     none = torch.zeros(0, 3, dtype=dtype, device=device)
 
     def column(parts: list[Tensor | None], width: int) -> Tensor:
@@ -194,7 +194,7 @@ def normals_and_clearances(vertices: Vec3, corners: Sequence[Tensor]) -> tuple[V
         corners: three times (T,) integer rows of `vertices`.
     """
     columns = []
-    # Block by block, so that what is computed on the way stays in the processor's cache.
+    # By blocks, so that intermediate results stay in the processor's cache.
     for block in zip(*(corner.split(BLOCK) for corner in corners)):
         positions = at_corners(vertices, block)
         _, e1, e2 = edges(*positions)
@@ -204,7 +204,7 @@ def normals_and_clearances(vertices: Vec3, corners: Sequence[Tensor]) -> tuple[V
 
 
 def growth_of_u(e1: Vec3, e2: Vec3, uv0: Vec2, uv1: Vec2, uv2: Vec2) -> Vec3:
-    """The unit direction in a triangle in which u grows and v stays; 0 where they do not tell. Attached.
+    """The unit direction in a triangle along which u grows and v is constant; 0 where it is undefined. Attached.
 
     Args:
         e1, e2: (T,) edges from the first vertex.

@@ -1,9 +1,9 @@
-"""What the parameters of a scene are now, by name, and whether every one of them is in its domain.
+"""The current parameters of a scene by name, and the check that each is in its domain.
 
-Parameters change between renderings, by an optimiser, by `torch.func.functional_call`, `torch.nn.utils.parametrize` or
-`.data`. So they are looked at once a call: shapes first, then the extremes of all of them, in one pass over each and one
+Parameters change between renderings: by an optimiser, `torch.func.functional_call`, `torch.nn.utils.parametrize` or
+`.data`. So they are checked once per call: first the shapes, then the extremes of all of them, in one pass over each and one
 transfer from the device. Writing through `.data` leaves no trace on a tensor, so that nothing can be remembered from the
-call before; the pass takes a small part of the time in which the scene is packed.
+previous call; the pass takes a small part of the time in which the scene is packed.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from torch_radbp.plugin import LARGEST_COORDINATE, Domain, Plugin, Texture
 from torch_radbp.scene.scene import Scene
 
 DTYPES = (torch.float32, torch.float64)
-LEEWAY = 0.02  # as far as finite differences, those of `check_gradient` among them, lead out of the range of a value
+LEEWAY = 0.02  # how far a value may leave its range, as finite differences do, such as those of `check_gradient`
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
 OUTSIDE = "; keep it inside, with .clamp_() after each step or with a parametrisation"
 
 
 class Held(NamedTuple):
-    """The value of a parameter or of a table, as the renderer sees it, and all domains that it has to be in."""
+    """The value of a parameter or of a table, as the renderer sees it, and all domains in which it must be."""
 
     value: Tensor
     domains: list[Domain]
@@ -32,8 +32,8 @@ class Held(NamedTuple):
 def held_values(scene: Scene) -> dict[str, Held]:
     """By name, everything in a scene that has a domain, and every other parameter.
 
-    What a parametrisation makes is found under the name of the parameter that it stands for. The values of a texture have
-    to be in the domains of the attributes that it is used for; a texture that names no parameters of its own is evaluated.
+    The result of a parametrisation has the name of the parameter that it replaces. The values of a texture must be in the
+    domains of all attributes for which it is used; a texture without parameters of its own is evaluated.
     """
     names = {id(module): name for name, module in scene.named_modules() if isinstance(module, Plugin)}
     plugins = [(names[id(module)], module) for module in scene.modules() if isinstance(module, Plugin)]
@@ -63,7 +63,7 @@ def check_parameters(scene: Scene) -> None:
     """Checks the current parameters of a scene.
 
     Raises:
-        ValueError: naming the first that has a wrong shape, is not finite, is out of range, or is a pose that is none.
+        ValueError: naming the first that has a wrong shape, is not finite, is out of range, or is not a valid pose.
         TypeError: if dtypes or devices are mixed, or the dtype is not supported.
     """
     with torch.no_grad():

@@ -11,21 +11,21 @@ from torch_radbp.scene.lookup import lookup
 from torch_radbp.scene.tensors import DIRECTIONAL, PROJECTOR, SPOT, SceneTensors
 from torch_radbp.vec import Frame, Vec2, Vec3, dot, where
 
-NEAREST = 1e-9  # a light that is nearer counts as being at this distance; 1 / NEAREST^4 is finite in float32
-FLATTEST = 1e-4  # cosine with a light's axis below which its image is not looked up
+NEAREST = 1e-9  # the least distance that counts; 1 / NEAREST^4 is finite in float32
+FLATTEST = 1e-4  # cosine with a light's axis below which its image is not read
 
 
 class Illumination(NamedTuple):
-    """What reaches a point from a posed light; attached to the point and to the pose."""
+    """The light that reaches a point from a posed light; attached to the point and to the pose."""
 
     d: Vec3  # unit direction towards it
     place: Vec3  # its position, if it has one
     strength: Tensor  # factor of its texture: 1 / distance^2, and fall-off over directions
-    uv: Vec2 | None  # where to read its texture; None if no light of the scene shines differently into different directions
+    uv: Vec2 | None  # where to read its texture; None if the intensity of no light of the scene depends on the direction
 
 
 def illumination(scene: SceneTensors, p: Vec3, row: Tensor, kind: Tensor) -> Illumination:
-    """What reaches the points `p` from the lights in rows `row` of the table, of kind `kind`; (N,)."""
+    """The light that reaches the points `p` from the lights in rows `row` of the table, of kind `kind`; (N,)."""
     posed, layout = scene.lights.posed, scene.layout
     place = lookup(posed.place, row)
     reach = place - p
@@ -41,7 +41,7 @@ def illumination(scene: SceneTensors, p: Vec3, row: Tensor, kind: Tensor) -> Ill
 
 
 def directional_profile(scene: SceneTensors, d: Vec3, row: Tensor, kind: Tensor) -> tuple[Tensor, Vec2]:
-    """How intensity varies over the directions `d` in which light leaves: a factor, and texture coordinates.
+    """The variation of intensity over the directions `d` in which light leaves: a factor, and texture coordinates.
 
     A projector's intensity is that of a flat, evenly lit screen: 1 / cos^3 of the angle with its axis, where the image is. A
     spot's falls off linearly with that angle. Other lights have factor 1.

@@ -19,12 +19,12 @@ class Scene(nn.Module):
     All parameters have `requires_grad=False` until the user picks, but for an `nn.Parameter` that `load_dict` was given.
 
     Args:
-        children: name to plugin: shapes, bsdfs, textures, emitters, sensors. Materials and textures that several shapes
-            use are registered once.
+        children: plugins by name: shapes, bsdfs, textures, emitters, sensors. Materials and textures that several shapes
+            share are registered once.
         integrator: defaults for the renderer.
 
     Raises:
-        SceneError: if a name cannot be used, or nothing emits light, or no sensor looks at the scene.
+        SceneError: if a name cannot be used, or the scene has no emitter or no sensor.
     """
 
     def __init__(self, children: dict[str, Plugin], integrator: Integrator | None = None):
@@ -56,7 +56,7 @@ class Scene(nn.Module):
         self._modules[name] = child
 
     def _name_once(self, parent: Plugin, named: set[int]) -> None:
-        """Leaves a child that several parents use registered where it was named first, and only there."""
+        """Keeps a child that several parents share registered only where it was named first."""
         for name, child in list(parent._modules.items()):
             if not isinstance(child, Plugin):
                 continue

@@ -1,4 +1,4 @@
-"""`SceneTensors`: the scene as one record of flat tensors, all that the tracer reads."""
+"""`SceneTensors`: the scene as one record of flat tensors, which is all that the tracer reads."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from torch_radbp.sampling.grid import GridDistribution
 from torch_radbp.scene.lookup import TextureBank
 from torch_radbp.vec import Frame, Vec2, Vec3
 
-# Kinds of light; those from POINT on have a pose and no extent.
+# Kinds of light; POINT and those after it have a pose and no extent.
 AREA, CONSTANT, ENVIRONMENT, POINT, SPOT, PROJECTOR, DIRECTIONAL = range(7)
 
 
 class Layout(NamedTuple):
-    """What a scene contains: static, so that nothing is computed for what is not there."""
+    """The features of a scene: static, so that absent ones cost nothing."""
 
-    bending: bool  # parameters that require grad steer ideal specular scattering
-    shading_normals: bool  # that differ from the triangles' own
+    bending: bool  # parameters with derivatives steer ideal specular scattering
+    shading_normals: bool  # some differ from the triangles' own normals
     light_normals: bool  # the same, on area lights
     back_sides: bool  # some materials are different, or turned, from behind
     kinds: tuple[Kind, ...]  # of materials
-    anisotropic: bool  # some of them are, so that the frame follows the surface's coordinates
+    anisotropic: bool  # some materials are, so that the shading frame follows the surface's coordinates
     reflectance_bitmaps: bool
     radiance_bitmaps: bool
     area_lights: bool
@@ -38,17 +38,17 @@ class Layout(NamedTuple):
 
     @property
     def posed_lights(self) -> bool:
-        """Whether there are lights without extent."""
+        """True if there are lights without extent."""
         return self.point_lights or self.spots or self.projectors or self.directional_lights
 
     @property
     def only_surfaces_emit(self) -> bool:
-        """Whether all lights are area lights."""
+        """True if all lights are area lights."""
         return not (self.posed_lights or self.distant_lights)
 
     @property
     def distant_lights(self) -> bool:
-        """Whether there are lights that are directions rather than points."""
+        """True if there are lights at infinity: directions rather than points."""
         return self.constant_light or self.environment_map or self.directional_lights
 
 
@@ -56,7 +56,7 @@ class VertexTable(NamedTuple):
     """The V vertices of some surfaces; attached."""
 
     p: Vec3  # (V,) each; position, world space
-    n: Vec3 | None  # unit shading normal, of no meaning where all faces are flat; None if no surface has any
+    n: Vec3 | None  # unit shading normal, unused for surfaces with flat faces; None if no surface has any
     uv: Vec2 | None  # surface coordinates, None if no texture reads them
 
 
