@@ -19,11 +19,11 @@ from torch_radbp.scene import Scene
 @entry
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: Sequence[int] | None = None,
         **settings) -> Tensor:
-    """How the image changes when parameters move: its derivative along `tangents`, by forward mode.
+    """The derivative of the image along `tangents`, a direction in the space of parameters; by forward mode.
 
-    One derivative of every pixel for about the price of two renderings, where the backward pass gives one derivative with
-    respect to every parameter. With the same seed it is the transpose of the backward pass: for any image w,
-    <w, jvp(tangents)> is the sum over parameters of <tangent, gradient of <w, image>>.
+    It gives the derivative of every pixel along one direction, for about the cost of two renderings; the backward pass gives
+    the derivative of one number with respect to every parameter. With the same seed they are transposes of each other: for
+    any image w, <w, jvp(tangents)> is the sum over parameters of <tangent, gradient of <w, image>>.
 
     `torch.func.jvp` and dual tensors of `torch.autograd.forward_ad` work through `torch.func.functional_call(renderer, ...)`
     too, with the same result; the other transforms of `torch.func` raise.
@@ -33,7 +33,7 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
         tangents: by the names of `scene.get_parameter`; each of its parameter's shape, any floating dtype.
         seed: of the random numbers, as in `Renderer`.
         sensors: indices of the sensors to render; None: all.
-        **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` and `compile` change nothing here.
+        **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` and `compile` have no effect here.
 
     Returns:
         (B, 3, H, W), detached, linear RGB per unit of `tangents`.
@@ -57,7 +57,7 @@ class DualImage(NamedTuple):
 
 
 def checked_tangents(scene: Scene, tangents: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The tangents in the dtype and on the device of their parameters; errors as `jvp` says."""
+    """The tangents in the dtype and on the device of their parameters; raises as `jvp` says."""
     if not isinstance(tangents, Mapping):
         raise TypeError(f"tangents must map names of parameters to tensors, got {type(tangents).__name__}; "
                         f"for instance {{\"white.reflectance.value\": torch.ones(3)}}")

@@ -1,4 +1,4 @@
-"""What every plugin shares: its registry, its schema, and the errors of a scene description.
+"""The base of all plugins: their registry, their schemas, and the errors of a scene description.
 
 A plugin is an `nn.Module` registered under a category and a Mitsuba type name. The keyword-only signature of its
 constructor is its schema: the loader, `radbp info` and the writer read attribute names, annotations and defaults from there.
@@ -29,7 +29,7 @@ class PluginTypes(MutableMapping):
         self.registered: dict[str, type[Plugin]] = {}
 
     def all(self) -> dict[str, type[Plugin]]:
-        """What is registered, after the import of all plugins."""
+        """All registered classes by name; imports the package's plugins first."""
         for package in PACKAGES:
             importlib.import_module(f"torch_radbp.{package}")
         return self.registered
@@ -72,8 +72,8 @@ class Filename(str):
     """Annotation of a path to a file, relative to the scene description."""
 
 
-FLATTEST = 1e-6  # share of the volume of a box with edges of the same lengths; rounding of float32 makes 1e-7 of nothing
-SMALLEST_VOLUME = 1e-30  # that the axes of a pose span; areas of smaller objects underflow in float32
+FLATTEST = 1e-6  # least volume of a pose's axes, relative to a box with the same edges; rounding of float32 alone makes 1e-7
+SMALLEST_VOLUME = 1e-30  # least volume of a pose's axes; areas of smaller objects underflow in float32
 
 
 class Domain(NamedTuple):
@@ -89,7 +89,7 @@ class Domain(NamedTuple):
     is_pose: bool = False  # an affine transform that can be inverted
 
     def check(self, name: str, value: Tensor) -> None:
-        """Raises ValueError unless `value` is in the domain; a value that is not finite is in none."""
+        """Raises ValueError unless `value` is in the domain; NaN and infinity are in none."""
         self.check_shape(name, value)
         value = value.detach()
         self.check_range(name, value, *value.aminmax())
@@ -97,7 +97,7 @@ class Domain(NamedTuple):
             self.check_pose(name, value)
 
     def check_shape(self, name: str, value: Tensor) -> None:
-        """Raises ValueError unless the shape is one of those possible."""
+        """Raises ValueError unless the shape is one of `shapes`."""
         if self.shapes is None or any(fits(tuple(value.shape), shape) for shape in self.shapes):
             return
         possible = " or ".join(f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" for shape in self.shapes)
@@ -105,10 +105,10 @@ class Domain(NamedTuple):
 
     def check_range(self, name: str, value: Tensor, least: float, greatest: float, leeway: float = 0.0,
                     advice: str = "") -> None:
-        """Raises ValueError unless the extremes of `value`, NaN if it has one, are in the range.
+        """Raises ValueError unless the extremes of `value`, NaN if it contains one, are in the range.
 
-        `leeway`: how far they may be outside, as a share of the greatest value that there is or may be; ends that are not
-        in the range have none.
+        `leeway`: how far they may lie outside, as a share of the greatest magnitude present or allowed; an open end of the
+        range has none.
         """
         if not (math.isfinite(least) and math.isfinite(greatest)):
             bad = value.numel() - int(torch.isfinite(value).sum())
@@ -127,14 +127,14 @@ class Domain(NamedTuple):
             raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {matrix[3].tolist()}")
         linear = matrix[:3, :3]
         volume = torch.linalg.det(linear).abs()
-        # What is thin along its own axes or along the world's is no fault; what is thin in every frame is.
+        # A pose may be thin along its own axes or along the world's, but not in every frame.
         box = min(linear.norm(dim=0).prod(), linear.norm(dim=1).prod())
         if volume < max(SMALLEST_VOLUME, FLATTEST * box):
             raise ValueError(f"{name} must be invertible, got a matrix with determinant {float(volume):g}")
 
     @property
     def words(self) -> str:
-        """The range, after "must be"."""
+        """The range in words that follow "must be"."""
         if self.high == math.inf:
             return f"{'at least' if self.low_is_in else 'greater than'} {self.low:g}{self.unit}"
         if self.low_is_in and self.high_is_in:
@@ -146,14 +146,14 @@ class Domain(NamedTuple):
 
 
 def fits(shape: tuple[int, ...], pattern: tuple[int | str, ...]) -> bool:
-    """Whether a shape is one of those that a pattern of lengths and letters stands for."""
+    """True if a shape matches a pattern of lengths and letters."""
     return len(shape) == len(pattern) and all(length == wanted if isinstance(wanted, int) else length > 0
                                               for length, wanted in zip(shape, pattern))
 
 
 LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
 NUMBER = Domain(shapes=((),))
-AMOUNT = Domain(low=0.0)  # of light, of roughness
+AMOUNT = Domain(low=0.0)  # such as of light or of roughness
 FRACTION = Domain(low=0.0, high=1.0)
 POSE = Domain(shapes=((4, 4),), is_pose=True)
 
@@ -186,7 +186,7 @@ class Plugin(nn.Module):
         self.shared[name] = self._modules.pop(name)
 
     def domains(self) -> dict[str, Domain]:
-        """The domains of the parameters and tables that it holds, and of the values of its textures, by attribute."""
+        """The domains of the plugin's parameters and tables, and of the values of its textures, by attribute."""
         return {}
 
     def freeze(self, name: str, value: Tensor) -> None:
@@ -239,7 +239,7 @@ class Sampler(Plugin):
     """
 
     category = "sampler"
-    low_discrepancy: bool  # whether the samples of a pixel keep out of each other's way
+    low_discrepancy: bool  # the samples of a pixel form a low-discrepancy sequence
 
     def __init__(self, *, sample_count: int = 4, seed: int = 0):
         super().__init__()
@@ -315,7 +315,7 @@ def no_gradient(name: str) -> ValueError:
 
 
 def integer(name: str, value: Any, least: int | None = None) -> int:
-    """`value` as an int; numpy's integers and tensors of one integer are integers too, truth values are not.
+    """`value` as an int: numpy's integers and tensors of one integer are accepted, truth values are not.
 
     Raises:
         ValueError: if it is of another type, or less than `least`.
@@ -333,7 +333,7 @@ def boolean(name: str, value: Any) -> bool:
     """`value` as a bool.
 
     Raises:
-        ValueError: if it is anything else than a truth value; 0 and 1 are numbers.
+        ValueError: if it is anything but a truth value; 0 and 1 are numbers.
     """
     if not isinstance(value, (bool, np.bool_)):
         raise ValueError(f"{name} must be True or False, got {value!r}")

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 SMALLEST_TANGENT = 1e-8  # squared
-TINY = 1e-24  # keeps a division finite where the quotient does not count; so is the derivative of rsqrt here, in float32
+TINY = 1e-24  # keeps a division finite where the quotient is not used; the derivative of rsqrt here is finite in float32
 
 
 class Vec2(NamedTuple):
@@ -80,13 +80,13 @@ class Vec3(NamedTuple):
 
     @staticmethod
     def full(like: Tensor, value: float) -> Vec3:
-        """The same constant in every component of every lane; the components share one tensor: do not write into it."""
+        """The same constant in every component of every lane. The components share one tensor, so do not write into it."""
         component = torch.full_like(like, value)
         return Vec3(component, component, component)
 
     @staticmethod
     def buffer(like: Tensor) -> Vec3:
-        """Zeros to be written into."""
+        """Zeros to write into: each component is a tensor of its own."""
         return Vec3(torch.zeros_like(like), torch.zeros_like(like), torch.zeros_like(like))
 
 
@@ -125,7 +125,7 @@ def rows(record, index: Tensor):
 
 
 def attached(value: Tensor | Vec3, source: Tensor | Vec3) -> Tensor | Vec3:
-    """`value` with the derivative of `source`, which is the same number but for rounding."""
+    """`value` with the derivative of `source`, a tensor of the same value but for rounding."""
     if isinstance(value, Vec3):
         return Vec3(*(attached(v, s) for v, s in zip(value, source)))
     return value.detach() + (source - source.detach())
@@ -136,12 +136,12 @@ def max_component(a: Vec3) -> Tensor:
 
 
 def unit_normal(e1: Vec3, e2: Vec3) -> Vec3:
-    """The unit normal of triangles with these edges; the squares of small ones are no numbers that float32 can hold."""
+    """The unit normal of triangles with these edges, however small: the squares of small edges underflow in float32."""
     return normalize(cross(scaled(e1), scaled(e2)))
 
 
 def scaled(a: Vec3) -> Vec3:
-    """`a` with a largest component of one, by a factor without derivative; a vector of length zero stays zero."""
+    """`a` divided by its largest component, which is taken as a constant; a vector of length zero stays zero."""
     size = max_component(a.detach().map(torch.abs))
     return a * torch.where(size > 0, size, 1.0).reciprocal()
 
@@ -154,7 +154,7 @@ class Ray(NamedTuple):
 
 
 def crossing(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3) -> tuple[Tensor, Tensor, Tensor]:
-    """Where a line crosses the plane of a triangle, as volumes: attached to everything.
+    """The volumes that tell where a line crosses the plane of a triangle; attached to all arguments.
 
     Args:
         ray: gives the line.
@@ -162,8 +162,8 @@ def crossing(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3) -> tuple[Tensor, Tensor, Te
         e1, e2: the edges from there to the second and the third.
 
     Returns:
-        The triple product d, e1, e2, 0 if the plane is seen edge-on; and two more, whose ratios to it are the barycentric
-        coordinates of the second and of the third vertex.
+        The triple product of d, e1 and e2, which is 0 if the plane is seen edge-on; and two volumes whose ratios to it are
+        the barycentric coordinates of the second and of the third vertex.
 
     Reference: Moeller and Trumbore 1997, "Fast, Minimum Storage Ray/Triangle Intersection".
     """
@@ -199,7 +199,7 @@ class Frame(NamedTuple):
 
     @staticmethod
     def along(n: Vec3, direction: Vec3) -> Frame:
-        """A basis around the unit vector `n` whose s is as near to `direction` as can be; `Frame.of` where none is."""
+        """A basis around the unit vector `n`, its s as close to `direction` as possible; `Frame.of` if they are parallel."""
         across = direction - n * dot(n, direction)
         squared = dot(across, across)
         fine = squared > SMALLEST_TANGENT
@@ -208,7 +208,7 @@ class Frame(NamedTuple):
 
 
 class LocalVec3:
-    """A vector in a shading frame, whose components are computed when they are first read: a diffuse surface reads z only.
+    """A vector in a shading frame whose components are computed when they are first read: a diffuse surface only reads z.
 
     Has the operators of `Vec3`.
     """
@@ -252,8 +252,8 @@ class ShadingFrame:
 
     Args:
         n: the normal.
-        along: direction of the first tangent, before it is made orthogonal to the normal; where it is zero or along the
-            normal, and if it is None, the tangents are those of `Frame.of`.
+        along: direction of the first tangent, before it is made orthogonal to the normal. Where it is zero or parallel to
+            the normal, or if it is None, the tangents are those of `Frame.of`.
     """
 
     def __init__(self, n: Vec3, along: Vec3 | None = None):

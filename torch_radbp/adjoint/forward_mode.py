@@ -1,11 +1,11 @@
 """Forward mode: images with their tangents, by dual numbers through the loop over bounces.
 
-Nothing is derived a second time: where leaves of `SceneTensors` are dual tensors (`torch.autograd.forward_ad`), torch
-carries the tangents through `path.trace` as it runs. Nothing is kept, so that memory stays bounded by the chunk, but for
-three numbers and their tangents a path, as in the forward pass.
+There is no second implementation: where leaves of `SceneTensors` are dual tensors (`torch.autograd.forward_ad`), torch
+carries the tangents through `path.trace` as it runs. No states are kept, so that the chunk bounds the memory, as in the
+forward pass.
 
-`torch.func.jvp` makes dual tensors too, but as long as it is active wraps everything, down to the constants of a ray
-caster, in tensors without storage. `outside_transforms` unwraps the parameters first and wraps only the image again.
+`torch.func.jvp` makes dual tensors, too, but while it is active it wraps everything, down to the constants of a ray caster,
+in tensors without storage. `outside_transforms` unwraps the parameters first and wraps only the image again.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from torch_radbp.scene.differentiated import tangent_of
 
 
 def has_tangents(record) -> bool:
-    """Whether a tensor of a record is a dual tensor."""
+    """True if any tensor of a record is a dual tensor."""
     return any(tangent_of(leaf) is not None for leaf in tree_flatten(record)[0] if isinstance(leaf, Tensor))
 
 
 def render_tangents(call: RenderCall) -> Tensor:
-    """(B, 3, H, W) dual images of a scene with dual leaves; eager, on all workers.
+    """The dual images of a scene with dual leaves, (B, 3, H, W); computed eagerly, by all workers.
 
     Raises:
-        RuntimeError: if a leaf requires grad as well, whose derivative would be missing.
+        RuntimeError: if a leaf also requires a gradient, which would be missing.
     """
     leaves = tree_flatten((call.scene, [view.camera for view in call.views]))[0]
     if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves if isinstance(leaf, Tensor)):
@@ -52,7 +52,7 @@ def render_tangents(call: RenderCall) -> Tensor:
 
 
 def inside_transforms() -> bool:
-    """Whether a transform of `torch.func` is active."""
+    """True while a transform of `torch.func` is active."""
     return bool(get_interpreter_stack())
 
 

@@ -14,13 +14,13 @@ from torch_radbp.vec import attached
 class Mesh(Surface):
     """Triangles with their vertices as parameters.
 
-    Parameters: `vertex_positions` (V, 3); `vertex_normals` (V, 3) if there are any; `vertex_texcoords` (V, 2) if there are
-    any; `to_world` (4, 4). As in Mitsuba, positions and normals are those in world space under the `to_world` with which the
-    mesh was loaded; where `to_world` becomes another pose, they move along. `faces` (F, 3) int64 is a buffer.
+    Parameters: `vertex_positions` (V, 3); `vertex_normals` (V, 3) and `vertex_texcoords` (V, 2) if the mesh has any;
+    `to_world` (4, 4). As in Mitsuba, positions and normals are in world space, under the `to_world` with which the mesh was
+    loaded; if `to_world` changes, they move along. `faces` (F, 3) int64 is a buffer.
 
     Args:
-        recompute_normals: shade smooth, with normals that are no parameter but follow from the positions at every rendering
-            (`angle_weighted_normals`), with their derivatives. Mitsuba does so whenever positions are changed.
+        recompute_normals: shade smoothly, with normals that are not a parameter but are computed from the positions at every
+            rendering (`angle_weighted_normals`), with derivatives. Mitsuba does so whenever positions change.
     """
 
     def hold(self, positions: Tensor, faces: Tensor, normals: Tensor | None, texcoords: Tensor | None,
@@ -87,14 +87,14 @@ class Mesh(Surface):
         return Triangles(positions, self.faces, normals, self.vertex_texcoords if self.has_texcoords else None)
 
     def motion(self) -> Tensor:
-        """(4, 4) from where the mesh was loaded to where it is; exactly 1 while it is there."""
+        """The (4, 4) transform from the pose at loading to the current one; exactly the identity while they are equal."""
         motion = (self.to_world.double() @ torch.linalg.inv(self.loaded_to_world.double())).to(self.to_world.dtype)
         moved = not torch.equal(self.to_world.detach(), self.loaded_to_world)
         return motion if moved else attached(torch.eye(4, dtype=motion.dtype, device=motion.device), motion)
 
 
 def has_area(positions: Tensor, faces: Tensor) -> bool:
-    """Whether any triangle has an area; looks no further than the first block with one that has."""
+    """True if any triangle has an area; stops at the first block that contains one."""
     blocks = (positions[block].unbind(1) for block in faces.split(BLOCK))
     return any(bool(torch.linalg.cross(second - first, third - first).any()) for first, second, third in blocks)
 

@@ -7,15 +7,15 @@ from torch import Tensor
 
 from torch_radbp.vec import TINY, Vec3, cross, dot, gather, max_component, where
 
-BLOCK = 1 << 15  # triangles whose normals are computed together
+BLOCK = 1 << 15  # number of triangles that are processed at a time
 
 
 def angle_weighted_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Face normals averaged with the corner's angle as weight, as Mitsuba does; differentiable.
+    """Vertex normals: the face normals weighted by the angle of the corner, as in Mitsuba; differentiable.
 
     Args:
         vertices: (V, 3).
-        faces: (F, 3) int64. Triangles without area do not count.
+        faces: (F, 3) int64. Degenerate triangles have no weight.
 
     Returns:
         (V, 3) unit normals; (1, 0, 0) at a vertex without a triangle.
@@ -24,7 +24,7 @@ def angle_weighted_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     """
     positions = Vec3.of(vertices)
     total = Vec3.full(positions.x, 0.0)
-    # Block by block, so that what is computed on the way stays in the processor's cache.
+    # By blocks, so that intermediate results stay in the processor's cache.
     for block in faces.split(BLOCK):
         corners, parts = block.T.flatten(), weighted_normals(positions, block)
         total = Vec3(*(component.index_add(0, corners, part) for component, part in zip(total, parts)))
@@ -35,7 +35,7 @@ def angle_weighted_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def weighted_normals(positions: Vec3, faces: Tensor) -> Vec3:
-    """The unit normal of each triangle times its angle at each corner: (3 F,), first corners first; 0 without area."""
+    """The unit normal of each triangle times the angle at each corner, (3 F,), all first corners first; 0 if degenerate."""
     first, second, third = (positions.map(lambda x, row=row: gather(x, row)) for row in faces.unbind(1))
     edges = second - first, third - second, first - third
     size = torch.stack([max_component(edge.detach().map(torch.abs)) for edge in edges]).amax(0)

@@ -1,4 +1,4 @@
-"""What every shape shares: placement, material, emission, and its triangles."""
+"""The base of all shapes: placement, material, emission and triangles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Triangles(NamedTuple):
 
 
 def affine(name: str, matrix: Tensor | None) -> Tensor:
-    """A (4, 4) transform from an attribute, identity for None.
+    """The (4, 4) transform that an attribute gives; the identity for None.
 
     Raises:
         ValueError: if it has another shape, is not finite, not affine, or cannot be inverted.
@@ -53,10 +53,10 @@ def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
 
 
 class Surface(Shape):
-    """A shape with a material and possibly an area emitter; without a material it is grey, or black if it emits light.
+    """A shape with a material, and perhaps an area emitter; without a material it is grey, or black if it emits light.
 
-    A mirroring transform turns the faces inside out; Mitsuba keeps the normal of the untransformed surface there, and so
-    do the analytic shapes here.
+    A mirroring transform turns faces inside out. Mitsuba keeps the normal of the untransformed surface then, and so do the
+    analytic shapes here.
     """
 
     faces: Tensor  # (F, 3) int64, a buffer: `triangles()` has as many, in the same order
@@ -74,7 +74,7 @@ class Surface(Shape):
         raise TypeError(f"{type(self).__name__} does not define its triangles")
 
     def oriented(self) -> Triangles:
-        """`triangles()`, turned inside out if `flip_normals` asks for it."""
+        """`triangles()`, turned inside out if `flip_normals` is set."""
         surface = self.triangles()
         if not self.flip_normals:
             return surface
