@@ -74,6 +74,8 @@ def optimize(
             )
             summary, report = run(recipe, overrides, folder_path, resume, console, interrupts)
     console.print(recovered_table(summary))
+    verdict = summary["verdict"]
+    console.print(f"[bold]{verdict['word']}[/]: {verdict['explanation']}", soft_wrap=True, highlight=False)
     console.print("report:", str(report), style="bold", soft_wrap=True)
     if summary["status"] == "interrupted":
         console.print(f"stopped at step {summary['step']}; to continue: --resume --out {folder_path}", soft_wrap=True)

@@ -1,5 +1,6 @@
 """What a run shows at its beginning and its end: images, recovered values, summary."""
 
+import math
 import platform
 import resource
 import statistics
@@ -10,11 +11,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torch_radbp.io.image import read_image
 from torch_radbp.training.false_colour import absolute_error, error_scale, false_colour
 from torch_radbp.training.optimize import Recovery, step_seed
 from torch_radbp.training.parameters import RecoveredParameter
 from torch_radbp.training.passes import Estimate, render_in_passes
 from torch_radbp.training.run_folder import RunFolder
+from torch_radbp.training.verdict import ImageErrors, judge_losses
 
 # Samples of a pass, and the noise below which more of them are not seen: 2.5 of the 255 levels of a screen.
 PASS_SPP, INVISIBLE = 32, 0.01
@@ -32,7 +35,7 @@ def render_for_report(recovery: Recovery, ended: Callable[[], bool]) -> Estimate
         recovery.renderer, recovery.targets.sensors, recipe.report.spp,
         seed=step_seed(recipe.render.seed, -1, 0),  # those of step -1: samples that no step of the optimisation has used
         passes=min(recipe.report.spp, max(2, -(-recipe.report.spp // PASS_SPP))),
-        go_on=lambda estimate: not ended() and (estimate.noise is None or estimate.noise > INVISIBLE),
+        go_on=lambda estimate: not ended() and (estimate.noise is None or estimate.visible_noise > INVISIBLE),
     )  # fmt: skip
 
 
@@ -72,6 +75,7 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
         "step": recovery.step,
         "steps": recovery.recipe.steps,
         "skipped": recovery.skipped,
+        "verdict": _verdict(recovery, folder, images),
         "images": images,
         "image_spp": after.spp,
         "image_noise": after.noise,
@@ -91,13 +95,26 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
     return summary
 
 
+def _verdict(recovery: Recovery, folder: RunFolder, images: list[dict[str, Any]]) -> dict[str, Any]:
+    unbiased = all(spec.name == "two_buffer_l2" for spec in recovery.recipe.loss)
+    before, after = (math.sqrt(statistics.fmean(each[key] ** 2 for each in images)) for key in ("rmse_before", "rmse"))
+    return judge_losses([row["loss"] for row in folder.metrics.rows()], unbiased, ImageErrors(before, after))._asdict()
+
+
 def _save_after(recovery: Recovery, folder: RunFolder, index: int, after: Tensor) -> dict[str, Any]:
     name, target = recovery.targets.names[index], recovery.targets.images[index]
     error = absolute_error(after, target)
     scale = error_scale(error)
     folder.save_image(name, "after", after)
     folder.save_image(name, "error", error, png=false_colour(error, scale))
-    return {"sensor": name, "mean_error": error.mean().item(), "error_scale": scale}
+    before = read_image(folder.image_path(name, "before", ".exr")).permute(2, 0, 1).to(target)
+    return {
+        "sensor": name,
+        "mean_error": error.mean().item(),
+        "rmse_before": (before - target).square().mean().sqrt().item(),
+        "rmse": error.square().mean().sqrt().item(),
+        "error_scale": scale,
+    }
 
 
 def _parameter_summary(parameter: RecoveredParameter) -> dict[str, Any]:

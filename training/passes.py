@@ -18,12 +18,14 @@ class Estimate(NamedTuple):
     Attributes:
         image: (B, 3, H, W) linear RGB, detached.
         spp: samples per pixel so far.
-        noise: RMS standard error of a pixel as a screen shows it, in [0, 1] sRGB; None after a single pass.
+        noise: RMS standard error of a pixel; None after a single pass.
+        visible_noise: the same as a screen shows it, in [0, 1] sRGB.
     """
 
     image: Tensor
     spp: int
-    noise: float | None
+    noise: float | None = None
+    visible_noise: float | None = None
 
 
 def render_in_passes(
@@ -46,15 +48,21 @@ def render_in_passes(
             image = renderer(seed=seed + number * NEXT_SEED, sensors=sensors, spp=samples)
             halves[number % 2] = halves[number % 2] + image * samples
             counts[number % 2] += samples
-            total = sum(counts)
-            noise = None if number == 0 else display_noise(*(half / count for half, count in zip(halves, counts)))
-            estimate = Estimate((halves[0] + halves[1]) / total, total, noise)
+            estimate = Estimate((halves[0] + halves[1]) / sum(counts), sum(counts))
+            if number > 0:
+                one, other = (half / count for half, count in zip(halves, counts))
+                noise, visible_noise = standard_error(one, other), standard_error(shown(one), shown(other))
+                estimate = estimate._replace(noise=noise, visible_noise=visible_noise)
             if number + 1 < passes and not go_on(estimate):
                 break
     return estimate
 
 
-def display_noise(one: Tensor, other: Tensor) -> float:
-    """Computes the RMS standard error, in [0, 1] sRGB, of the mean of two independent renderings of equal quality."""
-    encoded = [linear_to_srgb(image.clamp(0, 1)) for image in (one, other)]
-    return (encoded[0] - encoded[1]).square().mean().sqrt().item() / 2
+def standard_error(one: Tensor, other: Tensor) -> float:
+    """Computes the RMS standard error of the mean of two independent estimates of equal quality."""
+    return (one - other).square().mean().sqrt().item() / 2
+
+
+def shown(image: Tensor) -> Tensor:
+    """Returns a linear image as a screen shows it, sRGB in [0, 1]."""
+    return linear_to_srgb(image.clamp(0, 1))

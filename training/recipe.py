@@ -264,7 +264,7 @@ AnySchedule = Annotated[Constant | Cosine | Step | Exponential, Field(discrimina
 
 
 class Report(Table):
-    spp: Count = 64  # samples per pixel of the before and after images
+    spp: Count = 1024  # of the before and after images at most: they end where no noise is seen
     checkpoint_every: Count = 50
 
 

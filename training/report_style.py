@@ -15,7 +15,17 @@ dl { display: flex; flex-wrap: wrap; gap: 14px 40px; margin: 0; }
 dt { color: var(--soft); font-size: 12.5px; overflow-wrap: anywhere; }
 dd { margin: 0; font-size: 19px; font-weight: 600; font-variant-numeric: tabular-nums; }
 small { color: var(--soft); font-size: 12px; font-weight: 400; }
-.pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(230px, 1fr)); gap: 16px; }
+.pictures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 24px; }
+.stack { display: grid; }
+.stack img { grid-area: 1 / 1; }
+.stack img:nth-child(2) { clip-path: inset(0 calc(100% - var(--at) * 1%) 0 0); }
+.stack img:nth-child(3) { clip-path: inset(0 calc(200% - var(--at) * 1%) 0 0); }
+.compare input { width: 100%; margin: 10px 0 0; accent-color: var(--accent); }
+.ends { display: flex; justify-content: space-between; font-size: 13px; font-weight: 600; font-variant-numeric: tabular-nums; }
+.bar { height: 12px; margin: 12px 0 3px; border-radius: 3px; }
+.note { margin: 14px 0 0; color: var(--soft); font-size: 13.5px; max-width: 92ch; }
+summary { cursor: pointer; font-size: 17px; font-weight: 700; }
+details pre { margin-top: 14px; }
 .pictures.textures { grid-template-columns: repeat(3, minmax(0, 260px)); }
 figure { margin: 0; }
 img { display: block; width: 100%; border-radius: 5px; background: #000; image-rendering: pixelated; }
@@ -39,5 +49,6 @@ svg .goal { fill: none; stroke-width: 1.3; stroke-dasharray: 5 4; opacity: 0.75;
 .legend i { display: inline-block; width: 16px; height: 3px; border-radius: 2px; margin-right: 7px; vertical-align: 3px; }
 .legend i.dashed { height: 0; border-top: 2px dashed #98a0ae; border-radius: 0; }
 pre { margin: 0; padding: 14px 16px; background: var(--wash); border-radius: 6px; font: 12.5px/1.55 ui-monospace, "DejaVu Sans Mono", Menlo, Consolas, monospace; white-space: pre-wrap; overflow-wrap: anywhere; }
-@media (max-width: 560px) { .charts { grid-template-columns: 1fr; } main { padding: 16px 10px 40px; } .pictures.textures { grid-template-columns: 1fr; } }
+@media (max-width: 700px) { .charts, .pictures, .pictures.textures { grid-template-columns: 1fr; } main { padding: 16px 10px 40px; } }
+@media print { .stack { gap: 8px; } .stack img { grid-area: auto; clip-path: none !important; } .compare input { display: none; } }
 """

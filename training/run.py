@@ -63,7 +63,7 @@ def run(
                 folder.forget_from(state["step"])
         try:
             # Now, while the parameters have their initial values; an earlier run may have been stopped before it got here.
-            if not all(folder.image_path(name, "before").exists() for name in recovery.targets.names):
+            if not all(folder.image_path(name, "before", ".exr").exists() for name in recovery.targets.names):
                 save_before(recovery, folder)
         except KeyboardInterrupt:
             console.print(f"stopped before the first step; to continue: --resume --out {folder_path}", soft_wrap=True)

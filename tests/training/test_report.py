@@ -1,6 +1,7 @@
 """report.html and the other files of a run."""
 
 import base64
+import io
 import re
 from html.parser import HTMLParser
 
@@ -11,8 +12,13 @@ from rich.console import Console
 
 from torch_radbp.io.image import read_image
 from torch_radbp.training.chart import Line, line_chart
+from torch_radbp.training.curve_colours import curve_colours
 from torch_radbp.training.false_colour import error_scale, false_colour
-from torch_radbp.training.report import duration, running_mean
+from torch_radbp.training.optimize import Recovery
+from torch_radbp.training.passes import render_in_passes
+from torch_radbp.training.progress import TimedProgress, duration
+from torch_radbp.training.recipe_file import read_recipe
+from torch_radbp.training.report_curves import running_mean
 from torch_radbp.training.run import run
 
 
@@ -26,7 +32,7 @@ def run_folder(folder):
 class Page(HTMLParser):
     """Collects references, pictures and text, and checks that elements are closed in order."""
 
-    VOID = {"meta", "img", "br", "link"}
+    VOID = {"meta", "img", "br", "link", "input"}
 
     def __init__(self, text):
         super().__init__()
@@ -143,3 +149,77 @@ def test_running_mean_of_a_short_and_a_long_series():
 @pytest.mark.parametrize(("seconds", "text"), [(4.26, "4.3 s"), (362, "6 min 02 s"), (7500, "2 h 05 min")])
 def test_duration(seconds, text):
     assert duration(seconds) == text
+
+
+def summary_of(**colours):
+    return [{"name": name, "recovered": list(value), "truth": list(value)} for name, value in colours.items()]
+
+
+def test_a_curve_has_the_colour_of_its_material():
+    cornell = summary_of(white=(0.886, 0.699, 0.666), green=(0.105, 0.378, 0.076), red=(0.570, 0.043, 0.044))
+    colours = curve_colours([*cornell, {"name": "alpha", "recovered": [0.2]}, {"name": "picture"}])
+    levels = {name: [int(colour[at:at + 2], 16) for at in (1, 3, 5)] for name, colour in colours.items()}
+    assert levels["green"][1] == max(levels["green"]) > 1.5 * levels["green"][0]
+    assert levels["red"][0] == max(levels["red"]) > 1.5 * levels["red"][1]
+    assert max(levels["white"]) - min(levels["white"]) < 40, "grey"
+    assert len(set(colours.values())) == 5
+    assert list(colours) == ["white", "green", "red", "alpha", "picture"]
+
+
+def test_two_materials_of_one_colour_have_lines_that_can_be_told_apart():
+    colours = curve_colours(summary_of(a=(0.5, 0.05, 0.05), b=(0.52, 0.05, 0.04), c=(0.6, 0.6, 0.6), d=(0.2, 0.2, 0.2)))
+    assert len(set(colours.values())) == 4
+
+
+def test_the_report_compares_with_a_slider_and_folds_the_recipe(run_folder):
+    text = (run_folder / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.tags.count("input") == 1 and "clip-path" in text and "--at" in text
+    assert "<details><summary>Recipe</summary>" in text and "<details open" not in text
+    assert text.count("linear-gradient(to right,rgb(0,0,0)") == 1, "the colour bar of the error"
+    assert "crosses zero" in text and "is noise of the rendering" in text
+
+
+def test_the_sentence_on_zero_is_only_there_for_the_loss_that_crosses_it(folder, edit_recipe):
+    run(edit_recipe('"two_buffer_l2"', '"l1"'), ["steps=2"], folder / "run", False, Console(quiet=True))
+    assert "crosses zero" not in (folder / "run" / "report.html").read_text(encoding="utf-8")
+
+
+def test_report_images_end_where_no_noise_is_seen(folder):
+    spp = {}
+    for name, value in {"few": 1e-9, "many": 1e9}.items():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("torch_radbp.training.outcome.INVISIBLE", value)
+            overrides = ["steps=1", "report.spp=200"]
+            summary, _ = run(folder / "recipe.toml", overrides, folder / name, False, Console(quiet=True))
+        spp[name] = summary["image_spp"]
+        assert summary["image_noise"] > 0
+    assert spp == {"few": 200, "many": 58}  # 7 passes, and the first two of them
+
+
+def test_the_noise_of_an_image_is_that_of_its_repetitions(folder):
+    renderer = Recovery(read_recipe(folder / "recipe.toml")).renderer
+    estimates = [render_in_passes(renderer, [0], 64, seed, 8, lambda _: True) for seed in range(0, 900, 30)]
+    images = torch.stack([estimate.image for estimate in estimates])
+    measured = images.std(0).square().mean().sqrt().item()
+    said = sum(estimate.noise ** 2 for estimate in estimates) ** 0.5 / len(estimates) ** 0.5
+    assert said == pytest.approx(measured, rel=0.15)
+
+
+def test_progress_without_a_terminal_is_a_line_by_time():
+    now, text = 0.0, io.StringIO()
+    with TimedProgress(Console(file=text, width=200), "step", 100, done=10, clock=lambda: now) as progress:
+        for step in range(11, 101):
+            now += 2.0
+            progress.update(step, note="loss 0.1")
+    lines = text.getvalue().splitlines()
+    assert lines[0] == "step 15/100  loss 0.1  10.0 s elapsed, 2 min 50 s left"
+    assert 8 <= len(lines) <= 20
+    assert lines[-1].endswith("s left") and "100/100" in lines[-1]
+
+
+def test_progress_of_a_short_job_prints_nothing():
+    text = io.StringIO()
+    with TimedProgress(Console(file=text), "step", None) as progress:
+        progress.update(5, 5)
+    assert text.getvalue() == ""

@@ -130,7 +130,10 @@ def test_a_signal_before_the_first_image_says_how_to_continue(signalled, folder)
     assert stderr.strip() == "terminated" and state_of(folder) == 0
 
 
-@pytest.mark.parametrize("place", ["outcome, 'render_in_passes', 2", "outcome, '_parameter_summary'", "report, '_curves'"])
+PLACES = ["outcome, 'render_in_passes', 2", "outcome, '_parameter_summary'", "report, 'curves_section'"]
+
+
+@pytest.mark.parametrize("place", PLACES)
 def test_signals_during_the_final_report_leave_a_report(place, signalled, folder):
     code, stdout, stderr = signalled(f"reached({place})", signal.SIGINT, signal.SIGINT)
     assert code == 130 and not stderr
@@ -139,8 +142,8 @@ def test_signals_during_the_final_report_leave_a_report(place, signalled, folder
 
 
 def test_a_signal_shortens_the_images_of_the_report(signalled, folder):
-    # Nine looks at the noise of the image before the first step, nine at that after the last: this is the third of those.
-    place = "outcome.INVISIBLE = 0; reached(passes, 'display_noise', 12)"
+    # Nine looks, each at two images, at the noise before the first step, nine at that after the last: in the third of those.
+    place = "outcome.INVISIBLE = 0; reached(passes, 'shown', 23)"
     code, *_ = signalled(place, signal.SIGTERM, arguments=["-D", "report.spp=320"])
     assert code == 143
     summary = json.loads((folder / "run" / "summary.json").read_text())
