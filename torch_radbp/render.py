@@ -75,6 +75,10 @@ class Renderer(nn.Module):
     glass). The samplings that are not attached miss a jump of GGX rough glass; a `JumpWarning` says so. No warning tells of
     edges that move in reflections, or before light from all around, out of view.
 
+    Several threads may render with one renderer. Each call takes the parameters as it finds them, and its image keeps the
+    geometry that it shows: what moves later changes neither it nor its derivatives. `torch.autocast` and torch's default
+    dtype and device change nothing, and inside of `torch.compile` a rendering is an opaque call.
+
     Raises:
         ValueError: for settings that make no sense.
     """

@@ -110,16 +110,21 @@ def test_a_caster_lives_as_long_as_the_graph_that_needs_it():
     assert first() is None
 
 
-def test_casters_of_the_past_are_freed():
+@pytest.mark.parametrize("differentiated", [False, True])
+def test_casters_of_the_past_are_freed(differentiated):
+    """Even while their images live on, whose backward pass casts no rays."""
     scene = cornell()
+    if differentiated:
+        parameters(scene, NAMES)
     renderer = rb.Renderer(scene, **SETTINGS)
-    casters = []
+    casters, images = [], []
     for _ in range(4):
-        renderer()
+        images.append(renderer())
         casters.append(weakref.ref(renderer.last_caster))
         move(scene, 0.01)
     gc.collect()
     assert [caster() is None for caster in casters] == [True, True, True, False]
+    assert all(image.requires_grad == differentiated for image in images)
 
 
 @pytest.fixture

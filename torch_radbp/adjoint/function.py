@@ -58,8 +58,8 @@ class RenderCall(NamedTuple):
     """All that one rendering needs beside the scene's leaves."""
 
     scene: SceneTensors
-    caster: RayCaster  # of its triangles
-    make_integrand: Callable[[SceneTensors], Integrand]
+    caster: RayCaster | None  # of its triangles; as the next one, None where the integrand is made
+    make_integrand: Callable[[SceneTensors], Integrand] | None
     adjoint_of_bounce: Callable
     sample_camera: Callable
     adjoint: object  # the strategy
@@ -205,10 +205,14 @@ class RenderFunction(torch.autograd.Function):
     def forward(ctx, call: RenderCall, *leaves: Tensor) -> Tensor:
         ctx.camera_leaves = [[leaf.requires_grad for leaf in tree_flatten(view.camera)[0]] for view in call.views]
         ctx.scene_leaves = [isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0]]
-        ctx.call = call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
-        ctx.integrand = call.make_integrand(call.scene)
+        scene, views = detached(call.scene), [detached(view) for view in call.views]
+        integrand = call.make_integrand(scene)
+        ctx.call = call = call._replace(scene=scene, views=views, caster=None, make_integrand=None)
         record = any(ctx.needs_input_grad) and not call.retrace
-        images, records = render_images(call, ctx.integrand, record)
+        images, records = render_images(call, integrand, record)
+        # An image that lives on keeps the hierarchy of triangles alive only if its backward pass casts rays.
+        casts_again = call.retrace or not call.adjoint.keep_hits
+        ctx.integrand = integrand if casts_again else integrand._replace(caster=None)
         # Saved as tensors, so that autograd frees them after the backward pass and refuses a second one.
         ctx.recorded, ctx.structure = tree_flatten(records)
         saved = [position for position, item in enumerate(ctx.recorded) if isinstance(item, Tensor)]
