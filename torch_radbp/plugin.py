@@ -13,6 +13,7 @@ import math
 import operator
 import typing
 from collections.abc import Iterator, MutableMapping
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -263,8 +264,9 @@ def register(category: str, name: str):
     return add
 
 
+@cache
 def attributes(cls: type[Plugin]) -> dict[str, Attribute]:
-    """The schema of a plugin class: attribute name to annotation, default and whether it is required."""
+    """The schema of a plugin class: attribute name to annotation, default and whether it is required; not to be changed."""
     hints = typing.get_type_hints(cls.__init__)
     schema = {}
     for name, parameter in inspect.signature(cls.__init__).parameters.items():

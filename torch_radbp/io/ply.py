@@ -1,7 +1,8 @@
 """Reads and writes Stanford PLY files: ascii and binary of both byte orders; strictly.
 
-An own reader, since trimesh's is lenient: files cut short load with the vertices that are there, and lists of corners of
-different lengths are read in a Python loop. As in Mitsuba, a file longer than its header says is an error.
+An own reader, since trimesh's is lenient (files cut short load with the vertices that are there) and takes 0.8 s and 303 MB
+for a million triangles where this one takes 0.12 s and 113 MB (`python -m benchmarks.mesh_files`). As in Mitsuba, a file
+longer than its header says is an error.
 
 Reference: Greg Turk 1994, "The PLY Polygon File Format".
 """
