@@ -10,14 +10,14 @@ from torch import Tensor
 
 from torch_radbp.vec import Frame, Vec3
 
-TERMS = 11  # of the series below: the first one left out is 1e-22 of the sum at an angle of 1
+TERMS = 11  # of the series below: the first omitted term is 1e-22 of the sum at an angle of 1
 
 
 def se3(rotation_vector: Tensor, translation: Tensor) -> Tensor:
     """The rigid motion that first rotates about the origin, then translates: p -> R p + translation.
 
-    The translation is not turned by the rotation, as it would be in the exponential of a twist. All derivatives are
-    finite and right everywhere, at a rotation of zero and of pi too.
+    Unlike in the exponential of a twist, the rotation does not turn the translation. All derivatives are finite and correct
+    everywhere, also at rotations of zero and of pi.
 
         start = scene.get_parameter("box.to_world").detach()
         pose = torch.zeros(2, 3, requires_grad=True)
@@ -31,8 +31,8 @@ def se3(rotation_vector: Tensor, translation: Tensor) -> Tensor:
         (..., 4, 4) matrices for column vectors, attached to both.
 
     Raises:
-        TypeError: if an argument is no tensor of floating point numbers, or the dtypes differ.
-        ValueError: if a last axis is not of length 3, or the leading axes cannot be broadcast.
+        TypeError: if an argument is not a tensor of floating point numbers, or the dtypes differ.
+        ValueError: if the length of a last axis is not 3, or the leading axes cannot be broadcast.
 
     Reference: Rodrigues' formula; Murray, Li and Sastry 1994, "A Mathematical Introduction to Robotic Manipulation",
     equation 2.14.
@@ -123,8 +123,8 @@ def _unit(vector: Tensor) -> Tensor:
 def sine_and_cosine_terms(square: Tensor) -> tuple[Tensor, Tensor]:
     """sin(a) / a and (1 - cos(a)) / a^2 as functions of `square` = a^2, smooth at zero.
 
-    Both are entire functions of a^2: below 1 their series are used, above the quotients. Each side is fed a harmless
-    number where the other counts, since the derivative of an infinite quotient would be NaN even if it is not chosen.
+    Both are entire functions of a^2. Below 1 their series are used, above 1 the quotients. Where one form is not used it
+    gets a harmless argument, since the derivative of an infinite quotient would be NaN even if it is not selected.
     """
     small = square < 1
     near, far = torch.where(small, square, 0.0), torch.where(small, 1.0, square)

@@ -16,7 +16,7 @@ from torch_radbp.scene.posed_light import NEAREST, illumination
 from torch_radbp.scene.tensors import CONSTANT, DIRECTIONAL, ENVIRONMENT, POINT, SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, masked, where
 
-SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends before the light that it aims at
+SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends just before its light
 FAR = 1e10  # the distance of the surround
 SMALLEST_COSINE = 1e-9  # at a light's surface; keeps densities finite
 

@@ -65,7 +65,7 @@ class TriangleTable(NamedTuple):
 
     vertices: VertexTable
     corners: tuple[Tensor, Tensor, Tensor]  # (T,) int32 each, rows of `vertices`
-    n: Vec3  # unit geometric normal, detached: its derivative is that of `unit_normal` of the edges
+    n: Vec3  # unit geometric normal, detached: where it needs a derivative, `unit_normal` of the edges gives it
     smooth: Tensor | None  # (T,) bool: shaded with the normals of its vertices; None: so are all, or none
     clearance: Tensor  # (T,) distance off the triangle at which rays leave it, detached
     along: Vec3 | None  # unit direction in which u grows, 0 where it is not defined; None if no material is anisotropic
@@ -85,11 +85,11 @@ class EmittingTriangles(NamedTuple):
 
 
 class MaterialTable(NamedTuple):
-    """Two rows for each of M materials: first all as seen from the side of the normal, then all from behind."""
+    """Two rows for each of M materials: first all seen from the side of the normal, then all seen from behind."""
 
     kind: Tensor  # (2 M,) int32, of `Layout.kinds`
     slots: tuple[Tensor, ...]  # (2 M,) int32 each: the textures that the functions of the kind take
-    turned: Tensor  # (2 M,) bool: the frame is turned to the viewer
+    turned: Tensor  # (2 M,) bool: the shading frame is turned towards the viewer
 
 
 class PosedLights(NamedTuple):
@@ -98,7 +98,7 @@ class PosedLights(NamedTuple):
     place: Vec3  # (P,) position; of a directional light the unit direction towards it
     to_local: Frame  # (P,) rows of the matrix from world directions to the light's, which shines along its +z
     cutoff: Tensor  # (P,) angle where a spot ends, radians
-    sharpness: Tensor  # (P,) of a spot, 1 / width of the fall-off before that, 1 / radians
+    sharpness: Tensor  # (P,) 1 / width of the fall-off of a spot before the cutoff, 1 / radians
     to_uv: Vec2  # (P,) factors from x / z and y / z to texture coordinates, around the middle
 
 
@@ -110,13 +110,13 @@ class EnvironmentMap(NamedTuple):
     rows: Tensor  # (1,) int32, R
     columns: Tensor  # (1,) int32, C
     pick: GridDistribution  # of the cells
-    density: Tensor  # (cells,) over the solid angle of local directions, with which they are picked
-    weighing: Tensor  # (R C,) density at the texels themselves, for weights; 0 by a cell without
+    density: Tensor  # (cells,) over the solid angle of local directions, with which a cell is sampled
+    weighing: Tensor  # (R C,) density at the texels themselves, for weights; 0 beside a cell that is never picked
     edges: Tensor  # (R,) sin^2(theta / 2) of the rows of texels, from pole to pole
 
 
 class LightTable(NamedTuple):
-    """What next-event estimation picks from: E elements (triangles of area lights, the surround, lights with a pose)."""
+    """The E elements for next-event estimation: triangles of area lights, the surround, lights with a pose."""
 
     choice: AliasTable
     kind: Tensor  # (E,) int32: AREA, CONSTANT, ...
@@ -131,7 +131,7 @@ class LightTable(NamedTuple):
 
 
 class SceneTensors(NamedTuple):
-    """Everything the tracer reads. Attached to the parameters that made it."""
+    """Everything that the tracer reads; attached to the parameters of the scene."""
 
     triangles: TriangleTable
     materials: MaterialTable
