@@ -33,6 +33,7 @@ from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import any_differentiated
 from torch_radbp.scene.integrator import depths
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import beyond_far_plane
 from torch_radbp.stages import EAGER, compiled
@@ -94,27 +95,43 @@ class Renderer(nn.Module):
             raise ValueError("the scene has no shape to render: add a rectangle, cube, sphere, disk, obj, ply or mesh")
         self.scene = scene
         defaults = scene.integrator
-        self.chosen_spp = None if spp is None else integer("spp", spp, 1)
-        self.max_depth, self.rr_depth = depths(defaults.max_depth if max_depth is None else max_depth,
-                                               defaults.rr_depth if rr_depth is None else rr_depth)
-        self.hide_emitters = boolean("hide_emitters", defaults.hide_emitters if hide_emitters is None else hide_emitters)
-        self.nee, self.compile_stages = boolean("nee", nee), boolean("compile", compile)
-        self.chunk = None if chunk is None else integer("chunk", chunk, 1)
+        self.chosen_spp, self.chunk, self.memory_budget = spp, chunk, memory_budget
+        self.max_depth = defaults.max_depth if max_depth is None else max_depth
+        self.rr_depth = defaults.rr_depth if rr_depth is None else rr_depth
+        self.hide_emitters = defaults.hide_emitters if hide_emitters is None else hide_emitters
+        self.sampling, self.nee, self.compile_stages, self.caster_name = sampling, nee, compile, caster
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
-        self.memory_budget = None if memory_budget is None else parse_budget(memory_budget)
-        self.sampling, self.caster_name = sampling, caster
-        if not isinstance(self.adjoint, STRATEGIES):
-            raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {adjoint!r}")
-        if sampling not in SAMPLINGS:
-            raise ValueError(f"sampling={sampling!r} is not known; {nearest(str(sampling), SAMPLINGS)}")
         self.last_caster: RayCaster | None = None
         self.jump_watch = JumpWatch()
+        self.check_settings()
+
+    def check_settings(self) -> None:
+        """Checks the settings as they are now: they may have been assigned since.
+
+        Raises:
+            ValueError: for a value that makes no sense.
+            TypeError: for an adjoint that is none.
+        """
+        self.chosen_spp = None if self.chosen_spp is None else integer("spp", self.chosen_spp, 1)
+        self.max_depth, self.rr_depth = depths(self.max_depth, self.rr_depth)
+        self.hide_emitters = boolean("hide_emitters", self.hide_emitters)
+        self.nee, self.compile_stages = boolean("nee", self.nee), boolean("compile", self.compile_stages)
+        self.chunk = None if self.chunk is None else integer("chunk", self.chunk, 1)
+        self.memory_budget = None if self.memory_budget is None else parse_budget(self.memory_budget)
+        if not isinstance(self.adjoint, STRATEGIES):
+            raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {self.adjoint!r}")
+        if self.sampling not in SAMPLINGS:
+            raise ValueError(f"sampling={self.sampling!r} is not known; {nearest(str(self.sampling), SAMPLINGS)}")
 
     @property
     def spp(self) -> int:
         """Samples per pixel of a call that renders all sensors and does not say how many."""
         return self.samples(self.scene.sensors, None)
+
+    @spp.setter
+    def spp(self, value: int | None) -> None:
+        self.chosen_spp = value
 
     def samples(self, sensors: Sequence[Sensor], spp: int | None) -> int:
         """Samples per pixel of a call: `spp`, or the renderer's own, or what the samplers of the sensors say.
@@ -172,10 +189,12 @@ class Renderer(nn.Module):
 
     def prepare(self, seed: int, sensors: SensorChoice, spp: int | None, seed_grad: int | None) -> RenderCall:
         """The scene packed, rays ready to be cast, chunks planned."""
+        self.check_settings()
+        check_names(self)
         available, indices = self.scene.sensors, sensor_indices(self.scene, sensors)
         spp = self.samples([available[index] for index in indices], spp)
-        seed = integer("seed", seed)
-        seeds = (seed, seed if seed_grad is None else integer("seed_grad", seed_grad))
+        seed = checked_seed("seed", seed)
+        seeds = (seed, seed if seed_grad is None else checked_seed("seed_grad", seed_grad))
         films = [available[index].film for index in indices]
         sizes = {(film.crop_width, film.crop_height) for film in films}
         if len(sizes) > 1:
@@ -253,6 +272,18 @@ class Renderer(nn.Module):
 def same(a: Tensor, b: Tensor) -> bool:
     """Whether two tensors have one dtype, one device and the same values."""
     return a.dtype == b.dtype and a.device == b.device and torch.equal(a, b)
+
+
+def checked_seed(name: str, value: int) -> int:
+    """`value` as an int of 64 bits: more would not tell one seed from another.
+
+    Raises:
+        ValueError: if it is no integer, or needs more bits.
+    """
+    seed = integer(name, value)
+    if not -(1 << 63) <= seed < 1 << 64:
+        raise ValueError(f"{name} must be from -2**63 to 2**64 - 1, got {seed}")
+    return seed
 
 
 def sensor_indices(scene: Scene, sensors: SensorChoice) -> list[int]:

@@ -106,6 +106,6 @@ def test_a_scene_without_light_sensor_or_with_two_skies():
         load(sensor=view, shape=shape, sky=light, more={"type": "constant", "radiance": 2.0})
 
 
-def test_a_scene_on_a_device_without_caster():
-    with pytest.raises((ValueError, RuntimeError, NotImplementedError)):
+def test_a_scene_on_a_device_without_numbers():
+    with pytest.raises(TypeError, match="is on the device meta, which holds no numbers"):
         rb.render(cornell().to("meta"), spp=1)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import torch
 
-from torch_radbp.adjoint.memory import BOUNCE, UNITS, Workload, predict
+from torch_radbp.adjoint.memory import BOUNCE, Workload, predict, size_of
 
 MOST_NUMBERED = 2**31 - 1  # pixels of an image, samples of a pixel: int32 counts them
 MOST_PATHS = 10**12  # a day at 10 million paths a second, hours on the fastest devices of today
@@ -64,12 +64,6 @@ def check_cost(request: Request) -> None:
         remedy = "set memory_budget, or average the gradients of calls of fewer samples with other seeds, or "
         raise ValueError(f"{request}: {size_of(request.least_bytes)} of memory at least, and there are {size_of(there)}; "
                          f"{'' if request.adjoint is None else remedy}choose a smaller film, chunk or spp")
-
-
-def size_of(count: float) -> str:
-    """Bytes for people, in binary units."""
-    unit = max((unit for unit in UNITS if UNITS[unit] <= count and len(unit) != 2), key=UNITS.get, default="B")
-    return f"{count / UNITS[unit]:.3g} {unit}"
 
 
 def memory_of(device: torch.device) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from torch_radbp.adjoint.schedule import ADJOINT, ADVANCE, DROP, KEEP, LOAD, backward_plan, kept_depths
 from torch_radbp.adjoint.sweep import Sweep
+from torch_radbp.plugin import boolean, integer
 
 STRIDES = ("sqrt", "log")
 
@@ -40,9 +41,13 @@ class MemoizedAdjoint:
     keep_hits: bool = True
 
     def __post_init__(self):
-        integer = isinstance(self.stride, int) and not isinstance(self.stride, bool) and self.stride >= 1
-        if not integer and self.stride not in STRIDES:
-            raise ValueError(f"stride must be an integer of at least 1, 'sqrt' or 'log', got {self.stride!r}")
+        object.__setattr__(self, "keep_hits", boolean("keep_hits", self.keep_hits))
+        if self.stride not in STRIDES:
+            try:
+                object.__setattr__(self, "stride", integer("stride", self.stride, 1))
+            except ValueError as error:
+                raise ValueError(f"stride must be an integer of at least 1, {' or '.join(map(repr, STRIDES))}, "
+                                 f"got {self.stride!r}") from error
 
     keep_radiance = False
 

@@ -148,6 +148,12 @@ def candidates(chunk: int, adjoint) -> Iterator[tuple[int, object, bool]]:
                 lanes //= 2
 
 
+def size_of(count: float) -> str:
+    """Bytes for people, in binary units."""
+    unit = max((unit for unit in UNITS if UNITS[unit] <= count and len(unit) != 2), key=UNITS.get, default="B")
+    return f"{count / UNITS[unit]:.3g} {unit}"
+
+
 def plan_memory(budget: int, work: Workload, chunk: int, adjoint=None) -> MemoryPlan:
     """The fastest chunk and strategy that fit `budget` bytes.
 
@@ -165,6 +171,6 @@ def plan_memory(budget: int, work: Workload, chunk: int, adjoint=None) -> Memory
     fitting = next((plan for plan in plans if plan.peak <= budget), None)
     if fitting is None:
         least = min(plans, key=lambda plan: plan.peak)
-        raise ValueError(f"memory_budget of {budget / MIB:.0f} MiB is too small: the most frugal plan "
-                         f"({least.adjoint}, chunk={least.chunk}) needs {least.peak / MIB:.0f} MiB")
+        raise ValueError(f"memory_budget of {size_of(budget)} is too small: the most frugal plan "
+                         f"({least.adjoint}, chunk={least.chunk}) needs {size_of(least.peak)}")
     return fitting

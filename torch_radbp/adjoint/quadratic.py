@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path import PathState, add_at, bounces
+from torch_radbp.plugin import boolean
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.vec import Vec3, masked
 
@@ -25,6 +26,10 @@ class QuadraticAdjoint:
     """
 
     keep_hits: bool = True
+
+    def __post_init__(self):
+        object.__setattr__(self, "keep_hits", boolean("keep_hits", self.keep_hits))
+
     keep_radiance = False
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:

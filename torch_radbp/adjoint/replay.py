@@ -8,6 +8,7 @@ import torch
 
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path import bounces
+from torch_radbp.plugin import boolean
 from torch_radbp.scene.lookup import lookup
 from torch_radbp.vec import Vec3, masked
 
@@ -27,6 +28,10 @@ class ReplayAdjoint:
     """
 
     keep_hits: bool = True
+
+    def __post_init__(self):
+        object.__setattr__(self, "keep_hits", boolean("keep_hits", self.keep_hits))
+
     keep_radiance = True
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:

@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from torch_radbp.plugin import LARGEST_COORDINATE, Domain, Plugin, Texture
+from torch_radbp.plugin import LARGEST_COORDINATE, REGISTRY, Domain, Plugin, Texture, nearest
 from torch_radbp.scene.scene import Scene
 
 DTYPES = (torch.float32, torch.float64)
@@ -52,6 +52,9 @@ def held_values(scene: Scene) -> dict[str, Held]:
             if not texture.domains():
                 found.setdefault(prefix, Held(texture.texels(), [])).domains.append(domain)
             for own in texture.domains():
+                if f"{prefix}.{own}" not in found:
+                    raise AttributeError(f"parameter '{prefix}.{own}' is missing, got {getattr(texture, own, None)!r}; "
+                                         f"give it a tensor, or load the scene again")
                 found[f"{prefix}.{own}"].domains.append(domain)
     known = {id(held.value) for held in found.values()}
     found.update({name: Held(value, [Domain()]) for name, value in scene.named_parameters()
@@ -82,6 +85,22 @@ def check_parameters(scene: Scene) -> None:
                     domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", held.value)
 
 
+def check_names(root: nn.Module) -> None:
+    """Raises AttributeError naming a tensor that was handed over under a name that nothing reads.
+
+    `torch.func.functional_call` takes any name: a misspelt one would change nothing.
+
+    Args:
+        root: a renderer, or a scene.
+    """
+    ours = {Scene, type(root), *(plugin for plugins in REGISTRY.values() for plugin in plugins.values())}
+    for prefix, module in root.named_modules():
+        stray = next((name for name, value in vars(module).items() if isinstance(value, Tensor)), None)
+        if stray is not None and type(module) in ours:
+            name = f"{prefix}.{stray}".removeprefix(".")
+            raise AttributeError(f"there is no parameter {name!r}; {nearest(name, dict(root.named_parameters()))}")
+
+
 def detached(value: Tensor) -> Tensor:
     """The same numbers without tangents of forward mode."""
     return torch.autograd.forward_ad.unpack_dual(value).primal.detach() if value.is_floating_point() else value
@@ -96,9 +115,13 @@ def check_types(scene: Scene, found: dict[str, Held]) -> None:
         if value.dtype not in DTYPES:
             raise TypeError(f"parameter {name!r} is {value.dtype}; a scene is rendered in torch.float32 or torch.float64: "
                             f"convert it with scene.float() or scene.double()")
+        if value.layout != torch.strided:
+            raise TypeError(f"parameter {name!r} must be a dense tensor, got {value.layout}: convert it with .to_dense()")
         if (value.dtype, value.device) != (reference.dtype, reference.device):
             raise TypeError(f"parameter {name!r} is {value.dtype} on {value.device}, but {first!r} is {reference.dtype} on "
                             f"{reference.device}; a scene has one dtype and one device: convert it with .to()")
+    if reference.is_meta:
+        raise TypeError(f"parameter {first!r} is on the device meta, which holds no numbers: load the scene again")
 
 
 def check_extent(scene: Scene, vertices: list[Tensor]) -> None:

@@ -106,7 +106,10 @@ class Scene(nn.Module):
 
         Raises:
             AttributeError: if there is none; the message lists the nearest names.
+            TypeError: if `target` is no name.
         """
+        if not isinstance(target, str):
+            raise TypeError(f"the name of a parameter must be a string, got {target!r}")
         try:
             return super().get_parameter(target)
         except AttributeError as error:

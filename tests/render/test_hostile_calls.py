@@ -1,0 +1,371 @@
+"""What a renderer, its scene and torch's modes are handed by mistake: one message each, never a wrong image."""
+
+import copy
+import io
+import pickle
+import re
+
+import numpy as np
+import pytest
+import torch
+from torch.func import functional_call
+
+import torch_radbp as rb
+from tests.scenes import cornell, diffuse, load, rectangle, sensor, textured
+
+pytestmark = pytest.mark.hostile
+NAN, INF = float("nan"), float("inf")
+NAME = "floor.bsdf.reflectance.value"
+GREY = torch.full((3,), 0.5)
+SETTINGS = {"spp": 2, "max_depth": 3}
+
+
+def scene(dtype: torch.dtype = torch.float32) -> rb.Scene:
+    return load(dtype, sensor=sensor(4), floor=rectangle((0, -0.5, 0), angle=-90, bsdf=diffuse(0.5, 0.5, 0.5)),
+                sky={"type": "constant"})
+
+
+def renderer(**settings) -> rb.Renderer:
+    return rb.Renderer(scene(), **SETTINGS | settings)
+
+
+def replaced(value, name: str = NAME):
+    return functional_call(renderer(), {f"scene.{name}": value}, kwargs={"seed": 0})
+
+
+CALLS = {
+    "no seed": ({"seed": None}, "seed must be an integer, got None"),
+    "seed that is no number": ({"seed": NAN}, "seed must be an integer, got nan"),
+    "fractional seed": ({"seed": 1.5}, "seed must be an integer, got 1.5"),
+    "seed as truth": ({"seed": True}, "seed must be an integer, got True"),
+    "several seeds": ({"seed": torch.tensor([1, 2])}, "seed must be an integer, got tensor([1, 2])"),
+    "seed of 65 bits": ({"seed": 1 << 64}, "seed must be from -2**63 to 2**64 - 1, got 18446744073709551616"),
+    "seed far below zero": ({"seed": -2**70}, "seed must be from -2**63 to 2**64 - 1, got -11805"),
+    "seed of the backward pass as text": ({"seed_grad": "a"}, "seed_grad must be an integer, got 'a'"),
+    "seed of the backward pass of 65 bits": ({"seed_grad": 1 << 64}, "seed_grad must be from -2**63 to 2**64 - 1"),
+    "a set of sensors": ({"sensors": {0}}, "sensors: an index must be an integer, got {0}"),
+    "a dict of sensors": ({"sensors": {"sensor": 1}}, "sensors: an index must be an integer, got {'sensor': 1}"),
+    "nested sensors": ({"sensors": [[0]]}, "sensors: an index must be an integer, got [0]"),
+    "a fractional sensor": ({"sensors": [0.0]}, "sensors: an index must be an integer, got 0.0"),
+    "a sensor that is none": ({"sensors": [None]}, "sensors: an index must be an integer, got None"),
+    "a sensor as truth": ({"sensors": [True]}, "sensors: an index must be an integer, got True"),
+    "a sensor without name": ({"sensors": ""}, "the scene has no sensor ''; known: sensor"),
+    "a sensor of another name": ({"sensors": ["sensr"]}, "the scene has no sensor 'sensr'; did you mean 'sensor'"),
+    "a sensor beyond the last": ({"sensors": np.int64(1)}, "sensors must be indices from 0 to 0, got 1"),
+    "samples without end": ({"spp": INF}, "spp must be an integer of at least 1, got inf"),
+    "samples that are no number": ({"spp": NAN}, "spp must be an integer of at least 1, got nan"),
+    "samples as a list": ({"spp": [4]}, "spp must be an integer of at least 1, got [4]"),
+    "samples as a vector": ({"spp": torch.tensor([2, 2])}, "spp must be an integer of at least 1, got tensor([2, 2])"),
+}
+
+
+@pytest.mark.parametrize("arguments, message", CALLS.values(), ids=CALLS)
+def test_a_call(arguments, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        renderer()(**arguments)
+
+
+SETTINGS_THAT_MAKE_NO_SENSE = {
+    "no depth": ({"max_depth": NAN}, ValueError, "max_depth must be an integer, got nan"),
+    "depth as text": ({"max_depth": "8"}, ValueError, "max_depth must be an integer, got '8'"),
+    "depth as truth": ({"max_depth": True}, ValueError, "max_depth must be an integer, got True"),
+    "depth below -1": ({"max_depth": -5}, ValueError, "max_depth must be -1 (unlimited) or at least 0, got -5"),
+    "roulette at once": ({"rr_depth": 0}, ValueError, "rr_depth must be at least 1, got 0"),
+    "next-event estimation as text": ({"nee": "x"}, ValueError, "nee must be True or False, got 'x'"),
+    "next-event estimation as number": ({"nee": 1}, ValueError, "nee must be True or False, got 1"),
+    "emitters hidden by text": ({"hide_emitters": "no"}, ValueError, "hide_emitters must be True or False, got 'no'"),
+    "negative chunk": ({"chunk": -3}, ValueError, "chunk must be an integer of at least 1, got -3"),
+    "chunk without end": ({"chunk": INF}, ValueError, "chunk must be an integer of at least 1, got inf"),
+    "unknown sampling": ({"sampling": "foo"}, ValueError, "sampling='foo' is not known; known: attached"),
+    "several samplings": ({"sampling": ["hybrid"]}, ValueError, "sampling=['hybrid'] is not known; did you mean 'hybrid'"),
+    "strategy as number": ({"adjoint": 4}, TypeError, "adjoint must be one of MemoizedAdjoint, QuadraticAdjoint"),
+    "budget that is no number": ({"memory_budget": NAN}, ValueError, "memory_budget must be a number of bytes"),
+    "negative budget": ({"memory_budget": "-1GiB"}, ValueError, "memory_budget must be a number of bytes"),
+    "budget beyond float": ({"memory_budget": "1e400GiB"}, ValueError, "memory_budget must be a number of bytes"),
+    "budget as truth": ({"memory_budget": True}, ValueError, "memory_budget must be a number of bytes"),
+    "budget as bytes": ({"memory_budget": b"1GiB"}, ValueError, "memory_budget must be a number of bytes"),
+}
+
+
+@pytest.mark.parametrize("setting, kind, message", SETTINGS_THAT_MAKE_NO_SENSE.values(), ids=SETTINGS_THAT_MAKE_NO_SENSE)
+def test_a_setting(setting, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        renderer(**setting)
+
+
+@pytest.mark.parametrize("setting, kind, message", SETTINGS_THAT_MAKE_NO_SENSE.values(), ids=SETTINGS_THAT_MAKE_NO_SENSE)
+def test_a_setting_that_is_assigned_later(setting, kind, message):
+    ours = renderer()
+    (name, value), = setting.items()
+    setattr(ours, name, value)
+    with pytest.raises(kind, match=re.escape(message)):
+        ours()
+
+
+def test_settings_assigned_later_count():
+    ours = renderer()
+    ours.spp, ours.max_depth, ours.nee = 4, 2, False
+    assert torch.equal(ours(seed=1), rb.render(scene(), spp=4, max_depth=2, nee=False, seed=1))
+    ours.spp = None
+    assert ours.spp == scene().sensors[0].sampler.sample_count
+    ours.spp = -1
+    with pytest.raises(ValueError, match="spp must be an integer of at least 1, got -1"):
+        ours()
+
+
+def test_a_budget_of_a_byte():
+    with pytest.raises(ValueError, match=r"memory_budget of 1 B is too small: the most frugal plan .* needs [1-9][0-9.]* .?i?B"):
+        renderer(memory_budget=1)()
+
+
+@pytest.mark.parametrize("keep_hits", ["no", 1, None], ids=repr)
+@pytest.mark.parametrize("strategy", [rb.MemoizedAdjoint, rb.ReplayAdjoint, rb.QuadraticAdjoint])
+def test_hits_that_are_kept_by_something_else_than_truth(strategy, keep_hits):
+    with pytest.raises(ValueError, match=re.escape(f"keep_hits must be True or False, got {keep_hits!r}")):
+        strategy(keep_hits=keep_hits)
+
+
+@pytest.mark.parametrize("stride", [NAN, INF, -3, "Log", b"log", [1], torch.tensor(1.5)], ids=repr)
+def test_a_stride(stride):
+    message = f"stride must be an integer of at least 1, 'sqrt' or 'log', got {stride!r}"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        rb.MemoizedAdjoint(stride)
+
+
+def test_a_stride_may_be_an_integer_of_numpy():
+    assert rb.MemoizedAdjoint(np.int64(3)) == rb.MemoizedAdjoint(3)
+
+
+DENSE = "must be a dense tensor, got torch.sparse_coo: convert it with .to_dense()"
+PARAMETERS = {
+    "misspelt": (lambda: replaced(GREY, "floor.bsdf.reflectance.valeu"), AttributeError,
+                 "there is no parameter 'scene.floor.bsdf.reflectance.valeu'; did you mean "
+                 "'scene.floor.bsdf.reflectance.value'"),
+    "of the scene": (lambda: replaced(GREY, "floor"), TypeError, "is not an instance of torch.Tensor"),
+    "at the scene": (lambda: replaced(GREY, "nothing"), AttributeError, "there is no parameter 'scene.nothing'"),
+    "at the renderer": (lambda: functional_call(renderer(), {"nothing": GREY}, kwargs={"seed": 0}), AttributeError,
+                        "there is no parameter 'nothing'"),
+    "at a plugin": (lambda: replaced(GREY, "sky.colour"), AttributeError, "there is no parameter 'scene.sky.colour'"),
+    "of whole numbers": (lambda: replaced(torch.ones(3, dtype=torch.int32)), TypeError,
+                         f"parameter '{NAME}' is torch.int32; a scene is rendered in torch.float32 or torch.float64"),
+    "of truth values": (lambda: replaced(torch.ones(3, dtype=torch.bool)), TypeError, f"parameter '{NAME}' is torch.bool"),
+    "of complex numbers": (lambda: replaced(torch.ones(3, dtype=torch.complex64)), TypeError,
+                           f"parameter '{NAME}' is torch.complex64"),
+    "in half precision": (lambda: replaced(GREY.half()), TypeError, f"parameter '{NAME}' is torch.float16"),
+    "in double precision": (lambda: replaced(GREY.double()), TypeError, f"parameter '{NAME}' is torch.float64 on cpu, but "),
+    "on another device": (lambda: replaced(GREY.to("meta")), TypeError, f"parameter '{NAME}' is torch.float32 on meta, but "),
+    "sparse": (lambda: replaced(GREY.to_sparse()), TypeError, f"parameter '{NAME}' {DENSE}"),
+    "of five numbers": (lambda: replaced(torch.rand(5)), ValueError,
+                        f"parameter '{NAME}' must have shape () or (3,), got (5,)"),
+    "of no numbers": (lambda: replaced(torch.rand(0)), ValueError, f"parameter '{NAME}' must have shape () or (3,), got (0,)"),
+    "not finite": (lambda: replaced(torch.tensor([0.5, NAN, 0.5])), ValueError,
+                   f"parameter '{NAME}' has 1 of 3 values that are NaN or infinite"),
+    "infinite": (lambda: replaced(torch.tensor([0.5, -INF, 0.5])), ValueError,
+                 f"parameter '{NAME}' has 1 of 3 values that are NaN or infinite"),
+    "negative": (lambda: replaced(-GREY), ValueError, f"parameter '{NAME}' must be in [0, 1]"),
+    "above one": (lambda: replaced(4 * GREY), ValueError, f"parameter '{NAME}' must be in [0, 1]"),
+    "a pose of zeros": (lambda: replaced(torch.zeros(4, 4), "floor.to_world"), ValueError, "parameter 'floor.to_world'"),
+    "a pose in perspective": (lambda: replaced(torch.ones(4, 4), "floor.to_world"), ValueError,
+                              "to_world must be affine: its last row must be 0 0 0 1"),
+    "a pose of three rows": (lambda: replaced(torch.eye(4)[:3], "sensor.to_world"), ValueError,
+                             "parameter 'sensor.to_world' must have shape (4, 4), got (3, 4)"),
+    "a field of view of 180 degrees": (lambda: replaced(torch.tensor(180.0), "sensor.x_fov"), ValueError,
+                                       "parameter 'sensor.x_fov'"),
+    "light below zero": (lambda: replaced(-GREY, "sky.radiance.value"), ValueError, "parameter 'sky.radiance.value'"),
+}
+
+
+@pytest.mark.parametrize("call, kind, message", PARAMETERS.values(), ids=PARAMETERS)
+def test_a_parameter_of_a_functional_call(call, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        call()
+
+
+def without_value(ours: rb.Renderer) -> None:
+    del ours.scene.floor.bsdf.reflectance.value
+
+
+def value_of_none(ours: rb.Renderer) -> None:
+    ours.scene.floor.bsdf.reflectance.value = None
+
+
+MUTILATIONS = {
+    "a parameter is deleted": (without_value, AttributeError, f"parameter '{NAME}' is missing"),
+    "a parameter is none": (value_of_none, AttributeError, f"parameter '{NAME}' is missing"),
+    "the scene is on no device": (lambda ours: ours.to("meta"), TypeError, "is on the device meta, which holds no numbers"),
+    "the renderer is in half precision": (lambda ours: ours.half(), TypeError, "is torch.float16; a scene is rendered in"),
+    "one shape is in double precision": (lambda ours: ours.scene.floor.double(), TypeError, "a scene has one dtype"),
+    "memory that was never written": (lambda ours: [p.data.fill_(NAN) for p in ours.parameters()], ValueError, "parameter '"),
+}
+
+
+@pytest.mark.parametrize("mutilate, kind, message", MUTILATIONS.values(), ids=MUTILATIONS)
+def test_a_scene_that_is_mutilated_after_loading(mutilate, kind, message):
+    ours = renderer()
+    ours()
+    mutilate(ours)
+    with pytest.raises(kind, match=re.escape(message)):
+        ours()
+
+
+STATES = {
+    "of another scene": (lambda: scene().load_state_dict(cornell().state_dict()), 'Missing key(s) in state_dict: "floor'),
+    "with a bitmap of another size": (lambda: textured().load_state_dict(
+        textured().state_dict() | {"floor.bsdf.reflectance.data": torch.rand(9, 9, 3)}), "size mismatch for floor.bsdf"),
+}
+
+
+@pytest.mark.parametrize("call, message", STATES.values(), ids=STATES)
+def test_a_state(call, message):
+    with pytest.raises(RuntimeError, match=re.escape(message)):
+        call()
+
+
+TRANSFORMS = {
+    "vmap": lambda f: torch.func.vmap(f)(torch.rand(2, 3)),
+    "grad": lambda f: torch.func.grad(lambda x: f(x).sum())(GREY),
+    "vjp": lambda f: torch.func.vjp(f, GREY),
+    "jacrev": lambda f: torch.func.jacrev(f)(GREY),
+    "jacfwd": lambda f: torch.func.jacfwd(f)(GREY),
+    "hessian": lambda f: torch.func.hessian(lambda x: f(x).sum())(GREY),
+    "jvp of grad": lambda f: torch.func.jvp(torch.func.grad(lambda x: f(x).sum()), (GREY,), (GREY,)),
+}
+
+
+@pytest.mark.parametrize("transform", TRANSFORMS.values(), ids=TRANSFORMS)
+def test_a_transform_of_torch_func(transform):
+    ours = renderer()
+    with pytest.raises(RuntimeError, match="of the transforms of torch.func rendering works in jvp only, and not nested"):
+        transform(lambda x: functional_call(ours, {f"scene.{NAME}": x}, kwargs={"seed": 0}))
+
+
+TANGENTS = {
+    "unknown": ({"nope": GREY}, AttributeError, "the scene has no parameter 'nope'"),
+    "of nothing": ({}, ValueError, "tangents must name at least one parameter, got none"),
+    "of another shape": ({NAME: GREY[:2]}, ValueError, f"the tangent of '{NAME}' must have shape (3,), got (2,)"),
+    "not finite": ({NAME: NAN * GREY}, ValueError, f"the tangent of '{NAME}' must be finite"),
+    "a set": ({NAME}, TypeError, "tangents must map names of parameters to tensors, got set"),
+    "a tensor": (GREY, TypeError, "tangents must map names of parameters to tensors, got Tensor"),
+}
+
+
+@pytest.mark.parametrize("tangents, kind, message", TANGENTS.values(), ids=TANGENTS)
+def test_tangents(tangents, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        rb.jvp(scene(), tangents, spp=1)
+
+
+CHECKS = {
+    "no step": ({"step": NAN}, ValueError, "step must be greater than 0 and finite, got nan"),
+    "step backwards": ({"step": -0.1}, ValueError, "step must be greater than 0 and finite, got -0.1"),
+    "no direction": ({"direction": torch.zeros(3)}, ValueError, f"direction of '{NAME}' must not be zero everywhere"),
+    "unknown direction": ({"direction": "up"}, ValueError, "direction must be 'random' or 'ones' or an array of shape (3,)"),
+    "too few batches": ({"batches": 3}, ValueError, "batches must be at least 8"),
+    "no such sensor": ({"sensors": [3]}, ValueError, "sensors must be indices from 0 to 0, got [3]"),
+}
+
+
+@pytest.mark.parametrize("arguments, kind, message", CHECKS.values(), ids=CHECKS)
+def test_a_check_of_a_gradient(arguments, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        rb.check_gradient(scene(), NAME, **arguments)
+
+
+@pytest.mark.parametrize("name", [3, None, [NAME], b"floor"], ids=repr)
+def test_the_name_of_a_parameter(name):
+    with pytest.raises(TypeError, match=re.escape(f"the name of a parameter must be a string, got {name!r}")):
+        scene().get_parameter(name)
+
+
+def test_a_loss_that_is_not_finite_is_not_blamed_on_the_rendering():
+    ours = scene()
+    value = ours.get_parameter(NAME).requires_grad_()
+    image = rb.render(ours, **SETTINGS)
+    with pytest.raises(FloatingPointError, match="it is the loss that is not finite, not the rendering"):
+        torch.autograd.grad(image, value, torch.full_like(image, NAN))
+
+
+def test_radiance_beyond_float32_is_named():
+    ours = renderer()
+    ours.scene.get_parameter("sky.radiance.value").data.fill_(3e38)
+    with pytest.raises(FloatingPointError, match="sums or products of finite numbers overflow"):
+        ours()
+
+
+def test_a_second_backward_pass_is_refused_by_torch():
+    ours = scene()
+    ours.get_parameter(NAME).requires_grad_()
+    loss = rb.render(ours, **SETTINGS).sum()
+    loss.backward()
+    with pytest.raises(RuntimeError, match="Trying to backward through the graph a second time"):
+        loss.backward()
+
+
+def gradient(ours: rb.Renderer) -> torch.Tensor:
+    value = ours.scene.get_parameter(NAME).requires_grad_()
+    found, = torch.autograd.grad(ours(seed=1).square().sum(), value)
+    assert found.abs().min() > 0
+    return found
+
+
+def in_inference_mode(ours: rb.Renderer) -> torch.Tensor:
+    with torch.inference_mode():
+        assert not ours(seed=1).requires_grad
+    return gradient(ours)
+
+
+def deterministic(ours: rb.Renderer) -> torch.Tensor:
+    torch.use_deterministic_algorithms(True)
+    try:
+        return gradient(ours)
+    finally:
+        torch.use_deterministic_algorithms(False)
+
+
+def watched(ours: rb.Renderer) -> torch.Tensor:
+    with torch.autograd.detect_anomaly(check_nan=True):
+        return gradient(ours)
+
+
+def checkpointed(ours: rb.Renderer) -> torch.Tensor:
+    value = ours.scene.get_parameter(NAME).requires_grad_()
+    image = torch.utils.checkpoint.checkpoint(ours, 1, use_reentrant=False)
+    return torch.autograd.grad(image.square().sum(), value)[0]
+
+
+def offloaded(ours: rb.Renderer) -> torch.Tensor:
+    with torch.autograd.graph.save_on_cpu():
+        return gradient(ours)
+
+
+def through_a_file(ours: rb.Renderer) -> torch.Tensor:
+    file = io.BytesIO()
+    torch.save(ours, file)
+    file.seek(0)
+    return gradient(torch.load(file, weights_only=False))
+
+
+def changed_before_the_backward_pass(ours: rb.Renderer) -> torch.Tensor:
+    value = ours.scene.get_parameter(NAME).requires_grad_()
+    loss = ours(seed=1).square().sum()
+    value.data.fill_(0.1)
+    return torch.autograd.grad(loss, value)[0]
+
+
+MODES = {
+    "after inference mode": in_inference_mode, "deterministic algorithms": deterministic, "anomaly mode": watched,
+    "checkpoint": checkpointed, "saved tensors elsewhere": offloaded, "a file": through_a_file,
+    "a value changed before the backward pass": changed_before_the_backward_pass,
+    "a deep copy": lambda ours: gradient(copy.deepcopy(ours)),
+    "a deep copy after a rendering": lambda ours: (ours(), gradient(copy.deepcopy(ours)))[1],
+    "a pickle": lambda ours: gradient(pickle.loads(pickle.dumps(ours))),
+    "evaluation": lambda ours: gradient(ours.eval()),
+    "shared memory": lambda ours: gradient(ours.share_memory()),
+    "all parameters": lambda ours: gradient(ours.requires_grad_()),
+}
+
+
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore:Anomaly Detection")
+@pytest.mark.parametrize("mode", MODES.values(), ids=MODES)
+def test_gradients_are_the_same_under(mode):
+    assert torch.equal(mode(renderer()), gradient(renderer()))
