@@ -101,7 +101,7 @@ def _ticks(low: float, high: float, log: bool) -> list[float]:
             ticks = [tick for tick in ticks if low <= tick <= high]
             if len(ticks) >= 3:
                 return ticks[:: math.ceil(len(ticks) / 7)]
-        return ticks
+        return _ticks(low, high, False)  # a small part of a decade, nearly linear
     raw = (high - low) / 5
     magnitude = 10.0 ** math.floor(math.log10(raw))
     step = next(factor * magnitude for factor in (1, 2, 2.5, 5, 10) if factor * magnitude >= raw)

@@ -47,6 +47,7 @@ class Recovery:
         call = self.renderer.prepare(seed=0, sensors=self.targets.sensors, spp=1, seed_grad=None)
         check_influence(self.parameters, differentiable((call.scene, [view.camera for view in call.views])))
         self.objective = Objective(recipe.loss)
+        check_losses(self.objective, self.targets.images)
         self.optimizer = make_optimizer(self.parameters, recipe.optimizer)
         self.scheduler = make_scheduler(self.optimizer, recipe.schedule, recipe.steps)
         self.step = 0
@@ -88,6 +89,17 @@ def check_influence(parameters: list[RecoveredParameter], leaves: list[Tensor]) 
             hint = "; texture coordinates are read where a material or an emitter has a bitmap" * ("texcoords" in each.name)
             raise ValueError(f"parameter {each.name!r} cannot be recovered: no sensor with a target sees what it changes"
                              f"{hint}")
+
+
+def check_losses(objective: Objective, targets: Tensor) -> None:
+    """Raises ValueError if the losses cannot be computed on images of this size, which a window may exceed."""
+    try:
+        with torch.no_grad():
+            objective([targets] * objective.buffers_needed, targets)
+    except (RuntimeError, ValueError) as error:
+        names = ", ".join(spec.name for spec in objective.specs)
+        raise ValueError(f"loss: {names} cannot be computed on targets of {targets.shape[3]} x {targets.shape[2]} pixels; "
+                         f"take a smaller window, or larger images ({str(error).splitlines()[0]})") from None
 
 
 def make_renderer(scene, spec: schema.Render) -> rb.Renderer:

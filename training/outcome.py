@@ -19,8 +19,8 @@ from torch_radbp.training.passes import Estimate, render_in_passes
 from torch_radbp.training.run_folder import RunFolder
 from torch_radbp.training.verdict import ImageErrors, judge_losses
 
-# Samples of a pass, and the noise below which more of them are not seen: 2.5 of the 255 levels of a screen.
-PASS_SPP, INVISIBLE = 32, 0.01
+# Samples of a pass, and the noise below which more of them are not seen: 1.8 of the 255 levels of a screen.
+PASS_SPP, INVISIBLE = 32, 0.007
 
 
 def render_for_report(recovery: Recovery, ended: Callable[[], bool]) -> Estimate:

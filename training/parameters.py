@@ -208,7 +208,11 @@ def _tensor_like(held: Tensor, value: recipe.Value, name: str, role: str) -> Ten
         tensor = read_image(value)
         source = f"the image {value} of shape"
     else:
-        tensor = torch.tensor(value, dtype=held.dtype)
+        try:
+            tensor = torch.tensor(value, dtype=held.dtype)
+        except ValueError:
+            raise ValueError(f"parameter {name!r}: {role} must be one number or have shape {tuple(held.shape)}; "
+                             "the rows given differ in length") from None
         source = "shape"
     tensor = tensor.to(device=held.device, dtype=held.dtype)
     if tensor.dim() == 0:

@@ -38,7 +38,7 @@ class Table(BaseModel):
 
 def _resolve(path: Path, info) -> Path:
     path = Path(os.path.abspath(info.context["base_dir"] / path))
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file, it raises nothing for names that are too long
         raise ValueError(f"no such file: {path}")
     return path
 
@@ -60,8 +60,14 @@ def _check_value(value: Any) -> Any:
 
 # The value of a parameter: one number for all entries, nested lists, or an image file.
 Value = Annotated[float | list[float] | list[list[float]] | RecipePath, BeforeValidator(_check_value)]
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=1)]
+# Strict: `steps = true` and `spp = "4"` are mistakes, not 1 and 4.
+Whole = Annotated[int, Field(strict=True, lt=2**31)]
+Whole64 = Annotated[int, Field(strict=True, lt=2**63)]
+Number = Annotated[float, Field(strict=True)]
+Switch = Annotated[bool, Field(strict=True)]
+Fraction = Annotated[Number, Field(ge=0, lt=1)]
+Positive = Annotated[Number, Field(gt=0)]
+Count = Annotated[Whole, Field(ge=1)]
 
 
 class Target(Table):
@@ -71,7 +77,7 @@ class Target(Table):
     sensor: str | None = None
 
 
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
 class Offset(Table):
@@ -94,7 +100,7 @@ class Parameter(Table):
 
     name: str
     initial: Initial | None = None  # None: the value in the scene file
-    bounds: tuple[float, float] | None = None
+    bounds: tuple[Number, Number] | None = None
     learning_rate: Positive | None = None  # None: the optimiser's
     # How the bounds are kept: projected back after every step, or never left because a sigmoid (log) of the
     # parameter is what the optimiser sees. "rigid" is for (4, 4) matrices, which have no bounds: the optimiser sees a
@@ -122,7 +128,7 @@ class Adjoint(Table):
 
     strategy: Literal["memoized", "replay", "quadratic", "tape"] = "memoized"
     stride: Count | Literal["sqrt", "log"] = 1
-    keep_hits: bool = True
+    keep_hits: Switch = True
 
     @model_validator(mode="after")
     def _check_options(self):
@@ -140,18 +146,18 @@ class Render(Table):
     """Arguments of `torch_radbp.Renderer`; what is left out is taken from the scene file."""
 
     spp: Count = 16  # samples per pixel of each rendered buffer; two_buffer_l2 renders two
-    max_depth: int | None = Field(None, ge=-1)
+    max_depth: Whole | None = Field(None, ge=-1)
     rr_depth: Count | None = None
     adjoint: Adjoint | None = None  # None: memoized, with the stride that memory_budget leaves room for, else 1
     sampling: str = "hybrid"
     chunk: Count | None = None
-    memory_budget: Annotated[int | str, AfterValidator(_check_budget)] | None = None  # bytes, "2GiB" or "2GB"
-    compile: bool = False
+    memory_budget: Annotated[Whole64 | str, AfterValidator(_check_budget)] | None = None  # bytes, "2GiB" or "2GB"
+    compile: Switch = False
     caster: str | None = None
-    seed: int = Field(0, ge=0)
+    seed: Whole = Field(0, ge=0)
     # Independent samples for the backward pass: unbiased gradients of non-linear losses, at the price of a second
     # forward pass.
-    decorrelate: bool = False
+    decorrelate: Switch = False
 
     @model_validator(mode="after")
     def _check_decorrelate(self):
@@ -200,7 +206,7 @@ class MultiScaleSSIM(ImageLoss):
     """kornia's MS_SSIMLoss: alpha * (1 - MS-SSIM) + (1 - alpha) * L1 under the coarsest Gaussian."""
 
     name: Literal["ms_ssim"]
-    alpha: float = Field(0.84, ge=0, le=1)
+    alpha: Number = Field(0.84, ge=0, le=1)
     max_value: Positive = 1.0
     sigmas: list[Positive] = Field([0.5, 1.0, 2.0, 4.0, 8.0], min_length=1)
 
@@ -214,20 +220,26 @@ class Optimizer(Table):
 
 class Adam(Optimizer):
     name: Literal["adam"] = "adam"
-    betas: tuple[float, float] = (0.9, 0.999)
+    betas: tuple[Fraction, Fraction] = (0.9, 0.999)
     eps: Positive = 1e-8
 
 
 class SGD(Optimizer):
     name: Literal["sgd"]
-    momentum: float = Field(0.0, ge=0, lt=1)
-    nesterov: bool = False
+    momentum: Number = Field(0.0, ge=0, lt=1)
+    nesterov: Switch = False
+
+    @model_validator(mode="after")
+    def _check_nesterov(self):
+        if self.nesterov and not self.momentum:
+            raise ValueError("nesterov = true needs a momentum above 0")
+        return self
 
 
 class RMSprop(Optimizer):
     name: Literal["rmsprop"]
-    alpha: float = Field(0.99, gt=0, lt=1)
-    momentum: float = Field(0.0, ge=0, lt=1)
+    alpha: Number = Field(0.99, gt=0, lt=1)
+    momentum: Number = Field(0.0, ge=0, lt=1)
     eps: Positive = 1e-8
 
 
@@ -242,7 +254,7 @@ class Cosine(Table):
     """From 1 down to `final` over all steps."""
 
     name: Literal["cosine"]
-    final: float = Field(0.0, ge=0, le=1)
+    final: Number = Field(0.0, ge=0, le=1)
 
 
 class Step(Table):
@@ -276,7 +288,7 @@ class Recipe(Table):
     title: str = ""
     description: str = ""
     scene: RecipePath
-    variables: dict[str, str | int | float] = {}  # of the scene file, as in rb.load(path, resolution=128)
+    variables: dict[str, str | Whole | Number] = {}  # of the scene file, as in rb.load(path, resolution=128)
     steps: Count
     targets: list[Target] = Field(min_length=1)
     parameters: list[Parameter] = Field(min_length=1)

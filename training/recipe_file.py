@@ -39,9 +39,11 @@ def read_recipe(path, overrides: list[str] = ()) -> Recipe:
     if not path.is_file():
         raise FileNotFoundError(f"no such recipe: {path}")
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RecipeError(f"{path}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise RecipeError(f"{path}: not a recipe: arrays or tables are nested too deeply") from None
     for override in overrides:
         _override(data, override)
     try:
@@ -100,9 +102,11 @@ def _lines(error: ValidationError, data: dict) -> list[str]:
     messages: dict[str, list[str]] = {}
     for each in error.errors(include_url=False):
         place = _place(each["loc"], data)
-        message = each["msg"].removeprefix("Value error, ")
+        message = each["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
         if each["type"] == "missing":
             message = "this key is required"
+        elif each["type"] == "path_type":
+            message = f"must be the path of a file, got {each['input']!r}"
         elif each["type"].startswith("union_tag"):
             tags = each["ctx"].get("expected_tags", "")
             tag = each["ctx"].get("tag")

@@ -81,8 +81,8 @@ def judge_losses(losses: list[float], unbiased: bool, images: ImageErrors) -> Ve
                        f"Over the last third of the steps the loss {way} by {abs(change):.2g}, {share}.", noise, level)
     if not seen and images.after > IMPROVED * images.before:
         return Verdict(NOISE, f"The loss begins at {start:.2g} and ends at {level:.2g}, no further apart than noise "
-                              f"explains ({noise:.2g} for one step), and the image has not come closer to the target: take more "
-                              "samples, or parameters that the image shows.", noise, level)
+                              f"explains ({noise:.2g} for one step), and the image has not come closer to the target: take "
+                              "more samples, or parameters that the image shows.", noise, level)
     floor = ""
     if unbiased:
         at_floor = abs(level) <= SIGNIFICANT * error
