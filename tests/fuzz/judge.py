@@ -6,7 +6,9 @@ of reasonable length. Everything else is a fault.
 
 from __future__ import annotations
 
+import tempfile
 import traceback
+import zlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,9 +18,12 @@ import torch_radbp as rb
 from torch_radbp.training.optimize import Recovery
 from torch_radbp.training.recipe_file import read_recipe
 
+MESH_OPTIONS = [{}, {"face_normals": True}, {"recompute_normals": True}, {"flip_tex_coords": True, "flip_normals": True},
+                {"emitter": {"type": "area"}}, {"bsdf": {"type": "dielectric"}}, {"bsdf": {"type": "roughconductor"}}]
 REFUSALS = (ValueError, TypeError, OSError, rb.NonFiniteError)
 LONGEST_MESSAGE = 3000
 SIZE = 4  # pixels
+SAVED = 8  # one mutant in as many is saved and loaded again
 
 
 class Verdict(NamedTuple):
@@ -41,6 +46,8 @@ def judge(family: str, path: Path) -> Verdict:
         return Verdict("loaded", "", "")
     try:
         image = render_small(scene)
+        if zlib.crc32(path.read_bytes()) % SAVED == 0:
+            check_saved(scene)
     except REFUSALS as error:
         return Verdict("refused to render", type(error).__name__, str(error))
     except Exception as error:
@@ -67,7 +74,9 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
     sensor = {"type": "perspective", "film": film, "to_world": rb.look_at([0.5, 0.4, 3], [0.5, 0.5, 0], [0, 1, 0])}
     scene = {"type": "scene", "sensor": sensor}
     if family in ("obj", "ply"):
-        return rb.load_dict({**scene, "sky": {"type": "constant"}, "mesh": {"type": family, "filename": str(path)}})
+        options = MESH_OPTIONS[zlib.crc32(path.read_bytes()) % len(MESH_OPTIONS)]
+        mesh = {"type": family, "filename": str(path), **options}
+        return rb.load_dict({**scene, "sky": {"type": "constant"}, "mesh": mesh})
     picture = {"type": "bitmap", "filename": str(path)}
     return rb.load_dict({**scene, "sky": {"type": "envmap", "filename": str(path)},
                          "wall": {"type": "rectangle", "emitter": {"type": "area", "radiance": picture}}})
@@ -81,6 +90,21 @@ def render_small(scene: rb.Scene) -> torch.Tensor:
         film.crop_offset_x = film.crop_offset_y = 0
     with torch.no_grad():
         return rb.Renderer(scene, spp=1, max_depth=3)(seed=0)
+
+
+def check_saved(scene: rb.Scene) -> None:
+    """Raises AssertionError if the scene can be saved and what is saved cannot be loaded, or has other parameters."""
+    with tempfile.TemporaryDirectory() as folder:
+        rb.save(scene, Path(folder) / "saved.xml")
+        try:
+            saved = rb.load(Path(folder) / "saved.xml")
+        except REFUSALS as error:
+            raise AssertionError("what was saved does not load") from error
+    # Meshes are saved where their poses put them, and recomputed normals as what they are now.
+    ours, theirs = ({name for name, _ in each.named_parameters() if not name.endswith(("to_world", "vertex_normals"))}
+                    for each in (scene, saved))
+    if ours != theirs:
+        raise AssertionError(f"what was saved has other parameters: {sorted(ours ^ theirs)}")
 
 
 def _refusal(error: Exception, path: Path) -> Verdict:

@@ -11,9 +11,10 @@ import torch
 
 from tests.fuzz.__main__ import Tally, write_mutant
 from tests.fuzz.corpus import FAMILIES, build_corpus
-from tests.fuzz.judge import judge
+from tests.fuzz.judge import check_saved, judge
 from tests.fuzz.worker import Worker
-from tests.io.documents import TRIANGLE_OBJ
+from tests.io.documents import TRIANGLE_OBJ, scene_dict
+from torch_radbp.io.load import load_dict
 
 CASES = 25  # of each family; `python -m tests.fuzz --minutes 60` is the long run
 
@@ -72,6 +73,15 @@ def test_senseless_pixels_are_faults(monkeypatch, tmp_path, value, kind):
     (tmp_path / "mesh.obj").write_text(TRIANGLE_OBJ)
     monkeypatch.setattr("tests.fuzz.judge.render_small", lambda scene: torch.full((1, 3, 4, 4), value))
     assert judge("obj", tmp_path / "mesh.obj")[:2] == ("fault", kind)
+
+
+def test_a_scene_that_is_saved_wrongly_is_a_fault(monkeypatch):
+    scene = load_dict(scene_dict(ball={"type": "sphere"}))
+    check_saved(scene)
+    other = load_dict(scene_dict(ball={"type": "sphere", "bsdf": {"type": "dielectric"}}))
+    monkeypatch.setattr("tests.fuzz.judge.rb.load", lambda path: other)
+    with pytest.raises(AssertionError, match=r"what was saved has other parameters: \['ball.bsdf"):
+        check_saved(scene)
 
 
 @pytest.mark.parametrize("program, kind", [

@@ -230,6 +230,8 @@ XML = {
         ["<integer", "must be between -2147483647 and 2147483647"],
     ),
     "digits of another script": (shape('<float name="radius" value="١"/>', "sphere"), ["<float", "finite numbers"]),
+    "reserved id": (shape("").replace("wall", "type"), ["line 2: <shape", "the id 'type' is reserved; use another"]),
+    "reserved type": ('<shape type="type"/>', ["line 2: <shape", "the shape type 'type' is not supported"]),
     "long id": (f'<material id="{"a" * 5000}"/>', ["aaaa...", "not supported"]),
     "long file name": (f'<include filename="{"a" * 5000}"/>', ["<include>", "not found; looked in"]),
     "rotation by infinity": (

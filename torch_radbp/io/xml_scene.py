@@ -110,7 +110,7 @@ class _Reader:
             if element.tag in PROPERTIES and "type" not in element.attributes:
                 raise element.fail(f"<scene> takes no values; supported inside it: {_supported()}")
             children.append(self.child(element))
-        taken = {child["id"]: 0 for child in children if "id" in child and child["type"] != "ref"}
+        taken = {"type": 0, **{child["id"]: 0 for child in children if "id" in child and child["type"] != "ref"}}
         for child in children:
             name = child.get("id") if child["type"] != "ref" else None
             scene[name or _free_name(child["type"], taken)] = child
@@ -156,6 +156,8 @@ class _Reader:
     def register(self, element: Element) -> str:
         """The id of an element, checked to be new."""
         name = element.attributes["id"]
+        if name == "type":
+            raise element.fail("the id 'type' is reserved; use another")
         if name in self.ids or name in self.aliases:
             first = self.ids[self.aliases.get(name, name)]
             raise element.fail(f"the id {name!r} is already taken by {first}; every id must be unique")
