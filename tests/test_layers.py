@@ -16,7 +16,8 @@ TRAINING = PACKAGE.parent / "training"
 
 # Data flows down this list; a module may import from its own layer and from those above it.
 LAYERS = [
-    {"entry", "vec", "plugin", "pose", "jit"}, {"sampling"}, {"shape", "texture", "bsdf", "emitter", "sensor", "film"}, {"scene"},
+    {"domain", "entry", "vec", "plugin", "pose", "jit"}, {"sampling"},
+    {"shape", "texture", "bsdf", "emitter", "sensor", "film"}, {"scene"},
     {"raycast"}, {"path"}, {"adjoint"}, {"boundary"}, {"stages"}, {"render"}, {"jvp"}, {"check"}, {"public"}, {"training"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}

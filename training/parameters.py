@@ -8,8 +8,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torch_radbp.domain import Domain
 from torch_radbp.io.image import read_image
-from torch_radbp.plugin import Domain, nearest
+from torch_radbp.plugin import nearest
 from torch_radbp.scene.parameters import held_values
 from torch_radbp.training import recipe
 from torch_radbp.training.rigid import PoseError, Rigid, components, moved

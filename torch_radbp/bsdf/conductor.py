@@ -9,7 +9,8 @@ from torch import Tensor
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, reflects
-from torch_radbp.plugin import AMOUNT, BSDF, FRACTION, Domain, Texture, register
+from torch_radbp.domain import AMOUNT, FRACTION, Domain
+from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3
 

@@ -12,7 +12,8 @@ from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
 from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, side_of
 from torch_radbp.bsdf.number import OwnNumber
-from torch_radbp.plugin import BSDF, FRACTION, NUMBER, Domain, Texture, register
+from torch_radbp.domain import FRACTION, NUMBER, Domain
+from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Choice, Kind, Values
-from torch_radbp.plugin import BSDF, FRACTION, Domain, Texture, register
+from torch_radbp.domain import FRACTION, Domain
+from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3

@@ -36,7 +36,8 @@ from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.number import NumberOf
-from torch_radbp.plugin import AMOUNT, BSDF, Texture, nearest
+from torch_radbp.domain import AMOUNT
+from torch_radbp.plugin import BSDF, Texture, nearest
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import TINY, Vec2, Vec3, dot, normalize
 

@@ -10,7 +10,8 @@ from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import Choice, Values, above, reflects
 from torch_radbp.bsdf.microfacet import ROUGHNESS, MicrofacetKind, half_vector, make_rough
-from torch_radbp.plugin import AMOUNT, BSDF, FRACTION, Domain, Texture, register
+from torch_radbp.domain import AMOUNT, FRACTION, Domain
+from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3, dot
 

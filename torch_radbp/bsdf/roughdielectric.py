@@ -12,7 +12,8 @@ from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_inde
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import Choice, Values, above, side_of
 from torch_radbp.bsdf.microfacet import ROUGHNESS, MicrofacetKind, half_vector, make_rough
-from torch_radbp.plugin import Domain, Texture, register
+from torch_radbp.domain import Domain
+from torch_radbp.plugin import Texture, register
 from torch_radbp.vec import TINY, Vec3, dot
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from torch_radbp.plugin import AMOUNT, Domain, Emitter, Texture, positive, register
+from torch_radbp.domain import AMOUNT, Domain
+from torch_radbp.plugin import Emitter, Texture, positive, register
 from torch_radbp.texture.rgb import as_texture
 
 

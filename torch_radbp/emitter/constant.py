@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from torch_radbp.domain import AMOUNT, Domain
 from torch_radbp.emitter.illumination import colour
-from torch_radbp.plugin import AMOUNT, Domain, Emitter, Texture, positive, register
+from torch_radbp.plugin import Emitter, Texture, positive, register
 
 
 @register("emitter", "constant")

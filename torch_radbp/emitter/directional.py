@@ -5,8 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_radbp.domain import AMOUNT, POSE, Domain
 from torch_radbp.emitter.illumination import LightPose, colour
-from torch_radbp.plugin import AMOUNT, POSE, Domain, Emitter, Matrix4, Point3, Texture, finite, positive, register
+from torch_radbp.plugin import Emitter, Matrix4, Point3, Texture, finite, positive, register
 from torch_radbp.pose import look_at
 from torch_radbp.shape.surface import affine
 

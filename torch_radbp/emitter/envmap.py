@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from torch_radbp.domain import AMOUNT, POSE, Domain
 from torch_radbp.emitter.illumination import FACTOR, factor
-from torch_radbp.plugin import AMOUNT, POSE, Domain, Emitter, Filename, Matrix4, positive, register
+from torch_radbp.plugin import Emitter, Filename, Matrix4, positive, register
 from torch_radbp.shape.surface import affine
 from torch_radbp.texture.bitmap import IMAGE, linear_image
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import NUMBER, Emitter, Texture
+from torch_radbp.domain import NUMBER
+from torch_radbp.plugin import Emitter, Texture
 from torch_radbp.texture.rgb import RGB, as_texture
 
 FACTOR = NUMBER._replace(low=0.0)

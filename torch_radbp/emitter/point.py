@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 
+from torch_radbp.domain import AMOUNT, Domain
 from torch_radbp.emitter.illumination import LightPose, colour
-from torch_radbp.plugin import AMOUNT, Domain, Emitter, Matrix4, Point3, Texture, finite, positive, register
+from torch_radbp.plugin import Emitter, Matrix4, Point3, Texture, finite, positive, register
 from torch_radbp.shape.surface import affine, transform_points
 
 

@@ -6,8 +6,9 @@ import math
 
 from torch import Tensor
 
+from torch_radbp.domain import AMOUNT, POSE, Domain
 from torch_radbp.emitter.illumination import FACTOR, LightPose, Scaled, factor, linear_inverse
-from torch_radbp.plugin import AMOUNT, POSE, Domain, Emitter, Matrix4, Texture, positive, register
+from torch_radbp.plugin import Emitter, Matrix4, Texture, positive, register
 from torch_radbp.sensor.perspective import field_of_view, horizontal_fov
 from torch_radbp.shape.surface import affine
 from torch_radbp.texture.rgb import as_texture

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 
+from torch_radbp.domain import AMOUNT, NUMBER, POSE, Domain
 from torch_radbp.emitter.illumination import LightPose, Scaled, colour, linear_inverse
-from torch_radbp.plugin import AMOUNT, NUMBER, POSE, Domain, Emitter, Matrix4, Texture, positive, register
+from torch_radbp.plugin import Emitter, Matrix4, Texture, positive, register
 from torch_radbp.shape.surface import affine
 from torch_radbp.texture.rgb import as_texture
 

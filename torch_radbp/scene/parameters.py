@@ -13,7 +13,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.plugin import LARGEST_COORDINATE, REGISTRY, Domain, Plugin, Texture, nearest
+from torch_radbp.domain import LARGEST_COORDINATE, Domain
+from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
 from torch_radbp.scene.scene import Scene
 
 DTYPES = (torch.float32, torch.float64)

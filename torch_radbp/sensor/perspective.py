@@ -8,8 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.domain import NUMBER, POSE, Domain
 from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.plugin import NUMBER, POSE, Domain, Film, Matrix4, Sampler, Sensor, nearest, positive, register
+from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, nearest, positive, register
 from torch_radbp.sensor.sampler import LowDiscrepancy
 from torch_radbp.shape.surface import affine
 from torch_radbp.vec import Frame, Ray, Vec3, dot, gather, normalize

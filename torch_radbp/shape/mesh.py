@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.plugin import BSDF, LARGEST_COORDINATE, POSE, Domain, Emitter, Filename, Matrix4, finite, register
+from torch_radbp.domain import LARGEST_COORDINATE, POSE, Domain
+from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, register
 from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
 from torch_radbp.shape.surface import Surface, Triangles, affine, transform_normals, transform_points
 from torch_radbp.vec import attached

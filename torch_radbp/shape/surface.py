@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.diffuse import Diffuse
-from torch_radbp.plugin import BSDF, POSE, Domain, Emitter, Shape, finite
+from torch_radbp.domain import POSE, Domain
+from torch_radbp.plugin import BSDF, Emitter, Shape, finite
 
 
 class Triangles(NamedTuple):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Domain, Filename, Matrix4, Texture, finite, nearest, register
+from torch_radbp.domain import Domain
+from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Domain, Plugin, Texture, finite, register
+from torch_radbp.domain import Domain
+from torch_radbp.plugin import Plugin, Texture, finite, register
 
 
 @register("texture", "rgb")

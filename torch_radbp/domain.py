@@ -1,0 +1,98 @@
+"""`Domain`: the values that a parameter may have.
+
+Every plugin says for each of its parameters which they are (`Plugin.domains`). Its constructor checks them, and every
+rendering does (`torch_radbp.scene.parameters`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
+FLATTEST = 1e-6  # least volume of a pose's axes, relative to a box with the same edges; rounding of float32 alone makes 1e-7
+SMALLEST_VOLUME = 1e-30  # least volume of a pose's axes; areas of smaller objects underflow in float32
+
+
+class Domain(NamedTuple):
+    """The values that a parameter may have. Constructors check them, and so does every rendering (`scene.parameters`)."""
+
+    shapes: tuple[tuple[int | str, ...], ...] | None = None  # letters: any length of at least 1; None: any shape
+    low: float = -math.inf
+    high: float = math.inf
+    low_is_in: bool = True
+    high_is_in: bool = True
+    unit: str = ""
+    is_index: bool = False  # rows of a table, int64
+    is_pose: bool = False  # an affine transform that can be inverted
+
+    def check(self, name: str, value: Tensor) -> None:
+        """Raises ValueError unless `value` is in the domain; NaN and infinity are in none."""
+        self.check_shape(name, value)
+        value = value.detach()
+        self.check_range(name, value, *value.aminmax())
+        if self.is_pose:
+            self.check_pose(name, value)
+
+    def check_shape(self, name: str, value: Tensor) -> None:
+        """Raises ValueError unless the shape is one of `shapes`."""
+        if self.shapes is None or any(fits(tuple(value.shape), shape) for shape in self.shapes):
+            return
+        possible = " or ".join(f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" for shape in self.shapes)
+        raise ValueError(f"{name} must have shape {possible}, got {tuple(value.shape)}")
+
+    def check_range(self, name: str, value: Tensor, least: float, greatest: float, leeway: float = 0.0,
+                    advice: str = "") -> None:
+        """Raises ValueError unless the extremes of `value`, NaN if it contains one, are in the range.
+
+        `leeway`: how far they may lie outside, as a share of the greatest magnitude present or allowed; an open end of the
+        range has none.
+        """
+        if not (math.isfinite(least) and math.isfinite(greatest)):
+            bad = value.numel() - int(torch.isfinite(value).sum())
+            raise ValueError(f"{name} has {bad} of {value.numel()} values that are NaN or infinite{advice}")
+        leeway *= max(abs(least), abs(greatest), self.high if self.high < math.inf else 0.0)
+        if (least < self.low - leeway) if self.low_is_in else (least <= self.low):
+            raise ValueError(f"{name} must be {self.words}, got {float(least):g}{advice}")
+        if (greatest > self.high + leeway) if self.high_is_in else (greatest >= self.high):
+            raise ValueError(f"{name} must be {self.words}, got {float(greatest):g}{advice}")
+
+    @staticmethod
+    def check_pose(name: str, matrix: Tensor) -> None:
+        """Raises ValueError unless a (4, 4) matrix is affine and can be inverted."""
+        matrix = matrix.detach().to("cpu", torch.float64)
+        if (matrix[3] - matrix.new_tensor([0.0, 0, 0, 1])).abs().max() > 1e-5:
+            raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {matrix[3].tolist()}")
+        linear = matrix[:3, :3]
+        volume = torch.linalg.det(linear).abs()
+        # A pose may be thin along its own axes or along the world's, but not in every frame.
+        box = min(linear.norm(dim=0).prod(), linear.norm(dim=1).prod())
+        if volume < max(SMALLEST_VOLUME, FLATTEST * box):
+            raise ValueError(f"{name} must be invertible, got a matrix with determinant {float(volume):g}")
+
+    @property
+    def words(self) -> str:
+        """The range in words that follow "must be"."""
+        if self.high == math.inf:
+            return f"{'at least' if self.low_is_in else 'greater than'} {self.low:g}{self.unit}"
+        if self.low_is_in and self.high_is_in:
+            return f"in [{self.low:g}, {self.high:g}]{self.unit}"
+        if not self.low_is_in and not self.high_is_in:
+            return f"between {self.low:g} and {self.high:g}{self.unit}"
+        return (f"{'at least' if self.low_is_in else 'more than'} {self.low:g} and "
+                f"{'at most' if self.high_is_in else 'less than'} {self.high:g}{self.unit}")
+
+
+def fits(shape: tuple[int, ...], pattern: tuple[int | str, ...]) -> bool:
+    """True if a shape matches a pattern of lengths and letters."""
+    return len(shape) == len(pattern) and all(length == wanted if isinstance(wanted, int) else length > 0
+                                              for length, wanted in zip(shape, pattern))
+
+
+NUMBER = Domain(shapes=((),))
+AMOUNT = Domain(low=0.0)  # such as of light or of roughness
+FRACTION = Domain(low=0.0, high=1.0)
+POSE = Domain(shapes=((4, 4),), is_pose=True)
