@@ -1,11 +1,14 @@
 """Recover scene parameters from images: the `radbp` commands and the optimisation behind them.
 
-The road of one `radbp optimize RECIPE.toml`:
+The steps of one `radbp optimize RECIPE.toml`:
 
-    recipe_file   reads and checks the recipe                       -> Recipe
+    bundled       finds the recipe, by path or name
+    recipe_file   reads and checks it                               -> Recipe
     parameters    finds the named parameters, sets initial values   -> list[RecoveredParameter]
     targets       reads the target images                           -> Targets
-    optimize      the training loop: render, loss, backward, step   -> Outcome
-    run_folder    keeps what a run leaves behind
+    optimize      the training loop: render, loss, backward, step   -> Recovery
+    interrupt     ends it on Ctrl-C and SIGTERM
+    run_folder    keeps what a run leaves behind; checkpoint its state
+    outcome       images and values of the state reached; verdict judges the loss
     report        turns a run folder into one report.html
 """

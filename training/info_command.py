@@ -95,7 +95,7 @@ def _parameters(scene) -> Table:
 
 
 class _Differentiable:
-    """Whether anything that is rendered depends on a parameter; asked once per kind, since asking packs the scene."""
+    """Tells which parameters the image depends on; computed once for each kind, since it takes packing the scene."""
 
     def __init__(self, scene):
         self.scene = scene

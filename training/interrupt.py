@@ -74,5 +74,5 @@ class Interrupts:
 
     @property
     def word(self) -> str:
-        """What has happened, in a word."""
+        """The word that is printed: interrupted or terminated."""
         return WORDS.get(self.received, WORDS[signal.SIGINT])

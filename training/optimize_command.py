@@ -45,7 +45,7 @@ def optimize(
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the run.  [default: runs/NAME, numbered if it exists]")
+        Path | None, typer.Option("--out", help=r"Folder of the run.  \[default: runs/NAME, numbered if it exists]")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out, or the last one.")] = False,
     steps: Annotated[int | None, typer.Option(help="Number of steps instead of the recipe's.")] = None,

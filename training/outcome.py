@@ -1,4 +1,4 @@
-"""What a run shows at its beginning and its end: images, recovered values, summary."""
+"""The results of a run: the images at its beginning and its end, recovered values, the summary."""
 
 import math
 import platform

@@ -76,17 +76,17 @@ class RecoveredParameter:
 
     @property
     def is_small(self) -> bool:
-        """Whether it is a colour, a number or a matrix, shown entry by entry, and not a picture or a mesh."""
+        """True for a colour, a number or a matrix, which is shown entry by entry, unlike a picture or a mesh."""
         return self.before.numel() <= 16
 
     @property
     def is_picture(self) -> bool:
-        """Whether it is a bitmap, (H, W, 1 or 3)."""
+        """True for a bitmap, (H, W, 1 or 3)."""
         return not self.is_small and self.before.dim() == 3 and self.before.shape[-1] in (1, 3)
 
     @property
     def is_pose(self) -> bool:
-        """Whether it is a matrix that a rotation and a translation change."""
+        """True for a (4, 4) matrix that is recovered as a rotation and a translation."""
         return self.spec.parametrisation == "rigid"
 
     def motion(self, pose: Tensor) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""How far a long job is: a bar on a terminal, elsewhere a line now and then; both with the time taken and the time left."""
+"""Progress of long jobs with elapsed and remaining time: a bar on a terminal, elsewhere a line now and then."""
 
 import time
 from collections.abc import Callable
@@ -42,7 +42,7 @@ class TimedProgress:
         self.bar.stop()
 
     def update(self, done: int, total: int | None = None, note: str = "") -> None:
-        """Says that `done` of the work is done; `total` when it becomes known or changes, `note` what else is to be said."""
+        """Shows that `done` of `total` is done, with a note; the total may be left out where it has not changed."""
         self.done, self.total = done, self.total if total is None else total
         self.bar.update(self.task, completed=done, total=self.total, note=note)
         if self.console.is_terminal or not self.total:

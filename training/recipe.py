@@ -1,4 +1,4 @@
-"""What a recipe may say: one pydantic model per TOML table. Reading and writing is in `recipe_file`."""
+"""The schema of recipes: one pydantic model per TOML table. Reading and writing is in `recipe_file`."""
 
 import os
 from pathlib import Path
@@ -124,7 +124,7 @@ class Parameter(Table):
 
 
 class Adjoint(Table):
-    """How the backward pass gets at incident radiance; see the README's table of strategies."""
+    """The strategy of the backward pass; see the README's table of strategies."""
 
     strategy: Literal["memoized", "replay", "quadratic", "tape"] = "memoized"
     stride: Count | Literal["sqrt", "log"] = 1

@@ -26,13 +26,13 @@ EPILOG = (
 def render(
     scene: Annotated[Path, typer.Argument(help="Mitsuba 3 scene, .xml")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Image to write, .exr or .png")],
-    spp: Annotated[int | None, typer.Option(help="Samples per pixel.  [default: the scene's]")] = None,
+    spp: Annotated[int | None, typer.Option(help=r"Samples per pixel.  \[default: the scene's]")] = None,
     max_depth: Annotated[
-        int | None, typer.Option(help="1 = emission, 2 = direct light, -1 = unlimited.  [default: the scene's]")
+        int | None, typer.Option(help=r"1 = emission, 2 = direct light, -1 = unlimited.  \[default: the scene's]")
     ] = None,
-    rr_depth: Annotated[int | None, typer.Option(help="Where roulette begins.  [default: the scene's]")] = None,
+    rr_depth: Annotated[int | None, typer.Option(help=r"Where roulette begins.  \[default: the scene's]")] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same image.", min=0)] = 0,
-    sensor: Annotated[list[str] | None, typer.Option(help="Name of a sensor; may be repeated.  [default: all]")] = None,
+    sensor: Annotated[list[str] | None, typer.Option(help=r"Name of a sensor; may be repeated.  \[default: all]")] = None,
     chunk: Annotated[int | None, typer.Option(help="Paths traced at a time; less needs less memory.")] = None,
     compile: Annotated[
         bool, typer.Option("--compile", help="Compile first: minutes once, then faster. For many samples.")

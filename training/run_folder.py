@@ -1,4 +1,4 @@
-"""What a run leaves behind, and the names of its files.
+"""The folder of a run and the files in it.
 
     recipe.toml              the recipe as used; can be run again from here
     metrics.csv              loss, its terms, learning rate, seconds and parameters of every step

@@ -1,4 +1,4 @@
-"""What a run's loss curve says: has it converged, is it still falling, or is there nothing but noise?
+"""The verdict on a run: converged, still falling, rising, or nothing but noise.
 
 The loss of a step is a random number. Its noise sigma is taken from the differences of neighbouring steps,
 
@@ -32,7 +32,7 @@ TOO_SHORT, FALLING, RISING, NOISE, CONVERGED = "too short", "still falling", "ri
 
 
 class Verdict(NamedTuple):
-    """What a loss curve says.
+    """A judgement of a loss curve.
 
     Attributes:
         word: one of the five above.

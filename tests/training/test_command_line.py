@@ -30,9 +30,9 @@ def radbp(folder, monkeypatch):
     ("command", "expected"),
     [
         ((), ["render", "info", "optimize", "radbp render scene.xml -o image.png --spp 64"]),
-        (("render",), ["--spp", "--max-depth", "--seed", "--sensor", "--compile", "-D resolution=64", "sRGB"]),
+        (("render",), ["--spp", "--max-depth", "--seed", "--sensor", "-D resolution=64", "sRGB", "[default: the", "[default: all]"]),
         (("info",), ["radbp info scene.xml", "parameters in a recipe"]),
-        (("optimize",), ["--out", "--resume", "--steps", "-D render.spp=32", "130"]),
+        (("optimize",), ["--out", "--resume", "--steps", "-D render.spp=32", "130", "--list", "[default: runs/NAME"]),
     ],
 )
 def test_help_teaches_with_examples(command, expected, radbp):
@@ -151,3 +151,25 @@ def test_interrupted_optimize_exits_with_130_and_resumes(radbp, folder, monkeypa
     assert "interrupted at step 2 of 6" in (folder / "run" / "report.html").read_text()
     code, stdout, _ = radbp("optimize", "recipe.toml", "--out", "run", "--resume")
     assert code == 0 and "step 6 of 6" in stdout
+
+
+def test_bundled_recipes_are_listed_and_called_by_name(radbp, monkeypatch):
+    code, stdout, _ = radbp("optimize", "--list")
+    assert code == 0 and "metal_plate          Metal plate: the roughness" in stdout
+    code, _, stderr = radbp("optimize", "metal_plait")
+    assert code == 2 and "no such recipe: metal_plait" in stderr and "metal_plate" in stderr
+    code, _, stderr = radbp("optimize", "metal_plate", "-D", "steps=0")
+    assert code == 2 and "metal_plate.toml: steps: must be greater" in stderr
+
+
+@pytest.mark.parametrize(("words", "offered"), [
+    ("radbp op", ["optimize"]), ("radbp optimize met", ["metal_plate"]), ("radbp optimize reci", ["recipe.toml"]),
+    ("radbp optimize nowhere/x", []), ("radbp render --se", ["--seed", "--sensor"])])
+def test_the_tab_key_offers_commands_options_and_recipes(words, offered, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
+    monkeypatch.setenv("_RADBP_COMPLETE", "complete_bash")
+    with pytest.raises(SystemExit) as ended:
+        app(prog_name="radbp")
+    assert ended.value.code == 0 and capsys.readouterr().out.split() == offered
