@@ -127,6 +127,7 @@ def test_an_image_that_is_not_finite_leaves_the_old_file_alone(tmp_path, extensi
     ("a.png", torch.zeros(2, 2, 3), ValueError, r"\(3, H, W\), got \(2, 2, 3\); move the channels .*movedim\(-1, 0\)"),
     ("a.png", torch.zeros(1, 3, 2, 2), ValueError, r"got \(1, 3, 2, 2\), a batch of 1; pick one, image\[0\]"),
     ("a.exr", torch.zeros(5, 3, 2, 2), ValueError, r"got \(5, 3, 2, 2\), a batch of 5; pick one, image\[0\]"),
+    ("a.exr", torch.full((3, 2, 2), 1e300, dtype=torch.float64), ValueError, "4 of 4 pixels are NaN or infinite in float32"),
     ("a.exr", torch.zeros(2, 2), ValueError, r"must have shape \(3, H, W\), got \(2, 2\)"),
     ("a.exr", torch.zeros(3, 0, 2), ValueError, r"must have shape \(3, H, W\), got \(3, 0, 2\)"),
     ("a.exr", np.zeros((3, 2, 2)), TypeError, "must be a tensor of floating point numbers, got ndarray"),

@@ -79,10 +79,10 @@ def save_image(path: str | os.PathLike, image: Tensor) -> None:
         raise TypeError(f"{path}: an image must be a tensor of floating point numbers, got {got}")
     if image.ndim != 3 or image.shape[0] != 3 or image.numel() == 0:
         raise ValueError(f"{path}: an image must have shape (3, H, W), got {tuple(image.shape)}{_advice(image)}")
-    bad = int((~torch.isfinite(image)).any(dim=0).sum())
-    if bad:
-        raise ValueError(f"{path}: not written, {bad} of {image[0].numel()} pixels are NaN or infinite")
     pixels = image.detach().to("cpu", torch.float32).permute(1, 2, 0).contiguous()
+    bad = int((~torch.isfinite(pixels)).any(dim=2).sum())
+    if bad:
+        raise ValueError(f"{path}: not written, {bad} of {image[0].numel()} pixels are NaN or infinite in float32")
     with replacing(path) as temporary:
         if suffix == ".exr":
             header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}

@@ -105,7 +105,7 @@ def _mesh(columns: dict[str, np.ndarray], corners: np.ndarray, counts: np.ndarra
     if bad.any():
         row = int(np.searchsorted(np.cumsum(counts), np.argmax(bad), side="right"))
         raise ValueError(f"{where('face', row)}: faces must index vertices 0 to {len(vertices) - 1}, got "
-                         f"{corners[np.argmax(bad)]:g}")
+                         f"{corners[np.argmax(bad)]:.17g}")
     return MeshArrays(vertices, fans(corners.astype(np.int64), counts), normals, uv)
 
 
