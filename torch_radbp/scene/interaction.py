@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import torch
@@ -111,9 +112,9 @@ def clearance(corners: Corners) -> Tensor:
 
     Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section 6.8.6.
     """
-    coordinates = torch.stack([component.detach().abs() for corner in corners for component in corner])
-    _, exponent = torch.frexp(coordinates.amax(0))
-    return torch.ldexp(torch.full_like(coordinates[0], ROUNDINGS * 2.0**-24), exponent)
+    largest = functools.reduce(torch.maximum, (component.detach().abs() for corner in corners for component in corner))
+    _, exponent = torch.frexp(largest)
+    return torch.ldexp(torch.full_like(largest, ROUNDINGS * 2.0**-24), exponent)
 
 
 def corner_rows(scene: SceneTensors, hit) -> tuple[Tensor, Tensor, Tensor]:
