@@ -15,6 +15,7 @@ except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
 
+SHOWN = 10  # faults of a recipe that a message lists
 # An array of numbers as tomli_w writes it, one to a line.
 NUMBERS = re.compile(r"\[\n\s*((?:[-+.\w]+,?\s+)*)\]")
 
@@ -49,7 +50,9 @@ def read_recipe(path, overrides: list[str] = ()) -> Recipe:
     try:
         return Recipe.model_validate(data, context={"base_dir": path.resolve().parent})
     except ValidationError as error:
-        raise RecipeError("\n".join(f"{path}: {line}" for line in _lines(error, data))) from None
+        lines = _lines(error, data)
+        more = [f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else []
+        raise RecipeError("\n".join(f"{path}: {line}" for line in [*lines[:SHOWN], *more])) from None
 
 
 def write_recipe(recipe: Recipe, path: Path) -> None:

@@ -1,5 +1,8 @@
 """Images in and out, against Mitsuba's reader and the formats' definitions."""
 
+import struct
+import zlib
+
 import numpy as np
 import OpenEXR
 import pytest
@@ -203,4 +206,44 @@ def test_damaged_images_are_refused_in_one_line(tmp_path, name, damage, message)
 def test_a_folder_is_not_an_image(tmp_path):
     (tmp_path / "a.png").mkdir()
     with pytest.raises(IsADirectoryError, match=r"a\.png: is a folder, not a file"):
+        read_image(tmp_path / "a.png")
+
+
+def png(width, height, rows, bits=8, colour=2, interlace=0):
+    """A PNG file with right check sums whose pixels are `rows`, whatever its header says."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlace)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("content, message", [
+    (png(4, 4, bytes(13 * 3)), "its pixels take 52 bytes, it has 39"),
+    (png(4, 4, b""), "its pixels take 52 bytes, it has 0"),
+    (png(64, 851968, bytes(193)), "its pixels take 164429824 bytes, it has 193"),
+    (png(20000, 20000, b""), "."),
+    (png(0, 4, b""), "."),
+    (png(4, 4, bytes(52)).replace(zlib.compress(bytes(52)), bytes(len(zlib.compress(bytes(52))))), "broken PNG file"),
+])
+def test_png_files_with_fewer_pixels_than_they_say_are_refused(tmp_path, content, message):
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(ValueError, match=rf"a\.png: cannot be read as PNG: .*{message}"):
+        read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "LA", "P", "1", "I;16"])
+@pytest.mark.parametrize("size", [(1, 1), (3, 2), (9, 17), (64, 5)])
+def test_png_files_that_are_complete_are_read(tmp_path, mode, size):
+    Image.new("RGB", size, (90, 90, 90)).convert("L" if mode == "I;16" else mode).convert(mode).save(tmp_path / "a.png")
+    assert read_image(tmp_path / "a.png").shape[:2] == size[::-1]
+
+
+def test_interlaced_png_files_are_read(tmp_path):
+    passes = ((2, 1), (1, 1), (3, 1), (2, 2), (5, 1), (4, 3), (9, 2))  # columns and rows of 9 x 5 pixels
+    rows = b"".join(bytes(rows * (1 + 3 * columns)) for columns, rows in passes)
+    (tmp_path / "a.png").write_bytes(png(9, 5, rows, interlace=1))
+    assert read_image(tmp_path / "a.png").shape == (5, 9, 3)
+    (tmp_path / "a.png").write_bytes(png(9, 5, rows[:-1], interlace=1))
+    with pytest.raises(ValueError, match="a.png: cannot be read as PNG: its pixels take 146 bytes, it has 145"):
         read_image(tmp_path / "a.png")

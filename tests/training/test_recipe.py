@@ -89,6 +89,14 @@ def test_recipe_that_does_not_fit_its_scene_is_named(case, edit_recipe):
         assert fragment in str(caught.value)
 
 
+def test_a_recipe_of_many_faults_is_refused_in_a_few_lines(folder):
+    with (folder / "recipe.toml").open("a") as file:
+        file.write("[[loss]]\n" * 50)
+    with pytest.raises(RecipeError, match="and 40 more") as caught:
+        read_recipe(folder / "recipe.toml")
+    assert len(str(caught.value).splitlines()) == 11
+
+
 def test_target_of_wrong_size_names_both_sizes(folder):
     save_image(folder / "target.exr", torch.zeros(3, 8, 6))
     with pytest.raises(ValueError, match=r"target.exr is 6 x 8 pixels, but the film of sensor 'camera' is 8 x 6"):

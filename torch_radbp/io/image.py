@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torch_radbp.io.atomic import replacing
 from torch_radbp.io.files import opened
+from torch_radbp.io.png import check_pixel_data
 
 READABLE, WRITABLE = {".exr": "EXR", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}, (".exr", ".png")
 SIGNATURES = {"EXR": b"\x76\x2f\x31\x01", "PNG": b"\x89PNG\r\n\x1a\n", "JPEG": b"\xff\xd8\xff"}
@@ -137,6 +138,8 @@ def _read_with_pillow(path: str | os.PathLike, kind: str) -> np.ndarray:
     with Image.open(path, formats=(kind,)) as file:
         _check_size(*file.size)
         file.verify()  # the check sums of PNG, which reading ignores
+    if kind == "PNG":
+        check_pixel_data(path)
     high = _decode(path)
     if high.dtype == np.uint16:
         return high[:, :, None] / np.float32(65535)

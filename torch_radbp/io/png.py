@@ -1,0 +1,48 @@
+"""Checks that a PNG file holds the pixels that its header promises; decoders fill in black where it does not.
+
+Reference: W3C 2003, "Portable Network Graphics (PNG) Specification", sections 8 and 11.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+
+from torch_radbp.io.files import opened
+
+CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # of each colour type
+WHOLE = ((0, 0, 1, 1),)  # first column and row, steps between them
+INTERLACED = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+BLOCK = 1 << 20
+
+
+def check_pixel_data(path: str | os.PathLike) -> None:
+    """Raises ValueError or zlib.error if the compressed pixels of a PNG file are damaged or fewer than its header says."""
+    stream, found, expected = zlib.decompressobj(), 0, 0
+    with opened(path) as file:
+        file.seek(8)
+        while len(begin := file.read(8)) == 8:
+            length, kind = struct.unpack(">I4s", begin)
+            data = file.read(length)
+            file.seek(4, os.SEEK_CUR)  # the check sum
+            if kind == b"IHDR":
+                expected = _size(*struct.unpack(">IIBBBBB", data))
+            elif kind == b"IDAT":
+                while data:
+                    found += len(stream.decompress(data, BLOCK))
+                    data = stream.unconsumed_tail
+    found += len(stream.flush())
+    if found < expected or not stream.eof:
+        raise ValueError(f"its pixels take {expected} bytes, it has {found}")
+
+
+def _size(width: int, height: int, bits: int, colour: int, compression: int, filtering: int, interlace: int) -> int:
+    """Bytes of the decompressed rows, each with the byte of its filter."""
+    if colour not in CHANNELS:
+        raise ValueError(f"colour type {colour} does not exist")
+    total = 0
+    for column, row, step_x, step_y in INTERLACED if interlace else WHOLE:
+        columns, rows = (max(0, width - column + step_x - 1) // step_x, max(0, height - row + step_y - 1) // step_y)
+        total += rows * (1 + (columns * bits * CHANNELS[colour] + 7) // 8) if columns else 0
+    return total
