@@ -30,7 +30,7 @@ def radbp(folder, monkeypatch):
     ("command", "expected"),
     [
         ((), ["render", "info", "optimize", "radbp render scene.xml -o image.png --spp 64"]),
-        (("render",), ["--spp", "--max-depth", "--seed", "--sensor", "-D resolution=64", "sRGB", "[default: the", "[default: all]"]),
+        (("render",), ["--spp", "--max-depth", "-D resolution=64", "sRGB", "[default: the", "[default: all]"]),
         (("info",), ["radbp info scene.xml", "parameters in a recipe"]),
         (("optimize",), ["--out", "--resume", "--steps", "-D render.spp=32", "130", "--list", "[default: runs/NAME"]),
     ],
