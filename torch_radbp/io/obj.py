@@ -122,12 +122,14 @@ def _faces(lines: Lines, chosen: np.ndarray, before: dict[str, np.ndarray], plac
         index = int(np.argmax(counts < 3))
         raise ValueError(f"{place}, line {lines.numbers[chosen[index]]}: a face needs at least 3 corners, got "
                          f"{counts[index]}")
+    # Divide the corners at their slashes: the parts of corner i are first[i] to last[i].
     starts, ends = lines.starts[words], lines.ends[words]
     is_slash = lines.text == SLASH
     edges = np.flatnonzero(np.diff((lines.text > 32) & ~is_slash, prepend=False, append=False))
     parts = lines._replace(starts=edges[0::2], ends=edges[1::2])
     first = np.searchsorted(parts.starts, starts)
     last = np.searchsorted(parts.starts, ends) - 1
+    # Tell the four forms by the numbers of parts and slashes; a slash at either end belongs to none of them.
     slash_at = np.flatnonzero(is_slash)
     slashes = np.searchsorted(slash_at, ends) - np.searchsorted(slash_at, starts)
     number = last - first + 1
@@ -137,6 +139,7 @@ def _faces(lines: Lines, chosen: np.ndarray, before: dict[str, np.ndarray], plac
         word = words[np.argmin(good)]
         raise ValueError(f"{place}, line {lines.line_of_word(word)}: a corner of a face is v, v/vt, v//vn or v/vt/vn, got "
                          f"{lines.word(word)}")
+    # Read the part that is the index of each kind.
     index_of = {"v": first, "vt": np.where((number >= 2) & (slashes == number - 1), first + 1, -1),
                 "vn": np.where(slashes == 2, last, -1)}
     corners = {}
