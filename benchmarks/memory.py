@@ -23,7 +23,7 @@ from torch.utils.checkpoint import checkpoint
 
 import torch_radbp as rb
 from benchmarks import cornell
-from torch_radbp.adjoint.function import accumulate, start_paths
+from torch_radbp.adjoint.function import pixel_sums, start_paths
 from torch_radbp.adjoint.sweep import empty_memo
 from torch_radbp.path import add_at, survivors, take_step
 from torch_radbp.vec import Vec3, masked
@@ -62,7 +62,7 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
             contribution, state = checkpoint(one_bounce, state, depth, use_reentrant=False)
             add_at(L, lane, contribution)
             depth += 1
-        accumulate(images, chunk, L, call.spp)
+        images[0][:, chunk.first_pixel:chunk.first_pixel + chunk.pixels] += pixel_sums(chunk, L) / call.spp
     return images[0].reshape(1, 3, view.height, view.width)
 
 

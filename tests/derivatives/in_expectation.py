@@ -67,12 +67,12 @@ class Estimate:
             backward = measurement.backward(numbers[0], [cotangent.image for cotangent in self.cotangents])
             self.backward[sampling] = [old + new for old, new in zip(self.backward[sampling], backward)]
 
-    def checks(self) -> dict[str, GradientCheck]:
-        """What `rb.check_gradient` would say, for each sampling."""
-        found, effort = {}, self.effort
+    def checks(self, error: float = 0.0) -> dict[str, GradientCheck]:
+        """What `rb.check_gradient` would say, for each sampling, of derivatives that are wrong by the factor 1 + `error`."""
+        found, effort, factor = {}, self.effort, (1 + error) / self.rounds
         for sampling in self.measurements:
-            samples = Samples(self.sums["differences"] / self.rounds, self.sums[sampling] / self.rounds, self.rounding)
-            backward = [value / self.rounds for value in self.backward[sampling]]
+            samples = Samples(self.sums["differences"] / self.rounds, factor * self.sums[sampling], self.rounding)
+            backward = [factor * value for value in self.backward[sampling]]
             comparison = compare(samples, self.cotangents, backward, self.eps)
             found[sampling] = judge(self.moving.name, self.tangent, self.moving.step,
                                     effort.spp * effort.batches * self.rounds, effort.batches, effort.seed, True, comparison)

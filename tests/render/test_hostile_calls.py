@@ -114,7 +114,8 @@ def test_settings_assigned_later_count():
 
 
 def test_a_budget_of_a_byte():
-    with pytest.raises(ValueError, match=r"memory_budget of 1 B is too small: the most frugal plan .* needs [1-9][0-9.]* .?i?B"):
+    message = r"memory_budget of 1 B is too small: the most frugal plan .* needs [1-9][0-9.]* .?i?B"
+    with pytest.raises(ValueError, match=message):
         renderer(memory_budget=1)()
 
 
@@ -153,11 +154,13 @@ PARAMETERS = {
                            f"parameter '{NAME}' is torch.complex64"),
     "in half precision": (lambda: replaced(GREY.half()), TypeError, f"parameter '{NAME}' is torch.float16"),
     "in double precision": (lambda: replaced(GREY.double()), TypeError, f"parameter '{NAME}' is torch.float64 on cpu, but "),
-    "on another device": (lambda: replaced(GREY.to("meta")), TypeError, f"parameter '{NAME}' is torch.float32 on meta, but "),
+    "on another device": (lambda: replaced(GREY.to("meta")), TypeError,
+                          f"parameter '{NAME}' is torch.float32 on meta, but "),
     "sparse": (lambda: replaced(GREY.to_sparse()), TypeError, f"parameter '{NAME}' {DENSE}"),
     "of five numbers": (lambda: replaced(torch.rand(5)), ValueError,
                         f"parameter '{NAME}' must have shape () or (3,), got (5,)"),
-    "of no numbers": (lambda: replaced(torch.rand(0)), ValueError, f"parameter '{NAME}' must have shape () or (3,), got (0,)"),
+    "of no numbers": (lambda: replaced(torch.rand(0)), ValueError,
+                      f"parameter '{NAME}' must have shape () or (3,), got (0,)"),
     "not finite": (lambda: replaced(torch.tensor([0.5, NAN, 0.5])), ValueError,
                    f"parameter '{NAME}' has 1 of 3 values that are NaN or infinite"),
     "infinite": (lambda: replaced(torch.tensor([0.5, -INF, 0.5])), ValueError,
@@ -195,7 +198,8 @@ MUTILATIONS = {
     "the scene is on no device": (lambda ours: ours.to("meta"), TypeError, "is on the device meta, which holds no numbers"),
     "the renderer is in half precision": (lambda ours: ours.half(), TypeError, "is torch.float16; a scene is rendered in"),
     "one shape is in double precision": (lambda ours: ours.scene.floor.double(), TypeError, "a scene has one dtype"),
-    "memory that was never written": (lambda ours: [p.data.fill_(NAN) for p in ours.parameters()], ValueError, "parameter '"),
+    "memory that was never written": (lambda ours: [p.data.fill_(NAN) for p in ours.parameters()], ValueError,
+                                      "values that are NaN or infinite"),
 }
 
 
