@@ -66,7 +66,7 @@ def checked_tangents(scene: Scene, tangents: Mapping[str, Tensor]) -> dict[str, 
     checked = {}
     for name, tangent in tangents.items():
         parameter = scene.get_parameter(name)
-        tangent = torch.as_tensor(tangent).detach()
+        tangent = tangent.detach() if isinstance(tangent, Tensor) else tangent
         checked[name] = finite(f"the tangent of {name!r}", tangent, tuple(parameter.shape)).to(parameter)
     return checked
 
