@@ -24,7 +24,7 @@ from torch import Tensor
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import (
-    CAMERA_DEPTH,
+    CAMERA_COUNTER,
     LaneKey,
     SampleKey,
     bounce_key,
@@ -127,7 +127,7 @@ def sample_camera(camera: PinholeTensors, width: Tensor, pixel: Tensor, sample: 
         key: of the call.
     """
     lane = lane_key(key, pixel, sample)
-    camera_key = bounce_key(lane, depth_counter(CAMERA_DEPTH, pixel.device))
+    camera_key = bounce_key(lane, CAMERA_COUNTER)
     dtype = camera.tan_x.dtype
     row = torch.div(pixel, width, rounding_mode="floor")
     column = pixel - row * width

@@ -186,3 +186,17 @@ def test_only_products_and_sums_may_be_fused(dtype):
     found = LaneFunction(lambda a, b: a * b + 1.0)(a, b)[usual]
     expected = (a * b + 1.0)[usual]
     assert ((found - expected).abs() <= torch.finfo(dtype).eps * ((a * b)[usual].abs() + expected.abs())).all()
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+@pytest.mark.parametrize("length", [1, 2, 3, 7, 64, 1000])
+def test_places_in_sorted_tables(length, dtype, width):
+    table = torch.sort(torch.rand(length, generator=torch.Generator().manual_seed(length), dtype=dtype))[0]
+    edges = torch.tensor([-1.0, 0.0, 2.0, math.inf, -math.inf], dtype=dtype)
+    x = torch.cat([table, table + 1e-3, edges, torch.rand(100).to(dtype)])
+    function = LaneFunction(lambda table, x: torch.searchsorted(table, x, right=True), tables=("table",), width=width)
+    assert torch.equal(function(table, x), torch.searchsorted(table, x, right=True))
+    longer = torch.cat([table, table[-1:] + 1])  # the length is not compiled in
+    assert torch.equal(function(longer, x), torch.searchsorted(longer, x, right=True))
+    assert len(function.compiled) == 1

@@ -12,7 +12,6 @@ import torch
 
 from tests.sampling.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.sampling.sampler import (
-    CAMERA_DEPTH,
     DIMENSIONS_PER_BOUNCE,
     LaneKey,
     bounce_key,
@@ -52,7 +51,7 @@ def draw(key, depth, dimension, dtype=torch.float64):
     return uniform(bounce_key(key, depth_counter(depth, key.shift.device)), dimension, dtype)
 
 
-ADDRESSES = list(itertools.product((0, 1, 12345), (CAMERA_DEPTH, 0, 3), (0, 1, 3, 6)))
+ADDRESSES = list(itertools.product((0, 1, 12345), (-1, 0, 3), (0, 1, 3, 6)))
 
 
 @pytest.mark.parametrize("seed, depth, dimension", ADDRESSES)
@@ -101,7 +100,7 @@ def test_dimensions_are_independent(first, second):
     assert_independent(numbers(dimension=first), numbers(dimension=second), "dimensions")
 
 
-@pytest.mark.parametrize("first, second", [(CAMERA_DEPTH, 0), (0, 1), (1, 2), (0, 7), (3, 1023)])
+@pytest.mark.parametrize("first, second", [(-1, 0), (0, 1), (1, 2), (0, 7), (3, 1023)])
 def test_depths_are_independent(first, second):
     for dimension in (0, 3):
         assert_independent(numbers(depth=first, dimension=dimension), numbers(depth=second, dimension=dimension), "depths")
@@ -186,7 +185,7 @@ def test_no_two_addresses_of_a_bounce_coincide():
     assert len(seen) == 41 * 7
 
 
-@pytest.mark.parametrize("depth", [CAMERA_DEPTH, 0, 3])
+@pytest.mark.parametrize("depth", [-1, 0, 3])
 @pytest.mark.parametrize("dimension", range(7))
 def test_samples_of_a_pixel_are_stratified(low_discrepancy, depth, dimension):
     """Of every 2^k samples from a multiple of 2^k on, one lies in each of 2^k intervals, counted from some start."""
@@ -199,7 +198,7 @@ def test_samples_of_a_pixel_are_stratified(low_discrepancy, depth, dimension):
         assert bool(evenly) == low_discrepancy
 
 
-@pytest.mark.parametrize("depth", [CAMERA_DEPTH, 0, 3])
+@pytest.mark.parametrize("depth", [-1, 0, 3])
 @pytest.mark.parametrize("dimension", [0, 4])
 def test_pairs_of_dimensions_fill_every_elementary_interval(low_discrepancy, depth, dimension):
     u, v = (numbers(depth=depth, dimension=dimension + k, together=True).reshape(-1, 64) for k in (0, 1))

@@ -194,8 +194,7 @@ def lane_adjoint(call: RenderCall, chunk: Chunk, grad_images: Tensor) -> Vec3:
     """Derivative of the loss with respect to L_1 of each lane: a pixel is the mean of its samples."""
     pixels = slice(chunk.first_pixel, chunk.first_pixel + chunk.pixels)
     gradient = grad_images[chunk.sensor].reshape(3, -1)[:, pixels] / call.spp
-    # Cloned: compiled functions distinguish tensors that are parts of others.
-    return Vec3(*(channel.repeat_interleave(chunk.samples).clone() for channel in gradient))
+    return Vec3(*(channel.repeat_interleave(chunk.samples) for channel in gradient))
 
 
 class RenderFunction(torch.autograd.Function):

@@ -35,7 +35,6 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Ray, Vec3
 
 MOST_BLOCKS, MOST_PARTIAL_SUMS = 256, 1 << 16  # of `scatter_add`
-FEW_ENTRIES = 8  # of a table whose gradient a compiled bounce sums itself
 
 
 class PathRecord(NamedTuple):
@@ -67,14 +66,14 @@ class Memo(NamedTuple):
 
 
 class TableAdjoint(NamedTuple):
-    """What one bounce adds to the gradient of a table of K entries."""
+    """What one read of a table adds to its gradient, (N,) each; still to be scattered."""
 
-    total: Tensor | None  # (K,) float64
-    reads: list[tuple[Tensor, Tensor]]  # index and adjoint per lane, still to be scattered
+    index: Tensor  # int32
+    adjoint: Tensor
 
 
 def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], state: PathState, step: Step, adj_L: Vec3,
-                   memo: Memo, at: Position, settings: Settings) -> tuple[Memo, list[TableAdjoint]]:
+                   memo: Memo, at: Position, settings: Settings) -> tuple[Memo, list[list[TableAdjoint]]]:
     """The local vector-Jacobian product of one bounce.
 
     Args:
@@ -86,7 +85,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], state: PathSta
         at, settings: as in the forward pass.
 
     Returns:
-        The memo for the bounce above, of the lanes of `state`, and what to add to the gradient of each wanted leaf.
+        The memo for the bounce above, of the lanes of `state`, and for each wanted leaf what its reads add to its gradient.
     """
     memo = tree_map_only(Tensor, lambda table: lookup(table, state.lane), memo)
     adj_L = lookup(adj_L, state.lane) * state.beta
@@ -116,7 +115,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], state: PathSta
     if memo.triangle is not None:
         adj_here = tuple(Vec3(*found[first:first + 3]) for first in (7, 10, 13))
         above = above._replace(triangle=MetTriangle(rows, tree_map(Tensor.detach, here), adj_here))
-    return above, [table_adjoint(tap, adjoints) for tap in taps]
+    return above, [table_adjoints(tap, adjoints) for tap in taps]
 
 
 def as_leaf(tensor: Tensor) -> Tensor:
@@ -144,23 +143,19 @@ def zeros_unless(adjoint: Tensor | None, like: Tensor) -> Tensor:
     return torch.zeros_like(like) if adjoint is None else adjoint
 
 
-def table_adjoint(tap: Tap, adjoints: Iterator[Tensor | None]) -> TableAdjoint:
-    """What the reads of a table add to its gradient; summed at once if that is cheap: compiled, and of few entries.
+def table_adjoints(tap: Tap, adjoints: Iterator[Tensor | None]) -> list[TableAdjoint]:
+    """What the reads of a table add to its gradient.
 
     Args:
         tap: of the table.
         adjoints: of its leaves come next.
     """
-    reads = []
+    found = []
     for read in tap.reads:
         adjoint = next(adjoints)
         if adjoint is not None:
-            reads.append((read.index, adjoint if read.found is None else adjoint + read.found))
-    if not (torch.compiler.is_compiling() and len(tap.table) <= FEW_ENTRIES):
-        return TableAdjoint(None, reads)
-    sums = [sum(((index == entry).to(adjoint.dtype) * adjoint).sum(dtype=torch.float64) for index, adjoint in reads)
-            for entry in range(len(tap.table) if reads else 0)]
-    return TableAdjoint(torch.stack(sums) if sums else None, [])
+            found.append(TableAdjoint(read.index, adjoint if read.found is None else adjoint + read.found))
+    return found
 
 
 class Sweep:
@@ -198,9 +193,7 @@ class Sweep:
         above, tables = self.adjoint_of_bounce(self.integrand.scene, self.wanted, state, step, self.adj_L, self.memo,
                                                self.integrand.at(depth), self.integrand.settings_at(depth))
         places: dict[tuple[int, int], Tensor] = {}
-        for gradient, (total, reads) in zip(self.gradients, tables):
-            if total is not None:
-                gradient += total
+        for gradient, reads in zip(self.gradients, tables):
             for index, adjoint in reads:
                 scatter_add(gradient, index, adjoint, places)
         if depth == 0 and above.triangle is not None:  # no bounce aims at what the camera sees

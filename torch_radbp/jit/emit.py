@@ -4,8 +4,9 @@
 
 computes the lanes from `first` to `last` in blocks of W, of vectors of W lanes or, for W = 1, of scalars, as a thread of a
 GPU does. If the last block is not full, it is moved back so that it ends at `last`; lanes that are computed twice get the
-same results twice. So at least W lanes must be given (`run.py` sees to that). `inputs` and `outputs` are arrays of pointers.
-`lanes_of_job` calls it for parts of a `team.Job` until none is left, and may run on several threads at once.
+same results twice. So at least W lanes must be given (`run.py` sees to that). `inputs` and `outputs` are arrays of pointers;
+behind those of the inputs stand their lengths. `lanes_of_job` calls it for parts of a `team.Job` until none is left, and may
+run on several threads at once.
 
 Every operation is one line of a table; the types stand in it as {T} (vector) and {W}. Of the liberties that compilers take
 with floating point only the fusing of a product and a sum is allowed: infinities, NaN and signs of zeros are as in torch.
@@ -80,6 +81,33 @@ done:
 """
 
 
+# Halves what is left of the table until nothing is; all lanes take the same number of turns.
+SEARCH = """\
+define internal {counts} @{function}(ptr %table, i64 %length, {numbers} %x) {{
+entry:
+  %some = icmp sgt i64 %length, 0
+  br i1 %some, label %turn, label %done
+turn:
+  %left = phi i64 [ %length, %entry ], [ %rest, %turn ]
+  %low = phi {counts} [ {zero}, %entry ], [ %moved, %turn ]
+  %more = add i64 %left, 1
+  %half = lshr i64 %more, 1
+  {spread}
+  %beyond = add {counts} %low, %step
+  %last = sub {counts} %beyond, {one}
+  %places = getelementptr {scalar}, ptr %table, {counts} %last
+  %entries = {read}
+  %within = fcmp ole {numbers} %entries, %x
+  %moved = select {flags} %within, {counts} %beyond, {counts} %low
+  %rest = sub i64 %left, %half
+  %again = icmp sgt i64 %rest, 0
+  br i1 %again, label %turn, label %done
+done:
+  %result = phi {counts} [ {zero}, %entry ], [ %moved, %turn ]
+  ret {counts} %result
+}}"""
+
+
 class Emitter:
     """The text of one program for blocks of `width` lanes."""
 
@@ -145,6 +173,8 @@ class Emitter:
         names = [self.names[argument] for argument in value.arguments]
         if operation == "gather":
             return self.gather(value)
+        if operation == "search":
+            return self.search(value)
         working = value.arguments[-1].dtype  # of the operands; of a comparison the result is bool
         types = {"T": self.vector(SCALARS[working])}
         if operation == "select":
@@ -240,6 +270,35 @@ class Emitter:
             entry = self.line(f"call {kind} @{function}({pointers} {places}, i32 {alignment(table.dtype)}, "
                               f"{self.vector('i1')} {self.everywhere('i1', 'true')}, {kind} poison)")
         return self.line(f"trunc {kind} {entry} to {self.vector('i1')}") if table.dtype == torch.bool else entry
+
+    def search(self, value: Value) -> str:
+        """The number of entries of a sorted table that are at most the lane's number, by bisection."""
+        table, number = value.arguments
+        place = self.program.inputs.index(table)
+        at = self.line(f"getelementptr i64, ptr %inputs, i64 {len(self.program.inputs) + place}", self.entry)
+        length = self.line(f"load i64, ptr {at}, align 8", self.entry)
+        scalar = SCALARS[table.dtype]
+        function = f"search_{scalar}"
+        numbers, counts = self.vector(scalar), self.vector("i64")
+        gather = f"llvm.masked.gather.{self.suffix(scalar_suffix(scalar))}.{self.suffix('p0')}"
+        if self.width > 1:
+            self.declared[gather] = f"declare {numbers} @{gather}({self.vector('ptr')}, i32, {self.vector('i1')}, {numbers})"
+        read = (f"call {numbers} @{gather}({self.vector('ptr')} %places, i32 {table.dtype.itemsize}, {self.vector('i1')} "
+                f"{self.everywhere('i1', 'true')}, {numbers} poison)" if self.width > 1
+                else f"load {scalar}, ptr %places, align {table.dtype.itemsize}")
+        self.declared[function] = SEARCH.format(
+            function=function, numbers=numbers, counts=counts, places=self.vector("ptr"), scalar=scalar, read=read,
+            flags=self.vector("i1"), one=self.everywhere("i64", "1"), zero=self.everywhere("i64", "0"),
+            spread=self.spread("%half"))
+        return self.line(f"call {counts} @{function}(ptr {self.names[table]}, i64 {length}, {numbers} {self.names[number]})")
+
+    def spread(self, name: str) -> str:
+        """Instructions that make `%step` of an i64 in every lane."""
+        if self.width == 1:
+            return f"%step = add i64 {name}, 0"
+        vector = self.vector("i64")
+        return (f"%first = insertelement {vector} poison, i64 {name}, i32 0\n"
+                f"  %step = shufflevector {vector} %first, {vector} poison, <{self.width} x i32> zeroinitializer")
 
     def store(self, number: int, value: Value) -> None:
         """Writes a block of an output."""

@@ -22,6 +22,7 @@ OPERATIONS = {
     "eq": 2, "ne": 2, "lt": 2, "le": 2, "gt": 2, "ge": 2,
     "select": 3,  # condition, value where it holds, value elsewhere
     "gather": 2,  # table, index
+    "search": 2,  # sorted table, number: how many entries are at most the number, int64
     # Of float64 only, and of vectors lane by lane: functions of the C library.
     "sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "sinh": 1, "cosh": 1, "tanh": 1, "exp": 1, "exp2": 1,
     "expm1": 1, "log": 1, "log2": 1, "log10": 1, "log1p": 1, "erf": 1, "erfc": 1, "pow": 2, "atan2": 2, "hypot": 2,

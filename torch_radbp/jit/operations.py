@@ -43,11 +43,11 @@ def decomposes(*names: str):
 # -- Arithmetic ------------------------------------------------------------------------------------------------------------
 
 
-@handles("neg", "abs", "floor", "ceil", "trunc", "round", "sqrt", "mul", "mul_", "copysign", "bitwise_and", "__and__",
+@handles("neg", "abs", "floor", "ceil", "trunc", "round", "sqrt", "mul", "copysign", "bitwise_and", "__and__",
          "bitwise_or", "__or__", "bitwise_xor", "__xor__", "bitwise_left_shift", "__lshift__", "bitwise_right_shift",
          "__rshift__", "bitwise_not")
 def elementwise(tracer, result: Tensor, *arguments, name: str) -> Value:
-    operation = {"mul_": "mul", "bitwise_left_shift": "shl", "__lshift__": "shl", "bitwise_right_shift": "ashr",
+    operation = {"bitwise_left_shift": "shl", "__lshift__": "shl", "bitwise_right_shift": "ashr",
                  "__rshift__": "ashr"}.get(name, name.removeprefix("bitwise_").strip("_"))
     if operation in ("floor", "ceil", "trunc", "round") and not result.dtype.is_floating_point:
         return tracer.operand(arguments[0], result.dtype)
@@ -56,12 +56,12 @@ def elementwise(tracer, result: Tensor, *arguments, name: str) -> Value:
     return tracer.apply(operation, result.dtype, *arguments)
 
 
-@handles("add", "add_", "sub", "sub_")
+@handles("add", "sub")
 def sum_or_difference(tracer, result: Tensor, a, b, alpha=1, *, name: str) -> Value:
     b = tracer.operand(b, result.dtype)
     if alpha != 1:
         b = tracer.apply("mul", result.dtype, b, alpha)
-    return tracer.apply("or" if result.dtype == torch.bool else name.rstrip("_"), result.dtype, a, b)
+    return tracer.apply("or" if result.dtype == torch.bool else name, result.dtype, a, b)
 
 
 @handles("rsub")
@@ -69,7 +69,7 @@ def reversed_difference(tracer, result: Tensor, a, b, alpha=1, *, name: str) -> 
     return sum_or_difference(tracer, result, b, a, alpha, name="sub")
 
 
-@handles("div", "div_")
+@handles("div")
 def quotient(tracer, result: Tensor, a, b, *, rounding_mode: str | None = None, name: str) -> Value:
     dtype = result.dtype
     if rounding_mode is None:
@@ -134,17 +134,17 @@ def clamp(x: Tensor, min=None, max=None) -> Tensor:
 # -- What is not computed --------------------------------------------------------------------------------------------------
 
 
-@handles("zeros", "ones", "zeros_like", "ones_like", "new_zeros", "new_ones", "zero_")
+@handles("zeros", "ones", "zeros_like", "ones_like", "new_zeros", "new_ones", "zero")
 def zero_or_one(tracer, result: Tensor, *arguments, name: str, **options) -> Value:
     return tracer.builder.constant(int("one" in name), result.dtype)
 
 
-@handles("full", "full_like", "new_full", "fill_", "scalar_tensor")
+@handles("full", "full_like", "new_full", "fill", "scalar_tensor")
 def filled(tracer, result: Tensor, *arguments, name: str, fill_value=None, **options) -> Value:
     return tracer.operand(arguments[-1] if fill_value is None else fill_value, result.dtype)
 
 
-@handles("clone", "detach", "detach_", "alias", "lift_fresh", "lift_fresh_copy", "_to_copy", "expand", "view",
+@handles("clone", "detach", "alias", "lift_fresh", "lift_fresh_copy", "_to_copy", "expand", "view",
          "_unsafe_view", "squeeze", "unsqueeze", "contiguous")
 def same(tracer, result: Tensor, x: Tensor, *arguments, name: str, **options) -> Value:
     if name == "view" and arguments and isinstance(arguments[0], torch.dtype):
@@ -153,7 +153,7 @@ def same(tracer, result: Tensor, x: Tensor, *arguments, name: str, **options) ->
     return value if value.kind == TABLE and result.dtype == x.dtype else tracer.operand(x, result.dtype)
 
 
-@handles("copy_")
+@handles("copy")
 def copied(tracer, result: Tensor, target: Tensor, source: Tensor, *arguments, name: str) -> Value:
     return tracer.operand(source, result.dtype)
 
@@ -168,6 +168,14 @@ def entries(tracer, result: Tensor, table: Tensor, *arguments, name: str, **opti
     return tracer.builder.value("gather", (entries, place), result.dtype, place.kind)
 
 
+@handles("searchsorted")
+def search(tracer, result: Tensor, table: Tensor, x: Tensor, *, right: bool = False, name: str, **options) -> Value:
+    entries = tracer.value_of(table, "a table")
+    if entries.kind != TABLE or not right or result.dtype != torch.int64:
+        raise refusal("torch.searchsorted but with right=True, in a table, to int64,")
+    return tracer.builder.value("search", (entries, tracer.operand(x, entries.dtype)), torch.int64)
+
+
 # -- Formulas of other operations ------------------------------------------------------------------------------------------
 
 DECOMPOSED |= {
@@ -179,7 +187,6 @@ DECOMPOSED |= {
     "isfinite": lambda x: x.abs() < math.inf,
     "sigmoid": lambda x: 1.0 / (1.0 + torch.exp(-x)),
     "masked_fill": lambda x, mask, value: torch.where(mask, value, x),
-    "masked_fill_": lambda x, mask, value: x.copy_(torch.where(mask, value, x)),
     "addcmul": lambda x, a, b, value=1: x + value * a * b,
     "addcdiv": lambda x, a, b, value=1: x + value * a / b,
     "lerp": lambda a, b, weight: a + weight * (b - a),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import inspect
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -136,12 +136,13 @@ def compute(compiled: Compiled, leaves: list[Tensor], kinds: list[str], lanes: i
                   for place, tensor in zip(compiled.inputs, inputs)]
     outputs = [torch.empty(padded, dtype=value.dtype, device="cpu") for value in program.outputs]
     if lanes and outputs:
-        run_lanes(compiled.code.address, padded, addresses(inputs), addresses(outputs))
+        lengths = [len(tensor) if tensor.dim() else 1 for tensor in inputs]
+        run_lanes(compiled.code.address, padded, addresses(inputs, lengths), addresses(outputs))
     if padded != lanes:
         outputs = [output[:lanes].clone() for output in outputs]
     return compiled.assemble([outputs[k] if k >= 0 else leaves[~k] for k in compiled.results])
 
 
-def addresses(tensors: list[Tensor]) -> ctypes.Array:
-    """Where tensors lie, as C has it."""
-    return (ctypes.c_void_p * max(1, len(tensors)))(*[tensor.data_ptr() for tensor in tensors])
+def addresses(tensors: list[Tensor], numbers: Sequence[int] = ()) -> ctypes.Array:
+    """Where tensors lie, and numbers after that, as C has it."""
+    return (ctypes.c_int64 * max(1, len(tensors) + len(numbers)))(*[tensor.data_ptr() for tensor in tensors], *numbers)

@@ -89,20 +89,18 @@ class Tracer(TorchDispatchMode):
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         kwargs = kwargs or {}
         name = func.overloadpacket.__name__
-        handler = HANDLERS.get(name)
-        if handler is None:
+        in_place = name.endswith("_") and not name.endswith("__")  # then the tensor has another value from here on
+        name = name.removesuffix("_") if in_place else name
+        if name not in HANDLERS:
             with self:  # what is called now is traced too
                 answer = DECOMPOSED.get(name, func.decompose)(*args, **kwargs)
             if answer is NotImplemented:
                 raise refusal(f"torch.{name} ({func})")
-            return answer
+            return self.note(args[0], self.operand(answer, args[0].dtype)) if in_place else answer
         result = func(*args, **kwargs)
         if result.dim() > 1 or (result.dim() == 1 and len(result) != SIZE):
             raise refusal(f"torch.{name} makes a tensor of shape {tuple(result.shape)} of lanes")
-        value = handler(self, result, *args, name=name, **kwargs)
-        if value.dtype != result.dtype:
-            value = self.builder.cast(value, result.dtype)
-        return self.note(result, value)
+        return self.note(result, self.operand(HANDLERS[name](self, result, *args, name=name, **kwargs), result.dtype))
 
     @classmethod
     def _should_skip_dynamo(cls) -> bool:

@@ -26,16 +26,16 @@ class GridDistribution(NamedTuple):
 
     rows: Tensor  # (R + 1,) cumulative probability of the rows above
     cells: Tensor  # (1 + R C,) 0, then row + cumulative probability in the row up to and with the cell
+    size: tuple[Tensor, Tensor]  # () int64 each, R and C
 
     def sample(self, u: Tensor, v: Tensor) -> GridSample:
         """Cells for uniform float64 numbers `u` (rows) and `v` (columns) in [0, 1), (N,)."""
-        count = self.rows.shape[0] - 1
-        columns = (self.cells.shape[0] - 1) // count
-        row = (torch.searchsorted(self.rows, u, right=True) - 1).clamp_max(count - 1)
+        count, columns = self.size
+        row = torch.minimum(torch.searchsorted(self.rows, u, right=True) - 1, count - 1)
         above, below = self.rows.index_select(0, row), self.rows.index_select(0, row + 1)
         v = v + row
         # The end of a row is the start of the next, so that the lower bound of a cell is always the entry before it.
-        cell = (torch.searchsorted(self.cells, v, right=True) - 1).clamp_max(count * columns - 1)
+        cell = torch.minimum(torch.searchsorted(self.cells, v, right=True) - 1, count * columns - 1)
         left, right = self.cells.index_select(0, cell), self.cells.index_select(0, cell + 1)
         return GridSample(row, cell - row * columns, within(u, above, below), within(v, left, right))
 
@@ -62,4 +62,5 @@ def grid_distribution(weights: Tensor) -> tuple[GridDistribution, Tensor]:
     inside = torch.where(total > 0, inside / total.clamp_min(1e-300), 1.0)
     first = torch.arange(len(weights), dtype=torch.float64, device=weights.device)[:, None]
     cells = torch.nn.functional.pad((inside + first).reshape(-1), (1, 0))
-    return GridDistribution(rows / rows[-1], cells), (weights / rows[-1]).reshape(-1)
+    size = tuple(torch.tensor(length, device=weights.device) for length in weights.shape)
+    return GridDistribution(rows / rows[-1], cells, size), (weights / rows[-1]).reshape(-1)

@@ -29,7 +29,6 @@ MULTIPLIERS = tuple(
 LATTICE = (182667, 469891)  # of the third and fourth dimension
 HALVES = ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF))  # distance and lower one
 DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
-CAMERA_DEPTH = -1  # the depth under which the camera draws its numbers
 
 
 class SampleKey(NamedTuple):
@@ -119,12 +118,15 @@ def depth_counter(depth: int, device: torch.device) -> Tensor:
     return hash32(torch.tensor(depth + 1, dtype=torch.int32, device=device) ^ 0x3C6EF35F)
 
 
-def bounce_key(key: LaneKey, counter: Tensor) -> BounceKey:
+CAMERA_COUNTER = int(depth_counter(-1, torch.device("cpu")))  # the address of the random numbers that the camera draws
+
+
+def bounce_key(key: LaneKey, counter: Tensor | int) -> BounceKey:
     """The key of each lane's random numbers at one bounce.
 
     Args:
         key: from `lane_key`.
-        counter: () int32, from `depth_counter`.
+        counter: () int32, from `depth_counter`, or `CAMERA_COUNTER`.
     """
     shift = hash32(key.shift + counter)
     first = reordered(key.point, shift)

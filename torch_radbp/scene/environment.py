@@ -39,7 +39,7 @@ def environment_radiance(scene: SceneTensors, d: Vec3) -> Vec3:
     local, _ = local_direction(environment, d)
     uv = latitude_longitude(local)
     corner, fx, fy = texels_around(environment, uv)
-    first = lookup(scene.radiance.offset, scene.lights.surround)
+    first = lookup(scene.radiance.offset, scene.lights.surround.expand(d.x.shape))
     upper, lower = (lookup(scene.radiance.texels, left + first) * (1.0 - fx)
                     + lookup(scene.radiance.texels, right + first) * fx for left, right in (corner[:2], corner[2:]))
     return upper * (1.0 - fy) + lower * fy
@@ -52,8 +52,8 @@ def environment_pdf(scene: SceneTensors, proposal: SceneTensors, d: Vec3) -> Ten
     environment = proposal.lights.environment
     columns = environment.columns
     column = torch.remainder(torch.floor(uv.x * columns - 0.5).to(torch.int32), columns)
-    cells = environment.edges.shape[0] - 1  # from pole to pole
-    row = (uv.y * cells).to(torch.int32).clamp_max(cells - 1)
+    cells = (environment.rows - 1).clamp_min(1)  # from pole to pole
+    row = torch.minimum((uv.y * cells).to(torch.int32), cells - 1)
     return lookup(environment.density, row * columns + column) * jacobian
 
 
@@ -106,15 +106,13 @@ def sample_environment(proposal: SceneTensors, u: Tensor, v: Tensor) -> tuple[Ve
     local = Vec3(across * torch.sin(phi), 1.0 - 2.0 * h, -across * torch.cos(phi))
     d = environment.to_world.to_local(local)
     squared = dot(d, d).clamp_min(TINY)
-    volume = determinant(environment.to_local)
     density = lookup(environment.density, cell.row * columns + cell.column)
-    return d * torch.rsqrt(squared), density * volume * squared * torch.sqrt(squared)
+    return d * torch.rsqrt(squared), density * environment.volume * squared * torch.sqrt(squared)
 
 
 def local_direction(environment: EnvironmentMap, d: Vec3) -> tuple[Vec3, Tensor]:
     """The unit directions in which the map is read, and their solid angle per solid angle in the world."""
-    # One row serves all lanes: broadcast, not gathered.
-    only = torch.zeros_like(environment.rows)
+    only = torch.zeros_like(d.x, dtype=torch.int32)
     to_local = Frame(*(lookup(row, only) for row in environment.to_local))
     local = to_local.to_local(d)
     shrink = torch.rsqrt(dot(local, local).clamp_min(TINY))

@@ -89,7 +89,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     material = lookup(triangles.material, prim)
     emitter = lookup(triangles.emitter, prim) if layout.area_lights else None
     if layout.back_sides:
-        material = material + (~front).to(material.dtype) * (len(scene.materials.kind) // 2)
+        material = material + (~front).to(material.dtype) * scene.materials.count
         side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
         shading, shading_cosine = shading * side, shading_cosine * side
     frame = ShadingFrame(shading, lookup(triangles.along, prim) if layout.anisotropic else None)

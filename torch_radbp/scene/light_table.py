@@ -103,8 +103,8 @@ def light_table(scene: Scene, triangles: TriangleTable, radiance: Tensor, counts
         pose=elements(none, [posed.index(lamp) if lamp.kind >= POINT else 0 for lamp in lamps]),
         radiance=elements(surfaces.radiance, [lamp.texture for lamp in lamps]),
         posed=posed_lights(posed, area) if posed else None,
-        surround=none.new_tensor([0 if surround is None else surround.texture]),
-        surround_pmf=area.new_tensor([0.0 if surround is None else surround.emitter.sampling_weight / total]),
+        surround=none.new_tensor(0 if surround is None else surround.texture),
+        surround_pmf=area.new_tensor(0.0 if surround is None else surround.emitter.sampling_weight / total),
         environment=environment)
 
 
@@ -153,9 +153,10 @@ def environment_map(emitter: Envmap, like: Tensor) -> EnvironmentMap:
     picked = torch.cat([picked[:1], picked[:-1] & picked[1:], picked[-1:]])[:rows]  # all cells around a texel
     weighing = torch.where(picked, 4 * texel / (luminance * solid_angle).sum(), 0.0)
     integer = {"dtype": torch.int32, "device": like.device}
+    to_local = linear_inverse(name, emitter.to_world).to(like)
     return EnvironmentMap(
-        to_local=rows_of(linear_inverse(name, emitter.to_world)[None].to(like)),
-        to_world=rows_of(emitter.to_world.detach()[None, :3, :3].to(like)),
-        rows=torch.tensor([rows], **integer), columns=torch.tensor([columns], **integer), pick=pick,
+        to_local=rows_of(to_local[None]), volume=torch.linalg.det(to_local.detach()).abs(),
+        to_world=Frame(*(Vec3(*row.unbind()) for row in emitter.to_world.detach()[:3, :3].to(like).unbind())),
+        rows=torch.tensor(rows, **integer), columns=torch.tensor(columns, **integer), pick=pick,
         density=density.to(like), edges=edges.to(like),
         weighing=weighing.reshape(-1).to(like))

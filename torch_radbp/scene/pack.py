@@ -138,7 +138,7 @@ def material_table(bsdfs: list[BSDF], bank: BankBuilder, device: torch.device) -
 
     return MaterialTable(column([kinds.index(bsdf.kind()) for bsdf in sides]),
                          tuple(column([row[k] if k < len(row) else 0 for row in textures]) for k in range(slots)),
-                         column([False] * len(bsdfs) + two_sided, torch.bool)), kinds
+                         column([False] * len(bsdfs) + two_sided, torch.bool), column(len(bsdfs))), kinds
 
 
 def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:

@@ -90,6 +90,7 @@ class MaterialTable(NamedTuple):
     kind: Tensor  # (2 M,) int32, of `Layout.kinds`
     slots: tuple[Tensor, ...]  # (2 M,) int32 each: the textures that the functions of the kind take
     turned: Tensor  # (2 M,) bool: the shading frame is turned towards the viewer
+    count: Tensor  # () int32, M
 
 
 class PosedLights(NamedTuple):
@@ -106,9 +107,10 @@ class EnvironmentMap(NamedTuple):
     """An image of the surroundings: R rows of texels, C columns; cells lie between the centres of four texels."""
 
     to_local: Frame  # (1,) rows of the matrix from world directions to the image's; attached
-    to_world: Frame  # (1,) rows of its inverse, detached
-    rows: Tensor  # (1,) int32, R
-    columns: Tensor  # (1,) int32, C
+    to_world: Frame  # () rows of its inverse, detached
+    volume: Tensor  # () absolute value of the determinant of `to_local`, detached
+    rows: Tensor  # () int32, R
+    columns: Tensor  # () int32, C
     pick: GridDistribution  # of the cells
     density: Tensor  # (cells,) over the solid angle of local directions, with which a cell is sampled
     weighing: Tensor  # (R C,) density at the texels themselves, for weights; 0 beside a cell that is never picked
@@ -125,8 +127,8 @@ class LightTable(NamedTuple):
     pose: Tensor  # (E,) int32 row of `posed`, else 0
     radiance: Tensor  # (E,) int32 texture of the light bank
     posed: PosedLights | None  # None if there are none
-    surround: Tensor  # (1,) int32 texture of the constant emitter, 0 if there is none
-    surround_pmf: Tensor  # (1,) probability of picking the constant emitter or the environment map
+    surround: Tensor  # () int32 texture of the constant emitter, 0 if there is none
+    surround_pmf: Tensor  # () probability of picking the constant emitter or the environment map
     environment: EnvironmentMap | None
 
 

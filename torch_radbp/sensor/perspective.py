@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.domain import NUMBER, POSE, Domain
+from torch_radbp.film.filter import TABLE_SIZE
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, nearest, positive, register
 from torch_radbp.sensor.sampler import LowDiscrepancy
@@ -176,8 +177,8 @@ def beyond_far_plane(camera: PinholeTensors, p: Vec3) -> Tensor:
 
 
 def quantile(table: Tensor, u: Tensor) -> Tensor:
-    """Linear interpolation of an equally spaced table at `u` in [0, 1]."""
-    position = u * (table.shape[0] - 1)
-    left = position.to(torch.int32).clamp_max(table.shape[0] - 2)
+    """Linear interpolation of a filter's (TABLE_SIZE,) table at `u` in [0, 1]."""
+    position = u * (TABLE_SIZE - 1)
+    left = position.to(torch.int32).clamp_max(TABLE_SIZE - 2)
     fraction = position - left
     return gather(table, left) * (1.0 - fraction) + gather(table, left + 1) * fraction
