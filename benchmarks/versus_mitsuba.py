@@ -15,7 +15,6 @@ import os
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 
 import torch
@@ -101,15 +100,12 @@ def start_up(options: argparse.Namespace) -> dict[str, float]:
     return {"caster": caster, "compile": first - third, "steady": third}
 
 
-def measure_start_up(options: argparse.Namespace) -> dict[str, dict[str, float]]:
-    """`start_up` in new processes: with an empty cache of compiled code, then with the one that this filled."""
+def measure_start_up(options: argparse.Namespace) -> dict[str, float]:
+    """`start_up` in a new process."""
     command = [sys.executable, "-m", "benchmarks.versus_mitsuba", "--only-start-up", "--resolution", str(options.resolution),
                "--spp", str(options.spp), "--depth", str(options.depth)]
-    with tempfile.TemporaryDirectory() as cache:
-        environment = os.environ | {"TORCHINDUCTOR_CACHE_DIR": cache}
-        results = [subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
-                   for _ in range(2)]
-    return {name: json.loads(result.splitlines()[-1]) for name, result in zip(("cold", "cached"), results)}
+    result = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    return json.loads(result.splitlines()[-1])
 
 
 def measure(options: argparse.Namespace) -> dict:
@@ -165,8 +161,8 @@ def report(result: dict) -> str:
             z = [(a - b) / max(1e-30, (e * e + f * f) ** 0.5) for a, b, e, f in zip(values, theirs, errors, their_errors)]
             shown = "" if name == "mitsuba" else "  z " + " ".join(f"{value:+.1f}" for value in z)
             lines.append(f"  {parameter:30s}{name:10s}" + " ".join(f"{value:10.6f}" for value in values) + shown)
-    for name, figures in result.get("start_up", {}).items():
-        lines.append(f"start-up, {name}: compilation {figures['compile']:.1f} s, ray caster {figures['caster']:.1f} s, "
+    if figures := result.get("start_up"):
+        lines.append(f"start-up: compilation {figures['compile']:.1f} s, ray caster {figures['caster']:.1f} s, "
                      f"then {figures['steady']:.3f} s a pass")
     return "\n".join(lines)
 
@@ -178,7 +174,7 @@ def main() -> None:
     parser.add_argument("--depth", type=int, default=8)
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--json", help="also write the figures to this file")
-    parser.add_argument("--no-start-up", action="store_true", help="leave out the start-up times (minutes)")
+    parser.add_argument("--no-start-up", action="store_true", help="leave out the start-up times")
     parser.add_argument("--only-start-up", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.only_start_up:

@@ -35,7 +35,7 @@ def render(
     sensor: Annotated[list[str] | None, typer.Option(help=r"Name of a sensor; may be repeated.  \[default: all]")] = None,
     chunk: Annotated[int | None, typer.Option(help="Paths traced at a time; less needs less memory.")] = None,
     compile: Annotated[
-        bool, typer.Option("--compile", help="Compile first: minutes once, then faster. For many samples.")
+        bool, typer.Option("--compile", help="Compile first: seconds once, then faster. For many samples.")
     ] = False,
     define: Define = None,
     debug: Debug = False,
