@@ -31,7 +31,7 @@ class GridDistribution(NamedTuple):
     def sample(self, u: Tensor, v: Tensor) -> GridSample:
         """Cells for uniform float64 numbers `u` (rows) and `v` (columns) in [0, 1), (N,)."""
         count, columns = self.size
-        row = torch.minimum(torch.searchsorted(self.rows, u, right=True) - 1, count - 1)
+        row = torch.minimum(torch.searchsorted(self.rows, u.contiguous(), right=True) - 1, count - 1)
         above, below = self.rows.index_select(0, row), self.rows.index_select(0, row + 1)
         v = v + row
         # The end of a row is the start of the next, so that the lower bound of a cell is always the entry before it.
