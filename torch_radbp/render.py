@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
+from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.adjoint.cost import Request, check_cost
@@ -23,6 +25,7 @@ from torch_radbp.adjoint.function import (
 )
 from torch_radbp.adjoint.memory import MemoryPlan, Workload, parse_budget, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.adjoint.working_set import WorkingSet, measured
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.entry import entry
 from torch_radbp.path import Integrand, Settings
@@ -104,6 +107,7 @@ class Renderer(nn.Module):
         self.adjoint_is_chosen = adjoint is not None
         self.last_caster: RayCaster | None = None
         self.jump_watch = JumpWatch()
+        self.working_sets: dict[tuple, WorkingSet] = {}
         self.check_settings()
 
     def check_settings(self) -> None:
@@ -250,10 +254,20 @@ class Renderer(nn.Module):
         moving = integrand.settings.moving
         triangles = moving and self.sampling != "attached" and any_differentiated(call.scene.triangles.vertices.p)
         work = Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
-                        self.compile_stages, call.workers, moving, triangles)
+                        self.compile_stages, call.workers, moving, triangles, self.working_set(call, integrand, triangles))
         if self.memory_budget is None:
             return predict(work, chunk, call.adjoint, call.retrace)
         return plan_memory(self.memory_budget, work, chunk, self.adjoint if self.adjoint_is_chosen else None)
+
+    def working_set(self, call: RenderCall, integrand: Integrand, triangles: bool) -> WorkingSet:
+        """What a bounce of this call needs while it is computed; measured once for each kind of call."""
+        wanted = tuple(isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
+        taped = isinstance(call.adjoint, TapeAdjoint)
+        case = (call.scene.layout, call.scene.dtype, integrand.settings, integrand.max_depth, wanted, triangles, taped)
+        if case not in self.working_sets:
+            attached = call.make_integrand(call.scene)._replace(bounce=EAGER.bounce) if taped else None
+            self.working_sets[case] = measured(integrand, attached, partial(pilot_paths, call), wanted, triangles)
+        return self.working_sets[case]
 
     def caster_of(self, scene: SceneTensors) -> RayCaster:
         """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one.

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import torch
 
-from torch_radbp.adjoint.memory import BOUNCE, Workload, predict, size_of
+from torch_radbp.adjoint.memory import LEAST_BOUNCE, Workload, predict, size_of
 
 MOST_NUMBERED = 2**31 - 1  # pixels of an image, samples of a pixel: int32 counts them
 MOST_PATHS = 10**12  # a day at 10 million paths a second, hours on the fastest devices of today
@@ -39,7 +39,7 @@ class Request(NamedTuple):
         """Without what depends on the scene: as if no path went on after its first bounce."""
         images = IMAGE_COPIES * 3 * self.images * self.width * self.height * self.dtype.itemsize
         together = min(self.paths, self.workers * self.chunk)
-        working = together * BOUNCE * self.dtype.itemsize
+        working = together * LEAST_BOUNCE * self.dtype.itemsize
         if self.adjoint is not None:
             work = Workload([1.0], self.paths, self.max_depth, self.dtype, self.compiled, self.workers)
             working = max(working, predict(work, self.chunk, self.adjoint).peak)

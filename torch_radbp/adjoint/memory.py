@@ -1,8 +1,9 @@
 """How much memory a rendering with its backward pass will need, and which chunk and stride fit a budget.
 
 Dead lanes leave the wavefront, so that the need depends on the scene: a pilot of a few thousand paths tells how many lanes
-reach each depth. What is counted: the states and hits that the forward pass keeps for the backward pass, and the working
-memory of the bounce that is being computed. What is not: the scene itself, compiled code, and the allocator's waste.
+reach each depth, and one of its bounces what a lane needs while it is computed (`working_set.py`). What is counted: the states
+and hits that the forward pass keeps for the backward pass, and the working memory of the bounce that is being computed, with
+the allocator's waste. What is not: the scene itself and compiled code.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import torch
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.schedule import DROP, KEEP, backward_plan
 from torch_radbp.adjoint.tape import TapeAdjoint
+from torch_radbp.adjoint.working_set import Growth, WorkingSet
 from torch_radbp.path import Integrand, PathState, trace
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
@@ -25,11 +27,12 @@ RADIANCE = (3, 0)  # a `Vec3`
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 TRIANGLE = {False: (0, 0), True: (18, 12)}  # `MetTriangle`, if there is any
 
-# Numbers per lane that are alive at the worst moment of one bounce, and of its adjoint eager and compiled: so that the peaks
-# of `python -m benchmarks.memory`, which hold the allocator's waste too, are predicted.
-BOUNCE = 74
-BOUNCE_ADJOINT = {False: 200, True: 60}
-TAPE = 32  # that autograd saves per lane and bounce
+# Resident memory is more than what torch holds: by this factor, and by so many numbers a lane (`python -m benchmarks.memory`).
+WASTE, SPARE = 1.75, 50
+COMPILED = 0.3  # of the working memory of an eager adjoint
+
+# Numbers per lane that a bounce, its adjoint and autograd's tape need at least: those of diffuse surfaces.
+LEAST_BOUNCE, LEAST_ADJOINT, LEAST_TAPE = 70, 60, 32
 
 SMALLEST_CHUNK = 1 << 12
 MIB = 1 << 20
@@ -89,6 +92,14 @@ class Workload(NamedTuple):
     workers: int = 1  # chunks that are traced side by side
     moving: bool = False  # whether rays carry derivatives
     triangles: bool = False  # whether triangles do, each for two bounces
+    measured: WorkingSet | None = None  # of a bounce; None: the least that it may be
+
+    @property
+    def working_set(self) -> WorkingSet:
+        if self.measured is not None:
+            return self.measured
+        least = (Growth(numbers * self.dtype.itemsize, 0.0) for numbers in (LEAST_BOUNCE, LEAST_ADJOINT, LEAST_TAPE))
+        return WorkingSet(*least)
 
 
 def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> MemoryPlan:
@@ -108,9 +119,11 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     chunk = min(chunk, lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
+    bounce, sweep, tape = work.working_set
+    spare = SPARE * dtype.itemsize
     if isinstance(adjoint, TapeAdjoint):
-        kept = int(lanes * sum(fractions) * TAPE * dtype.itemsize)
-        return MemoryPlan(chunk, adjoint, False, kept, together * BOUNCE * dtype.itemsize)
+        kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
+        return MemoryPlan(chunk, adjoint, False, kept, int(together * (WASTE * bounce.per_lane + spare)))
     depths = adjoint.kept(bounces, work.max_depth)
     per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * size(STATE)
     per_lane += sum(fractions) * size(STEP) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
@@ -120,10 +133,12 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
             if action.depth not in depths:
                 replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE)
                 most = max(most, replayed)
-    sweep = size(RADIANCE) + size(MEMO[work.moving]) + size(TRIANGLE[work.triangles]) + size(STATE)
-    working = (BOUNCE_ADJOINT[work.compiled] * (1 + work.moving) * dtype.itemsize + sweep) * max(fractions) + most
+    held = size(RADIANCE) + size(MEMO[work.moving]) + size(TRIANGLE[work.triangles]) + size(STATE)
+    share = COMPILED if work.compiled else 1.0
+    busy = max(WASTE * (share * sweep.per_lane + held), WASTE * share * bounce.per_lane) + spare
+    working = together * (busy * max(fractions) + most) + work.workers * sweep.fixed
     kept = int((together if retrace else lanes) * per_lane)
-    return MemoryPlan(chunk, adjoint, retrace, kept, int(together * working))
+    return MemoryPlan(chunk, adjoint, retrace, kept, int(working))
 
 
 def states_kept(adjoint, bounces: int, work: Workload) -> float:

@@ -1,0 +1,97 @@
+"""The predicted memory of a call holds on scenes that no constant was fitted to.
+
+Materials, textures, lights and what moves are of several kinds. Measured is what torch allocates; the prediction is of
+resident memory, with the allocator's waste, and so may be larger.
+"""
+
+import pytest
+import torch
+from torch.profiler import ProfilerActivity, profile
+
+import torch_radbp as rb
+from tests.derivatives.moving_scenes import envmap, smooth_noise
+from tests.scenes import cornell, load, rectangle, sensor
+from torch_radbp.io.transform import rotate, scale, translate
+
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+SETTINGS = {"spp": 16, "max_depth": 5, "rr_depth": 100}
+MOST = 3.5  # times what is allocated
+
+
+def material_scene(floor: dict, ball: dict, block: dict) -> rb.Scene:
+    """A ball and a block on a floor, under an environment map."""
+    return load(
+        torch.float32, sensor=sensor(24, (0.5, 1.0, 3.5), (0, 0, 0), 45), sky=envmap(),
+        floor=rectangle((0, -0.6, 0), 2.0, angle=-90, bsdf=floor),
+        ball={"type": "sphere", "to_world": translate((-0.5, -0.1, 0.2)) @ scale((0.4, 0.4, 0.4)), "bsdf": ball},
+        block={"type": "cube", "to_world": translate((0.5, -0.3, 0)) @ rotate((0, 1, 0), 30) @ scale((0.3, 0.3, 0.3)),
+               "bsdf": block})
+
+
+def glass_and_metal() -> rb.Scene:
+    return material_scene({"type": "diffuse", "reflectance": {"type": "bitmap", "data": smooth_noise(1)}},
+                          {"type": "dielectric", "int_ior": 1.5}, {"type": "roughconductor", "alpha": 0.2, "material": "Au"})
+
+
+def rough_glass() -> rb.Scene:
+    return material_scene({"type": "roughconductor", "alpha": 0.3, "material": "Al"},
+                          {"type": "roughdielectric", "alpha": 0.2, "int_ior": 1.5}, {"type": "conductor", "material": "Ag"})
+
+
+CASES = {
+    "colours of a diffuse room": (lambda: cornell(torch.float32, 24), ["white.reflectance.value"]),
+    "a diffuse room in float64": (lambda: cornell(torch.float64, 24), ["red.reflectance.value"]),
+    "vertices in a diffuse room": (lambda: cornell(torch.float32, 24), ["box.vertex_positions"]),
+    "a bitmap beside glass and metal": (glass_and_metal, ["floor.bsdf.reflectance.data", "block.bsdf.alpha.value"]),
+    "an environment map and vertices": (glass_and_metal, ["sky.data", "block.vertex_positions"]),
+    "roughness of glass": (rough_glass, ["ball.bsdf.alpha.value"]),
+}
+
+
+def prepared(name: str, **settings) -> rb.Renderer:
+    build, parameters = CASES[name]
+    scene = build()
+    for parameter in parameters:
+        scene.get_parameter(parameter).requires_grad_()
+    renderer = rb.Renderer(scene, **SETTINGS | settings)
+    renderer(spp=1).sum().backward()  # what is made once is there
+    return renderer
+
+
+def allocated(renderer: rb.Renderer) -> int:
+    """The most bytes that torch holds during a forward and backward pass, over those before it."""
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
+        renderer(seed=1).sum().backward()
+    held = peak = 0
+    for event in profiler.profiler.kineto_results.events():
+        if event.name() == "[memory]":
+            held += event.nbytes()
+            peak = max(peak, held)
+    return peak
+
+
+@pytest.mark.parametrize("settings", [{"chunk": 4096}, {"chunk": 2048, "adjoint": rb.MemoizedAdjoint("log")},
+                                      {"chunk": 4096, "sampling": "attached"}, {"adjoint": rb.TapeAdjoint()}],
+                         ids=["stride 1", "log", "attached", "tape"])
+@pytest.mark.parametrize("name", CASES)
+def test_a_call_needs_what_is_predicted(name, settings):
+    renderer = prepared(name, **settings)
+    predicted, needed = renderer.memory_plan().peak, allocated(renderer)
+    assert needed < predicted < MOST * needed, (needed, predicted)
+
+
+@pytest.mark.parametrize("name", ["a bitmap beside glass and metal", "vertices in a diffuse room"])
+def test_a_call_stays_within_its_budget(name):
+    free = prepared(name).memory_plan().peak
+    renderer = prepared(name, memory_budget=free // 2)
+    assert renderer.memory_plan().peak <= free // 2
+    assert allocated(renderer) < free // 2
+
+
+def test_the_working_set_is_measured_once_for_each_kind_of_call():
+    renderer = prepared("colours of a diffuse room", memory_budget="64MiB")
+    renderer(), renderer(seed=2)
+    assert len(renderer.working_sets) == 1
+    renderer.scene.get_parameter("box.vertex_positions").requires_grad_()
+    renderer()
+    assert len(renderer.working_sets) == 2

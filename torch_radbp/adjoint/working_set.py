@@ -1,0 +1,112 @@
+"""How many bytes one bounce needs at its worst moment, measured on a few paths.
+
+What a bounce computes depends on the scene: on its kinds of material, its textures, what moves. So nothing is assumed: a
+bounce, its adjoint and, for `TapeAdjoint`, a whole path are taken on two small numbers of lanes, with an eye on all that torch
+allocates. The difference between the two is what grows with the lanes; gradients of tables do not.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_map_only
+from torch.utils.weak import WeakIdKeyDictionary
+
+from torch_radbp.adjoint.sweep import bounce_adjoint, empty_memo
+from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.path import Integrand, PathState, take_step
+from torch_radbp.vec import Vec3
+
+LANES = (1024, 3072)  # of the two measurements
+
+
+class Growth(NamedTuple):
+    """A number of bytes as a function of the number of lanes."""
+
+    per_lane: float
+    fixed: float
+
+
+class WorkingSet(NamedTuple):
+    """Bytes that are alive at the worst moment, beside those of what goes in."""
+
+    bounce: Growth
+    adjoint: Growth
+    tape: Growth | None  # that autograd keeps of whole paths; None if nothing is recorded
+
+
+class AllocatedBytes(TorchDispatchMode):
+    """Counts the bytes of the tensors that are made within it: `alive` now, and at the most (`peak`)."""
+
+    def __init__(self):
+        super().__init__()
+        self.alive = self.peak = 0
+        self.known = WeakIdKeyDictionary()
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        kwargs = kwargs or {}
+        tree_map_only(Tensor, lambda tensor: self.known.setdefault(tensor.untyped_storage(), True), (args, kwargs))
+        made = function(*args, **kwargs)
+        tree_map_only(Tensor, self.add, made)
+        return made
+
+    def add(self, tensor: Tensor) -> None:
+        """Counts what a tensor rests on, if it is new, until nothing rests on it any more."""
+        storage = tensor.untyped_storage()
+        if storage not in self.known:
+            self.known[storage] = True
+            self.alive += storage.nbytes()
+            self.peak = max(self.peak, self.alive)
+            weakref.finalize(storage, self.take_off, storage.nbytes())
+
+    def take_off(self, size: int) -> None:
+        self.alive -= size
+
+
+def growth(measure: Callable[[int], float]) -> Growth:
+    """The line through two measurements."""
+    few, many = (measure(lanes) for lanes in LANES)
+    per_lane = max(0.0, (many - few) / (LANES[1] - LANES[0]))
+    return Growth(per_lane, max(0.0, few - per_lane * LANES[0]))
+
+
+def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[int], PathState],
+             wanted: tuple[bool, ...], twice: bool) -> WorkingSet:
+    """The working set of a call.
+
+    Args:
+        integrand: of the detached scene.
+        attached: of the attached scene, if derivatives are recorded by autograd; else None.
+        start: makes so many camera paths.
+        wanted: of each leaf of the scene, whether its derivative is.
+        twice: whether triangles carry derivatives for two bounces each.
+    """
+    def of_bounce(lanes: int) -> float:
+        state = start(lanes)
+        with torch.no_grad(), AllocatedBytes() as allocated:
+            take_step(integrand, state, 0)
+        return allocated.peak
+
+    def of_adjoint(lanes: int) -> float:
+        state = start(lanes)
+        with torch.no_grad():
+            _, step = take_step(integrand, state, 0)
+            adj_L, memo = Vec3.full(state.pdf, 1.0), empty_memo(state.pdf, integrand.settings.moving, twice)
+            with AllocatedBytes() as allocated:
+                bounce_adjoint(integrand.scene, wanted, state, step, adj_L, memo, integrand.at(0), integrand.settings_at(0))
+        return allocated.peak
+
+    def of_tape(lanes: int) -> float:
+        state = start(lanes)
+        with torch.enable_grad(), AllocatedBytes() as allocated:
+            recorded = trace_attached(attached, state)
+            alive = allocated.alive
+        del recorded
+        return alive
+
+    return WorkingSet(growth(of_bounce), growth(of_adjoint), None if attached is None else growth(of_tape))
