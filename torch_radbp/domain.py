@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+LARGEST_AMOUNT = 1e18  # beyond it, squares overflow in float32
 LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
 FLATTEST = 1e-6  # least volume of a pose's axes, relative to a box with the same edges; rounding of float32 alone makes 1e-7
 SMALLEST_VOLUME = 1e-30  # least volume of a pose's axes; areas of smaller objects underflow in float32
@@ -25,6 +26,7 @@ class Domain(NamedTuple):
     high: float = math.inf
     low_is_in: bool = True
     high_is_in: bool = True
+    limit: float = math.inf  # of the magnitude, for the sake of float32
     unit: str = ""
     is_index: bool = False  # rows of a table, int64
     is_pose: bool = False  # an affine transform that can be inverted
@@ -54,6 +56,9 @@ class Domain(NamedTuple):
         if not (math.isfinite(least) and math.isfinite(greatest)):
             bad = value.numel() - int(torch.isfinite(value).sum())
             raise ValueError(f"{name} has {bad} of {value.numel()} values that are NaN or infinite{advice}")
+        if max(abs(least), abs(greatest)) > self.limit:
+            raise ValueError(f"{name} must be at most {self.limit:g} in magnitude, got {max(greatest, least, key=abs):g}: "
+                             f"float32 overflows beyond that")
         leeway *= max(abs(least), abs(greatest), self.high if self.high < math.inf else 0.0)
         if (least < self.low - leeway) if self.low_is_in else (least <= self.low):
             raise ValueError(f"{name} must be {self.words}, got {float(least):g}{advice}")
@@ -93,6 +98,7 @@ def fits(shape: tuple[int, ...], pattern: tuple[int | str, ...]) -> bool:
 
 
 NUMBER = Domain(shapes=((),))
-AMOUNT = Domain(low=0.0)  # such as of light or of roughness
+AMOUNT = Domain(low=0.0, limit=LARGEST_AMOUNT)  # such as of light or of roughness
 FRACTION = Domain(low=0.0, high=1.0)
+POINT = Domain(shapes=((3,),), limit=LARGEST_COORDINATE)
 POSE = Domain(shapes=((4, 4),), is_pose=True)

@@ -14,7 +14,13 @@ from tests.emitter.lights import FLOOR, detached, scene_of, sky_image, turned, u
 from tests.sampling.chi_square import SIGNIFICANCE, p_value
 from tests.scenes import load, sensor, texels
 from torch_radbp.sampling.grid import grid_distribution
-from torch_radbp.scene.environment import environment_pdf, environment_radiance, latitude_longitude, sample_environment
+from torch_radbp.scene.environment import (
+    environment_pdf,
+    environment_radiance,
+    environment_weighing,
+    latitude_longitude,
+    sample_environment,
+)
 from torch_radbp.vec import Vec3
 
 COUNT = 200_000
@@ -213,3 +219,10 @@ def test_the_density_follows_the_parameters():
     theta, u = torch.acos(local[:, 1]), (torch.atan2(local[:, 0], -local[:, 2]) / (2 * math.pi)) % 1
     assert ((theta - 2 * math.pi / 5).abs() < math.pi / 5 + 1e-9).all()
     assert ((u * 9 - 3.5).abs() < 1 + 1e-9).all()
+
+
+def test_a_direction_that_is_no_number_reads_inside_of_the_image():
+    scene = envmap(sky_image())
+    d = Vec3.full(torch.zeros(4, dtype=torch.float64), float("nan"))
+    assert environment_radiance(scene, d).x.isnan().all()
+    assert environment_weighing(scene, d).shape == environment_pdf(scene, scene, d).shape == (4,)

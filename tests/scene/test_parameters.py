@@ -94,6 +94,8 @@ WRONG = {
     "bytes": ("wall.bsdf.reflectance.data", torch.full((3, 2, 3), 255.0), "must be in [0, 1], got 255"),
     "negative reflectance": ("box.bsdf.reflectance.value", torch.tensor([0.5, -0.3, 0.5]), "must be in [0, 1], got -0.3"),
     "bright reflectance": ("box.bsdf.reflectance.value", torch.tensor(1.5), "must be in [0, 1], got 1.5"),
+    "radiance whose square overflows": ("lamp.emitter.radiance.value", torch.tensor([1.0, 1.0, 1e19]),
+                                        "must be at most 1e+18 in magnitude, got 1e+19: float32 overflows beyond that"),
     "negative radiance": ("lamp.emitter.radiance.value", torch.tensor([1.0, 1.0, -1.0]), "must be at least 0, got -1"),
     "negative sky": ("sky.data", -torch.ones(3, 4, 3), "must be at least 0, got -1"),
     "negative factor": ("sky.scale", torch.tensor(-2.0), "must be at least 0, got -2"),

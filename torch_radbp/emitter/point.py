@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torch_radbp.domain import AMOUNT, Domain
+from torch_radbp.domain import AMOUNT, POINT, Domain
 from torch_radbp.emitter.illumination import LightPose, colour
 from torch_radbp.plugin import Emitter, Matrix4, Point3, Texture, finite, positive, register
 from torch_radbp.shape.surface import affine, transform_points
@@ -34,7 +34,7 @@ class Point(Emitter):
     to_world = None  # resolved into `position`
 
     def domains(self) -> dict[str, Domain]:
-        return {"position": Domain(shapes=((3,),)), "intensity": AMOUNT}
+        return {"position": POINT, "intensity": AMOUNT}
 
     def radiated(self) -> Texture:
         """The texture of the emitted light."""

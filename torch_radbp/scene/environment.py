@@ -53,7 +53,7 @@ def environment_pdf(scene: SceneTensors, proposal: SceneTensors, d: Vec3) -> Ten
     columns = environment.columns
     column = torch.remainder(torch.floor(uv.x * columns - 0.5).to(torch.int32), columns)
     cells = (environment.rows - 1).clamp_min(1)  # from pole to pole
-    row = torch.minimum((uv.y * cells).to(torch.int32), cells - 1)
+    row = torch.minimum((uv.y * cells).to(torch.int32), cells - 1).clamp_min(0)
     return lookup(environment.density, row * columns + column) * jacobian
 
 
@@ -83,7 +83,8 @@ def texels_around(environment: EnvironmentMap, uv: Vec2) -> tuple[tuple[Tensor, 
     left, top = torch.floor(x.detach()), torch.floor(y.detach())
     column, row = left.to(torch.int32), top.to(torch.int32)
     x0, x1 = torch.remainder(column, environment.columns), torch.remainder(column + 1, environment.columns)
-    last = environment.rows - 1
+    # Row and column of what is NaN are arbitrary integers, and must not lead out of the image.
+    row, last = row.clamp_min(0), environment.rows - 1
     y0, y1 = torch.minimum(row, last) * environment.columns, torch.minimum(row + 1, last) * environment.columns
     return (y0 + x0, y0 + x1, y1 + x0, y1 + x1), x - left, y - top
 
