@@ -71,8 +71,9 @@ def allocated(renderer: rb.Renderer) -> int:
 
 
 @pytest.mark.parametrize("settings", [{"chunk": 4096}, {"chunk": 2048, "adjoint": rb.MemoizedAdjoint("log")},
-                                      {"chunk": 4096, "sampling": "attached"}, {"adjoint": rb.TapeAdjoint()}],
-                         ids=["stride 1", "log", "attached", "tape"])
+                                      {"chunk": 4096, "sampling": "attached"}, {"adjoint": rb.TapeAdjoint()},
+                                      {"chunk": 4096, "compile": True}],
+                         ids=["stride 1", "log", "attached", "tape", "compiled"])
 @pytest.mark.parametrize("name", CASES)
 def test_a_call_needs_what_is_predicted(name, settings):
     renderer = prepared(name, **settings)

@@ -42,7 +42,7 @@ MEMORY = {  # film, settings, gigabytes that there are, what is needed
     "chunk": ({"width": 512, "height": 512}, {"spp": 64, "chunk": 10**9}, False, 1, ": 4.6"),
     "small chunks": ({"width": 64, "height": 64}, {"spp": 4096, "chunk": 1}, False, 1, ": 3.1"),
     "paths that are kept": ({"width": 512, "height": 512}, {"spp": 1024}, True, 8, ": "),
-    "tape": ({"width": 256, "height": 256}, {"spp": 1024, "adjoint": rb.TapeAdjoint()}, True, 8, ": 8"),
+    "tape": ({"width": 256, "height": 256}, {"spp": 1024, "adjoint": rb.TapeAdjoint()}, True, 8, ": 14"),
 }
 
 

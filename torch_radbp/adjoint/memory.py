@@ -1,9 +1,9 @@
 """How much memory a rendering with its backward pass will need, and which chunk and stride fit a budget.
 
 Dead lanes leave the wavefront, so that the need depends on the scene: a pilot of a few thousand paths tells how many lanes
-reach each depth, and one of its bounces what a lane needs while it is computed (`working_set.py`). What is counted: the states
-and hits that the forward pass keeps for the backward pass, and the working memory of the bounce that is being computed, with
-the allocator's waste. What is not: the scene itself and compiled code.
+reach each depth, and one of its bounces what a lane needs while it is computed (`working_set.py`). What is counted: the
+states and hits that the forward pass keeps for the backward pass, and the working memory of the bounce that is being
+computed, with the allocator's waste. What is not: the scene itself and compiled code.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ RADIANCE = (3, 0)  # a `Vec3`
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 TRIANGLE = {False: (0, 0), True: (18, 12)}  # `MetTriangle`, if there is any
 
-# Resident memory is more than what torch holds: by this factor, and by so many numbers a lane (`python -m benchmarks.memory`).
+# Resident memory is more than what torch holds: by this factor, and by so many numbers a lane. See
+# `python -m benchmarks.memory`.
 WASTE, SPARE = 1.75, 50
 COMPILED = 0.3  # of the working memory of an eager adjoint
 
 # Numbers per lane that a bounce, its adjoint and autograd's tape need at least: those of diffuse surfaces.
-LEAST_BOUNCE, LEAST_ADJOINT, LEAST_TAPE = 70, 60, 32
+LEAST_BOUNCE, LEAST_ADJOINT, LEAST_TAPE = 74, 60, 32
 
 SMALLEST_CHUNK = 1 << 12
 MIB = 1 << 20
