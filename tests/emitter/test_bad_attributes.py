@@ -7,6 +7,8 @@ import torch_radbp as rb
 from tests.io.documents import scene_dict
 from tests.scenes import rectangle, texels
 
+pytestmark = pytest.mark.hostile
+
 BITMAP = {"type": "bitmap", "data": texels(2, 2)}
 SKY = {"type": "envmap", "bitmap": texels(3, 4)}
 

@@ -8,6 +8,8 @@ from tests.io.documents import LAMP, SENSOR, TRIANGLE_OBJ, scene_dict, scene_tex
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.plugin import SceneError
 
+pytestmark = pytest.mark.hostile
+
 
 def shape(content, kind="rectangle"):
     return f'<shape type="{kind}" id="wall">{content}</shape>'

@@ -10,6 +10,8 @@ from tests.io.documents import scene_dict
 from torch_radbp.io.load import load_dict
 from torch_radbp.io.mesh import read_mesh
 
+pytestmark = pytest.mark.hostile
+
 CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"  # three lines
 HEADER = """ply
 format {format} 1.0

@@ -13,6 +13,8 @@ from torch_radbp.io.atomic import replacing
 from torch_radbp.io.mesh_arrays import MeshArrays
 from torch_radbp.io.ply import write_ply
 
+pytestmark = pytest.mark.hostile
+
 resource = pytest.importorskip("resource")
 
 

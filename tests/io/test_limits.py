@@ -6,6 +6,8 @@ from tests.io.documents import LAMP, SENSOR, scene_text, write_scene
 from torch_radbp.io.load import load
 from torch_radbp.plugin import SceneError
 
+pytestmark = pytest.mark.hostile
+
 WALL = '<shape type="rectangle"/>'
 
 

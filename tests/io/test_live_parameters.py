@@ -12,6 +12,8 @@ from tests.scenes import diffuse, rectangle, rgb, sensor
 from torch_radbp.bsdf.diffuse import Diffuse
 from torch_radbp.texture.bitmap import Bitmap
 
+pytestmark = pytest.mark.hostile
+
 TRIANGLE = torch.tensor([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
 FACES = torch.tensor([[0, 1, 2]])
 VIEW = torch.tensor([[-1.0, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 3], [0, 0, 0, 1]])

@@ -10,6 +10,8 @@ import torch_radbp as rb
 from tests.scenes import cornell, sensor
 from torch_radbp.film.hdrfilm import HDRFilm
 
+pytestmark = pytest.mark.hostile
+
 WRONG_TYPES = {
     "half a bounce": ({"max_depth": 2.5}, "max_depth must be an integer, got 2.5"),
     "whole number as float": ({"max_depth": 3.0}, "max_depth must be an integer, got 3.0"),

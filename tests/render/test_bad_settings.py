@@ -7,6 +7,8 @@ import pytest
 import torch_radbp as rb
 from tests.scenes import cornell, load, rectangle, sensor, textured
 
+pytestmark = pytest.mark.hostile
+
 CONSTRUCTOR = {
     "spp of zero": ({"spp": 0}, ValueError, "spp must be an integer of at least 1, got 0"),
     "negative spp": ({"spp": -4}, ValueError, "spp must be an integer of at least 1, got -4"),

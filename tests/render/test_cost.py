@@ -9,6 +9,8 @@ import torch_radbp as rb
 from tests.scenes import cornell, sensor
 from torch_radbp.adjoint import cost
 
+pytestmark = pytest.mark.hostile
+
 GIB = 1 << 30
 
 

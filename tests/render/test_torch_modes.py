@@ -22,7 +22,7 @@ from torch_radbp.io.transform import rotate, scale
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}
 STRATEGIES = (rb.MemoizedAdjoint(), rb.MemoizedAdjoint("log", keep_hits=False), rb.ReplayAdjoint(), rb.QuadraticAdjoint(),
               rb.TapeAdjoint())
-pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+pytestmark = [pytest.mark.hostile, pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")]
 
 
 @contextmanager

@@ -13,6 +13,8 @@ from tests.scenes import diffuse, rectangle, rgb, sensor, texels
 from torch_radbp.plugin import Texture
 from torch_radbp.scene.parameters import held_values
 
+pytestmark = pytest.mark.hostile
+
 
 def gallery() -> rb.Scene:
     """A scene with a parameter of every kind, float32."""

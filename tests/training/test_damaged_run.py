@@ -20,6 +20,8 @@ from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.run import run
 from torch_radbp.training.run_folder import RunFolder
 
+pytestmark = pytest.mark.hostile
+
 
 class Hostile:
     """Creates a file where it is unpickled without protection."""

@@ -5,6 +5,8 @@ import pytest
 from torch_radbp.training.optimize import Recovery
 from torch_radbp.training.recipe_file import read_recipe
 
+pytestmark = pytest.mark.hostile
+
 # Override -> fragments of the message.
 OVERRIDES = {
     "steps=true": ["steps: must be a valid integer, got True"],

@@ -13,6 +13,8 @@ import torch
 from torch_radbp.training.interrupt import WORDS, Interrupts
 from torch_radbp.training.metrics import MetricsFile
 
+pytestmark = pytest.mark.hostile
+
 # Forks a process for each line of JSON on its input and prints its number; then its exit status.
 FORKS = """
 import json, os, sys
