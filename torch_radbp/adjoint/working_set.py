@@ -1,8 +1,8 @@
 """How many bytes one bounce needs at its worst moment, measured on a few paths.
 
 What a bounce computes depends on the scene: on its kinds of material, its textures, what moves. So nothing is assumed: a
-bounce, its adjoint and, for `TapeAdjoint`, a whole path are taken on two small numbers of lanes, and all that torch allocates
-is counted. The difference between the two is what grows with the lanes; gradients of tables do not.
+bounce, its adjoint and, for `TapeAdjoint`, a whole path are taken on two small numbers of lanes, and all that torch
+allocates is counted. The difference between the two is what grows with the lanes; gradients of tables do not.
 """
 
 from __future__ import annotations
