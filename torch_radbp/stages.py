@@ -44,10 +44,13 @@ class CompiledStage:
 
     def __init__(self, stage: Callable, *tables: str):
         self.stage, self.fused = stage, LaneFunction(stage, tables)
+        self.refused = False
 
     def __call__(self, *arguments):
         try:
             return self.fused(*arguments)
         except UnknownOperation as error:
-            warnings.warn(f"{self.stage.__name__} runs eagerly, which is slower: {error}", RuntimeWarning, stacklevel=2)
+            if not self.refused:
+                warnings.warn(f"{self.stage.__name__} runs eagerly, which is slower: {error}", RuntimeWarning, stacklevel=2)
+                self.refused = True
             return self.stage(*arguments)

@@ -153,6 +153,20 @@ def test_tables_have_no_length_and_are_no_lanes():
             LaneFunction(function, tables=("table",))(torch.rand(10), torch.rand(10))
 
 
+def test_what_was_refused_is_not_traced_again():
+    calls = []
+
+    def function(x):
+        calls.append(len(x))
+        return x.sort()[0]
+
+    fused = LaneFunction(function)
+    for _ in range(3):
+        with pytest.raises(UnknownOperation, match="sort"):
+            fused(torch.rand(4))
+    assert len(calls) == 1
+
+
 def test_an_operation_that_was_refused_leaves_no_trace():
     with pytest.raises(UnknownOperation):
         LaneFunction(lambda x: x.sort()[0])(torch.rand(4))

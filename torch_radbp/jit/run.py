@@ -14,6 +14,7 @@ from torch import Tensor
 from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE, Program
 from torch_radbp.jit.machine import MachineCode, host_width
+from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.structure import assembler, flatten, replaced
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.jit.trace import trace
@@ -63,7 +64,7 @@ class LaneFunction:
         if unknown:
             raise ValueError(f"{self.name} has no parameters {unknown}; it has {names}")
         self.in_tables = [name in tables for name in names]
-        self.compiled: dict[tuple, Compiled] = {}
+        self.compiled: dict[tuple, Compiled | str] = {}  # by structure of the arguments; or why it cannot be
 
     def __call__(self, *arguments):
         if len(arguments) != len(self.in_tables):
@@ -84,6 +85,8 @@ class LaneFunction:
             with self.compiling:
                 compiled = self.compiled.get(tuple(key)) or self.compile(arguments, leaves, kinds, firsts)
                 self.compiled[tuple(key)] = compiled
+        if isinstance(compiled, str):
+            raise UnknownOperation(compiled)
         return compute(compiled, leaves, kinds, lanes)
 
     def checked_lanes(self, leaves: list[Tensor], kinds: list[str]) -> int:
@@ -105,8 +108,8 @@ class LaneFunction:
             raise ValueError(f"{self.name} got no tensor with an entry per lane")
         return lanes
 
-    def compile(self, arguments: tuple, leaves: list[Tensor], kinds: list[str], firsts: list[int]) -> Compiled:
-        """Traces the function for arguments of this structure, and makes machine code of it."""
+    def compile(self, arguments: tuple, leaves: list[Tensor], kinds: list[str], firsts: list[int]) -> Compiled | str:
+        """Traces the function for arguments of this structure, and makes machine code of it; or says why it cannot be."""
         assemble: Callable | None = None
 
         def flat(*tensors: Tensor) -> list[Tensor]:
@@ -116,7 +119,10 @@ class LaneFunction:
             assemble = assembler(self.function(*replaced(arguments, lambda: next(stand_ins))), results)
             return results
 
-        program = trace(flat, [leaf.dtype for leaf in leaves], kinds)
+        try:
+            program = trace(flat, [leaf.dtype for leaf in leaves], kinds)
+        except UnknownOperation as error:
+            return str(error)
         passed = [value.operation == "input" and value.kind == LANES for value in program.outputs]
         outputs = tuple(dict.fromkeys(value for value, whole in zip(program.outputs, passed) if not whole))
         results = tuple(~value.static if whole else outputs.index(value) for value, whole in zip(program.outputs, passed))
