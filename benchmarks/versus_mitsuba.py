@@ -47,7 +47,7 @@ class Ours:
 
 
 class Mitsuba:
-    """The same by Mitsuba."""
+    """Forward and backward passes by Mitsuba."""
 
     def __init__(self, resolution: int, spp: int, depth: int):
         libraries = [path for pattern in LLVM for path in sorted(glob.glob(pattern))]
@@ -90,7 +90,7 @@ class Mitsuba:
 
 
 def start_up(options: argparse.Namespace) -> dict[str, float]:
-    """Of this process: seconds of the first eager pass, and by which the first compiled pass exceeds the third."""
+    """The seconds of this process's first eager pass, and those by which its first compiled pass exceeds the third."""
     setting = options.resolution, options.spp, options.depth
     start = time.perf_counter()
     Ours(8, 1, 2, compiled=False).run(0)

@@ -49,7 +49,7 @@ SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
 
 class Settings(NamedTuple):
-    """What the integrand is: static, compiled in."""
+    """The static settings of the integrand, compiled in."""
 
     nee: bool = True
     hide_emitters: bool = False  # at this bounce
@@ -59,7 +59,7 @@ class Settings(NamedTuple):
 
 
 class Position(NamedTuple):
-    """Where on the path a bounce lies: () tensors, so that one compiled function serves every bounce."""
+    """The place of a bounce on its path: () tensors, so that one compiled function serves every bounce."""
 
     counter: Tensor  # int32, of the random numbers of this depth
     least_survival: Tensor  # bounds of the probability of surviving roulette; both 1 before `rr_depth`
@@ -77,7 +77,7 @@ class PathState(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a bounce decided: what would cost rays to decide again, and whether the path goes on.
+    """The decisions of a bounce: those that would cost rays to repeat, and whether the path goes on.
 
     Whoever takes the bounce again goes by this record, so that all agree even where rounding would decide otherwise (of
     another device, another number of threads, a compiled function and an eager one).
@@ -89,7 +89,7 @@ class Step(NamedTuple):
 
 
 class Scattering(NamedTuple):
-    """What happens at one path vertex: the terms of L_k = (Le + visible Ld) + F L_{k+1}, and the choices behind them.
+    """The terms of L_k = (Le + visible Ld) + F L_{k+1} at one path vertex, and the choices behind them.
 
     F = sample.weight * thinning.
     """
@@ -173,7 +173,7 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
                settings: Settings, here: Corners | None = None) -> Scattering:
-    """What happens at a vertex but for the way out. Args as for `bounce`, and `surface_interaction`; attached to them."""
+    """The vertex without its outgoing ray. Args as for `bounce` and `surface_interaction`; attached to them."""
     # Find the surface that the ray meets. The point slides where the ray was not left to chance, or is followed.
     slides = None
     if settings.moving:
@@ -233,7 +233,7 @@ def mis_weight(pdf: Tensor, other: Tensor, settings: Settings) -> Tensor:
 
 
 class Integrand(NamedTuple):
-    """What is integrated, and with which functions: everything about a rendering but its lanes."""
+    """The integrand with the functions that evaluate it: everything about a rendering but its lanes."""
 
     scene: SceneTensors  # attached if plain autograd is to record the loop
     proposal: SceneTensors  # the same, detached

@@ -260,7 +260,7 @@ class Renderer(nn.Module):
         return plan_memory(self.memory_budget, work, chunk, self.adjoint if self.adjoint_is_chosen else None)
 
     def working_set(self, call: RenderCall, integrand: Integrand, triangles: bool) -> WorkingSet:
-        """What a bounce of this call needs while it is computed; measured once for each kind of call."""
+        """The working memory of a bounce of this call; measured once for each kind of call."""
         wanted = tuple(isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
         taped = isinstance(call.adjoint, TapeAdjoint)
         case = (call.scene.layout, call.scene.dtype, integrand.settings, integrand.max_depth, wanted, triangles, taped)
@@ -284,7 +284,7 @@ class Renderer(nn.Module):
 
 
 def same(a: Tensor, b: Tensor) -> bool:
-    """Whether two tensors have one dtype, one device and the same values."""
+    """True if two tensors have one dtype, one device and the same values."""
     return a.dtype == b.dtype and a.device == b.device and torch.equal(a, b)
 
 

@@ -1,4 +1,4 @@
-"""What a call costs at least, known before its first ray; the absurd is refused with the numbers."""
+"""The least cost of a call, predicted before its first ray; the absurd is refused with the numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CHUNK_BYTES = 200  # of the list of chunks, each
 
 
 class Request(NamedTuple):
-    """What a call asks for."""
+    """The size of a call."""
 
     images: int
     width: int  # pixels

@@ -28,12 +28,12 @@ class NonFiniteError(FloatingPointError):
 
 
 def finite(tensors: list[Tensor]) -> bool:
-    """Whether all numbers are."""
+    """True if every value is finite."""
     return all(bool(torch.isfinite(tensor).all()) for tensor in tensors)
 
 
 def count_of_bad(tensor: Tensor) -> str:
-    """How many numbers are not finite, of how many."""
+    """The number of values that are not finite, in words."""
     return f"{int((~torch.isfinite(tensor)).sum())} of {tensor.numel()} values"
 
 
@@ -51,7 +51,7 @@ class Finding:
             self.depth, self.lanes, self.of, self.prim = depth, int(bad.sum()), len(bad), hit.prim[bad]
 
     def place(self, tensors: SceneTensors, scene: Scene | None) -> str:
-        """What was found, in words."""
+        """The finding in words."""
         if self.depth is None:
             return "in no bounce alone: sums or products of finite numbers overflow"
         return (f"first at bounce {self.depth + 1}, in {self.lanes} of {self.of} paths, "

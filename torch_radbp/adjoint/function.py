@@ -276,12 +276,12 @@ class RenderFunction(torch.autograd.Function):
 
 
 def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
-    """Of the leaves that were handed over, those that a gradient is asked for."""
+    """The leaves that a gradient is asked for, of those that were handed over."""
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 
 def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple[bool, ...], adj_ray: Ray) -> list[Tensor]:
-    """What the camera rays of a chunk add to the gradients of the wanted leaves of their camera."""
+    """The gradients of the wanted leaves of a camera from the rays of one chunk."""
     view = call.views[chunk.sensor]
     leaves, structure = tree_flatten(view.camera)
     leaves = [leaf.clone().requires_grad_(want) for leaf, want in zip(leaves, wanted)]

@@ -1,4 +1,4 @@
-"""What the derivative of a bounce is taken of, the same for reverse mode, forward mode and plain autograd."""
+"""The function of one bounce that is differentiated, the same for reverse mode, forward mode and plain autograd."""
 
 from __future__ import annotations
 

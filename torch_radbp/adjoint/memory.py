@@ -1,4 +1,4 @@
-"""How much memory a rendering with its backward pass will need, and which chunk and stride fit a budget.
+"""The memory that a rendering with its backward pass will need, and the chunk and stride that fit a budget.
 
 Dead lanes leave the wavefront, so that the need depends on the scene: a pilot of a few thousand paths tells how many lanes
 reach each depth, and one of its bounces what a lane needs while it is computed (`working_set.py`). What is counted: the
@@ -83,7 +83,7 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
 
 
 class Workload(NamedTuple):
-    """What a call is to do, whatever the plan."""
+    """The work of a call, whatever the plan."""
 
     fractions: list[float]  # from `reaching`
     lanes: int  # of the whole call: sensors x pixels x samples
@@ -143,7 +143,7 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
 
 
 def states_kept(adjoint, bounces: int, work: Workload) -> float:
-    """How many states are kept of a camera path after `bounces` bounces; the first only if all others are."""
+    """The number of states kept of a camera path after `bounces` bounces; the first only if all others are."""
     depths = adjoint.kept(bounces, work.max_depth)
     return sum(work.fractions[depth] for depth in depths if depth > 0 or len(depths) == bounces)
 

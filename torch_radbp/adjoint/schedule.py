@@ -1,4 +1,4 @@
-"""Where the path state is kept, and in which order the backward sweep visits the bounces.
+"""The depths at which the path state is kept, and the order in which the backward sweep visits the bounces.
 
 Pure functions of (number of bounces, stride) that return plain values, so that coverage, order of replayed steps and number
 of states can be tested without a renderer. "Depth d" below is the d-th bounce, counted from 0.
@@ -102,5 +102,5 @@ def peak_states(bounces: int, stride: int | str) -> int:
 
 
 def replayed_steps(bounces: int, stride: int | str) -> int:
-    """How many forward bounces the backward sweep takes again."""
+    """The number of forward bounces that the backward sweep takes again."""
     return sum(action.kind == ADVANCE for action in backward_plan(bounces, kept_depths(bounces, stride), stride))

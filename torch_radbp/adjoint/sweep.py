@@ -38,7 +38,7 @@ MOST_BLOCKS, MOST_PARTIAL_SUMS = 256, 1 << 16  # of `scatter_add`
 
 
 class PathRecord(NamedTuple):
-    """What the forward pass leaves for the backward pass of one chunk of lanes."""
+    """The record of a chunk's forward pass that its backward pass needs."""
 
     start: Callable[[], PathState]  # makes the camera paths again
     radiance: Vec3 | None  # L_1 of each lane, kept for path replay only
@@ -56,7 +56,7 @@ class MetTriangle(NamedTuple):
 
 
 class Memo(NamedTuple):
-    """What the bounce below has left, (N,) each; zeros where there was none."""
+    """The results of the bounce below, (N,) each; zeros where there was none."""
 
     L: Vec3  # L_{k+1}
     adj_ray: Ray | None = None  # dloss/dray_{k+1}; None if rays do not carry derivatives
@@ -66,7 +66,7 @@ class Memo(NamedTuple):
 
 
 class TableAdjoint(NamedTuple):
-    """What one read of a table adds to its gradient, (N,) each; still to be scattered."""
+    """The adjoint of one read of a table, (N,) each; still to be scattered into its gradient."""
 
     index: Tensor  # int32
     adjoint: Tensor
@@ -144,7 +144,7 @@ def zeros_unless(adjoint: Tensor | None, like: Tensor) -> Tensor:
 
 
 def table_adjoints(tap: Tap, adjoints: Iterator[Tensor | None]) -> list[TableAdjoint]:
-    """What the reads of a table add to its gradient.
+    """The adjoints of the reads of a table.
 
     Args:
         tap: of the table.
@@ -178,7 +178,7 @@ class Sweep:
 
     @property
     def moving(self) -> bool:
-        """Whether rays carry derivatives, so that bounces must be differentiated from the deepest up."""
+        """True if rays carry derivatives, so that bounces must be differentiated from the deepest up."""
         return self.integrand.settings.moving
 
     def remember(self, L: Vec3) -> None:
@@ -204,7 +204,7 @@ class Sweep:
 
 
 def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:
-    """What stands in the memo before the deepest bounce of each lane.
+    """The memo before the deepest bounce of each lane.
 
     Args:
         like: (N,) tells device and dtype.

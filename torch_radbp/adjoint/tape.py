@@ -55,7 +55,7 @@ def detached(state: PathState) -> PathState:
 
 
 def spread(hit: Hit | None, alive: Tensor, like: Hit) -> Hit | None:
-    """What the lanes `alive` meet, among misses of all others."""
+    """The hits of the lanes `alive`, among misses of all others."""
     if hit is None:
         return None
     miss = Hit(torch.full_like(like.prim, -1), *(torch.zeros_like(part) for part in like[1:]))

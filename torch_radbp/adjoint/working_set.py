@@ -1,4 +1,4 @@
-"""How many bytes one bounce needs at its worst moment, measured on a few paths.
+"""The memory that one bounce needs at its worst moment, measured on a few paths.
 
 What a bounce computes depends on the scene: on its kinds of material, its textures, what moves. So nothing is assumed: a
 bounce, its adjoint and, for `TapeAdjoint`, a whole path are taken on two small numbers of lanes, and all that torch

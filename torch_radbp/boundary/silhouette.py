@@ -14,7 +14,7 @@ MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a 
 
 
 class Sight(NamedTuple):
-    """What a sensor sees of the world."""
+    """The view of one sensor."""
 
     camera: PinholeTensors  # detached
     width: int  # of its crop window, pixels

@@ -42,7 +42,7 @@ class JumpWarning(SilhouetteWarning):
 
 
 class Rendering(NamedTuple):
-    """What is about to be rendered."""
+    """The rendering that is about to start."""
 
     scene: Scene  # with the parameters of this rendering
     sensors: Sequence[Sensor]

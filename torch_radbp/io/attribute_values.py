@@ -25,7 +25,7 @@ def options(annotation: Any) -> tuple[Any, ...]:
 
 
 def is_list(annotation: Any) -> bool:
-    """Whether an attribute takes several plugins, list[BSDF]."""
+    """True if an attribute takes several plugins, list[BSDF]."""
     return any(typing.get_origin(option) is list for option in options(annotation))
 
 

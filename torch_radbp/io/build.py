@@ -235,7 +235,7 @@ class _Builder:
         return str(found)
 
     def place(self, path: tuple[str, ...], node: Any, key: str | None = None) -> str:
-        """Where something is, for people: the line of the XML file, or the path of keys in the dict."""
+        """The place of an object in its source, for people: the line of the XML file, or the path of keys in the dict."""
         if isinstance(node, XMLObject):
             if key in node.places:
                 kind = "".join(f' {name}="{node[name]}"' for name in ("type", "id") if name in node)

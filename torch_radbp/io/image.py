@@ -97,7 +97,7 @@ def save_image(path: str | os.PathLike, image: Tensor) -> None:
 
 
 def _advice(image: Tensor) -> str:
-    """What to do about an image of the wrong shape."""
+    """Advice about an image of the wrong shape."""
     if image.ndim == 4 and image.shape[1] == 3:
         return f", a batch of {image.shape[0]}; pick one, image[0]"
     if image.ndim == 3 and image.shape[2] == 3:

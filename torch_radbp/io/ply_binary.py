@@ -88,7 +88,7 @@ class BinaryTables:
         return lengths
 
     def walk(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray]:
-        """Where the list `wanted` of each row begins, and its length; for rows of different sizes, one after the other."""
+        """The place and length of the list `wanted` in each row; for rows of different sizes, one after the other."""
         if element.rows > len(self.data) - self.offset:
             raise self.cut_short(element, 0)
         steps = [(name == wanted, int(kind[1]), count and struct.Struct(self.order + STRUCT_CODES[count]))

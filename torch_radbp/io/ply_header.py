@@ -32,7 +32,7 @@ class Element(NamedTuple):
 
 
 class Header(NamedTuple):
-    """What stands before the tables."""
+    """The header of a PLY file."""
 
     order: str  # "" for ascii, "<" or ">"
     elements: list[Element]

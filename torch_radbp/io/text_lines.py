@@ -34,7 +34,7 @@ class Lines(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """How many lines there are."""
+        """The number of lines."""
         return len(self.numbers)
 
     def between(self, start: int, stop: int) -> Lines:

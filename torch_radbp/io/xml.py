@@ -26,7 +26,7 @@ class Element(NamedTuple):
     line: int
 
     def __str__(self) -> str:
-        """Where it is and how it begins, as error messages print it."""
+        """The place of the element and its first words, as error messages print them."""
         named = "".join(f' {key}="{abridged(self.attributes[key])}"' for key in ("type", "id", "name")
                         if key in self.attributes)
         return f"{self.file}, line {self.line}: <{self.tag}{named}>"

@@ -180,7 +180,7 @@ class _Reader:
                 yield element
 
     def include(self, element: Element) -> Iterator[Element]:
-        """What a file contains: the children of its <scene>, or its only object."""
+        """The contents of a file: the children of its <scene>, or its only object."""
         check_attributes(element, ("filename",), ("name",))
         filename = element.attributes["filename"]
         path = find_file(filename, self.folders)

@@ -143,7 +143,7 @@ class Emitter:
         return scalar if self.width == 1 else f"<{self.width} x {scalar}>"
 
     def suffix(self, name: str) -> str:
-        """How the names of LLVM's functions tell a block of lanes."""
+        """The part of the name of an LLVM function that stands for a block of lanes."""
         return name if self.width == 1 else f"v{self.width}{name}"
 
     def everywhere(self, scalar: str, literal: str) -> str:

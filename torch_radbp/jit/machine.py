@@ -9,7 +9,7 @@ from llvmlite import binding as llvm
 
 @functools.cache
 def host_width() -> int:
-    """How many float32 lanes this processor has in a vector: 16 with AVX-512, 8 with AVX2, 4 elsewhere."""
+    """The number of float32 lanes in a vector of this processor: 16 with AVX-512, 8 with AVX2, 4 elsewhere."""
     features = llvm.get_host_cpu_features()
     return 16 if features.get("avx512f") else 8 if features.get("avx2") else 4
 

@@ -1,4 +1,4 @@
-"""What torch's operations are in terms of those of `graph`: one short handler for each family.
+"""Torch's operations in terms of those of `graph`: one short handler for each family.
 
 A handler gets the tracer, the result as torch infers it (for its dtype) and the operation's arguments, and returns a value.
 What is a formula of other operations is written in torch (`DECOMPOSED`) and traced in turn.
@@ -92,7 +92,7 @@ def remainder(tracer, result: Tensor, a, b, *, name: str) -> Value:
 
 
 def differs_in_sign(tracer, rest: Value, divisor, dtype: torch.dtype) -> Value:
-    """Whether the remainder of a truncated division is not zero and has not the sign of the divisor."""
+    """True where the remainder of a truncated division is not zero and has not the sign of the divisor."""
     below = tracer.compare("lt", dtype, rest, 0)
     other = tracer.builder.value("xor", (below, tracer.compare("lt", dtype, divisor, 0)), torch.bool)
     return tracer.builder.value("and", (other, tracer.compare("ne", dtype, rest, 0)), torch.bool)

@@ -150,5 +150,5 @@ def compute(compiled: Compiled, leaves: list[Tensor], kinds: list[str], lanes: i
 
 
 def addresses(tensors: list[Tensor], numbers: Sequence[int] = ()) -> ctypes.Array:
-    """Where tensors lie, and numbers after that, as C has it."""
+    """The addresses of tensors, and numbers after them, as a C array."""
     return (ctypes.c_int64 * max(1, len(tensors) + len(numbers)))(*[tensor.data_ptr() for tensor in tensors], *numbers)

@@ -66,7 +66,7 @@ class Brute:
         return Hit(torch.where(found, prim.squeeze(1), -1).to(torch.int32), u, v, t)
 
     def _crossings(self, ray: Ray) -> tuple[Tensor, Tensor, Tensor]:
-        """Where each line crosses each triangle, (lanes, F): t, infinite unless that is a hit, and the weights u, v."""
+        """The crossings of lines with triangles, (lanes, F): t, infinite unless that is a hit, and the weights u and v."""
         o, d = ray
         corners = self.vertices.to(o.x.dtype)[self.faces.long()]
         a, b, c = (Vec3.of(corners[:, corner]) - o for corner in range(3))

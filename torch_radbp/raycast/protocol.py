@@ -1,4 +1,4 @@
-"""What a ray caster is: a detached query that answers with a triangle and a place on it."""
+"""The protocol of ray casters: a detached query that answers with a triangle and a place on it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RayCaster(Protocol):
         """The closest hit of each lane at t > 0, from either side of a triangle."""
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
-        """Whether any triangle lies at 0 < t < tmax; bool per lane.
+        """True where any triangle lies at 0 < t < tmax; bool per lane.
 
         Args:
             tmax: per lane, in units of the length of d. A value <= 0 (or NaN) is no query and gives False.

@@ -48,7 +48,7 @@ class SurfaceInteraction(NamedTuple):
     clearance: Tensor  # distance off the surface at which rays start; detached
 
     def offset(self, d: Vec3) -> Vec3:
-        """Where a ray with direction `d` starts: off the surface, on the side that it leaves to."""
+        """The origin of a ray that leaves in direction `d`: off the surface, on the side that it leaves to."""
         return self.p + self.n * torch.copysign(self.clearance, dot(self.n, d))
 
 

@@ -103,7 +103,7 @@ def check_names(root: nn.Module) -> None:
 
 
 def detached(value: Tensor) -> Tensor:
-    """The same numbers without tangents of forward mode."""
+    """The tensor without its gradient and its forward-mode tangent."""
     return torch.autograd.forward_ad.unpack_dual(value).primal.detach() if value.is_floating_point() else value
 
 
