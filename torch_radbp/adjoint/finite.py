@@ -118,7 +118,7 @@ class CheckedSweep(Sweep):
             above, tables = bounce_adjoint(scene, wanted, state, step, *arguments)
             bad = torch.zeros_like(step.visible)
             parts = [part for part in tree_flatten(above)[0] if isinstance(part, Tensor)]
-            for part in [*parts, *(adjoint for _, reads in tables for _, adjoint in reads)]:
+            for part in [*parts, *(read.adjoint for reads in tables for read in reads)]:
                 bad |= ~torch.isfinite(part)
             self.finding.look(depth, bad, step.hit)
             return above, tables
