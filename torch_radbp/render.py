@@ -69,7 +69,8 @@ class Renderer(nn.Module):
         chunk: lanes (paths) traced together; None picks.
         memory_budget: bytes, or a string such as "2GiB" or "2GB": picks chunk and, unless `adjoint` is given, the stride, so
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
-        compile: compile the functions of a bounce; worth it from some dozen renderings on.
+        compile: fuse the functions of a bounce into loops of vector instructions, once per kind of scene and process, in
+            seconds. On the CPU; `TapeAdjoint` and forward mode run eagerly all the same.
         caster: "embree" or "brute"; None picks by device.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
@@ -224,7 +225,8 @@ class Renderer(nn.Module):
                       tuple(sample_key(s + sampler.seed, index, sampler.low_discrepancy, scene.device) for s in seeds),
                       clips=bool(beyond_far_plane(detached(camera), scene.triangles.vertices.p.detach()).any()))
                  for index, camera, sampler in zip(indices, cameras, samplers)]
-        stages = compiled() if self.compile_stages else EAGER
+        # What autograd is to record runs eagerly: a compiled bounce records nothing.
+        stages = compiled() if self.compile_stages and not isinstance(self.adjoint, TapeAdjoint) else EAGER
         settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,
                             sampling=self.sampling if moving else "detached")
 
