@@ -27,14 +27,13 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_map, tree_map_only, tree_unflatten
 
 from torch_radbp.adjoint.local_map import local_map
+from torch_radbp.adjoint.scatter import scatter_add
 from torch_radbp.path import Integrand, PathState, Position, Settings, Step, survivors, take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.lookup import Tap, lookup, tapped
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Ray, Vec3
-
-MOST_BLOCKS, MOST_PARTIAL_SUMS = 256, 1 << 16  # of `scatter_add`
 
 
 class PathRecord(NamedTuple):
@@ -230,30 +229,3 @@ def replaced(memo: Memo, lane: Tensor, above: Memo) -> Memo:
     pairs = zip(tree_flatten(memo)[0], tree_flatten(above)[0])
     rows = [old if old is None else old.index_copy_(0, place, new) for old, new in pairs]
     return tree_unflatten(rows, tree_flatten(memo)[1])
-
-
-def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor, places: dict[tuple[int, int], Tensor]) -> None:
-    """Adds each lane's adjoint to its entry of a table's gradient.
-
-    Millions of lanes may add to one entry: one float32 sum would lose what is small against the total (2% of the lamp's
-    gradient at 4 million paths). So the total is float64, and small tables are summed in blocks first, in parallel.
-
-    Args:
-        gradient: (K,) float64, written into.
-        index: (N,) int32.
-        adjoint: (N,).
-        places: what was made of indices before, for several tables are read at the same ones.
-    """
-    entries = len(gradient)
-    blocks = max(1, min(MOST_BLOCKS, len(index), MOST_PARTIAL_SUMS // entries))
-    whole = len(index) // blocks * blocks
-    if (id(index), blocks) not in places:
-        places[id(index), blocks] = index[:whole].view(blocks, -1).long()
-    place = places[id(index), blocks]
-    if blocks == 1:
-        gradient.scatter_add_(0, place[0], adjoint.to(gradient.dtype))
-        return
-    partial = adjoint.new_zeros(blocks, entries)
-    partial.scatter_add_(1, place, adjoint[:whole].view(blocks, -1))
-    gradient += partial.sum(0, dtype=gradient.dtype)
-    gradient.index_add_(0, index[whole:], adjoint[whole:].to(gradient.dtype))
