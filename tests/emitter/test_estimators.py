@@ -23,8 +23,17 @@ from tests.emitter.lights import (
 from tests.scenes import load, sensor
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
-from torch_radbp.scene.light import emitted, emitted_pdf, sample_light
-from torch_radbp.vec import Ray
+from torch_radbp.scene.interaction import surface_interaction
+from torch_radbp.scene.light import (
+    emitted,
+    emitted_by_surface,
+    emitted_by_surround,
+    emitted_pdf,
+    pdf_of_surface,
+    pdf_of_surround,
+    sample_light,
+)
+from torch_radbp.vec import Ray, rows
 
 COUNT = 100_000
 
@@ -63,6 +72,23 @@ def test_every_technique_estimates_the_same(name):
         # Three channels: beyond 4.5 by chance in one run of 50,000; the seeds are fixed.
         assert ((mean - reference).abs() / torch.hypot(error, reference_error)).max() < 4.5, technique
         assert (error < 0.02 * mean).all(), technique
+
+
+@pytest.mark.parametrize("name", ["all", "area", "constant", "point"])
+def test_lanes_that_met_a_surface_and_lanes_that_met_nothing_can_be_asked_apart(name):
+    scene = scene_of(name)
+    tensors, count = detached(scene), 2000
+    floor = on_the_floor(scene, tensors, count, 1, spread=2.0).si
+    d = floor.frame.to_world(square_to_cosine_hemisphere(*uniform(count, 3, dimensions=2)))
+    ray, hit, si = cast(scene, tensors, Ray(floor.offset(d), d))
+    radiance, pdf = emitted(tensors, ray, si).stack(), emitted_pdf(tensors, ray, si)
+    met, missed = (chosen.nonzero().squeeze(1) for chosen in (si.valid, ~si.valid))
+    assert len(missed) > 0 and (len(met) > 0) == (name in ("all", "area"))
+    there = surface_interaction(tensors, rows(ray, met), rows(hit, met))
+    assert torch.equal(emitted_by_surface(tensors, there).stack(), radiance[met])
+    assert torch.equal(pdf_of_surface(tensors, there, tensors), pdf[met])
+    assert torch.equal(emitted_by_surround(tensors, rows(ray, missed)).stack(), radiance[missed])
+    assert torch.equal(pdf_of_surround(tensors, rows(ray, missed)), pdf[missed])
 
 
 @pytest.mark.parametrize("name", ["all", "envmap", "envmap_compensated", "area"])

@@ -54,20 +54,30 @@ class Aim(NamedTuple):
 
 def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Vec3:
     """Radiance that leaves the surface, or the surround, towards the ray's origin; attached to texels, pose and `ray.d`."""
+    radiance = emitted_by_surface(scene, si)
+    return where(si.valid, radiance, emitted_by_surround(scene, ray)) if scene.layout.surround else radiance
+
+
+def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
+    """Radiance that leaves the surfaces that rays have met, towards the rays' origins; 0 where they met none. Attached."""
     layout = scene.layout
-    radiance = Vec3.full(si.p.x, 0.0)
-    if layout.area_lights:
-        emits = si.valid & si.front & (si.emitter >= 0)
-        texture = lookup(scene.lights.surfaces.radiance, si.emitter.clamp_min(0))
-        uv = si.uv if layout.radiance_bitmaps else None
-        radiance = masked(emits, sample_texture(scene.radiance, texture, uv))
-    if layout.constant_light:
-        surround = scene.lights.surround.expand(si.prim.shape)
-        uv = Vec2(torch.zeros_like(si.p.x), torch.zeros_like(si.p.x)) if layout.radiance_bitmaps else None
-        radiance = where(si.valid, radiance, sample_texture(scene.radiance, surround, uv))
+    if not layout.area_lights:
+        return Vec3.full(si.p.x, 0.0)
+    emits = si.valid & si.front & (si.emitter >= 0)
+    texture = lookup(scene.lights.surfaces.radiance, si.emitter.clamp_min(0))
+    uv = si.uv if layout.radiance_bitmaps else None
+    return masked(emits, sample_texture(scene.radiance, texture, uv))
+
+
+def emitted_by_surround(scene: SceneTensors, ray: Ray) -> Vec3:
+    """Radiance that the surround sends along rays that meet nothing, back to their origins; attached to `ray.d` as well."""
+    layout, d = scene.layout, ray.d
     if layout.environment_map:
-        radiance = radiance + masked(~si.valid, environment_radiance(scene, ray.d))
-    return radiance
+        return environment_radiance(scene, d)
+    if not layout.constant_light:
+        return Vec3.full(d.x, 0.0)
+    uv = Vec2(torch.zeros_like(d.x), torch.zeros_like(d.x)) if layout.radiance_bitmaps else None
+    return sample_texture(scene.radiance, scene.lights.surround.expand(d.x.shape), uv)
 
 
 def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal: SceneTensors | None = None) -> Tensor:
@@ -81,17 +91,26 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
         proposal: gives the probabilities of picking a light, and the environment map with its pose; None: `scene`.
     """
     proposal = scene if proposal is None else proposal
-    pdf = torch.zeros_like(si.t)
-    if scene.layout.area_lights:
-        row, emits = si.emitter.clamp_min(0), (si.emitter >= 0).to(si.t.dtype)
-        density = lookup(proposal.lights.surfaces.pmf, row) * lookup(scene.lights.surfaces.inverse_area, row)
-        pdf = density * emits * (si.t * si.t) / si.cosine.abs().clamp_min(SMALLEST_COSINE)
-    surround_pmf = proposal.lights.surround_pmf
-    if scene.layout.constant_light:
-        return torch.where(si.valid, pdf, surround_pmf * UNIFORM_SPHERE_PDF)
-    if scene.layout.environment_map:
-        return torch.where(si.valid, pdf, surround_pmf * environment_weighing(proposal, ray.d))
-    return pdf
+    pdf = pdf_of_surface(scene, si, proposal)
+    return torch.where(si.valid, pdf, pdf_of_surround(proposal, ray)) if scene.layout.surround else pdf
+
+
+def pdf_of_surface(scene: SceneTensors, si: SurfaceInteraction, proposal: SceneTensors) -> Tensor:
+    """`emitted_pdf` of rays that meet a surface."""
+    if not scene.layout.area_lights:
+        return torch.zeros_like(si.t)
+    row, emits = si.emitter.clamp_min(0), (si.emitter >= 0).to(si.t.dtype)
+    density = lookup(proposal.lights.surfaces.pmf, row) * lookup(scene.lights.surfaces.inverse_area, row)
+    return density * emits * (si.t * si.t) / si.cosine.abs().clamp_min(SMALLEST_COSINE)
+
+
+def pdf_of_surround(proposal: SceneTensors, ray: Ray) -> Tensor:
+    """`emitted_pdf` of rays that meet nothing."""
+    if proposal.layout.environment_map:
+        return proposal.lights.surround_pmf * environment_weighing(proposal, ray.d)
+    if proposal.layout.constant_light:
+        return (proposal.lights.surround_pmf * UNIFORM_SPHERE_PDF).expand(ray.d.x.shape)
+    return torch.zeros_like(ray.d.x)
 
 
 def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, numbers: LightNumbers) -> LightSample:

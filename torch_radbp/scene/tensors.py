@@ -42,6 +42,11 @@ class Layout(NamedTuple):
         return self.point_lights or self.spots or self.projectors or self.directional_lights
 
     @property
+    def surround(self) -> bool:
+        """True if rays that leave the scene meet light."""
+        return self.constant_light or self.environment_map
+
+    @property
     def only_surfaces_emit(self) -> bool:
         """True if all lights are area lights."""
         return not (self.posed_lights or self.distant_lights)
