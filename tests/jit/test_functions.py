@@ -6,10 +6,25 @@ from typing import NamedTuple
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from torch_radbp.jit import LaneFunction, UnknownOperation
 
 LANES = (0, 1, 15, 16, 17, 100_003)
+
+
+class Allocations(TorchDispatchMode):
+    """Notes the shapes of tensors that are made, views left out."""
+
+    def __enter__(self):
+        self.shapes = []
+        return super().__enter__()
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        result = func(*args, **(kwargs or {}))
+        if isinstance(result, Tensor) and not func.is_view:
+            self.shapes.append(tuple(result.shape))
+        return result
 
 
 class Point(NamedTuple):
@@ -191,3 +206,51 @@ def test_calls_that_make_no_sense_are_errors():
         function(torch.rand(3, requires_grad=True), torch.rand(3))
     with pytest.raises(ValueError, match="has no parameters"):
         LaneFunction(lambda a: a, tables=("b",))
+
+
+@pytest.mark.parametrize("lanes", LANES)
+def test_several_calls_fill_parts_of_one_buffer(lanes):
+    """Outputs that are the same value, a constant, an argument as it is, of several dtypes, not aligned."""
+    def function(x, index):
+        return Point(x * 2, None), [x * 2, index, torch.full_like(x, 0.5)], index > 3, x
+
+    fused, first = LaneFunction(function), 7
+    x, index = torch.randn(lanes + 20), torch.randint(7, (lanes + 20,), dtype=torch.int32)
+    buffers = [torch.full((lanes + 20,), 9, dtype=dtype)
+               for dtype in (torch.float32, torch.float32, torch.int32, torch.float32, torch.bool, torch.float32)]
+    for part in (slice(first, first + lanes), slice(first + lanes, lanes + 20), slice(0, first)):
+        p, a, b, c, d, e = [buffer[part] for buffer in buffers]
+        given = (Point(p, None), [a, b, c], d, e)
+        assert fused.into(given, x[part], index[part]) is given
+    (p, _), others, *rest = function(x, index)
+    assert all(torch.equal(found, expected) for found, expected in zip(buffers, [p, *others, *rest]))
+    assert len(fused.compiled) == 1
+
+
+def test_a_part_that_is_written_leaves_its_neighbours_alone():
+    fused = LaneFunction(lambda x: x + 1)
+    for lanes in (1, 3, 15, 16, 17, 33):
+        buffer = torch.zeros(60)
+        fused.into(buffer[5:5 + lanes], torch.ones(lanes))
+        assert torch.equal(buffer.nonzero().squeeze(1), torch.arange(5, 5 + lanes))
+
+
+def test_contiguous_parts_are_read_where_they_lie():
+    fused, x = LaneFunction(lambda x: x * 3), torch.arange(40.0)
+    fused(x)
+    for lanes in (3, 20):
+        with Allocations() as made:
+            fused(x[5:5 + lanes])
+        assert made.shapes == [(lanes,)]
+
+
+def test_results_that_do_not_fit_are_errors():
+    fused, x = LaneFunction(lambda x: (x, [x + 1])), torch.rand(20)
+    with pytest.raises(ValueError, match="returns float32 of 1 dimensions where .* float64 of 1"):
+        fused.into((torch.empty(20), [torch.empty(20, dtype=torch.float64)]), x)
+    with pytest.raises(ValueError, match="returns tuple of 2 where it is to write into tuple of 1"):
+        fused.into((torch.empty(20),), x)
+    with pytest.raises(ValueError, match="contiguous tensors of 20 lanes on the CPU, got one of 20 with stride 2"):
+        fused.into((torch.empty(20), [torch.empty(40)[::2]]), x)
+    with pytest.raises(ValueError, match="tensors of 20 lanes on the CPU, got one of 19"):
+        fused.into((torch.empty(20), [torch.empty(19)]), x)

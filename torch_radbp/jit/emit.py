@@ -4,9 +4,9 @@
 
 computes the lanes from `first` to `last` in blocks of W, of vectors of W lanes or, for W = 1, of scalars, as a thread of a
 GPU does. If the last block is not full, it is moved back so that it ends at `last`; lanes that are computed twice get the
-same results twice. So at least W lanes must be given (`run.py` sees to that). `inputs` and `outputs` are arrays of pointers;
-behind those of the inputs stand their lengths. `lanes_of_job` calls it for parts of a `team.Job` until none is left, and may
-run on several threads at once.
+same results twice. Fewer than W lanes are computed in copies that are a full block. `inputs` and `outputs` are arrays of
+pointers; behind those of the inputs stand their lengths. `lanes_of_job` calls it for parts of a `team.Job` until none is
+left, and may run on several threads at once.
 
 Every operation is one line of a table; the types stand in it as {T} (vector) and {W}. Of the liberties that compilers take
 with floating point only the fusing of a product and a sum is allowed: infinities, NaN and signs of zeros are as in torch.
@@ -21,8 +21,8 @@ from collections.abc import Iterator
 
 import torch
 
-from torch_radbp.jit.graph import NUMBER, TABLE, Program, Value
-from torch_radbp.jit.loops import SEARCH, TAKE_PARTS
+from torch_radbp.jit.graph import LANES, NUMBER, TABLE, Program, Value
+from torch_radbp.jit.loops import SEARCH, TAKE_PARTS, few_lanes
 
 SCALARS = {torch.float32: "float", torch.float64: "double", torch.int32: "i32", torch.int64: "i64", torch.bool: "i1"}
 SUFFIXES = {torch.float32: "f32", torch.float64: "f64", torch.int32: "i32", torch.int64: "i64", torch.bool: "i1"}
@@ -73,8 +73,10 @@ class Emitter:
             self.names[value] = self.emit(value)
         for number, value in enumerate(value for value in self.program.outputs if value is not None):
             self.store(number, value)
+        inputs = [alignment(value.dtype) if value.kind == LANES else 0 for value in self.program.inputs]
+        outputs = [alignment(value.dtype) for value in self.program.outputs if value is not None]
         return "\n".join([
-            TAKE_PARTS,
+            TAKE_PARTS.format(width=self.width), few_lanes(inputs, outputs, self.width),
             "define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {", "entry:",
             *indented(self.entry), f"  %final = sub i64 %last, {self.width}", "  br label %loop", "loop:",
             "  %at = phi i64 [ %first, %entry ], [ %next, %loop ]",

@@ -1,8 +1,10 @@
-"""Functions in LLVM's text that are the same for every program, but for types."""
+"""Functions in LLVM's text that are the same for every program, but for types and counts."""
 
-# Takes parts of a `team.Job` until none is left.
+from collections.abc import Sequence
+
+# Takes parts of a `team.Job` until none is left; fewer lanes than a block has go by `few_lanes`.
 TAKE_PARTS = """\
-define void @lanes_of_job(ptr %job) {
+define void @lanes_of_job(ptr %job) {{
 entry:
   %lanes = load i64, ptr %job, align 8
   %size_at = getelementptr i64, ptr %job, i64 1
@@ -12,7 +14,11 @@ entry:
   %inputs = load ptr, ptr %inputs_at, align 8
   %outputs_at = getelementptr i64, ptr %job, i64 4
   %outputs = load ptr, ptr %outputs_at, align 8
-  br label %take
+  %few = icmp slt i64 %lanes, {width}
+  br i1 %few, label %block, label %take
+block:
+  call void @few_lanes(i64 %lanes, ptr %inputs, ptr %outputs)
+  ret void
 take:
   %first = atomicrmw add ptr %next_at, i64 %size monotonic
   %left = icmp slt i64 %first, %lanes
@@ -25,8 +31,63 @@ work:
   br label %take
 done:
   ret void
-}
+}}
 """
+
+# Copies `lanes` elements to a block of `width`, and repeats the last until it is full.
+FILL = """\
+define internal void @fill(ptr %block, ptr %elements, i64 %lanes, i64 %size, i64 %width) {
+entry:
+  %last = sub i64 %lanes, 1
+  br label %copy
+copy:
+  %lane = phi i64 [ 0, %entry ], [ %next, %copy ]
+  %over = icmp sgt i64 %lane, %last
+  %from = select i1 %over, i64 %last, i64 %lane
+  %source_at = mul i64 %from, %size
+  %source = getelementptr i8, ptr %elements, i64 %source_at
+  %target_at = mul i64 %lane, %size
+  %target = getelementptr i8, ptr %block, i64 %target_at
+  call void @llvm.memcpy.p0.p0.i64(ptr %target, ptr %source, i64 %size, i1 false)
+  %next = add i64 %lane, 1
+  %more = icmp slt i64 %next, %width
+  br i1 %more, label %copy, label %done
+done:
+  ret void
+}
+declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
+"""
+
+
+def few_lanes(inputs: Sequence[int], outputs: Sequence[int], width: int) -> str:
+    """The function that computes fewer lanes than a block has: in a block of its own, whose last lanes are all the last.
+
+    Args:
+        inputs: bytes of an element of each input of the lanes; 0: a table or a number.
+        outputs: the same of each output.
+        width: lanes in a block.
+    """
+    count = 2 * len(inputs) + len(outputs)  # behind the inputs stand their lengths
+    lines = [f"%places = alloca [{max(1, count)} x ptr]",
+             f"call void @llvm.memcpy.p0.p0.i64(ptr %places, ptr %inputs, i64 {16 * len(inputs)}, i1 false)"]
+    back = []
+    for k, size in enumerate((*inputs, *[0] * len(inputs), *outputs)):
+        if size == 0:
+            continue
+        number, array = (k, "%inputs") if k < len(inputs) else (k - 2 * len(inputs), "%outputs")
+        lines += [f"%block{k} = alloca [{width * size} x i8], align 64",
+                  f"%at{k} = getelementptr ptr, ptr {array}, i64 {number}", f"%given{k} = load ptr, ptr %at{k}, align 8",
+                  f"%place{k} = getelementptr ptr, ptr %places, i64 {k}", f"store ptr %block{k}, ptr %place{k}, align 8"]
+        if array == "%inputs":
+            lines.append(f"call void @fill(ptr %block{k}, ptr %given{k}, i64 %lanes, i64 {size}, i64 {width})")
+        else:
+            back += [f"%bytes{k} = mul i64 %lanes, {size}",
+                     f"call void @llvm.memcpy.p0.p0.i64(ptr %given{k}, ptr %block{k}, i64 %bytes{k}, i1 false)"]
+    lines += [f"%results = getelementptr ptr, ptr %places, i64 {2 * len(inputs)}",
+              f"call void @lanes(i64 0, i64 {width}, ptr %places, ptr %results)", *back, "ret void"]
+    body = "\n".join(f"  {line}" for line in lines)
+    return f"{FILL}define internal void @few_lanes(i64 %lanes, ptr %inputs, ptr %outputs) {{\n{body}\n}}"
+
 
 # Halves what is left of the table until nothing is; all lanes take the same number of turns.
 SEARCH = """\

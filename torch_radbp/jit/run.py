@@ -15,7 +15,7 @@ from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE, Program
 from torch_radbp.jit.machine import MachineCode, host_width
 from torch_radbp.jit.refusal import UnknownOperation
-from torch_radbp.jit.structure import assembler, flatten, replaced
+from torch_radbp.jit.structure import assembler, difference, flatten, of_lanes, replaced
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.jit.trace import trace
 
@@ -25,9 +25,9 @@ class Compiled(NamedTuple):
 
     program: Program
     code: MachineCode
-    width: int
     inputs: tuple[int, ...]  # which tensors of the arguments the loop reads
     results: tuple[int, ...]  # of each tensor that is returned: the output number k, or ~k: the argument number k as it is
+    structure: tuple  # of what is returned, as `flatten` tells it
     assemble: Callable[[list[Tensor]], Any]  # the results in their tuples
 
 
@@ -40,7 +40,7 @@ class LaneFunction:
     and lists.
 
     The function may differentiate inside, with `torch.autograd.grad`; its results carry no derivative. Calls from several
-    Python threads run side by side.
+    Python threads run side by side. `into` writes the results into tensors that are given, such as parts of larger ones.
 
     Args:
         function: in plain torch.
@@ -67,6 +67,36 @@ class LaneFunction:
         self.compiled: dict[tuple, Compiled | str] = {}  # by structure of the arguments; or why it cannot be
 
     def __call__(self, *arguments):
+        compiled, leaves, lanes = self.prepared(arguments)
+        outputs = [torch.empty(lanes, dtype=value.dtype, device="cpu") for value in compiled.program.outputs]
+        compute(compiled, leaves, outputs, lanes)
+        return compiled.assemble([outputs[k] if k >= 0 else leaves[~k] for k in compiled.results])
+
+    def into(self, results, *arguments):
+        """Writes what a call would return into `results`, and returns them.
+
+        Args:
+            results: tensors in the tuples and lists that a call returns, contiguous: parts of larger tensors may be, so that
+                several calls fill one buffer. No two may overlap, nor any with an argument.
+            arguments: of the call.
+
+        Raises:
+            ValueError: if `results` are not what the call would return, or not contiguous; the rest as for a call.
+        """
+        compiled, leaves, lanes = self.prepared(arguments)
+        given = self.checked_results(results, compiled, lanes)
+        outputs: dict[int, Tensor] = {}
+        for k, tensor in zip(compiled.results, given):
+            outputs.setdefault(k, tensor)
+        compute(compiled, leaves, [outputs[k] for k in range(len(compiled.program.outputs))], lanes)
+        for k, tensor in zip(compiled.results, given):
+            source = outputs[k] if k >= 0 else leaves[~k]
+            if source is not tensor:
+                tensor.copy_(source)
+        return results
+
+    def prepared(self, arguments: tuple) -> tuple[Compiled, list[Tensor], int]:
+        """The compiled function for these arguments, their tensors, and the number of lanes."""
         if len(arguments) != len(self.in_tables):
             raise TypeError(f"{self.name} takes {len(self.in_tables)} arguments by position, got {len(arguments)}")
         leaves: list[Tensor] = []
@@ -87,7 +117,21 @@ class LaneFunction:
                 self.compiled[tuple(key)] = compiled
         if isinstance(compiled, str):
             raise UnknownOperation(compiled)
-        return compute(compiled, leaves, kinds, lanes)
+        return compiled, leaves, lanes
+
+    def checked_results(self, results, compiled: Compiled, lanes: int) -> list[Tensor]:
+        """The tensors of `results`; errors as `into` says."""
+        leaves: list[Tensor] = []
+        key: list = []
+        flatten(results, leaves, key)
+        if tuple(key) != compiled.structure:
+            returned, found = difference(compiled.structure, key)
+            raise ValueError(f"{self.name} returns {returned} where it is to write into {found}")
+        for leaf in leaves:
+            if len(leaf) != lanes or not leaf.is_contiguous() or leaf.device.type != "cpu":
+                raise ValueError(f"{self.name} writes into contiguous tensors of {lanes} lanes on the CPU, got one of "
+                                 f"{len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
+        return leaves
 
     def checked_lanes(self, leaves: list[Tensor], kinds: list[str]) -> int:
         """The number of lanes; errors as the class says."""
@@ -111,12 +155,15 @@ class LaneFunction:
     def compile(self, arguments: tuple, leaves: list[Tensor], kinds: list[str], firsts: list[int]) -> Compiled | str:
         """Traces the function for arguments of this structure, and makes machine code of it; or says why it cannot be."""
         assemble: Callable | None = None
+        structure: list = []
 
         def flat(*tensors: Tensor) -> list[Tensor]:
             nonlocal assemble
             stand_ins = iter([tensors[first] for first in firsts])
             results: list[Tensor] = []
-            assemble = assembler(self.function(*replaced(arguments, lambda: next(stand_ins))), results)
+            returned = self.function(*replaced(arguments, lambda: next(stand_ins)))
+            flatten(returned, [], structure)
+            assemble = assembler(returned, results)
             return results
 
         try:
@@ -127,26 +174,16 @@ class LaneFunction:
         outputs = tuple(dict.fromkeys(value for value, whole in zip(program.outputs, passed) if not whole))
         results = tuple(~value.static if whole else outputs.index(value) for value, whole in zip(program.outputs, passed))
         program = program._replace(outputs=outputs)
-        width = self.width or host_width()
-        return Compiled(program, MachineCode(emit(program, width)), width,
-                        tuple(value.static for value in program.inputs), results, assemble)
+        return Compiled(program, MachineCode(emit(program, self.width or host_width())),
+                        tuple(value.static for value in program.inputs), results, of_lanes(structure), assemble)
 
 
-def compute(compiled: Compiled, leaves: list[Tensor], kinds: list[str], lanes: int):
-    """Runs the loop over all lanes, on all of torch's threads."""
-    program, width = compiled.program, compiled.width
-    inputs = [leaves[place].detach().contiguous() for place in compiled.inputs]
-    padded = max(lanes, width) if lanes else 0
-    if padded != lanes:  # a block needs as many lanes as it is wide: repeat the last
-        inputs = [torch.cat([tensor, tensor[-1:].expand(padded - lanes)]) if kinds[place] == LANES else tensor
-                  for place, tensor in zip(compiled.inputs, inputs)]
-    outputs = [torch.empty(padded, dtype=value.dtype, device="cpu") for value in program.outputs]
+def compute(compiled: Compiled, leaves: list[Tensor], outputs: list[Tensor], lanes: int) -> None:
+    """Runs the loop over all lanes, on all of torch's threads; `outputs` are written into."""
+    inputs = [leaves[place].contiguous() for place in compiled.inputs]
     if lanes and outputs:
         lengths = [len(tensor) if tensor.dim() else 1 for tensor in inputs]
-        run_lanes(compiled.code.address, padded, addresses(inputs, lengths), addresses(outputs))
-    if padded != lanes:
-        outputs = [output[:lanes].clone() for output in outputs]
-    return compiled.assemble([outputs[k] if k >= 0 else leaves[~k] for k in compiled.results])
+        run_lanes(compiled.code.address, lanes, addresses(inputs, lengths), addresses(outputs))
 
 
 def addresses(tensors: list[Tensor], numbers: Sequence[int] = ()) -> ctypes.Array:
