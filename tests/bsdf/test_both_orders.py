@@ -1,7 +1,7 @@
 """Differentiate then sample, and sample then differentiate: both estimate the derivative of one integral.
 
 For I(theta) = integral of eval(wi, wo) h(wo) dwo with a smooth h, the detached estimator is the mean of (d eval) h / pdf,
-and the attached one the mean of d [eval h probability / (pdf choice.probability)] with everything following wo. Both are
+and the attached one the mean of d [eval h / (pdf with fixed lobes)] with everything following wo. Both are
 compared with differences of I over common random numbers, which know of no derivative.
 
 Both lobes of glass are followed from every microfacet, each with its probability: near the critical angle the derivative of
@@ -85,8 +85,7 @@ def test_both_orders_agree_with_differences(name, what, z):
         pdf = at.kind.pdf(at.values, at.wi, fixed).detach()
         dead = ((pdf == 0) | (choice.probability == 0)).double()
         detached = at.kind.eval(at.values, at.wi, fixed).y * light(fixed) / (pdf + dead)
-        again = at.kind.probability(at.values, at.wi, wo, choice)
-        moving = at.kind.pdf(at.values, at.wi, wo) * choice.probability / (again + dead)
+        moving = at.kind.eval_pdf(at.values, at.wi, wo, fixed_lobes=True)[1]
         attached = at.kind.eval(at.values, at.wi, wo).y * light(wo) / (moving + dead)
         for row, estimate in enumerate((detached, attached)):
             torch.testing.assert_close((estimate * (1 - dead)).detach(), (detached * (1 - dead)).detach(), rtol=1e-4,

@@ -88,17 +88,6 @@ def test_sampled_directions_at_normal_and_grazing_incidence(name, z):
                   setting.wi)
 
 
-@pytest.mark.parametrize("name", [*GLASS, "dielectric", "thin"])
-def test_probability_of_the_choice(name):
-    setting = Setting(name)
-    if setting.kind.delta:
-        setting.check(lambda values, wi: setting.kind.probability(values, wi, setting.sampled_wo, setting.choice),
-                      setting.wi)
-    else:
-        setting.check(lambda values, wi, wo: setting.kind.probability(values, wi, wo, setting.choice),
-                      setting.wi, setting.sampled_wo)
-
-
 @pytest.mark.parametrize("name", DELTA)
 def test_specular_weights(name):
     setting = Setting(name)
@@ -114,7 +103,7 @@ def test_forward_mode_is_the_transpose_of_reverse_mode(name):
         values, wi = setting.unpack(leaves)
         wo = kind.sample(values, wi, setting.choice, random.u, random.v)
         lobe = kind.specular(values, wi, setting.choice) if kind.delta else kind.eval(values, wi, wo)
-        rest = kind.pdf(values, wi, wo), kind.probability(values, wi, wo, setting.choice)
+        rest = (kind.eval_pdf(values, wi, wo, fixed_lobes)[1] for fixed_lobes in (False, True))
         return torch.stack([*wo, *lobe, *rest])
 
     leaves = tuple(leaf.detach() for leaf in setting.leaves(setting.wi))

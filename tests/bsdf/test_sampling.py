@@ -111,24 +111,31 @@ def test_the_test_notices_a_wrong_roughness():
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_the_attached_probability_is_that_of_the_choice(name):
+def test_a_choice_is_made_with_its_probability(name):
     bsdf = material(MATERIALS[name]).requires_grad_()
     kind, wi, random = bsdf.kind(), directions(COUNT), numbers(COUNT)
-    values = values_of(bsdf, wi.z)
-    choice, wo = sampled(kind, values, wi, random)
-    assert not choice.probability.requires_grad and not choice.transmits.requires_grad
-    again = kind.probability(values, wi, wo, choice)
-    alive = kind.pdf(values, wi, wo) > 0 if not kind.delta else torch.ones_like(again, dtype=torch.bool)
-    assert alive.double().mean() > 0.3
-    # The microfacet is found again from the two directions, to rounding over the length of the half vector.
-    torch.testing.assert_close(again[alive].detach(), choice.probability[alive], rtol=1e-6, atol=1e-9)
+    choice, _ = sampled(kind, values_of(bsdf, wi.z), wi, random)
+    assert not choice.probability.requires_grad and not choice.lobe.requires_grad
     assert (choice.probability > 0).all() and (choice.probability <= 1).all()
     if "glass" in name or name == "dielectric":
-        assert again.requires_grad and 0.05 < choice.transmits.mean() < 0.95
-        share = torch.where(choice.transmits > 0, 1 - choice.probability, choice.probability)
-        assert abs((random.choice < share).double() + choice.transmits - 1).max() == 0
+        assert 0.05 < choice.lobe.mean() < 0.95
+        share = torch.where(choice.lobe > 0, 1 - choice.probability, choice.probability)
+        assert abs((random.choice < share).double() + choice.lobe - 1).max() == 0
     if kind.delta is False and name not in GLASS:
-        assert (choice.probability == 1).all() and (choice.transmits == 0).all()
+        assert (choice.probability == 1).all() and (choice.lobe == 0).all()
+
+
+@pytest.mark.parametrize("name", ROUGH)
+def test_the_density_with_fixed_lobes_has_another_derivative_only_where_lobes_are_chosen(name):
+    bsdf = material(MATERIALS[name]).requires_grad_()
+    kind, wi = bsdf.kind(), Vec3(*(component.requires_grad_() for component in directions(COUNT)))
+    values = values_of(bsdf, wi.z)
+    wo = sampled(kind, values, wi, numbers(COUNT)).wo.detach()
+    pdf, fixed = (kind.eval_pdf(values, wi, wo, fixed_lobes)[1] for fixed_lobes in (False, True))
+    assert (pdf > 0).double().mean() > 0.3 and torch.equal(pdf, fixed)
+    slopes = [torch.autograd.grad(density.sum(), wi.z, retain_graph=True)[0] for density in (pdf, fixed)]
+    same = torch.equal(*slopes)
+    assert same == (name not in GLASS)
 
 
 @pytest.mark.parametrize("name", GLASS)
@@ -140,7 +147,7 @@ def test_a_choice_is_kept_by_its_sample(name):
     choice, wo = sampled(kind, values, wi, numbers(COUNT))
     crossed = wo.z * wi.z < 0
     level = wo.z == 0
-    assert (crossed == (choice.transmits > 0))[~level].all()
+    assert (crossed == (choice.lobe > 0))[~level].all()
     assert 0 < level.double().mean() < 0.2
     assert (kind.pdf(values, wi, wo)[level] == 0).all() and (kind.eval(values, wi, wo).stack()[level] == 0).all()
 

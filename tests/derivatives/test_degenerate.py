@@ -18,7 +18,7 @@ LAMP = {"type": "area", "radiance": rgb(1, 2, 3)}
 class Unlikely(DiffuseKind):
     """A material that draws directions of nearly no density, where it reflects as little."""
 
-    def eval_pdf(self, values, wi, wo):
+    def eval_pdf(self, values, wi, wo, fixed_lobes=False):
         pdf = values[0].x * 1e-22
         return values[0] * pdf, pdf
 

@@ -26,7 +26,7 @@ def relative_index(eta: Tensor, side: Tensor) -> Tensor:
 
 def blend(choice: Choice, reflected: Tensor, transmitted: Tensor) -> Tensor:
     """The value of the chosen lobe: that of reflection or that of transmission."""
-    return reflected + choice.transmits * (transmitted - reflected)
+    return reflected + choice.lobe * (transmitted - reflected)
 
 
 def decide(reflectance: Tensor, choice: Tensor) -> Choice:
@@ -64,15 +64,11 @@ class DielectricKind(DeltaKind):
         along = -blend(choice, torch.ones_like(eta), 1.0 / eta)
         return Vec3(wi.x * along, wi.y * along, blend(choice, wi.z, -side * cos_t))
 
-    def probability(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor:
-        reflectance, _ = dielectric_reflectance(wi.z.abs(), relative_index(values[0].x, side_of(wi)))
-        return blend(choice, reflectance, 1.0 - reflectance)
-
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
         eta = relative_index(values[0].x, side_of(wi))
         reflectance, _ = dielectric_reflectance(wi.z.abs(), eta)
         transmittance = (1.0 - reflectance) / (eta * eta)
-        return values[1] * (reflectance * (1.0 - choice.transmits)) + values[2] * (transmittance * choice.transmits)
+        return values[1] * (reflectance * (1.0 - choice.lobe)) + values[2] * (transmittance * choice.lobe)
 
 
 @register("bsdf", "dielectric")

@@ -22,7 +22,7 @@ class DiffuseKind(Kind):
     def slots(self) -> int:
         return 1
 
-    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         pdf = cosine_hemisphere_pdf(wo) * (wi.z > 0).to(wi.z.dtype)
         return values[0] * pdf, pdf
 

@@ -5,14 +5,15 @@ every surface point. The values of its `textures` vary, and are handed to the fu
 `x` is used). Directions are unit vectors with z along the shading normal; `wi` points towards the viewer, `wo` along the
 sampled ray or towards the light.
 
-Sampling has two stages, because derivatives treat the discrete decision separately: `choose` decides between reflection and
-transmission, with a probability that carries no derivative, and `sample` maps random numbers to a direction, attached.
-For every kind
+A kind has lobes. A *delta* lobe scatters into single directions, which only `sample` finds; the others are *smooth*. Sampling
+has two stages, because derivatives treat the discrete decision separately: `choose` picks a lobe, with a probability that
+carries no derivative, and `sample` maps random numbers to a direction of that lobe, attached. Smooth lobes may overlap: the
+density of a direction is the sum over all of them, each times its probability. With F = f |cos| / density,
 
-    F = eval / pdf                                                 detached: `pdf` without derivative
-    F = eval / (pdf * choice.probability / probability)            attached: the density without the derivative of the
-                                                                   choice, but with that of the direction
-    F = specular / choice.probability                              ideal specular kinds, in either mode
+    F = eval / pdf                              detached: `pdf` without derivative
+    F = eval / pdf with `fixed_lobes`           attached: the density with the derivative of the direction, but without that
+                                                of the lobes' probabilities
+    F = specular / choice.probability           of a delta lobe, in either mode
 
 Every function is smooth where the physics is, and values and derivatives are finite everywhere: at grazing angles, at total
 internal reflection, at a roughness of zero, between equal indices of refraction.
@@ -33,20 +34,23 @@ Values = tuple[Vec3, ...]
 
 
 class Choice(NamedTuple):
-    """The discrete decision at a vertex; detached."""
+    """The lobe that was picked; detached."""
 
-    transmits: Tensor  # (N,) 0 or 1, floating point
-    probability: Tensor  # (N,) of what was decided
+    lobe: Tensor  # (N,) its number, floating point; of glass 0 reflects and 1 transmits
+    probability: Tensor  # (N,) with which it is picked
+    delta: Tensor | None = None  # (N,) bool: it is a delta lobe; None: the kind has no other, or none at all
+    parts: tuple[Choice, ...] = ()  # the choices of the kinds that this one holds
 
 
 @dataclass(frozen=True)
 class Kind(ABC):
     """The scattering functions of one kind of material; all tensors are (N,).
 
-    The defaults are those of a material with one lobe, which only reflects.
+    The defaults are those of a material with one smooth lobe, which only reflects.
     """
 
-    delta: ClassVar[bool] = False  # ideal specular: only `sample` finds the directions into which it scatters
+    delta: ClassVar[bool] = False  # it has delta lobes
+    smooth: ClassVar[bool] = True  # it has smooth lobes
     discrete: ClassVar[bool] = False  # `choose` has a choice
     oriented: ClassVar[bool] = False  # anisotropic: turning the surface about its normal makes a difference
 
@@ -54,6 +58,11 @@ class Kind(ABC):
     def steering(self) -> tuple[int, ...]:
         """The numbers of those values on which sampled directions depend."""
         return ()
+
+    @property
+    def bending(self) -> tuple[int, ...]:
+        """The numbers of those values on which the directions of delta lobes depend."""
+        return self.steering if self.delta else ()
 
     @property
     def jumps(self) -> bool:
@@ -66,10 +75,10 @@ class Kind(ABC):
         """The number of values that the functions take."""
 
     @abstractmethod
-    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
-        """BSDF times |cos(wo)|, for radiance, and the density of `sample` over solid angle, over all choices.
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
+        """BSDF times |cos(wo)|, for radiance, and the density of `sample` over solid angle; of the smooth lobes together.
 
-        Both attached; zero for ideal specular kinds.
+        Both attached; with `fixed_lobes` the density carries no derivative of the probabilities of lobes.
         """
 
     def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
@@ -82,30 +91,27 @@ class Kind(ABC):
 
     @abstractmethod
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
-        """A unit vector wo, attached to values and wi. `eval` and `pdf` are zero where it cannot be used."""
+        """A unit vector wo of the chosen lobe, attached to values and wi. `eval` and `pdf` are zero where it cannot be used."""
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> Choice:
-        """Reflection or transmission, decided by the random number `choice`; `sample` will get the same u and v.
+        """The lobe, decided by the random number `choice`; `sample` will get the same u and v. Detached.
 
         `choice` may be None where the kind is not `discrete`.
         """
         return Choice(torch.zeros_like(wi.z), torch.ones_like(wi.z))
 
-    def probability(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor:
-        """`choice.probability` again, but attached; `wo` is the sampled direction."""
-        return torch.ones_like(wi.z)
-
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
-        """Weight of the chosen lobe of an ideal specular kind, not divided by the choice's probability; attached."""
-        raise TypeError(f"{type(self).__name__} scatters into all directions: use eval")
+        """Weight of the chosen delta lobe, not divided by the choice's probability; attached. Of a smooth lobe: unused, finite."""
+        raise TypeError(f"{type(self).__name__} has no delta lobe: use eval")
 
 
 class DeltaKind(Kind):
     """Ideal specular scattering, into directions that no other sampling strategy finds."""
 
     delta: ClassVar[bool] = True
+    smooth: ClassVar[bool] = False
 
-    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         return Vec3.full(wi.z, 0.0), torch.zeros_like(wi.z)
 
     @abstractmethod

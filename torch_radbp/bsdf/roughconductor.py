@@ -23,7 +23,7 @@ class RoughConductorKind(MicrofacetKind):
     Reference: Walter et al. 2007, equations 20, 14 and 24.
     """
 
-    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         eta, k, reflectance = values[-3:]
         facets, lit, wi, wo = self.facets(values), reflects(wi, wo), above(wi), above(wo)
         m, _ = half_vector(wi + wo)

@@ -74,14 +74,15 @@ class RoughDielectricKind(MicrofacetKind):
         return Microgeometry(transmits, possible, self.facets(values).density(m), cos_i.clamp_min(0.0),
                              cos_o.clamp_min(0.0), squared, eta, reflectance)
 
-    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         g, facets = self.microgeometry(values, wi, wo), self.facets(values)
         wi, wo, density = above(wi), above(wo), g.density * g.possible
-        reflected = 0.25 * g.reflectance * (1.0 - g.transmits)
-        transmitted = (1.0 - g.reflectance) * (g.cos_i * g.cos_o / g.squared) * g.transmits
-        scattered = values[-2] * reflected + values[-1] * transmitted
+        # Densities of the half vector over that of the direction, of reflection and of refraction.
+        reflected, transmitted = 0.25 * (1.0 - g.transmits), (g.cos_i * g.cos_o / g.squared) * g.transmits
+        scattered = values[-2] * (g.reflectance * reflected) + values[-1] * ((1.0 - g.reflectance) * transmitted)
+        chance = g.reflectance.detach() if fixed_lobes else g.reflectance
         return (scattered * (density * facets.masking(wi) * facets.masking(wo) * wo.z),
-                (reflected + transmitted * g.eta * g.eta) * (density / facets.projected_area(wi)))
+                (chance * reflected + (1.0 - chance) * transmitted * g.eta * g.eta) * (density / facets.projected_area(wi)))
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
         values, wi = tuple(value.detach() for value in values), wi.detach()
@@ -98,14 +99,7 @@ class RoughDielectricKind(MicrofacetKind):
         _, cos_t = dielectric_reflectance(cos_i, eta)
         along = blend(choice, torch.ones_like(eta), 1.0 / eta)
         wo = m * (along * cos_i + blend(choice, cos_i, -cos_t)) - wi * along
-        return on_its_side(wo, 1.0 - 2.0 * choice.transmits) * side
-
-    def probability(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor:
-        side = side_of(wi)
-        eta, wi, wo = self.index(values, side), wi * side, wo * side
-        m, _ = half_vector(wi + wo * (1.0 + choice.transmits * (eta - 1.0)))
-        reflectance, _ = dielectric_reflectance(dot(wi, m), eta)
-        return blend(choice, reflectance, 1.0 - reflectance)
+        return on_its_side(wo, 1.0 - 2.0 * choice.lobe) * side
 
 
 def apart_from_one(eta: Tensor) -> Tensor:

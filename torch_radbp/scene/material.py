@@ -87,18 +87,14 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
 def sample_kind(kind: Kind, values: Values, fixed: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor,
                 follow: bool) -> BSDFSample:
     """`sample` for one kind of material. The choice between reflection and transmission never carries a derivative."""
-    decision = kind.choose(fixed, wi, choice, u, v)
+    decision = kind.choose(fixed, wi.detach(), choice, u, v)
     wo = kind.sample(values, wi, decision, u, v) if follow else kind.sample(fixed, wi, decision, u, v).detach()
-    if kind.delta:
+    if not kind.smooth:
         weight = kind.specular(values, wi, decision) * (1.0 / decision.probability.clamp_min(LEAST_DENSITY))
         return BSDFSample(wo, weight, torch.full_like(u, torch.inf))
     value, pdf = kind.eval_pdf(values, wi, wo)
-    if not follow:
-        pdf = pdf.detach()
-    density = pdf
-    if follow and kind.discrete:
-        density = pdf * (decision.probability / kind.probability(values, wi, wo, decision).clamp_min(LEAST_DENSITY))
-    return BSDFSample(wo, value * density.clamp_min(LEAST_DENSITY).reciprocal(), pdf)
+    density = kind.eval_pdf(values, wi, wo, fixed_lobes=True)[1] if follow else pdf.detach()
+    return BSDFSample(wo, value * density.clamp_min(LEAST_DENSITY).reciprocal(), pdf if follow else density)
 
 
 def chosen(kind: Tensor | None, parts: list):
