@@ -20,7 +20,7 @@ import math
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.lookup import lookup
+from torch_radbp.lookup import lookup
 from torch_radbp.scene.tensors import EnvironmentMap, SceneTensors
 from torch_radbp.vec import TINY, Frame, Vec2, Vec3, cross, dot
 

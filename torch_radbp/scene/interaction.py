@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.lookup import lookup
+from torch_radbp.lookup import lookup
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import (
     TINY,

@@ -11,7 +11,8 @@ from torch_radbp.sampling.sampler import fine_unit, unit
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere, square_to_uniform_triangle
 from torch_radbp.scene.environment import environment_radiance, environment_weighing, sample_environment
 from torch_radbp.scene.interaction import SurfaceInteraction, interpolated
-from torch_radbp.scene.lookup import lookup, sample_texture
+from torch_radbp.lookup import lookup
+from torch_radbp.texture.bank import sample_texture
 from torch_radbp.scene.posed_light import NEAREST, illumination
 from torch_radbp.scene.tensors import CONSTANT, DIRECTIONAL, ENVIRONMENT, POINT, SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, masked, where

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.scene.interaction import SurfaceInteraction
-from torch_radbp.scene.lookup import lookup, sample_texture
+from torch_radbp.lookup import lookup
+from torch_radbp.texture.bank import sample_texture
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, where
 

@@ -14,7 +14,7 @@ from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.light_table import Lamp, kinds_of, light_table
-from torch_radbp.scene.lookup import TextureBank
+from torch_radbp.texture.bank import TextureBank
 from torch_radbp.scene.parameters import check_extent, check_parameters
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors, TriangleTable, VertexTable

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.lookup import lookup
+from torch_radbp.lookup import lookup
 from torch_radbp.scene.tensors import DIRECTIONAL, PROJECTOR, SPOT, SceneTensors
 from torch_radbp.vec import Frame, Vec2, Vec3, dot, where
 

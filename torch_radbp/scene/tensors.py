@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_radbp.bsdf.kind import Kind
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.sampling.grid import GridDistribution
-from torch_radbp.scene.lookup import TextureBank
+from torch_radbp.texture.bank import TextureBank
 from torch_radbp.vec import Frame, Vec2, Vec3
 
 # Kinds of light; POINT and those after it have a pose and no extent.

@@ -1,0 +1,68 @@
+"""Reads of tables by lane that record, for local derivatives, what was read and where.
+
+The derivative of a gather is a scatter-add. The local vector-Jacobian product of a bounce never scatters into a table: a
+tapped table returns what it gathers as leaves and remembers the indices, and the sweep adds the adjoints of the leaves to
+one gradient buffer afterwards. Plain autograd (the oracle) reads plain tensors.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.vec import Vec2, Vec3, gather
+
+
+class Read(NamedTuple):
+    """One gather of a tapped table."""
+
+    index: Tensor  # (N,) int32
+    leaf: Tensor  # (N,) the entries
+    found: Tensor | None  # (N,) a part of their adjoint that is already known
+
+
+class Tap:
+    """A table that returns its entries as leaves; `reads` lists what was gathered, in order."""
+
+    def __init__(self, table: Tensor):
+        self.table = table
+        self.reads: list[Read] = []
+
+    def read(self, index: Tensor, known: Tensor | None = None, found: Tensor | None = None) -> Tensor:
+        """The entries at `index`, which are not gathered again if they are `known`; `found`: see `Read`."""
+        leaf = (gather(self.table, index) if known is None else known).detach().requires_grad_()
+        self.reads.append(Read(index, leaf, found))
+        return leaf
+
+
+def tapped(node, wanted: tuple[bool, ...], place: int, taps: list[Tap]):
+    """A record of tables with some of them tapped.
+
+    Args:
+        node: the record, or a part of it.
+        wanted: of each leaf, counted as `tree_flatten` does, whether to tap it.
+        place: the number of the first leaf of `node`.
+        taps: filled in, in order.
+
+    Returns:
+        The record, and the number of the leaf after it.
+    """
+    if isinstance(node, tuple):
+        parts = []
+        for part in node:
+            part, place = tapped(part, wanted, place, taps)
+            parts.append(part)
+        return type(node)(*parts) if hasattr(node, "_fields") else tuple(parts), place
+    if wanted[place]:
+        node = Tap(node)
+        taps.append(node)
+    return node, place + 1
+
+
+def lookup(table, index: Tensor):
+    """Entries of a table, or of each component of a `Vec2` / `Vec3` of tables, at int32 `index` (N,)."""
+    if isinstance(table, (Vec2, Vec3)):
+        return table.map(lambda component: lookup(component, index))
+    return table.read(index) if isinstance(table, Tap) else gather(table, index)
