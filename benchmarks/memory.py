@@ -22,7 +22,8 @@ from torch.utils._pytree import tree_flatten, tree_map_only
 from torch.utils.checkpoint import checkpoint
 
 import torch_radbp as rb
-from benchmarks import cornell
+from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
+from benchmarks.scenes.description import Setting, cotangent
 from torch_radbp.adjoint.function import pixel_sums, start_paths
 from torch_radbp.adjoint.sweep import empty_memo
 from torch_radbp.path import add_at, survivors, take_step
@@ -66,12 +67,12 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
     return images[0].reshape(1, 3, view.height, view.width)
 
 
-def one_pass(renderer: rb.Renderer, name: str, cotangent: torch.Tensor, seed: int) -> float:
+def one_pass(renderer: rb.Renderer, name: str, adj_image: torch.Tensor, seed: int) -> float:
     """Seconds of a forward and backward pass."""
     renderer.scene.zero_grad()
     start = time.perf_counter()
     image = render_with_checkpoints(renderer, seed) if name == CHECKPOINT else renderer(seed=seed)
-    (image * cotangent).sum().backward()
+    (image * adj_image).sum().backward()
     return time.perf_counter() - start
 
 
@@ -84,20 +85,20 @@ def resident(field: str) -> int:
 def measure(name: str, options: argparse.Namespace) -> dict:
     """Peak and time of one strategy, in this process."""
     def make(resolution: int) -> tuple[rb.Renderer, torch.Tensor]:
-        scene = cornell.load(resolution, options.depth)
-        renderer = rb.Renderer(scene, spp=options.spp, adjoint=STRATEGIES[name], chunk=options.chunk or None,
-                               compile=options.compile, sampling=options.sampling)
-        return renderer, torch.from_numpy(cornell.cotangent(resolution)).permute(2, 0, 1)[None]
+        scene = cornell_box(Setting(resolution, options.spp, options.depth))
+        renderer = scene.renderer(options.compile, adjoint=STRATEGIES[name], chunk=options.chunk or None,
+                                  sampling=options.sampling)
+        return renderer, torch.from_numpy(cotangent(resolution)).permute(2, 0, 1)[None]
 
-    small, small_cotangent = make(16)
-    one_pass(small, name, small_cotangent, 0)
-    renderer, cotangent = make(options.resolution)
+    small, small_adjoint = make(16)
+    one_pass(small, name, small_adjoint, 0)
+    renderer, adj_image = make(options.resolution)
     predicted = 0 if name == CHECKPOINT else renderer.memory_plan().peak
     Path("/proc/self/clear_refs").write_text("5")  # VmHWM starts anew
     before = resident("VmRSS")
-    seconds = one_pass(renderer, name, cotangent, 1)
+    seconds = one_pass(renderer, name, adj_image, 1)
     return {"name": name, "bytes": resident("VmHWM") - before, "seconds": seconds, "predicted": predicted,
-            "gradient": cornell.gradients(renderer.scene)}
+            "gradient": {parameter: renderer.scene.get_parameter(parameter).grad.tolist() for parameter in PARAMETERS}}
 
 
 def in_own_process(name: str, options: argparse.Namespace) -> dict:
@@ -154,8 +155,8 @@ def peak_of_allocations(function) -> int:
 
 def working_set(options: argparse.Namespace) -> str:
     """Numbers per lane, at the worst moment, of one bounce and of its adjoint."""
-    scene = cornell.load(options.resolution, options.depth)
-    renderer = rb.Renderer(scene, spp=options.spp, chunk=options.resolution**2 * options.spp, compile=options.compile)
+    scene = cornell_box(Setting(options.resolution, options.spp, options.depth))
+    renderer = scene.renderer(options.compile, chunk=options.resolution**2 * options.spp)
     call = renderer.prepare(0, None, options.spp, None)
     detached = tree_map_only(torch.Tensor, torch.Tensor.detach, call.scene)
     wanted = tuple(isinstance(leaf, torch.Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])

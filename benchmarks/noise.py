@@ -13,16 +13,17 @@ import torch
 from rich.progress import track
 
 import torch_radbp as rb
-from benchmarks.cornell import PARAMETERS, cotangent, load
+from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
+from benchmarks.scenes.description import NO_ROULETTE, Setting, cotangent
 from torch_radbp.sensor.sampler import Independent, LowDiscrepancy
 
-SIZE = 32  # pixels
+SIZE, DEPTH = 32, 4  # pixels, bounces
 
 
 def deviations(scene: rb.Scene, spp: int, seeds: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Standard deviations of the image, and of the gradients of its product with a fixed cotangent."""
     parameters = [scene.get_parameter(name) for name in PARAMETERS]
-    renderer, images, gradients = rb.Renderer(scene, spp=spp), [], []
+    renderer, images, gradients = rb.Renderer(scene, spp=spp, max_depth=DEPTH, rr_depth=NO_ROULETTE), [], []
     adj_image = torch.from_numpy(cotangent(SIZE)).permute(2, 0, 1)[None]
     for seed in track(range(seeds), f"{spp} samples", transient=True):
         image = renderer(seed=seed)
@@ -38,7 +39,7 @@ def main() -> None:
     options = parser.parse_args()
     print("| samples | image | gradients | samples saved in the image | in gradients |\n|---|---|---|---|---|")
     for spp in options.spp:
-        scene, found = load(SIZE, 4), []
+        scene, found = cornell_box(Setting(SIZE, spp, DEPTH)).load(), []
         for sampler in (LowDiscrepancy(), Independent()):
             scene.sensors[0].sampler = sampler
             found.append(deviations(scene, spp, options.seeds))

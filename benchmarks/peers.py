@@ -1,0 +1,155 @@
+"""The renderers that are compared, each with the same scene: passes that are timed, gradients, images."""
+
+from __future__ import annotations
+
+import glob
+import os
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import torch_radbp as rb
+from benchmarks.scenes.description import NO_ROULETTE, BenchmarkScene, cotangent
+
+LLVM = ("/usr/lib/*/libLLVM.so.19*", "/usr/lib/*/libLLVM-19.so*")  # Debian's libllvm19
+CHANGE = 1e-5  # relative, of the parameters between two passes
+
+
+class Pass(NamedTuple):
+    """What a forward and backward pass took, in seconds."""
+
+    forward: float
+    backward: float
+    cpu: float  # of all threads, both passes
+
+    @property
+    def both(self) -> float:
+        return self.forward + self.backward
+
+
+def timed(forward: Callable[[], object], backward: Callable[[object], None]) -> Pass:
+    """Times a forward pass, and the backward pass that is given its result."""
+    cpu, start = time.process_time(), time.perf_counter()
+    image = forward()
+    middle = time.perf_counter()
+    backward(image)
+    end = time.perf_counter()
+    return Pass(middle - start, end - middle, time.process_time() - cpu)
+
+
+class Ours:
+    """This renderer."""
+
+    def __init__(self, scene: BenchmarkScene, compiled: bool):
+        warnings.simplefilter("ignore", rb.SilhouetteWarning)  # interior terms are what is compared
+        self.renderer = scene.renderer(compiled)
+        self.parameters = {name: self.renderer.scene.get_parameter(name) for name in scene.parameters}
+        self.cotangent = torch.from_numpy(cotangent(scene.setting.resolution)).permute(2, 0, 1)[None]
+
+    def change(self, factor: float) -> None:
+        """Multiplies the parameters, as the step of an optimiser would change them."""
+        with torch.no_grad():
+            for parameter in self.parameters.values():
+                parameter.mul_(factor)
+
+    def run(self, seed: int) -> Pass:
+        """A forward and backward pass."""
+        self.renderer.scene.zero_grad()
+        return timed(lambda: self.renderer(seed=seed), lambda image: (image * self.cotangent).sum().backward())
+
+    def gradient_sums(self) -> dict[str, float]:
+        """The sum of the gradient's entries, for each parameter."""
+        return {name: float(parameter.grad.sum(dtype=torch.float64)) for name, parameter in self.parameters.items()}
+
+    def image(self, spp: int, seed: int) -> Tensor:
+        """(3, H, W) linear RGB."""
+        with torch.no_grad():
+            return self.renderer(seed=seed, spp=spp)[0]
+
+
+class Mitsuba:
+    """Mitsuba's `prb` in the variant `llvm_ad_rgb`; what it evaluates lazily is forced within the measured time.
+
+    Raises:
+        ImportError: if Mitsuba is not installed, or finds no LLVM.
+    """
+
+    def __init__(self, scene: BenchmarkScene):
+        libraries = [path for pattern in LLVM for path in sorted(glob.glob(pattern))]
+        if libraries:
+            os.environ.setdefault("DRJIT_LIBLLVM_PATH", libraries[0])
+        import drjit as dr
+        import mitsuba as mi
+
+        mi.set_variant("llvm_ad_rgb")
+        mi.set_log_level(mi.LogLevel.Error)  # a material's colour may be brighter than 1 for a moment
+        self.dr, self.mi, (resolution, self.spp, max_depth) = dr, mi, scene.setting
+        if isinstance(scene.source, Path):
+            self.scene = mi.load_file(str(scene.source), resolution=resolution)
+        else:
+            self.scene = mi.load_dict(self.translated(scene.source))
+        self.integrator = mi.load_dict({"type": "prb", "max_depth": max_depth, "rr_depth": NO_ROULETTE})
+        self.parameters, self.names = mi.traverse(self.scene), scene.parameters
+        self.parameters.keep(list(self.names))
+        self.cotangent = mi.TensorXf(cotangent(resolution))
+        self.change(1.0)
+        dr.eval(self.cotangent)
+
+    def translated(self, description: dict) -> dict:
+        """The description with Mitsuba's transforms, and without what it does unasked."""
+        translated = {}
+        for key, value in description.items():
+            if isinstance(value, dict):
+                value = self.translated(value)
+            elif isinstance(value, np.ndarray):
+                value = self.mi.ScalarTransform4f(value)
+            if key != "recompute_normals":
+                translated[key] = value
+        return translated
+
+    def change(self, factor: float) -> None:
+        """Multiplies the parameters. What the scene makes of them is made again by the next pass."""
+        for name in self.names:
+            value = self.dr.detach(self.parameters[name]) * factor
+            self.dr.eval(value)
+            self.dr.enable_grad(value)
+            self.parameters[name] = value
+        self.dr.sync_thread()
+
+    def run(self, seed: int) -> Pass:
+        """A forward and backward pass, both evaluated to the end."""
+        dr = self.dr
+        for name in self.names:
+            dr.set_grad(self.parameters[name], 0)
+        dr.sync_thread()
+
+        def forward():
+            self.parameters.update()
+            image = self.mi.render(self.scene, self.parameters, integrator=self.integrator, spp=self.spp, seed=2 * seed,
+                                   seed_grad=2 * seed + 1)
+            dr.eval(image)
+            dr.sync_thread()
+            return image
+
+        def backward(image) -> None:
+            dr.backward(dr.sum(image * self.cotangent, axis=None))
+            self.gradients = {name: dr.grad(self.parameters[name]) for name in self.names}
+            dr.eval(self.gradients)
+            dr.sync_thread()
+
+        return timed(forward, backward)
+
+    def gradient_sums(self) -> dict[str, float]:
+        """The sum of the gradient's entries, for each parameter."""
+        return {name: float(np.sum(np.array(gradient), dtype=np.float64)) for name, gradient in self.gradients.items()}
+
+    def image(self, spp: int, seed: int) -> Tensor:
+        """(3, H, W) linear RGB."""
+        image = self.mi.render(self.scene, integrator=self.integrator, spp=spp, seed=seed)
+        return torch.from_numpy(np.array(image)).permute(2, 0, 1).contiguous()
