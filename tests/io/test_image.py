@@ -1,6 +1,7 @@
 """Images in and out, against Mitsuba's reader and the formats' definitions."""
 
 import struct
+import tracemalloc
 import zlib
 
 import numpy as np
@@ -237,6 +238,19 @@ def test_png_files_with_fewer_pixels_than_they_say_are_refused(tmp_path, content
 def test_png_files_that_are_complete_are_read(tmp_path, mode, size):
     Image.new("RGB", size, (90, 90, 90)).convert("L" if mode == "I;16" else mode).convert(mode).save(tmp_path / "a.png")
     assert read_image(tmp_path / "a.png").shape[:2] == size[::-1]
+
+
+@pytest.mark.parametrize("rest", [
+    b"\0\0\0\0", b"\xff\0\0\0\0IEN", b"\xff\0\0\0IDAT", png(64, 64, b"")[8:], b"hello " * 9,
+], ids=["zeros", "a chunk of 4 GB", "pixels of 4 GB", "another header", "text"])
+def test_what_follows_the_end_of_a_png_file_is_left_alone(tmp_path, rest):
+    (tmp_path / "a.png").write_bytes(png(4, 4, bytes(52)) + rest)
+    tracemalloc.start()
+    try:
+        assert read_image(tmp_path / "a.png").shape == (4, 4, 3)
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_interlaced_png_files_are_read(tmp_path):

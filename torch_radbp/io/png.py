@@ -18,12 +18,17 @@ BLOCK = 1 << 20
 
 
 def check_pixel_data(path: str | os.PathLike) -> None:
-    """Raises ValueError or zlib.error if the compressed pixels of a PNG file are damaged or fewer than its header says."""
+    """Raises ValueError or zlib.error if the compressed pixels of a PNG file are damaged or fewer than its header says.
+
+    Lengths and check sums of its chunks must be right; what follows the last chunk is ignored.
+    """
     stream, found, expected = zlib.decompressobj(), 0, 0
     with opened(path) as file:
         file.seek(8)
         while len(begin := file.read(8)) == 8:
             length, kind = struct.unpack(">I4s", begin)
+            if kind == b"IEND":
+                break
             data = file.read(length)
             file.seek(4, os.SEEK_CUR)  # the check sum
             if kind == b"IHDR":
