@@ -254,3 +254,51 @@ def test_results_that_do_not_fit_are_errors():
         fused.into((torch.empty(20), [torch.empty(40)[::2]]), x)
     with pytest.raises(ValueError, match="tensors of 20 lanes on the CPU, got one of 19"):
         fused.into((torch.empty(20), [torch.empty(19)]), x)
+
+
+def test_arguments_that_come_in_every_call_are_taken_apart_once():
+    colours, taken = (torch.rand(7), torch.rand(14)[::2]), []
+
+    class Watched(tuple):
+        def __iter__(self):
+            taken.append(1)
+            return super().__iter__()
+
+    def function(colours, scale, index, x):
+        return colours[0].index_select(0, index) * scale + colours[1].index_select(0, index) * x
+
+    fused, watched = LaneFunction(function, tables=("colours",)), Watched(colours)
+    index, x, scale = torch.arange(7, dtype=torch.int32), torch.rand(7), 3
+    known = fused.knowing(watched, scale)
+    expected, first = function(colours, scale, index, x), len(taken)
+    torch.testing.assert_close(known(watched, scale, index, x), expected)
+    while_compiling = len(taken)
+    for _ in range(3):
+        torch.testing.assert_close(known(watched, scale, index, x), expected)
+    assert first == 1 and len(taken) == while_compiling
+    # With other arguments, and asked in the plain way, it does the same; all is compiled once.
+    torch.testing.assert_close(fused(watched, scale, index, x), expected)
+    other = Watched((colours[1], colours[0]))
+    torch.testing.assert_close(known(other, scale, index, x), function(other, scale, index, x))
+    assert len(fused.compiled) == 1
+    with pytest.raises(ValueError, match="7 and of 6 lanes"):
+        known(watched, scale, index, x[:6])
+
+
+def test_tables_that_share_their_memory_are_read_once():
+    table, index = torch.rand(9), torch.arange(5, dtype=torch.int32)
+    fused = LaneFunction(lambda a, b, i: a.index_select(0, i) + b.index_select(0, i), tables=("a", "b"))
+    torch.testing.assert_close(fused(table, table.detach(), index), 2 * table[:5])
+    torch.testing.assert_close(fused(table, table.flip(0), index), table[:5] + table.flip(0)[:5])
+    assert sorted(len(compiled.inputs) for compiled in fused.compiled.values()) == [2, 3]
+
+
+def test_derivatives_tell_tables_apart_that_share_their_memory():
+    def function(a, b, i):
+        a, b = a.index_select(0, i).requires_grad_(), b.index_select(0, i)
+        with torch.enable_grad():
+            return torch.autograd.grad(a * b * b, [a], torch.ones_like(a))[0]
+
+    table, index = torch.rand(9), torch.arange(5, dtype=torch.int32)
+    found = LaneFunction(function, tables=("a", "b"))(table, table.detach(), index)
+    torch.testing.assert_close(found, table[:5] ** 2)

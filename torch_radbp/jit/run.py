@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import ctypes
 import inspect
+import operator
 import threading
-from collections.abc import Callable, Sequence
+from array import array
+from collections.abc import Callable
+from copy import copy
 from typing import Any, NamedTuple
 
-import torch
 from torch import Tensor
 
+from torch_radbp.jit.arguments import Arguments
 from torch_radbp.jit.emit import emit
-from torch_radbp.jit.graph import LANES, NUMBER, TABLE, Program
+from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.machine import MachineCode, host_width
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.structure import assembler, difference, flatten, of_lanes, replaced
@@ -65,12 +67,27 @@ class LaneFunction:
             raise ValueError(f"{self.name} has no parameters {unknown}; it has {names}")
         self.in_tables = [name in tables for name in names]
         self.compiled: dict[tuple, Compiled | str] = {}  # by structure of the arguments; or why it cannot be
+        self.structures: dict[tuple, tuple] = {}  # of known arguments
+        self.known: Arguments | None = None
+
+    def knowing(self, *arguments) -> LaneFunction:
+        """The same function, which need not take these first arguments apart in every call that gets the very same.
+
+        It keeps them alive. With others it does what this one does; what is compiled serves both.
+        """
+        other = copy(self)
+        other.known = Arguments(self.name, arguments, self.in_tables)
+        other.known.leaves = [leaf.contiguous() for leaf in other.known.leaves]
+        # The very same objects, which are quickly found to be equal.
+        other.known.structures = [self.structures.setdefault(key, key) for key in other.known.structures]
+        return other
 
     def __call__(self, *arguments):
-        compiled, leaves, lanes = self.prepared(arguments)
-        outputs = [torch.empty(lanes, dtype=value.dtype, device="cpu") for value in compiled.program.outputs]
-        compute(compiled, leaves, outputs, lanes)
-        return compiled.assemble([outputs[k] if k >= 0 else leaves[~k] for k in compiled.results])
+        compiled, given = self.prepared(arguments)
+        any_tensor = given.leaves[0]
+        outputs = [any_tensor.new_empty(given.lanes, dtype=value.dtype) for value in compiled.program.outputs]
+        compute(compiled, given, outputs)
+        return compiled.assemble([outputs[k] if k >= 0 else given.leaves[~k] for k in compiled.results])
 
     def into(self, results, *arguments):
         """Writes what a call would return into `results`, and returns them.
@@ -83,41 +100,37 @@ class LaneFunction:
         Raises:
             ValueError: if `results` are not what the call would return, or not contiguous; the rest as for a call.
         """
-        compiled, leaves, lanes = self.prepared(arguments)
-        given = self.checked_results(results, compiled, lanes)
+        compiled, given = self.prepared(arguments)
+        tensors = self.checked_results(results, compiled, given.lanes)
         outputs: dict[int, Tensor] = {}
-        for k, tensor in zip(compiled.results, given):
+        for k, tensor in zip(compiled.results, tensors):
             outputs.setdefault(k, tensor)
-        compute(compiled, leaves, [outputs[k] for k in range(len(compiled.program.outputs))], lanes)
-        for k, tensor in zip(compiled.results, given):
-            source = outputs[k] if k >= 0 else leaves[~k]
+        compute(compiled, given, [outputs[k] for k in range(len(compiled.program.outputs))])
+        for k, tensor in zip(compiled.results, tensors):
+            source = outputs[k] if k >= 0 else given.leaves[~k]
             if source is not tensor:
                 tensor.copy_(source)
         return results
 
-    def prepared(self, arguments: tuple) -> tuple[Compiled, list[Tensor], int]:
-        """The compiled function for these arguments, their tensors, and the number of lanes."""
+    def prepared(self, arguments: tuple) -> tuple[Compiled, Arguments]:
+        """The arguments taken apart, and the function compiled for such."""
         if len(arguments) != len(self.in_tables):
             raise TypeError(f"{self.name} takes {len(self.in_tables)} arguments by position, got {len(arguments)}")
-        leaves: list[Tensor] = []
-        key: list = []
-        kinds: list[str] = []
-        for argument, in_tables in zip(arguments, self.in_tables):
-            first = len(leaves)
-            flatten(argument, leaves, key)
-            kinds += [NUMBER if leaf.dim() == 0 else TABLE if in_tables else LANES for leaf in leaves[first:]]
-        lanes = self.checked_lanes(leaves, kinds)
-        # A tensor that is given twice is read once.
-        places: dict[int, int] = {}
-        key += (firsts := [places.setdefault(id(leaf), place) for place, leaf in enumerate(leaves)])
-        compiled = self.compiled.get(tuple(key))
+        known, skipped = self.known, 0
+        if known is not None and all(map(operator.is_, known.given, arguments)):
+            skipped = len(known.given)
+        given = Arguments(self.name, arguments[skipped:], self.in_tables[skipped:], known if skipped else None)
+        if given.lanes is None:
+            raise ValueError(f"{self.name} got no tensor with an entry per lane")
+        key = given.key
+        compiled = self.compiled.get(key)
         if compiled is None:
             with self.compiling:
-                compiled = self.compiled.get(tuple(key)) or self.compile(arguments, leaves, kinds, firsts)
-                self.compiled[tuple(key)] = compiled
+                compiled = self.compiled.get(key) or self.compile(given)
+                self.compiled[key] = compiled
         if isinstance(compiled, str):
             raise UnknownOperation(compiled)
-        return compiled, leaves, lanes
+        return compiled, given
 
     def checked_results(self, results, compiled: Compiled, lanes: int) -> list[Tensor]:
         """The tensors of `results`; errors as `into` says."""
@@ -133,41 +146,22 @@ class LaneFunction:
                                  f"{len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
         return leaves
 
-    def checked_lanes(self, leaves: list[Tensor], kinds: list[str]) -> int:
-        """The number of lanes; errors as the class says."""
-        lanes, recording = None, torch.is_grad_enabled()
-        for leaf, kind in zip(leaves, kinds):
-            if recording and leaf.requires_grad:
-                raise RuntimeError(f"{self.name} is compiled and records no derivative: call it under torch.no_grad(), or "
-                                   "with detached tensors")
-            if leaf.dim() > 1:
-                raise ValueError(f"{self.name} takes tensors of shape () and (N,), got {tuple(leaf.shape)}")
-            if leaf.device.type != "cpu":
-                raise ValueError(f"{self.name} is compiled for the CPU, got a tensor on {leaf.device}")
-            if kind == LANES:
-                lanes = len(leaf) if lanes is None else lanes
-                if len(leaf) != lanes:
-                    raise ValueError(f"{self.name} got tensors of {lanes} and of {len(leaf)} lanes")
-        if lanes is None:
-            raise ValueError(f"{self.name} got no tensor with an entry per lane")
-        return lanes
-
-    def compile(self, arguments: tuple, leaves: list[Tensor], kinds: list[str], firsts: list[int]) -> Compiled | str:
+    def compile(self, given: Arguments) -> Compiled | str:
         """Traces the function for arguments of this structure, and makes machine code of it; or says why it cannot be."""
         assemble: Callable | None = None
         structure: list = []
 
         def flat(*tensors: Tensor) -> list[Tensor]:
             nonlocal assemble
-            stand_ins = iter([tensors[first] for first in firsts])
+            stand_ins = iter(tensors)
             results: list[Tensor] = []
-            returned = self.function(*replaced(arguments, lambda: next(stand_ins)))
+            returned = self.function(*replaced(given.given, lambda: next(stand_ins)))
             flatten(returned, [], structure)
             assemble = assembler(returned, results)
             return results
 
         try:
-            program = trace(flat, [leaf.dtype for leaf in leaves], kinds)
+            program = trace(flat, [leaf.dtype for leaf in given.leaves], given.kinds, given.firsts)
         except UnknownOperation as error:
             return str(error)
         passed = [value.operation == "input" and value.kind == LANES for value in program.outputs]
@@ -178,14 +172,11 @@ class LaneFunction:
                         tuple(value.static for value in program.inputs), results, of_lanes(structure), assemble)
 
 
-def compute(compiled: Compiled, leaves: list[Tensor], outputs: list[Tensor], lanes: int) -> None:
+def compute(compiled: Compiled, given: Arguments, outputs: list[Tensor]) -> None:
     """Runs the loop over all lanes, on all of torch's threads; `outputs` are written into."""
-    inputs = [leaves[place].contiguous() for place in compiled.inputs]
-    if lanes and outputs:
-        lengths = [len(tensor) if tensor.dim() else 1 for tensor in inputs]
-        run_lanes(compiled.code.address, lanes, addresses(inputs, lengths), addresses(outputs))
-
-
-def addresses(tensors: list[Tensor], numbers: Sequence[int] = ()) -> ctypes.Array:
-    """The addresses of tensors, and numbers after them, as a C array."""
-    return (ctypes.c_int64 * max(1, len(tensors) + len(numbers)))(*[tensor.data_ptr() for tensor in tensors], *numbers)
+    if given.lanes and outputs:
+        inputs = [given.leaves[place] for place in compiled.inputs]
+        inputs = [tensor if tensor.is_contiguous() else tensor.contiguous() for tensor in inputs]
+        pointers = array("q", [tensor.data_ptr() for tensor in inputs])
+        pointers.extend([tensor.numel() for tensor in inputs])
+        run_lanes(compiled.code.address, given.lanes, pointers, array("q", [tensor.data_ptr() for tensor in outputs]))

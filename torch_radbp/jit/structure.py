@@ -18,15 +18,16 @@ def flatten(part: Any, leaves: list[Tensor], key: list) -> None:
         leaves: the tensors are added, in order.
         key: hashable values are added; equal keys have equal structure, dtypes and constants.
     """
-    if isinstance(part, Tensor):
+    kind = type(part)
+    if kind is Tensor or isinstance(part, Tensor):  # the first is quick
         key.append((part.dtype, part.dim()))
         leaves.append(part)
-    elif isinstance(part, (tuple, list)):
-        key.append((type(part), len(part)))
+    elif issubclass(kind, (tuple, list)):
+        key.append((kind, len(part)))
         for item in part:
             flatten(item, leaves, key)
     else:
-        key.append((type(part), part))
+        key.append((kind, part))
 
 
 def of_lanes(key: Sequence) -> tuple:

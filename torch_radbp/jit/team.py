@@ -9,6 +9,7 @@ threads.
 
 import ctypes
 import functools
+from array import array
 from concurrent.futures import ThreadPoolExecutor
 
 import torch
@@ -61,13 +62,13 @@ def run(body: int, argument: int, threads: int) -> None:
             call.result()
 
 
-def run_lanes(body: int, lanes: int, inputs: ctypes.Array, outputs: ctypes.Array) -> None:
+def run_lanes(body: int, lanes: int, inputs: array, outputs: array) -> None:
     """Runs the C function at `body`, which takes parts of a `Job`, on all of torch's threads.
 
     Args:
         body: its address.
         lanes: how many.
-        inputs, outputs: addresses of what it reads and writes.
+        inputs, outputs: arrays of 64-bit integers, the addresses of what it reads and writes.
     """
-    job = Job(lanes, PART, 0, ctypes.addressof(inputs), ctypes.addressof(outputs))
+    job = Job(lanes, PART, 0, inputs.buffer_info()[0], outputs.buffer_info()[0])
     run(body, ctypes.addressof(job), threads=max(1, min(torch.get_num_threads(), -(-lanes // PART))))

@@ -20,19 +20,22 @@ from torch_radbp.jit.refusal import refusal
 SIZE = 1_000_003  # of lanes while tracing; what they are is known by their kind, not by their size
 
 
-def trace(function: Callable[..., Sequence[Tensor | None]], dtypes: Sequence[torch.dtype], kinds: Sequence[str]) -> Program:
+def trace(function: Callable[..., Sequence[Tensor | None]], dtypes: Sequence[torch.dtype], kinds: Sequence[str],
+          places: Sequence[int] | None = None) -> Program:
     """The program of a function of flat tensors.
 
     Args:
         function: takes one tensor for each of `dtypes`, and returns tensors of the lanes or numbers, or None.
         dtypes: float32, float64, int32, int64 or bool.
         kinds: of each tensor, LANES, NUMBER or TABLE.
+        places: of each tensor, the place of the first that has the same entries; None: all differ.
 
     Raises:
         UnknownOperation: if the function comes down to an operation that is not one of lanes.
     """
     tracer = Tracer()
-    arguments = [tracer.argument(place, dtype, kind) for place, (dtype, kind) in enumerate(zip(dtypes, kinds))]
+    places = range(len(kinds)) if places is None else places
+    arguments = [tracer.argument(*argument) for argument in zip(places, dtypes, kinds)]
     with tracer:
         results = function(*arguments)
         outputs = tuple(None if result is None else tracer.lanes_or_number(result, "the result") for result in results)
