@@ -22,6 +22,7 @@ from torch.utils._pytree import tree_flatten, tree_map_only
 from torch.utils.checkpoint import checkpoint
 
 import torch_radbp as rb
+from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
 from torch_radbp.adjoint.function import pixel_sums, start_paths
@@ -42,7 +43,6 @@ STRATEGIES = {
     "tape": rb.TapeAdjoint(),
     CHECKPOINT: rb.TapeAdjoint(),
 }
-MIB = 1 << 20
 
 
 def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
@@ -76,12 +76,6 @@ def one_pass(renderer: rb.Renderer, name: str, adj_image: torch.Tensor, seed: in
     return time.perf_counter() - start
 
 
-def resident(field: str) -> int:
-    """Bytes from /proc/self/status: VmRSS now, VmHWM at the most."""
-    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(field))
-    return int(line.split()[1]) * 1024
-
-
 def measure(name: str, options: argparse.Namespace) -> dict:
     """Peak and time of one strategy, in this process."""
     def make(resolution: int) -> tuple[rb.Renderer, torch.Tensor]:
@@ -94,10 +88,14 @@ def measure(name: str, options: argparse.Namespace) -> dict:
     one_pass(small, name, small_adjoint, 0)
     renderer, adj_image = make(options.resolution)
     predicted = 0 if name == CHECKPOINT else renderer.memory_plan().peak
-    Path("/proc/self/clear_refs").write_text("5")  # VmHWM starts anew
-    before = resident("VmRSS")
-    seconds = one_pass(renderer, name, adj_image, 1)
-    return {"name": name, "bytes": resident("VmHWM") - before, "seconds": seconds, "predicted": predicted,
+    seconds = 0.0
+
+    def run() -> None:
+        nonlocal seconds
+        seconds = one_pass(renderer, name, adj_image, 1)
+
+    peak = peak_of(run)
+    return {"name": name, "bytes": peak, "seconds": seconds, "predicted": predicted,
             "gradient": {parameter: renderer.scene.get_parameter(parameter).grad.tolist() for parameter in PARAMETERS}}
 
 

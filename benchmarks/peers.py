@@ -18,7 +18,7 @@ import torch_radbp as rb
 from benchmarks.scenes.description import NO_ROULETTE, BenchmarkScene, cotangent
 
 LLVM = ("/usr/lib/*/libLLVM.so.19*", "/usr/lib/*/libLLVM-19.so*")  # Debian's libllvm19
-CHANGE = 1e-5  # relative, of the parameters between two passes
+CHANGE = 1e-5  # relative, of parameters
 
 
 class Pass(NamedTuple):
@@ -31,6 +31,11 @@ class Pass(NamedTuple):
     @property
     def both(self) -> float:
         return self.forward + self.backward
+
+
+def change(seed: int) -> float:
+    """What the parameters are multiplied by before a pass, as an optimiser would change them; seeds in turn undo it."""
+    return 1 + CHANGE if seed % 2 else 1 / (1 + CHANGE)
 
 
 def timed(forward: Callable[[], object], backward: Callable[[object], None]) -> Pass:
@@ -52,14 +57,11 @@ class Ours:
         self.parameters = {name: self.renderer.scene.get_parameter(name) for name in scene.parameters}
         self.cotangent = torch.from_numpy(cotangent(scene.setting.resolution)).permute(2, 0, 1)[None]
 
-    def change(self, factor: float) -> None:
-        """Multiplies the parameters, as the step of an optimiser would change them."""
+    def run(self, seed: int) -> Pass:
+        """A forward and backward pass with changed parameters."""
         with torch.no_grad():
             for parameter in self.parameters.values():
-                parameter.mul_(factor)
-
-    def run(self, seed: int) -> Pass:
-        """A forward and backward pass."""
+                parameter.mul_(change(seed))
         self.renderer.scene.zero_grad()
         return timed(lambda: self.renderer(seed=seed), lambda image: (image * self.cotangent).sum().backward())
 
@@ -98,7 +100,6 @@ class Mitsuba:
         self.parameters, self.names = mi.traverse(self.scene), scene.parameters
         self.parameters.keep(list(self.names))
         self.cotangent = mi.TensorXf(cotangent(resolution))
-        self.change(1.0)
         dr.eval(self.cotangent)
 
     def translated(self, description: dict) -> dict:
@@ -113,20 +114,14 @@ class Mitsuba:
                 translated[key] = value
         return translated
 
-    def change(self, factor: float) -> None:
-        """Multiplies the parameters. What the scene makes of them is made again by the next pass."""
-        for name in self.names:
-            value = self.dr.detach(self.parameters[name]) * factor
-            self.dr.eval(value)
-            self.dr.enable_grad(value)
-            self.parameters[name] = value
-        self.dr.sync_thread()
-
     def run(self, seed: int) -> Pass:
-        """A forward and backward pass, both evaluated to the end."""
-        dr = self.dr
+        """A forward and backward pass with changed parameters, both evaluated to the end."""
+        dr, leaves = self.dr, {}
         for name in self.names:
-            dr.set_grad(self.parameters[name], 0)
+            leaves[name] = dr.detach(self.parameters[name]) * change(seed)
+            dr.eval(leaves[name])
+            dr.enable_grad(leaves[name])
+            self.parameters[name] = leaves[name]
         dr.sync_thread()
 
         def forward():
@@ -139,7 +134,7 @@ class Mitsuba:
 
         def backward(image) -> None:
             dr.backward(dr.sum(image * self.cotangent, axis=None))
-            self.gradients = {name: dr.grad(self.parameters[name]) for name in self.names}
+            self.gradients = {name: dr.grad(leaf) for name, leaf in leaves.items()}
             dr.eval(self.gradients)
             dr.sync_thread()
 

@@ -1,10 +1,11 @@
 """Time and gradients beside Mitsuba's: ``python -m benchmarks.versus_mitsuba`` (needs mitsuba==3.9.1 and LLVM).
 
-Scenes of `benchmarks.scenes`, no Russian roulette. Mitsuba renders with ``prb`` in ``llvm_ad_rgb``; it and this renderer, compiled
-or with ``--eager``, take turns within one process, one for each scene; medians of the rounds are compared, and the CPU
-seconds of all threads beside them, which other programs on the machine disturb less. As in training, the parameters change
-a little before every pass, by the same factor on both sides; ``--unchanged`` leaves them. The first call compiles, ours and
-Mitsuba's (whose kernels of earlier runs, on disk, are out of its sight), and one more warms up.
+Scenes of `benchmarks.scenes`, no Russian roulette. Mitsuba renders with ``prb`` in ``llvm_ad_rgb``; it and this renderer,
+compiled or with ``--eager``, take turns within one process, one for each scene. Medians of the rounds are compared, and
+beside them the CPU seconds of all threads, which other programs on the machine disturb less. As in training, the parameters
+change a little before every pass, by the same factor on both sides, and what the scene makes of them belongs to the forward
+pass. The first call compiles, ours and Mitsuba's (whose kernels of earlier runs, on disk, are out of its sight); one more
+warms up.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.peers import CHANGE, Mitsuba, Ours, Pass
+from benchmarks.peers import Mitsuba, Ours, Pass
 from benchmarks.scenes import QUICK, SCENES
 
 MITSUBA = "Mitsuba"
@@ -37,8 +38,6 @@ def measure(options: argparse.Namespace) -> dict:
     sums: dict[str, list[dict[str, float]]] = {name: [] for name in peers}
     for seed in range(options.rounds):
         for name, peer in peers.items():
-            if not options.unchanged:
-                peer.change(1 + CHANGE if seed % 2 else 1 / (1 + CHANGE))
             passes[name].append(peer.run(seed))
             sums[name].append(peer.gradient_sums())
         print(f"{options.only}, round {seed + 1} of {options.rounds}: "
@@ -83,9 +82,9 @@ def row(result: dict) -> str:
 
 HEADER = """| scene | ours | Mitsuba, s | forward | backward | both | CPU | first call, s | Mitsuba's, s | z of gradients |
 |---|---|---|---|---|---|---|---|---|---|"""
-LEGEND = """Ratios: ours over Mitsuba's, medians of {} rounds; CPU: of the CPU seconds of both passes. z: the difference of the gradient,
-summed over the entries of a parameter, in standard errors; the greatest of all parameters. Of vertices it need not be
-small: what is interior and what is left to boundaries depends on how points follow what moves."""
+LEGEND = """Ratios: ours over Mitsuba's, medians of {} rounds; CPU: of the CPU seconds of both passes.
+z: the difference of the gradient, summed over the entries of a parameter, in standard errors; the greatest of them all.
+Of vertices it need not be small: what is interior and what is left to boundaries depends on how points follow what moves."""
 
 
 def main() -> None:
@@ -93,7 +92,6 @@ def main() -> None:
     parser.add_argument("--scene", choices=SCENES, nargs="+", default=list(SCENES))
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--eager", action="store_true", help="this renderer with compile=False")
-    parser.add_argument("--unchanged", action="store_true", help="parameters keep their values between passes")
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--only", choices=SCENES, help=argparse.SUPPRESS)
@@ -101,7 +99,7 @@ def main() -> None:
     if options.only:
         print(json.dumps(measure(options)))
         return
-    flags = [f"--{name}" for name in ("eager", "unchanged", "quick") if getattr(options, name)]
+    flags = [f"--{name}" for name in ("eager", "quick") if getattr(options, name)]
     print(HEADER, flush=True)
     results = []
     for name in options.scene:

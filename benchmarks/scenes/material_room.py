@@ -17,12 +17,17 @@ KINDS = {
     "diffuse": {"type": "diffuse", "reflectance": rgb(0.25, 0.4, 0.65)},
     "conductor": {"type": "conductor", "material": "Al"},
     "ggx metal": {"type": "roughconductor", "distribution": "ggx", "material": "Au", "alpha": 0.25},
-    "brushed metal": {"type": "roughconductor", "distribution": "beckmann", "material": "Cu", "alpha_u": 0.1, "alpha_v": 0.4},
+    "brushed metal": {"type": "roughconductor", "distribution": "beckmann", "material": "Cu",
+                      "alpha_u": 0.1, "alpha_v": 0.4},
     "glass": {"type": "dielectric", "int_ior": 1.5},
     "ggx glass": {"type": "roughdielectric", "distribution": "ggx", "int_ior": 1.5, "alpha": 0.15},
     "beckmann glass": {"type": "roughdielectric", "distribution": "beckmann", "int_ior": 1.6, "alpha": 0.3},
     "two sides": {"type": "twosided", "first": {"type": "diffuse", "reflectance": rgb(0.7, 0.15, 0.1)},
                   "second": {"type": "roughconductor", "distribution": "beckmann", "material": "Ag", "alpha": 0.3}},
+}
+OPAQUE = {  # those that can be walls
+    name: {**KINDS[name], **({} if name == "diffuse" else {"specular_reflectance": rgb(0.9, 0.9, 0.9)})}
+    for name in ("diffuse", "conductor", "ggx metal", "brushed metal")
 }
 
 
@@ -59,3 +64,10 @@ def material_room(folder: Path, setting: Setting) -> BenchmarkScene:
     del folder  # no files
     things = list(KINDS.values())
     return BenchmarkScene(room(WALL, [*things, things[-1]], setting.resolution), PARAMETERS, setting)
+
+
+def one_kind_room(kind: str, setting: Setting) -> BenchmarkScene:
+    """The same room with everything of one kind of material, one of `OPAQUE`; gradients of one colour."""
+    bsdf = OPAQUE[kind]
+    slot = "reflectance" if "reflectance" in bsdf else "specular_reflectance"
+    return BenchmarkScene(room(bsdf, [bsdf], setting.resolution), (f"wall.{slot}.value",), setting)

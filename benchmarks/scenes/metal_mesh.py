@@ -33,11 +33,11 @@ def metal_mesh(folder: Path, setting: Setting, parameters: tuple[str, ...] = TEX
     mesh = folder.resolve() / "mesh.ply"
     bumpy_sphere(SUBDIVISIONS).export(mesh, vertex_normal=False)
     tiles = pictures.coloured(pictures.pattern(256, 6), (0.06, 0.05, 0.04), (0.8, 0.65, 0.45))
-    floor = {"type": "bitmap", "filename": pictures.written(folder, "floor.png", tiles), "to_uv": scale((3, 3, 1))}
+    floor = {"type": "bitmap", "filename": pictures.written(folder, "floor", tiles), "to_uv": scale((3, 3, 1))}
     return BenchmarkScene({
         "type": "scene",
         "sensor": camera((0.0, 1.9, 4.6), (0.0, 0.75, 0.0), 42.0, setting.resolution),
-        "sky": {"type": "envmap", "filename": pictures.written(folder, "sky.exr", pictures.sky(128, 256))},
+        "sky": {"type": "envmap", "filename": pictures.written(folder, "sky", pictures.sky(128, 256))},
         "floor": {"type": "rectangle", "to_world": rotate((1, 0, 0), -90) @ scale((4, 4, 4)),
                   "bsdf": {"type": "diffuse", "reflectance": floor}},
         "mesh": {"type": "ply", "filename": str(mesh), "to_world": translate((0, 1.05, 0)),

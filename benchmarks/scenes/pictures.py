@@ -47,7 +47,10 @@ def sky(height: int, width: int) -> Tensor:
 
 
 def written(folder: Path, name: str, picture: Tensor) -> str:
-    """Writes a (3, H, W) linear picture as `name`, .png or .exr; returns the absolute name of the file."""
-    path = folder.resolve() / name
+    """Writes a (3, H, W) linear picture as `name`.exr, and returns the absolute name of the file.
+
+    Mitsuba keeps the texels of a PNG as bytes, which have no derivative.
+    """
+    path = folder.resolve() / f"{name}.exr"
     rb.save_image(path, picture)
     return str(path)

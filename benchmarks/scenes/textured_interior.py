@@ -21,13 +21,13 @@ def material(folder: Path, number: int) -> dict:
     light = colorsys.hsv_to_rgb(number * 0.382 % 1, 0.35, 0.85)
     tiles = pictures.pattern(TEXELS, number)
     picture = pictures.coloured(tiles, tuple(0.3 * value for value in light), light)
-    colour = {"type": "bitmap", "filename": pictures.written(folder, f"colour_{number}.png", picture)}
+    colour = {"type": "bitmap", "filename": pictures.written(folder, f"colour_{number}", picture)}
     if number < MATERIALS - METALS:
         return {"type": "diffuse", "reflectance": colour}
     alpha = 0.25
     if number % 2:
-        rough = pictures.coloured(tiles, (0.02,) * 3, (0.2,) * 3)  # sRGB of these is 0.15 and 0.48: read raw
-        alpha = {"type": "bitmap", "filename": pictures.written(folder, f"rough_{number}.png", rough), "raw": True}
+        rough = pictures.coloured(tiles, (0.15,) * 3, (0.45,) * 3)
+        alpha = {"type": "bitmap", "filename": pictures.written(folder, f"rough_{number}", rough), "raw": True}
     return {"type": "roughconductor", "distribution": "ggx" if number % 3 else "beckmann", "material": "Al",
             "alpha": alpha, "specular_reflectance": colour}
 
