@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec2, Vec3, gather
+from torch_radbp.vec import gather
 
 
 class Read(NamedTuple):
@@ -62,7 +61,10 @@ def tapped(node, wanted: tuple[bool, ...], place: int, taps: list[Tap]):
 
 
 def lookup(table, index: Tensor):
-    """Entries of a table, or of each component of a `Vec2` / `Vec3` of tables, at int32 `index` (N,)."""
-    if isinstance(table, (Vec2, Vec3)):
-        return table.map(lambda component: lookup(component, index))
+    """Entries of a table, or of each table of a record, at int32 `index` (N,)."""
+    if isinstance(table, tuple):
+        parts = [lookup(part, index) for part in table]
+        return type(table)(*parts) if hasattr(table, "_fields") else tuple(parts)
+    if table is None:
+        return None
     return table.read(index) if isinstance(table, Tap) else gather(table, index)

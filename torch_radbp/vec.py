@@ -131,6 +131,12 @@ def attached(value: Tensor | Vec3, source: Tensor | Vec3) -> Tensor | Vec3:
     return value.detach() + (source - source.detach())
 
 
+def interpolated(corners: tuple[Vec2 | Vec3, ...], u: Tensor, v: Tensor) -> Vec2 | Vec3:
+    """Interpolates between three vertices, by the barycentric coordinates of the second and the third."""
+    first, second, third = corners
+    return first * (1.0 - u - v) + second * u + third * v
+
+
 def max_component(a: Vec3) -> Tensor:
     return torch.maximum(a.x, torch.maximum(a.y, a.z))
 

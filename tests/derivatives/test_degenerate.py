@@ -70,7 +70,7 @@ def test_a_lamp_with_a_triangle_whose_inverse_area_has_no_derivative_that_float3
     scene = load(torch.float32, camera=sensor(2), lamp={
         "type": "mesh", "vertex_positions": vertices, "faces": torch.tensor([[0, 1, 2], [0, 3, 4]]), "emitter": LAMP})
     positions = scene.get_parameter("lamp.vertex_positions").requires_grad_()
-    surfaces = pack(scene).lights.surfaces
+    surfaces, = pack(scene).lights.tables
     assert surfaces.inverse_area[0] == 2 and surfaces.inverse_area[1] == 0
     gradient, = torch.autograd.grad(surfaces.inverse_area[0] + surfaces.n.z.sum(), positions)
     assert torch.isfinite(gradient).all() and (gradient != 0).any()

@@ -53,7 +53,7 @@ def test_normals_and_areas_of_very_small_triangles_are_right():
     scene = load(torch.float32, camera=sensor(2), lamp={
         "type": "mesh", "vertex_positions": small, "faces": torch.tensor([[0, 1, 2]]),
         "emitter": {"type": "area", "radiance": rgb(1, 1, 1)}})
-    surfaces = pack(scene).lights.surfaces
+    surfaces, = pack(scene).lights.tables
     torch.testing.assert_close(surfaces.n.stack(), torch.tensor([[0.0, 0, 1]]))
     torch.testing.assert_close(surfaces.inverse_area, torch.tensor([2e16]))
 

@@ -23,7 +23,7 @@ BAD = {
     "negative scale": (SKY | {"scale": -1.0}, "scale must be at least 0 and finite, got -1"),
     "flat pose": (SKY | {"to_world": np.diag([1.0, 1, 0, 1])}, "to_world must be invertible"),
     "misspelt": (SKY | {"to_wrold": np.eye(4)}, "no attribute 'to_wrold'; did you mean 'to_world'"),
-    "zero weight": (SKY | {"sampling_weight": 0.0}, "sampling_weight must be greater than 0"),
+    "negative weight": (SKY | {"sampling_weight": -1.0}, "sampling_weight must be at least 0 and finite, got -1"),
     "cutoff of zero": ({"type": "spot", "cutoff_angle": 0.0}, "cutoff_angle must be more than 0 and at most 180 deg"),
     "beam as wide as the cone": ({"type": "spot", "cutoff_angle": 20.0, "beam_width": 20.0},
                                  "beam_width must be at least 0 and less than the cutoff_angle of 20.0 degrees, got 20.0"),
@@ -58,13 +58,29 @@ def test_a_bad_emitter_is_refused(emitter, message):
 @pytest.mark.parametrize("first, second", [("constant", "envmap"), ("envmap", "envmap"), ("constant", "constant")])
 def test_two_surrounds_are_refused(first, second):
     kinds = {"constant": {"type": "constant"}, "envmap": SKY}
-    with pytest.raises(rb.SceneError, match=rf"more than one constant or envmap emitter \({first}, {second}\)"):
+    with pytest.raises(rb.SceneError, match=rf"more than one emitter that surrounds it \({first}, {second}\)"):
         rb.load_dict(scene_dict(sky=kinds[first], second=kinds[second]))
 
 
 def test_only_area_lights_belong_to_shapes():
-    with pytest.raises(rb.SceneError, match="a shape can carry an emitter of type area, got 'spot'"):
+    with pytest.raises(rb.SceneError, match="an emitter that shines from surfaces, such as area; got 'spot'"):
         rb.load_dict(scene_dict(wall=rectangle((0, 0, 0), emitter={"type": "spot"})))
+
+
+def test_an_emitter_of_a_shape_cannot_stand_alone():
+    with pytest.raises(rb.SceneError, match="`lamp` is an emitter of type area, which belongs inside a shape"):
+        rb.load_dict(scene_dict(lamp={"type": "area"}))
+
+
+def test_if_no_emitter_can_be_picked_the_message_says_why():
+    """Mitsuba 3.9.1: `DiscreteDistribution: no probability mass found!`."""
+    scene = rb.load_dict(scene_dict(wall=rectangle((0, 0, 0)), lamp={"type": "point", "sampling_weight": 0.0}))
+    scene.get_submodule("sky").sampling_weight = 0.0
+    with pytest.raises(ValueError, match="the sampling_weight of every emitter is 0"):
+        rb.render(scene, spp=1, max_depth=2)
+    scene.get_submodule("sky").sampling_weight = -1.0
+    with pytest.raises(ValueError, match="sampling_weight of a constant emitter must be at least 0 and finite, got -1"):
+        rb.render(scene, spp=1, max_depth=2)
 
 
 def test_a_cone_that_an_optimiser_has_turned_inside_out_is_named():

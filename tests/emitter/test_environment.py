@@ -13,22 +13,23 @@ import torch_radbp as rb
 from tests.emitter.lights import FLOOR, detached, scene_of, sky_image, turned, uniform
 from tests.sampling.chi_square import SIGNIFICANCE, p_value
 from tests.scenes import load, sensor, texels
+from torch_radbp.emitter.envmap import EnvmapKind, EnvmapTable, density, sample_direction
+from torch_radbp.emitter.latitude_longitude import latitude_longitude
 from torch_radbp.sampling.grid import grid_distribution
-from torch_radbp.scene.environment import (
-    environment_pdf,
-    environment_radiance,
-    environment_weighing,
-    latitude_longitude,
-    sample_environment,
-)
 from torch_radbp.vec import Vec3
 
 COUNT = 200_000
 SPLIT = 2  # parts of a cell of the map, along each axis, that the samples are counted in
 
 
-def envmap(image, dtype=torch.float64, **attributes):
-    return detached(load(dtype, sensor=sensor(2), **FLOOR, sky={"type": "envmap", "bitmap": image, **attributes}))
+def envmap(image, dtype=torch.float64, **attributes) -> EnvmapTable:
+    return table(load(dtype, sensor=sensor(2), **FLOOR, sky={"type": "envmap", "bitmap": image, **attributes}))
+
+
+def table(scene: rb.Scene) -> EnvmapTable:
+    """The table of a scene's only kind of light."""
+    found, = detached(scene).lights.tables
+    return found
 
 
 def linear(attributes) -> torch.Tensor:
@@ -68,10 +69,6 @@ def counted(d: Vec3, image, attributes) -> np.ndarray:
     return np.bincount(((row * SPLIT + part) * columns * SPLIT + column).numpy(), minlength=rows * columns * SPLIT**2)
 
 
-def density_of(scene, d: Vec3) -> torch.Tensor:
-    return environment_pdf(scene, scene, d)
-
-
 SHEAR = np.array([[1.3, 0.4, 0, 0], [0, 0.7, -0.2, 0], [0.3, 0, 1, 0], [0, 0, 0, 1]])
 MAPS = {
     "sun and black block": (sky_image(), {}),
@@ -96,11 +93,11 @@ MAPS = {
 @pytest.mark.parametrize("image, attributes", MAPS.values(), ids=MAPS)
 def test_directions_follow_their_density(image, attributes, dtype):
     scene = envmap(image, dtype, **attributes)
-    d, pdf = sample_environment(scene, *uniform(COUNT, 7, torch.float64, 2))
+    d, pdf = sample_direction(scene, *uniform(COUNT, 7, torch.float64, 2))
     assert torch.isfinite(d.stack()).all() and torch.isfinite(pdf).all() and (pdf > 0).all()
     torch.testing.assert_close(d.stack().norm(dim=1), torch.ones(COUNT, dtype=dtype), rtol=0, atol=2e-6)
     directions, solid_angle = parts(image, attributes)
-    expected = density_of(envmap(image, **attributes), directions) * solid_angle
+    expected = density(envmap(image, **attributes), directions) * solid_angle
     # Scenes round to float32 when they are loaded.
     torch.testing.assert_close(expected.sum(), torch.tensor(1.0, dtype=torch.float64), rtol=0, atol=1e-6)
     observed = counted(d, image, attributes)
@@ -115,16 +112,16 @@ def test_directions_follow_their_density(image, attributes, dtype):
 def test_the_density_of_a_sample_is_the_density_of_its_direction(image, attributes, dtype, tolerance):
     """As multiple importance sampling needs it; but for directions that rounding carries into the next cell."""
     scene = envmap(image, dtype, **attributes)
-    d, pdf = sample_environment(scene, *uniform(2000, 8, torch.float64, 2))
-    differs = (density_of(scene, d) / pdf - 1).abs() > tolerance
+    d, pdf = sample_direction(scene, *uniform(2000, 8, torch.float64, 2))
+    differs = (density(scene, d) / pdf - 1).abs() > tolerance
     assert differs.sum() <= (4 if dtype == torch.float32 else 0)
 
 
 def test_the_test_notices_a_wrong_density():
     image = sky_image()
-    d, _ = sample_environment(envmap(image), *uniform(COUNT, 7, torch.float64, 2))
+    d, _ = sample_direction(envmap(image), *uniform(COUNT, 7, torch.float64, 2))
     directions, solid_angle = parts(image, {})
-    other = density_of(envmap(image + 0.02), directions) * solid_angle
+    other = density(envmap(image + 0.02), directions) * solid_angle
     assert p_value(counted(d, image, {}), COUNT * other.numpy()) < SIGNIFICANCE
 
 
@@ -164,7 +161,7 @@ def test_every_number_below_one_draws_a_cell_that_can_be_drawn():
 def seen(image, direction, **attributes):
     """Radiance along one direction."""
     d = torch.nn.functional.normalize(torch.tensor(direction, dtype=torch.float64), dim=0)
-    return environment_radiance(envmap(image, **attributes), Vec3(*d[:, None])).stack()[0]
+    return EnvmapKind().radiance(envmap(image, **attributes), Vec3(*d[:, None])).stack()[0]
 
 
 def test_the_centre_of_a_texel_has_its_value_and_the_seam_is_closed():
@@ -214,7 +211,7 @@ def test_the_density_follows_the_parameters():
     with torch.no_grad():
         scene.get_parameter("lamp.data").zero_()
         scene.get_parameter("lamp.data")[2, 3] = 1.0
-    d, _ = sample_environment(detached(scene), *uniform(1000, 7, torch.float64, 2))
+    d, _ = sample_direction(table(scene), *uniform(1000, 7, torch.float64, 2))
     local = d.stack() @ torch.as_tensor(turned(20, 50, -10))[:3, :3]
     theta, u = torch.acos(local[:, 1]), (torch.atan2(local[:, 0], -local[:, 2]) / (2 * math.pi)) % 1
     assert ((theta - 2 * math.pi / 5).abs() < math.pi / 5 + 1e-9).all()
@@ -224,5 +221,5 @@ def test_the_density_follows_the_parameters():
 def test_a_direction_that_is_no_number_reads_inside_of_the_image():
     scene = envmap(sky_image())
     d = Vec3.full(torch.zeros(4, dtype=torch.float64), float("nan"))
-    assert environment_radiance(scene, d).x.isnan().all()
-    assert environment_weighing(scene, d).shape == environment_pdf(scene, scene, d).shape == (4,)
+    assert EnvmapKind().radiance(scene, d).x.isnan().all()
+    assert EnvmapKind().weighing(scene, d).shape == density(scene, d).shape == (4,)

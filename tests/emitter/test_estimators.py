@@ -74,6 +74,18 @@ def test_every_technique_estimates_the_same(name):
         assert (error < 0.02 * mean).all(), technique
 
 
+@pytest.mark.parametrize("name", FINDABLE)
+def test_an_emitter_of_weight_zero_is_left_to_chance(name):
+    """As in Mitsuba: never picked, it counts in full where a ray meets it. A point light of weight 0 sheds no light."""
+    more = {"other": {"type": "point", "position": [0.0, 2.0, 0.0], "intensity": 0.0}}
+    scene = scene_of(name, **more)
+    carrier = scene.get_submodule("lamp")
+    (getattr(carrier, "emitter", None) or carrier).sampling_weight = 0.0
+    weighted, alone = (rb.render(scene, spp=16, max_depth=3, nee=nee) for nee in (True, False))
+    assert alone.max() > 0
+    torch.testing.assert_close(weighted, alone, rtol=1e-12, atol=0)
+
+
 @pytest.mark.parametrize("name", ["all", "area", "constant", "point"])
 def test_lanes_that_met_a_surface_and_lanes_that_met_nothing_can_be_asked_apart(name):
     scene = scene_of(name)

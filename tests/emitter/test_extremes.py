@@ -9,8 +9,9 @@ import torch_radbp as rb
 from tests.emitter.lights import EMITTERS, FLOOR, sky_image
 from tests.gradients import cotangent
 from tests.scenes import load, look_at, sensor
+from torch_radbp.emitter.envmap import EnvmapKind, density
+from torch_radbp.emitter.latitude_longitude import latitude_longitude
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.environment import environment_pdf, environment_radiance, latitude_longitude
 from torch_radbp.scene.interaction import at_corners, edges, surface_interaction
 from torch_radbp.scene.light import LightNumbers, emitted, emitted_pdf, sample_light
 from torch_radbp.scene.pack import pack
@@ -78,7 +79,8 @@ def test_the_environment_is_finite_along_every_axis(dtype):
     inputs = everything(scene)
     tensors = pack(scene)
     d = torch.tensor(AXES, dtype=dtype, requires_grad=True)
-    radiance, pdf = environment_radiance(tensors, Vec3.of(d)), environment_pdf(tensors, tensors, Vec3.of(d))
+    table, = tensors.lights.tables
+    radiance, pdf = EnvmapKind().radiance(table, Vec3.of(d)), density(table, Vec3.of(d))
     uv = latitude_longitude(Vec3.of(d))
     assert_finite((*radiance, pdf, *uv), [d, *inputs])
 

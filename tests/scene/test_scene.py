@@ -4,9 +4,11 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.scenes import CASES, cornell, diffuse, load, rectangle, rgb, sensor, sky_and_points, texels, textured
+from tests.scenes import CASES, cornell, diffuse, load, rectangle, rgb, sensor, texels, textured
 from torch_radbp.bsdf.diffuse import Diffuse
-from torch_radbp.emitter.constant import Constant
+from torch_radbp.emitter.area import AreaKind
+from torch_radbp.emitter.constant import Constant, ConstantKind
+from torch_radbp.emitter.point import PointKind
 from torch_radbp.scene.pack import pack
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.shape.rectangle import Rectangle
@@ -63,19 +65,21 @@ def test_next_event_estimation_chooses_area_by_area_and_lights_by_weight():
     packed = pack(scene)
     torch.testing.assert_close(packed.lights.choice.pmf, torch.tensor([0.125, 0.125, 0.75], dtype=torch.float64))
     # Density over area: a quarter of the choices, spread over 4 x 6.
-    density = packed.lights.surfaces.pmf * packed.lights.surfaces.inverse_area
+    density = packed.lights.choice.pmf[:2] * packed.lights.tables[0].inverse_area
     torch.testing.assert_close(density, torch.full((2,), 0.25 / 24, dtype=torch.float64))
 
 
 def test_colours_poses_and_areas_are_attached_and_choices_are_not():
-    scene = sky_and_points()
+    glowing = rectangle((0, 0, 5), emitter={"type": "area"})
+    scene = load(sensor=sensor(2), glowing=glowing, sky={"type": "constant"}, lamp={"type": "point"})
     for parameter in scene.parameters():
         parameter.requires_grad_()
     packed = pack(scene)
-    lights = packed.lights
+    lights, kinds = packed.lights, packed.layout.lights
+    area, sky, points = (lights.tables[kinds.index(kind)] for kind in (AreaKind(), ConstantKind(), PointKind()))
     assert all(component.requires_grad for component in (*packed.reflectance.texels, *packed.radiance.texels,
-                                                         *lights.posed.place, lights.surfaces.inverse_area))
-    assert not any(tensor.requires_grad for tensor in (*lights.choice, lights.surround_pmf, lights.surfaces.pmf))
+                                                         *sky.radiance, *points.place, area.inverse_area))
+    assert not any(tensor.requires_grad for tensor in (*lights.choice, lights.surround_pmf))
 
 
 def test_a_texture_used_by_two_materials_is_stored_once():

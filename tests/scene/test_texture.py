@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from tests.scenes import texels
-from torch_radbp.texture.bank import sample_texture
 from torch_radbp.scene.pack import BankBuilder
+from torch_radbp.texture.bank import sample_texture
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.rgb import RGB
 from torch_radbp.vec import Vec2

@@ -211,11 +211,9 @@ def lights_of(rendering: Rendering) -> Iterator[Light]:
     """All lights with a position or a direction."""
     scene, caster = rendering.scene, rendering.caster
     for emitter in scene.emitters:
-        if hasattr(emitter, "pose"):
-            pose = emitter.pose()
-            place = torch.cat([pose.place.detach(), pose.place.new_full((1,), float(emitter.type != "directional"))])
-            axis = pose.to_local[2].detach() * float(emitter.type in ("spot", "projector"))
-            yield Light(place, axis, None, moving(scene, emitter, MOVE_LIGHTS))
+        source = emitter.source()
+        if source is not None:
+            yield Light(*source, None, moving(scene, emitter, MOVE_LIGHTS))
     for shape, faces in zip(scene.shapes, caster.faces.split(rendering.counts())):
         if shape.emitter is not None:
             first, second, third = caster.vertices[faces.long()].unbind(1)
@@ -223,7 +221,7 @@ def lights_of(rendering: Rendering) -> Iterator[Light]:
             middle = ((first + second + third) / 3.0).mean(0)
             # The normals of a closed surface add up to zero, but for rounding.
             axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
-            yield Light(torch.cat([middle, middle.new_ones(1)]), axis, shape, moving(scene, shape, MOVE_SHAPES))
+            yield Light(*shape.emitter.kind().source(middle, axis), shape, moving(scene, shape, MOVE_SHAPES))
 
 
 def listed(names: Iterable[str]) -> str:

@@ -2,13 +2,62 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
 from torch_radbp.domain import AMOUNT, Domain
-from torch_radbp.plugin import Emitter, Texture, positive, register
+from torch_radbp.emitter.attributes import weight
+from torch_radbp.emitter.kind import NEAREST, Aim, EmittingTriangles, Light, Pick, ShadowSource, SurfaceKind
+from torch_radbp.lookup import lookup
+from torch_radbp.plugin import Texture, register
+from torch_radbp.sampling.sampler import unit
+from torch_radbp.sampling.warp import square_to_uniform_triangle
 from torch_radbp.texture.rgb import as_texture
+from torch_radbp.vec import Vec3, dot, interpolated
+
+SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
+
+
+@dataclass(frozen=True)
+class AreaKind(SurfaceKind):
+    """The same radiance into all directions on the side of the shading normal; points are picked uniformly over the area.
+
+    A point that was picked is glued to its triangle, at fixed barycentric coordinates, and the density carries the geometry
+    term and the area of the moving triangle: so radiance / density has the derivative of the integral over the surface.
+
+    Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4; Worchel et al. 2025.
+    """
+
+    def aim(self, table: EmittingTriangles, proposal: EmittingTriangles, p: Vec3, pick: Pick) -> Aim:
+        row, b = pick.row, square_to_uniform_triangle(unit(pick.u, p.x.dtype), unit(pick.v, p.x.dtype))
+        target = interpolated(lookup(table.p, row), b.x, b.y)
+        reach = target - p
+        squared = dot(reach, reach).clamp_min(NEAREST**2)
+        d = reach * torch.rsqrt(squared)
+        cosine = -dot(d, lookup(table.n, row))
+        facing = cosine > 0
+        if table.shading is not None:
+            seen = dot(interpolated(lookup(table.shading, row), b.x, b.y), d) < 0
+            facing = seen if table.smooth is None else torch.where(lookup(table.smooth, row), seen, facing)
+        uv = None if table.uv is None else interpolated(lookup(table.uv, row), b.x, b.y)
+        pdf = pick.pmf * lookup(table.inverse_area, row) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
+        return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv)
+
+    def sends(self, front: Tensor) -> Tensor:
+        return front
+
+    def density(self, table: EmittingTriangles, row: Tensor, pmf: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
+        density = pmf * lookup(table.inverse_area, row)
+        return density * (distance * distance) / cosine.abs().clamp_min(SMALLEST_COSINE)
+
+    def source(self, middle: Tensor, axis: Tensor) -> ShadowSource:
+        return ShadowSource(torch.cat([middle, middle.new_ones(1)]), axis)
 
 
 @register("emitter", "area")
-class Area(Emitter):
+class Area(Light):
     """Emits `radiance` (W / (m^2 sr)) from the front side of the shape that carries it.
 
     Parameters: `radiance`, a texture. Derivatives: with respect to its texels.
@@ -17,7 +66,13 @@ class Area(Emitter):
     def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
         super().__init__()
         self.radiance = as_texture(self, "radiance", radiance)
-        self.sampling_weight = positive("sampling_weight", sampling_weight)
+        self.sampling_weight = weight(sampling_weight)
 
     def domains(self) -> dict[str, Domain]:
         return {"radiance": AMOUNT}
+
+    def kind(self) -> AreaKind:
+        return AreaKind()
+
+    def radiated(self) -> Texture:
+        return self.radiance

@@ -2,13 +2,45 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
 from torch_radbp.domain import AMOUNT, Domain
-from torch_radbp.emitter.illumination import colour
-from torch_radbp.plugin import Emitter, Texture, positive, register
+from torch_radbp.emitter.attributes import colour, weight
+from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
+from torch_radbp.lookup import lookup
+from torch_radbp.plugin import Texture, register
+from torch_radbp.sampling.sampler import unit
+from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere
+from torch_radbp.vec import Vec3
+
+
+class ConstantTable(NamedTuple):
+    """One row; attached."""
+
+    radiance: Vec3
+
+
+@dataclass(frozen=True)
+class ConstantKind(SurroundKind):
+    """The same radiance from every direction."""
+
+    def aim(self, table: ConstantTable, proposal: ConstantTable, p: Vec3, pick: Pick) -> Aim:
+        d = square_to_uniform_sphere(unit(pick.u, p.x.dtype), unit(pick.v, p.x.dtype))
+        return Aim(d, pick.pmf * UNIFORM_SPHERE_PDF, radiance=self.radiance(table, d))
+
+    def radiance(self, table: ConstantTable, d: Vec3) -> Vec3:
+        return lookup(table.radiance, torch.zeros_like(d.x, dtype=torch.int32))
+
+    def weighing(self, proposal: ConstantTable, d: Vec3) -> Tensor:
+        return torch.full_like(d.x, UNIFORM_SPHERE_PDF)
 
 
 @register("emitter", "constant")
-class Constant(Emitter):
+class Constant(Light):
     """An infinitely distant surround of constant `radiance`.
 
     Parameters: `radiance`. Derivatives: with respect to its value.
@@ -17,11 +49,13 @@ class Constant(Emitter):
     def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
         super().__init__()
         self.radiance = colour(self, "radiance", radiance)
-        self.sampling_weight = positive("sampling_weight", sampling_weight)
+        self.sampling_weight = weight(sampling_weight)
 
     def domains(self) -> dict[str, Domain]:
         return {"radiance": AMOUNT}
 
-    def radiated(self) -> Texture:
-        """The texture of the emitted light."""
-        return self.radiance
+    def kind(self) -> ConstantKind:
+        return ConstantKind()
+
+    def row(self) -> ConstantTable:
+        return ConstantTable(Vec3.of(self.radiance.texels()[0, 0]))

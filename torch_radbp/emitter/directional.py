@@ -2,18 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
 import torch
 from torch import Tensor
 
 from torch_radbp.domain import AMOUNT, POSE, Domain
-from torch_radbp.emitter.illumination import LightPose, colour
-from torch_radbp.plugin import Emitter, Matrix4, Point3, Texture, finite, positive, register
+from torch_radbp.emitter.attributes import colour, weight
+from torch_radbp.emitter.kind import Aim, Light, LightKind, Pick, ShadowSource
+from torch_radbp.lookup import lookup
+from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
 from torch_radbp.pose import look_at
 from torch_radbp.shape.surface import affine
+from torch_radbp.vec import Vec3
+
+
+class DirectionalTable(NamedTuple):
+    """One row for each directional light; attached."""
+
+    towards: Vec3  # unit direction towards it
+
+
+@dataclass(frozen=True)
+class DirectionalKind(LightKind):
+    """Light from one direction."""
+
+    delta: ClassVar[bool] = True
+    distant: ClassVar[bool] = True
+
+    def aim(self, table: DirectionalTable, proposal: DirectionalTable, p: Vec3, pick: Pick) -> Aim:
+        return Aim(lookup(table.towards, pick.row), pick.pmf)
 
 
 @register("emitter", "directional")
-class Directional(Emitter):
+class Directional(Light):
     """Shines along one direction, with `irradiance` (W / m^2) on a surface perpendicular to it.
 
     Parameters: `to_world` (4, 4), `irradiance`. Derivatives: with respect to both.
@@ -30,19 +53,29 @@ class Directional(Emitter):
             raise ValueError("give either direction or to_world, not both")
         self.freeze("to_world", affine("to_world", to_world if direction is None else facing(direction)))
         self.irradiance = colour(self, "irradiance", irradiance)
-        self.sampling_weight = positive("sampling_weight", sampling_weight)
+        self.sampling_weight = weight(sampling_weight)
 
     direction = None  # resolved into `to_world`
 
     def domains(self) -> dict[str, Domain]:
         return {"to_world": POSE, "irradiance": AMOUNT}
 
+    def kind(self) -> DirectionalKind:
+        return DirectionalKind()
+
     def radiated(self) -> Texture:
-        """The texture of the emitted light."""
         return self.irradiance
 
-    def pose(self) -> LightPose:
-        return LightPose.at(-torch.nn.functional.normalize(self.to_world[:3, 2], dim=0))
+    def towards(self) -> Tensor:
+        """The unit direction towards the light, (3,), attached."""
+        return -torch.nn.functional.normalize(self.to_world[:3, 2], dim=0)
+
+    def row(self) -> DirectionalTable:
+        return DirectionalTable(Vec3.of(self.towards()))
+
+    def source(self) -> ShadowSource:
+        towards = self.towards().detach()
+        return ShadowSource(torch.cat([towards, towards.new_zeros(1)]), torch.zeros_like(towards))
 
 
 def facing(direction: Tensor) -> Tensor:

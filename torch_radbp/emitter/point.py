@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import torch
 
 from torch_radbp.domain import AMOUNT, POINT, Domain
-from torch_radbp.emitter.illumination import LightPose, colour
-from torch_radbp.plugin import Emitter, Matrix4, Point3, Texture, finite, positive, register
+from torch_radbp.emitter.attributes import colour, weight
+from torch_radbp.emitter.kind import Light, ShadowSource
+from torch_radbp.emitter.positional import PositionalKind, at
+from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
 from torch_radbp.shape.surface import affine, transform_points
+from torch_radbp.vec import Vec3
+
+
+class PointTable(NamedTuple):
+    """One row for each point light; attached."""
+
+    place: Vec3
+
+
+@dataclass(frozen=True)
+class PointKind(PositionalKind):
+    """The same intensity in every direction."""
 
 
 @register("emitter", "point")
-class Point(Emitter):
+class Point(Light):
     """Emits `intensity` (W / sr) from `position` into every direction.
 
     Parameters: `position` (3,), `intensity`. Derivatives: with respect to both.
@@ -29,16 +46,21 @@ class Point(Emitter):
         place = None if position is None else finite("position", position, (3,)).to(origin.dtype)
         self.freeze("position", transform_points(affine("to_world", to_world), origin)[0] if place is None else place)
         self.intensity = colour(self, "intensity", intensity)
-        self.sampling_weight = positive("sampling_weight", sampling_weight)
+        self.sampling_weight = weight(sampling_weight)
 
     to_world = None  # resolved into `position`
 
     def domains(self) -> dict[str, Domain]:
         return {"position": POINT, "intensity": AMOUNT}
 
+    def kind(self) -> PointKind:
+        return PointKind()
+
     def radiated(self) -> Texture:
-        """The texture of the emitted light."""
         return self.intensity
 
-    def pose(self) -> LightPose:
-        return LightPose.at(self.position)
+    def row(self) -> PointTable:
+        return PointTable(Vec3.of(self.position))
+
+    def source(self) -> ShadowSource:
+        return at(self.position)

@@ -3,19 +3,41 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from torch import Tensor
 
 from torch_radbp.domain import AMOUNT, POSE, Domain
-from torch_radbp.emitter.illumination import FACTOR, LightPose, Scaled, factor, linear_inverse
-from torch_radbp.plugin import Emitter, Matrix4, Texture, positive, register
+from torch_radbp.emitter.attributes import FACTOR, Scaled, factor, weight
+from torch_radbp.emitter.kind import Light, ShadowSource
+from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes
+from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.sensor.perspective import field_of_view, horizontal_fov
 from torch_radbp.shape.surface import affine
 from torch_radbp.texture.rgb import as_texture
+from torch_radbp.vec import Frame, Vec2, Vec3
+
+
+class ProjectorTable(NamedTuple):
+    """One row for each projector; attached."""
+
+    place: Vec3
+    to_local: Frame  # rows of the matrix from world directions to the projector's, which shines along its +z
+    to_uv: Vec2  # factors from x / z and y / z to texture coordinates
+
+
+@dataclass(frozen=True)
+class ProjectorKind(PositionalKind):
+    """The intensity of a flat, evenly lit screen: 1 / cos^3 of the angle with the axis, where the image is."""
+
+    def profile(self, light: ProjectorTable, d: Vec3) -> tuple[Tensor, Vec2]:
+        _, ahead, uv, inside = Screen.of(light.to_local, light.to_uv, d)
+        return inside.to(ahead.dtype) / (ahead * ahead * ahead), uv
 
 
 @register("emitter", "projector")
-class Projector(Emitter):
+class Projector(Light):
     """The reverse of a pinhole camera: projects an image along its local +z, as a camera there would see it.
 
     A screen at distance 1, perpendicular to the axis, receives pi times `scale` times `irradiance` on the axis, as in
@@ -42,7 +64,7 @@ class Projector(Emitter):
         self.fov = float(fov) if fov_axis == "x" else horizontal_fov(fov, fov_axis, self.aspect())
         self.freeze("scale", factor(scale))
         self.freeze("to_world", affine("to_world", to_world))
-        self.sampling_weight = positive("sampling_weight", sampling_weight)
+        self.sampling_weight = weight(sampling_weight)
 
     fov_axis, focal_length = "x", None  # resolved into `fov`
 
@@ -54,11 +76,17 @@ class Projector(Emitter):
         height, width = self.irradiance.texels().shape[:2]
         return width / height
 
+    def kind(self) -> ProjectorKind:
+        return ProjectorKind()
+
     def radiated(self) -> Scaled:
-        """The texture of the emitted light: the intensity, as it would be along the axis."""
+        """The intensity, as it would be along the axis."""
         return Scaled(self.irradiance, self.scale * math.pi)
 
-    def pose(self) -> LightPose:
+    def row(self) -> ProjectorTable:
         half = 0.5 / math.tan(math.radians(self.fov) / 2)
         to_uv: Tensor = self.to_world.new_tensor([-half, -half * self.aspect()])
-        return LightPose.at(self.to_world[:3, 3], linear_inverse("to_world", self.to_world), to_uv=to_uv)
+        return ProjectorTable(Vec3.of(self.to_world[:3, 3]), axes(self.to_world), Vec2.of(to_uv))
+
+    def source(self) -> ShadowSource:
+        return at(self.to_world[:3, 3], axes(self.to_world).n)

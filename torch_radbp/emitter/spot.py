@@ -2,19 +2,55 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import torch
+from torch import Tensor
 
 from torch_radbp.domain import AMOUNT, NUMBER, POSE, Domain
-from torch_radbp.emitter.illumination import LightPose, Scaled, colour, linear_inverse
-from torch_radbp.plugin import Emitter, Matrix4, Texture, positive, register
+from torch_radbp.emitter.attributes import Scaled, colour, weight
+from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
+from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction
+from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.shape.surface import affine
 from torch_radbp.texture.rgb import as_texture
+from torch_radbp.vec import Frame, Vec2, Vec3
 
 CUTOFF = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, unit=" degrees")
 
 
+class SpotTable(NamedTuple):
+    """One row for each spot; attached."""
+
+    place: Vec3
+    to_local: Frame  # rows of the matrix from world directions to the spot's, which shines along its +z
+    cutoff: Tensor  # angle where it ends, radians
+    sharpness: Tensor  # 1 / width of the fall-off before the cutoff, 1 / radians
+    to_uv: Vec2 | None  # factors from x / z and y / z to texture coordinates; None: no spot has an image
+
+
+@dataclass(frozen=True)
+class SpotKind(PositionalKind):
+    """An intensity that falls off linearly with the angle from the axis."""
+
+    def table(self, emitters: Sequence[Spot], like: Tensor) -> SpotTable:
+        table = super().table(emitters, like)
+        return table if any(emitter.texture is not None for emitter in emitters) else table._replace(to_uv=None)
+
+    def profile(self, light: SpotTable, d: Vec3) -> tuple[Tensor, Vec2 | None]:
+        if light.to_uv is None:
+            local, uv = direction(light.to_local, d), None
+        else:
+            local, _, uv, _ = Screen.of(light.to_local, light.to_uv, d)
+        sine = torch.sqrt((local.x * local.x + local.y * local.y).clamp_min(NEAREST**2))
+        remaining = (light.cutoff - torch.atan2(sine, local.z)) * light.sharpness
+        return remaining.clamp(0.0, 1.0), uv
+
+
 @register("emitter", "spot")
-class Spot(Emitter):
+class Spot(Light):
     """Emits `intensity` (W / sr) along its local +z, falling off linearly with the angle between beam width and cutoff.
 
     Parameters: `to_world` (4, 4), `intensity`, `cutoff_angle`, `beam_width` (), `texture`. Derivatives: with respect to all.
@@ -46,27 +82,31 @@ class Spot(Emitter):
         self.freeze("cutoff_angle", torch.tensor(float(cutoff_angle), dtype=dtype))
         self.freeze("beam_width", torch.tensor(float(beam_width), dtype=dtype))
         self.freeze("to_world", affine("to_world", to_world))
-        self.sampling_weight = positive("sampling_weight", sampling_weight)
+        self.sampling_weight = weight(sampling_weight)
 
     def domains(self) -> dict[str, Domain]:
         widest = CUTOFF if self.texture is None else CUTOFF._replace(high=90.0, high_is_in=False)
         return {"to_world": POSE, "intensity": AMOUNT, "texture": AMOUNT, "cutoff_angle": widest,
                 "beam_width": NUMBER._replace(low=0.0, unit=" degrees")}
 
+    def kind(self) -> SpotKind:
+        return SpotKind()
+
     def radiated(self) -> Texture | Scaled:
-        """The texture of the emitted light."""
         return self.intensity if self.texture is None else Scaled(self.texture, self.intensity.value)
 
-    def pose(self) -> LightPose:
+    def row(self) -> SpotTable:
         """The pose and the cone, attached.
 
         Raises:
-            ValueError: if an optimiser has moved the angles past each other.
+            ValueError: if an optimiser has moved the angles past each other, or flattened the pose.
         """
         cutoff, beam = torch.deg2rad(self.cutoff_angle), torch.deg2rad(self.beam_width)
         if not bool(self.beam_width < self.cutoff_angle):
             raise ValueError(f"beam_width must be less than cutoff_angle, got {float(self.beam_width)} and "
                              f"{float(self.cutoff_angle)} degrees")
-        to_uv = None if self.texture is None else (0.5 / torch.tan(cutoff)).expand(2)
-        return LightPose.at(self.to_world[:3, 3], linear_inverse("to_world", self.to_world),
-                            torch.stack([cutoff, 1.0 / (cutoff - beam)]), to_uv)
+        to_uv = self.to_world.new_zeros(2) if self.texture is None else (0.5 / torch.tan(cutoff)).expand(2)
+        return SpotTable(Vec3.of(self.to_world[:3, 3]), axes(self.to_world), cutoff, 1.0 / (cutoff - beam), Vec2.of(to_uv))
+
+    def source(self) -> ShadowSource:
+        return at(self.to_world[:3, 3], axes(self.to_world).n)

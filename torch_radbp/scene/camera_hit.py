@@ -21,7 +21,7 @@ def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: PinholeTensors |
         hide_emitters: True if the camera does not see emitters.
     """
     hit = caster.intersect(ray)
-    if hide_emitters and scene.layout.area_lights:
+    if hide_emitters and scene.layout.lit_surfaces:
         hit = behind_emitters(caster, scene, ray, hit)
     if clipping is not None:
         p = surface_interaction(scene, ray, hit).p

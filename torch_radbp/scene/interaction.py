@@ -20,6 +20,7 @@ from torch_radbp.vec import (
     attached,
     crossing,
     dot,
+    interpolated,
     normalize,
     unit_normal,
     where,
@@ -36,7 +37,7 @@ class SurfaceInteraction(NamedTuple):
     valid: Tensor  # bool: the ray meets a surface at all
     prim: Tensor  # int32 triangle, 0 where invalid
     material: Tensor  # int32 row of the material table
-    emitter: Tensor | None  # int32 row of the emitting triangles, -1: emits nothing; None: no triangle does
+    emitter: Tensor | None  # int32 element of the light table, -1: emits nothing; None: no triangle does
     p: Vec3  # world position
     n: Vec3  # unit geometric normal
     frame: ShadingFrame  # shading frame; its normal is turned to the viewer's side of a two-sided material
@@ -87,7 +88,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     uv = None if vertices.uv is None else interpolated(at_corners(vertices.uv, rows), hit.u, hit.v)
     front = shading_cosine < 0
     material = lookup(triangles.material, prim)
-    emitter = lookup(triangles.emitter, prim) if layout.area_lights else None
+    emitter = lookup(triangles.emitter, prim) if layout.lit_surfaces else None
     if layout.back_sides:
         material = material + (~front).to(material.dtype) * scene.materials.count
         side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
@@ -130,12 +131,6 @@ def at_corners(table: Vec2 | Vec3, rows: tuple[Tensor, Tensor, Tensor]) -> tuple
 def edges(p0: Vec3, p1: Vec3, p2: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """The first vertices of triangles, and the edges from there to the second and the third."""
     return p0, p1 - p0, p2 - p0
-
-
-def interpolated(corners: tuple[Vec2 | Vec3, ...], u: Tensor, v: Tensor) -> Vec2 | Vec3:
-    """Interpolates between three vertices, by the barycentric coordinates of the second and the third."""
-    first, second, third = corners
-    return first * (1.0 - u - v) + second * u + third * v
 
 
 def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tensor):

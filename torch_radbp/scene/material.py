@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, Values
-from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.lookup import lookup
-from torch_radbp.texture.bank import sample_texture
+from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.bank import sample_texture
 from torch_radbp.vec import Vec3, where
 
 LEAST_DENSITY = 1e-15  # of a direction that can be drawn; the square of its reciprocal is finite in float32

@@ -13,12 +13,12 @@ from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.interaction import at_corners, clearance, edges
-from torch_radbp.scene.light_table import Lamp, kinds_of, light_table
-from torch_radbp.texture.bank import TextureBank
+from torch_radbp.scene.light_table import kinds_of, light_table
 from torch_radbp.scene.parameters import check_extent, check_parameters
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors, TriangleTable, VertexTable
 from torch_radbp.shape.surface import Triangles
+from torch_radbp.texture.bank import TextureBank
 from torch_radbp.texture.bitmap import WRAP_MODES
 from torch_radbp.texture.rgb import RGB
 from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
@@ -87,25 +87,24 @@ def pack(scene: Scene) -> SceneTensors:
     counts = [len(surface.faces) for surface in surfaces]
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
     material = [row[id(shape.bsdf)] for shape in scene.shapes]
-    emitted = [-1 if shape.emitter is None else radiance.add(shape.emitter.radiance) for shape in scene.shapes]
-    lamps = [Lamp(emitter, radiance.add(emitter.radiated())) for emitter in scene.emitters if emitter.type != "area"]
+    radiated = {id(emitter): emitter.radiated() for emitter in scene.emitters}
+    textures = {name: 0 if texture is None else radiance.add(texture) for name, texture in radiated.items()}
     layout = Layout(
         bending=any(differentiated(bsdf.textures()[slot].texels()) for bsdf in one_sided(bsdfs) if bsdf.kind().delta
                     for slot in bsdf.kind().steering),
         shading_normals=any(surface.normals is not None for surface in surfaces),
-        light_normals=any(surface.normals is not None and texture >= 0 for surface, texture in zip(surfaces, emitted)),
         back_sides=bool(materials.turned.any()), kinds=kinds, anisotropic=any(kind.oriented for kind in kinds),
         reflectance_bitmaps=reflectance.has_bitmaps, radiance_bitmaps=radiance.has_bitmaps,
-        area_lights=any(texture >= 0 for texture in emitted), **kinds_of(lamps))
+        lights=kinds_of(scene.emitters))
     needs_uv = layout.reflectance_bitmaps or layout.radiance_bitmaps
     triangles = triangle_table(surfaces, layout.shading_normals, needs_uv, layout.anisotropic, dtype, device)
     repeats = torch.tensor(counts, device=device)
-    radiance_of = torch.tensor(emitted, dtype=torch.int32, device=device).repeat_interleave(repeats)
-    emitting = radiance_of >= 0
+    emitting = torch.tensor([shape.emitter is not None for shape in scene.shapes], device=device).repeat_interleave(repeats)
     triangles = triangles._replace(
         material=torch.tensor(material, dtype=torch.int32, device=device).repeat_interleave(repeats),
         emitter=torch.where(emitting, emitting.cumsum(0) - 1, -1).to(torch.int32))
-    lights = light_table(scene, triangles, radiance_of, counts, lamps)
+    lights = light_table(scene, layout.lights, triangles, counts, lambda emitter: textures[id(emitter)],
+                         layout.radiance_bitmaps)
     return SceneTensors(triangles, materials, reflectance.build(dtype, device), lights,
                         radiance.build(dtype, device), layout)
 

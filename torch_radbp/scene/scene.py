@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.plugin import BSDF, Emitter, Integrator, Plugin, SceneError, Sensor, Shape, nearest
+from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, Shape, nearest
 from torch_radbp.scene.integrator import Path
 
 
@@ -38,11 +38,16 @@ class Scene(nn.Module):
         if not self.sensors:
             raise SceneError("the scene has no sensor: add <sensor type=\"perspective\">")
         if not self.emitters:
-            raise SceneError("the scene has no emitter, so that every image is black: add an emitter of type area, "
-                             "constant, envmap, point, spot, projector or directional")
-        surrounds = [emitter.type for emitter in self.emitters if emitter.type in ("constant", "envmap")]
+            raise SceneError("the scene has no emitter, so that every image is black: add an emitter of type "
+                             f"{', '.join(sorted(REGISTRY['emitter']))}")
+        stray = [name for name, child in self._modules.items() if isinstance(child, Emitter) and child.kind().on_surface]
+        if stray:
+            emitter = self._modules[stray[0]]
+            raise SceneError(f"`{stray[0]}` is an emitter of type {emitter.type}, which belongs inside a shape: write it as "
+                             f"the emitter of one")
+        surrounds = [emitter.type for emitter in self.emitters if emitter.kind().surround]
         if len(surrounds) > 1:
-            raise SceneError(f"the scene has more than one constant or envmap emitter ({', '.join(surrounds)}): add up "
+            raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
                              "their radiances in one")
 
     def _add(self, name: str, child: Plugin) -> None:

@@ -8,13 +8,10 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind
+from torch_radbp.emitter.kind import LightKind, Table
 from torch_radbp.sampling.alias import AliasTable
-from torch_radbp.sampling.grid import GridDistribution
 from torch_radbp.texture.bank import TextureBank
-from torch_radbp.vec import Frame, Vec2, Vec3
-
-# Kinds of light; POINT and those after it have a pose and no extent.
-AREA, CONSTANT, ENVIRONMENT, POINT, SPOT, PROJECTOR, DIRECTIONAL = range(7)
+from torch_radbp.vec import Vec2, Vec3
 
 
 class Layout(NamedTuple):
@@ -22,39 +19,32 @@ class Layout(NamedTuple):
 
     bending: bool  # parameters with derivatives steer ideal specular scattering
     shading_normals: bool  # some differ from the triangles' own normals
-    light_normals: bool  # the same, on area lights
     back_sides: bool  # some materials are different, or turned, from behind
     kinds: tuple[Kind, ...]  # of materials
     anisotropic: bool  # some materials are, so that the shading frame follows the surface's coordinates
     reflectance_bitmaps: bool
     radiance_bitmaps: bool
-    area_lights: bool
-    constant_light: bool
-    environment_map: bool
-    point_lights: bool
-    spots: bool
-    projectors: bool
-    directional_lights: bool
+    lights: tuple[LightKind, ...]  # kinds of light
 
     @property
-    def posed_lights(self) -> bool:
-        """True if there are lights without extent."""
-        return self.point_lights or self.spots or self.projectors or self.directional_lights
+    def surface_lights(self) -> dict[int, LightKind]:
+        """The kinds of light on surfaces, by their number in `lights`."""
+        return {number: kind for number, kind in enumerate(self.lights) if kind.on_surface}
 
     @property
-    def surround(self) -> bool:
-        """True if rays that leave the scene meet light."""
-        return self.constant_light or self.environment_map
+    def lit_surfaces(self) -> bool:
+        """True if some triangles belong to an emitter."""
+        return bool(self.surface_lights)
 
     @property
-    def only_surfaces_emit(self) -> bool:
-        """True if all lights are area lights."""
-        return not (self.posed_lights or self.distant_lights)
+    def visible_surfaces(self) -> bool:
+        """True if some of them are seen to emit."""
+        return any(not kind.delta for kind in self.surface_lights.values())
 
     @property
-    def distant_lights(self) -> bool:
-        """True if there are lights at infinity: directions rather than points."""
-        return self.constant_light or self.environment_map or self.directional_lights
+    def surround(self) -> tuple[int, LightKind] | None:
+        """The kind of light that rays meet which leave the scene, with its number in `lights`; None: there is none."""
+        return next(((number, kind) for number, kind in enumerate(self.lights) if kind.surround), None)
 
 
 class VertexTable(NamedTuple):
@@ -75,18 +65,7 @@ class TriangleTable(NamedTuple):
     clearance: Tensor  # (T,) distance off the triangle at which rays leave it, detached
     along: Vec3 | None  # unit direction in which u grows, 0 where it is not defined; None if no material is anisotropic
     material: Tensor  # (T,) int32, row of `MaterialTable`
-    emitter: Tensor  # (T,) int32, row of `EmittingTriangles`; -1: emits nothing
-
-
-class EmittingTriangles(NamedTuple):
-    """The S triangles of area lights, for light samples: few, where the scene has many; attached but for choices."""
-
-    corners: tuple[VertexTable, VertexTable, VertexTable]  # (S,) the first vertices of all, the second and the third ones
-    n: Vec3  # unit geometric normal
-    smooth: Tensor | None  # (S,) as in `TriangleTable`
-    radiance: Tensor  # (S,) int32, texture of the light bank
-    pmf: Tensor  # (S,) probability with which next-event estimation picks it, detached
-    inverse_area: Tensor  # (S,) 1 / area; 0 of a triangle that is never picked
+    emitter: Tensor  # (T,) int32, element of `LightTable`; -1: emits nothing
 
 
 class MaterialTable(NamedTuple):
@@ -98,43 +77,18 @@ class MaterialTable(NamedTuple):
     count: Tensor  # () int32, M
 
 
-class PosedLights(NamedTuple):
-    """One row per light without extent; attached."""
-
-    place: Vec3  # (P,) position; of a directional light the unit direction towards it
-    to_local: Frame  # (P,) rows of the matrix from world directions to the light's, which shines along its +z
-    cutoff: Tensor  # (P,) angle where a spot ends, radians
-    sharpness: Tensor  # (P,) 1 / width of the fall-off of a spot before the cutoff, 1 / radians
-    to_uv: Vec2  # (P,) factors from x / z and y / z to texture coordinates, around the middle
-
-
-class EnvironmentMap(NamedTuple):
-    """An image of the surroundings: R rows of texels, C columns; cells lie between the centres of four texels."""
-
-    to_local: Frame  # (1,) rows of the matrix from world directions to the image's; attached
-    to_world: Frame  # () rows of its inverse, detached
-    volume: Tensor  # () absolute value of the determinant of `to_local`, detached
-    rows: Tensor  # () int32, R
-    columns: Tensor  # () int32, C
-    pick: GridDistribution  # of the cells
-    density: Tensor  # (cells,) over the solid angle of local directions, with which a cell is sampled
-    weighing: Tensor  # (R C,) density at the texels themselves, for weights; 0 beside a cell that is never picked
-    edges: Tensor  # (R,) sin^2(theta / 2) of the rows of texels, from pole to pole
-
-
 class LightTable(NamedTuple):
-    """The E elements for next-event estimation: triangles of area lights, the surround, lights with a pose."""
+    """The E elements for next-event estimation: triangles of emitters on surfaces first, then other emitters.
+
+    Those of one kind are the rows of its table, in order.
+    """
 
     choice: AliasTable
-    kind: Tensor  # (E,) int32: AREA, CONSTANT, ...
-    surfaces: EmittingTriangles
-    surface: Tensor  # (E,) int32 row of `surfaces` of an area light, else 0
-    pose: Tensor  # (E,) int32 row of `posed`, else 0
-    radiance: Tensor  # (E,) int32 texture of the light bank
-    posed: PosedLights | None  # None if there are none
-    surround: Tensor  # () int32 texture of the constant emitter, 0 if there is none
-    surround_pmf: Tensor  # () probability of picking the constant emitter or the environment map
-    environment: EnvironmentMap | None
+    kind: Tensor  # (E,) int32, of `Layout.lights`
+    row: Tensor  # (E,) int32, of the table of the kind
+    radiance: Tensor  # (E,) int32 texture of the light bank; 0 of a kind that reads none
+    tables: tuple[Table, ...]  # of `Layout.lights`
+    surround_pmf: Tensor  # () probability of picking the surround
 
 
 class SceneTensors(NamedTuple):

@@ -65,8 +65,9 @@ class Surface(Shape):
     def __init__(self, *, bsdf: BSDF | None = None, emitter: Emitter | None = None, flip_normals: bool = False):
         super().__init__()
         self.bsdf = Diffuse(reflectance=0.5 if emitter is None else 0.0) if bsdf is None else bsdf
-        if emitter is not None and emitter.type != "area":
-            raise ValueError(f"a shape can carry an emitter of type area, got {emitter.type!r}")
+        if emitter is not None and not emitter.kind().on_surface:
+            raise ValueError(f"a shape can carry an emitter that shines from surfaces, such as area; got {emitter.type!r}, "
+                             f"which belongs to the scene itself")
         self.add_module("emitter", emitter)
         self.flip_normals = flip_normals
 

@@ -1,9 +1,8 @@
-"""Records that emitters hand to the tables of a scene: poses of lights without extent, and textures times a factor."""
+"""Attributes of emitters: colours, factors, weights, poses."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,27 +20,19 @@ def factor(scale: float) -> Tensor:
     Raises:
         ValueError: if it is negative or not finite.
     """
-    if not 0 <= scale < math.inf:
-        raise ValueError(f"scale must be at least 0 and finite, got {scale}")
-    return torch.tensor(float(scale), dtype=torch.get_default_dtype())
+    return torch.tensor(at_least_zero("scale", scale), dtype=torch.get_default_dtype())
 
 
-class LightPose(NamedTuple):
-    """The place of a light without extent, and how it spreads its light; attached."""
+def at_least_zero(name: str, value: float) -> float:
+    """`value`, checked to be at least zero and finite."""
+    if not 0 <= value < math.inf:
+        raise ValueError(f"{name} must be at least 0 and finite, got {value}")
+    return float(value)
 
-    place: Tensor  # (3,) position; of a directional light the unit direction towards it
-    to_local: Tensor  # (3, 3) from world directions to those of the light, which shines along its +z
-    cone: Tensor  # (2,) of a spot: angle where it ends, and 1 / width of the fall-off before it, radians
-    to_uv: Tensor  # (2,) factors from x / z and y / z to texture coordinates, around the middle
 
-    @staticmethod
-    def at(place: Tensor, to_local: Tensor | None = None, cone: Tensor | None = None,
-           to_uv: Tensor | None = None) -> LightPose:
-        """A pose whose other fields have no effect unless they are given."""
-        same = torch.eye(3, dtype=place.dtype, device=place.device)
-        return LightPose(place, same if to_local is None else to_local,
-                         place.new_tensor([math.pi, 1.0]) if cone is None else cone,
-                         place.new_zeros(2) if to_uv is None else to_uv)
+def weight(sampling_weight: float) -> float:
+    """A checked `sampling_weight`; 0: next-event estimation never picks the emitter, which chance may find."""
+    return at_least_zero("sampling_weight", sampling_weight)
 
 
 class Scaled:

@@ -1,0 +1,171 @@
+"""The interface between emitters and the tracer.
+
+An emitter has two parts. Its `LightKind`, a hashable value that names the functions, is static: a scene without a kind pays
+nothing for it. What differs from emitter to emitter of a kind stands in the kind's table, a record of columns with one row
+for each emitter (of emitters on surfaces: for each triangle). Functions get the table twice: attached, and as the `proposal`
+whose values are constants and decide every choice.
+
+The light of an emitter is the texel of a texture (`Light.radiated`), which the tracer reads for all kinds at once, times a
+factor; or the kind computes it itself.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Emitter
+from torch_radbp.vec import Vec2, Vec3
+
+NEAREST = 1e-9  # the least distance that counts; 1 / NEAREST^4 is finite in float32
+
+Table = Any  # a NamedTuple of columns: tensors (R,), and nested records of them; or None
+
+
+class Pick(NamedTuple):
+    """The light that next-event estimation has picked, per lane; (N,)."""
+
+    row: Tensor  # int32, of the kind's table; 0 where a light of another kind was picked
+    pmf: Tensor  # probability with which it was picked
+    u: Tensor  # int32 random bits, for a point on the light
+    v: Tensor
+
+
+class Aim(NamedTuple):
+    """A point on a light as seen from a surface, or a direction towards a distant one; (N,), attached."""
+
+    d: Vec3  # unit direction towards it
+    pdf: Tensor  # density over solid angle, times `Pick.pmf`; of a delta light that probability alone; 0: it cannot be used
+    target: Vec3 | None = None  # the point, world space; None: far away
+    strength: Tensor | None = None  # factor of the light's texture; None: 1
+    uv: Vec2 | None = None  # where to read that texture; None: it is one texel
+    radiance: Vec3 | None = None  # instead of the texture times its factor
+    weighing: Tensor | None = None  # used instead of `pdf` in the weights of multiple importance sampling
+
+
+class ShadowSource(NamedTuple):
+    """A light that casts shadows with a border, as one place from which it shines."""
+
+    place: Tensor  # (4,) homogeneous: the position, or middle, of the light; or with 0 at the end the direction towards it
+    axis: Tensor  # (3,) it shines only into directions on this side; 0: into all
+
+
+class EmittingTriangles(NamedTuple):
+    """The table of emitters on surfaces: S triangles, attached; few, where the scene has many."""
+
+    p: tuple[Vec3, Vec3, Vec3]  # (S,) each; vertices, world space
+    n: Vec3  # unit geometric normal
+    shading: tuple[Vec3, Vec3, Vec3] | None  # unit normals of the vertices; None: all triangles are flat
+    smooth: Tensor | None  # bool: shaded with the normals of its vertices; None: so are all, or none
+    uv: tuple[Vec2, Vec2, Vec2] | None  # of the vertices; None if no texture reads them
+    inverse_area: Tensor  # 1 / area; 0 of a triangle that is never picked
+
+
+@dataclass(frozen=True)
+class LightKind(ABC):
+    """The functions of one kind of emitter."""
+
+    delta: ClassVar[bool] = False  # it has no extent, or shines in one direction: only `aim` finds it
+    distant: ClassVar[bool] = False  # a direction rather than a point
+    surround: ClassVar[bool] = False  # see `SurroundKind`
+    on_surface: ClassVar[bool] = False  # see `SurfaceKind`
+
+    def table(self, emitters: Sequence[Light], like: Tensor) -> Table:
+        """The table of all emitters of this kind in a scene, attached; `like` gives dtype and device."""
+        return stacked([emitter.row() for emitter in emitters], like)
+
+    @abstractmethod
+    def aim(self, table: Table, proposal: Table, p: Vec3, pick: Pick) -> Aim:
+        """A sample of the light in row `pick.row`, from the points `p`; attached to the table and to them.
+
+        Values and derivatives must be finite in every lane, also where a light of another kind was picked.
+        """
+
+
+class SurroundKind(LightKind):
+    """Light that arrives from everywhere: rays that leave the scene meet it. A scene has at most one such emitter."""
+
+    distant: ClassVar[bool] = True
+    surround: ClassVar[bool] = True
+
+    @abstractmethod
+    def radiance(self, table: Table, d: Vec3) -> Vec3:
+        """Radiance that arrives from the unit directions `d`; attached to them and to the table."""
+
+    @abstractmethod
+    def weighing(self, proposal: Table, d: Vec3) -> Tensor:
+        """The density over solid angle with which `aim` finds directions, as `Aim.weighing`; attached to `d`."""
+
+
+class SurfaceKind(LightKind):
+    """An emitter that triangles of a shape carry; its table is `EmittingTriangles`."""
+
+    on_surface: ClassVar[bool] = True
+
+    def check(self, triangles: EmittingTriangles) -> None:
+        """Raises ValueError if the surfaces cannot carry such an emitter."""
+
+    @abstractmethod
+    def source(self, middle: Tensor, axis: Tensor) -> ShadowSource:
+        """The light as a caster of shadows.
+
+        Args:
+            middle: (3,) of the surface.
+            axis: (3,) the mean of its normals; 0 if the surface is closed.
+        """
+
+    def sends(self, front: Tensor) -> Tensor:
+        """True where light leaves towards a viewer who is on the side of the shading normal (`front`, bool) or is not.
+
+        Of kinds that are not `delta`.
+        """
+        raise TypeError(f"{type(self).__name__} is not seen by chance")
+
+    def density(self, table: EmittingTriangles, row: Tensor, pmf: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
+        """The density over solid angle with which `aim` finds a point on the light that a ray has met; attached.
+
+        Of kinds that are not `delta`.
+
+        Args:
+            table: gives geometry.
+            row: of the triangles.
+            pmf: with which they are picked.
+            distance: that the ray has come.
+            cosine: between the geometric normal and the ray's direction.
+        """
+        raise TypeError(f"{type(self).__name__} is not found by chance")
+
+
+class Light(Emitter):
+    """What an emitter's plugin gives to the tracer."""
+
+    sampling_weight: float
+
+    def kind(self) -> LightKind:
+        """The functions."""
+        raise TypeError(f"{type(self).__name__} does not define its kind")
+
+    def radiated(self):
+        """The texture of the emitted light, or None if the kind computes it."""
+        return None
+
+    def row(self) -> Table:
+        """The emitter's row of the table: a record of () tensors, attached."""
+        raise TypeError(f"{type(self).__name__} does not define its row")
+
+    def source(self) -> ShadowSource | None:
+        """The light as a caster of shadows, detached; None: shadows have no borders, or the surface knows them."""
+        return None
+
+
+def stacked(records: Sequence[Table], like: Tensor) -> Table:
+    """Records of () tensors as one record of columns."""
+    first = records[0]
+    if isinstance(first, Tensor):
+        return torch.stack(tuple(records)).to(like)
+    return first if first is None else type(first)(*(stacked(parts, like) for parts in zip(*records)))

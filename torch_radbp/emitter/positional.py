@@ -1,0 +1,79 @@
+"""Light from a point: what point lights, spots and projectors have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.emitter.attributes import linear_inverse
+from torch_radbp.emitter.kind import NEAREST, Aim, LightKind, Pick, ShadowSource, Table
+from torch_radbp.lookup import lookup
+from torch_radbp.vec import Frame, Vec2, Vec3, dot
+
+FLATTEST = 1e-4  # cosine with a light's axis below which its image is not read
+
+
+@dataclass(frozen=True)
+class PositionalKind(LightKind):
+    """Light from the column `place` of the table, whose intensity falls with the square of the distance."""
+
+    delta: ClassVar[bool] = True
+
+    def aim(self, table: Table, proposal: Table, p: Vec3, pick: Pick) -> Aim:
+        light = lookup(table, pick.row)
+        reach = light.place - p
+        squared = dot(reach, reach).clamp_min(NEAREST**2)
+        d, strength = reach * torch.rsqrt(squared), 1.0 / squared
+        profile, uv = self.profile(light, -d)
+        return Aim(d, pick.pmf, light.place, strength if profile is None else strength * profile, uv)
+
+    def profile(self, light: Table, d: Vec3) -> tuple[Tensor | None, Vec2 | None]:
+        """The variation of intensity over the unit directions `d` in which light leaves, attached.
+
+        Returns:
+            A factor (None: 1), and where to read the texture (None: it is one texel).
+        """
+        return None, None
+
+
+class Screen(NamedTuple):
+    """Directions in a light's own coordinates, as it sees them on a screen across its axis; (N,), attached."""
+
+    local: Vec3  # unit; the light looks along +z
+    ahead: Tensor  # their z, kept away from 0
+    uv: Vec2  # in the unit square; the middle where `inside` is False
+    inside: Tensor  # bool: they meet the image
+
+    @staticmethod
+    def of(to_local: Frame, to_uv: Vec2, d: Vec3) -> Screen:
+        """The view of world directions `d`; `to_uv` are factors from x / z and y / z to texture coordinates."""
+        local = direction(to_local, d)
+        ahead = local.z.clamp_min(FLATTEST)
+        uv = Vec2(0.5 + to_uv.x * local.x / ahead, 0.5 + to_uv.y * local.y / ahead)
+        inside = (local.z > FLATTEST) & (uv.x >= 0) & (uv.x <= 1) & (uv.y >= 0) & (uv.y <= 1)
+        return Screen(local, ahead, uv.map(lambda c: torch.where(inside, c, 0.5)), inside)
+
+
+def direction(to_local: Frame, d: Vec3) -> Vec3:
+    """World directions in a light's own coordinates, unit length whatever its scale."""
+    local = to_local.to_local(d)
+    return local * torch.rsqrt(dot(local, local).clamp_min(NEAREST**2))
+
+
+def axes(to_world: Tensor) -> Frame:
+    """The rows of the matrix from world directions to those of a light, () each, for `Frame.to_local`.
+
+    Raises:
+        ValueError: if the pose flattens space.
+    """
+    return Frame(*(Vec3.of(row) for row in linear_inverse("to_world", to_world).unbind()))
+
+
+def at(place: Tensor, axis: Vec3 | None = None) -> ShadowSource:
+    """A light at a point (3,) that shines around an axis, or into every direction."""
+    place = place.detach()
+    return ShadowSource(torch.cat([place, place.new_ones(1)]),
+                        place.new_zeros(3) if axis is None else torch.stack(tuple(axis)).detach())
