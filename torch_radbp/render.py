@@ -71,7 +71,7 @@ class Renderer(nn.Module):
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
         compile: fuse the functions of a bounce into loops of vector instructions, once per kind of scene and process, in
             seconds. On the CPU; `TapeAdjoint` and forward mode run eagerly all the same.
-        caster: "embree" or "brute"; None picks by device.
+        caster: "embree", "direct" or "brute"; None picks by device and number of triangles.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, what silhouettes and the borders of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that

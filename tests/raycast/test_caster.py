@@ -10,8 +10,9 @@ import torch
 
 from tests.raycast.meshes import mesh, random_rays, single_ray
 from tests.raycast.test_hits import CASTERS
-from torch_radbp.raycast import Ray, library, make_caster
+from torch_radbp.raycast import FEW_TRIANGLES, Ray, library, make_caster
 from torch_radbp.raycast.brute import Brute
+from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.vec import Vec3
 
@@ -25,11 +26,17 @@ DOWN = single_ray((0.0, 0.0, 3.0), (0.0, 0.0, -1.0))
 def test_casters_are_chosen_by_name():
     assert isinstance(make_caster("embree", TRIANGLE, FACE), Embree)
     assert isinstance(make_caster("brute", TRIANGLE, FACE), Brute)
-    assert isinstance(make_caster(None, TRIANGLE, FACE), Embree)
+    assert isinstance(make_caster("direct", TRIANGLE, FACE), Direct)
+
+
+def test_small_meshes_are_tested_directly_and_others_have_a_tree():
+    few, more = (torch.zeros(count, 3, dtype=torch.int32) for count in (FEW_TRIANGLES, FEW_TRIANGLES + 1))
+    assert isinstance(make_caster(None, TRIANGLE, few), Direct)
+    assert isinstance(make_caster(None, TRIANGLE, more), Embree)
 
 
 def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(ValueError, match="unknown ray caster 'optix'; known are 'embree', 'brute'"):
+    with pytest.raises(ValueError, match="unknown ray caster 'optix'; known are 'embree', 'direct', 'brute'"):
         make_caster("optix", TRIANGLE, FACE)
     with pytest.raises(ValueError, match="'warp'.*not yet available"):
         make_caster("warp", TRIANGLE, FACE)

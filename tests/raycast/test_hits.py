@@ -1,4 +1,4 @@
-"""Which triangle is hit, and where: Embree against brute force, and both against closed forms."""
+"""Which triangle is hit, and where: the compiled casters against brute force, and all against closed forms."""
 
 import pytest
 import torch
@@ -7,7 +7,8 @@ from tests.raycast.meshes import mesh, random_rays, single_ray
 from torch_radbp.raycast import Ray, make_caster
 from torch_radbp.vec import Vec3, cross, dot
 
-CASTERS = ("embree", "brute")
+CASTERS = ("embree", "direct", "brute")
+COMPILED = ("embree", "direct")
 MESHES = ("soup", "box", "sphere", "sphere in a box")
 DTYPES = (torch.float32, torch.float64)
 
@@ -25,12 +26,13 @@ def point(vertices, faces, hit):
     return p0 * (1 - hit.u - hit.v) + p1 * hit.u + p2 * hit.v
 
 
+@pytest.mark.parametrize("caster", COMPILED)
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("dtype", DTYPES)
-def test_embree_and_brute_force_find_the_same_triangles(name, dtype):
+def test_brute_force_finds_the_same_triangles(caster, name, dtype):
     vertices, faces = mesh(name, dtype)
     ray = random_rays(5000, dtype)
-    ours, reference = (make_caster(caster, vertices, faces).intersect(ray) for caster in CASTERS)
+    ours, reference = (make_caster(kind, vertices, faces).intersect(ray) for kind in (caster, "brute"))
     assert 0.3 < (reference.prim >= 0).float().mean(), "too few hits for a test"
     differ = ours.prim != reference.prim
     # On an edge, or where two triangles of a soup cross, either answer is right: then the distance must agree.
@@ -41,13 +43,14 @@ def test_embree_and_brute_force_find_the_same_triangles(name, dtype):
     torch.testing.assert_close(t[0], t[1], rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("caster", COMPILED)
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 2e-4), (torch.float64, 1e-9)])
-def test_barycentrics_of_both_agree(name, dtype, tolerance):
+def test_barycentrics_agree_with_those_of_brute_force(caster, name, dtype, tolerance):
     # Errors of u and v are those of the arithmetic divided by the cosine with the triangle, which is small at times.
     vertices, faces = mesh(name, dtype)
     ray = random_rays(5000, dtype)
-    ours, reference = (make_caster(caster, vertices, faces).intersect(ray) for caster in CASTERS)
+    ours, reference = (make_caster(kind, vertices, faces).intersect(ray) for kind in (caster, "brute"))
     same = (ours.prim == reference.prim) & (ours.prim >= 0)
     for weight in ("u", "v"):
         error = (getattr(ours, weight) - getattr(reference, weight))[same].abs()

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.raycast.meshes import mesh, random_rays, take
-from tests.raycast.test_hits import CASTERS
+from tests.raycast.test_hits import CASTERS, COMPILED
 from torch_radbp.jit import team
 from torch_radbp.raycast import Ray, make_caster, packets
 from torch_radbp.vec import Vec3
@@ -34,9 +34,10 @@ def test_every_lane_is_answered_whatever_their_number(caster, lanes):
     )
 
 
-def test_a_million_and_three_lanes():
+@pytest.mark.parametrize("caster", COMPILED)
+def test_a_million_and_three_lanes(caster):
     """All hit the inside of a closed box, so no lane may be left over at the end of blocks and packets."""
-    tracer = make_caster("embree", *mesh("box"))
+    tracer = make_caster(caster, *mesh("box"))
     ray = random_rays(1_000_003)
     assert bool((tracer.intersect(ray).prim >= 0).all())
     assert bool(tracer.occluded(ray, torch.full((1_000_003,), torch.inf)).all())
@@ -102,12 +103,13 @@ def test_answers_have_the_shape_of_the_rays(caster):
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("pool", ["torch's OpenMP team", "Python threads"])
-def test_the_number_of_threads_changes_nothing(threads, pool, monkeypatch, threads_restored):
+@pytest.mark.parametrize("caster", COMPILED)
+def test_the_number_of_threads_changes_nothing(caster, threads, pool, monkeypatch, threads_restored):
     if pool == "Python threads":
         monkeypatch.setattr(team, "openmp_parallel", lambda: None)
     elif team.openmp_parallel() is None:
         pytest.skip("this torch has no OpenMP runtime with GOMP_parallel")
-    tracer = make_caster("embree", *mesh("sphere in a box"))
+    tracer = make_caster(caster, *mesh("sphere in a box"))
     ray, tmax = random_rays(50_001), torch.full((50_001,), 0.7)
     torch.set_num_threads(1)
     expected, hidden = tracer.intersect(ray), tracer.occluded(ray, tmax)

@@ -63,7 +63,7 @@ def test_a_stride_that_is_none(stride):
 
 
 def test_an_unknown_caster():
-    with pytest.raises(ValueError, match=re.escape("unknown ray caster 'optix'; known are 'embree', 'brute'")):
+    with pytest.raises(ValueError, match=re.escape("unknown ray caster 'optix'; known are 'embree', 'direct', 'brute'")):
         rb.Renderer(cornell(), spp=1, caster="optix")()
 
 

@@ -11,14 +11,16 @@ from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
 __all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 
 # Imported when asked for: each has dependencies that the others do not need.
-CASTERS = {"embree": "Embree", "brute": "Brute"}
+CASTERS = {"embree": "Embree", "direct": "Direct", "brute": "Brute"}
+FEW_TRIANGLES = 100  # so many are tested one by one as fast as a tree finds the right ones, whatever the rays
 
 
 def make_caster(name: str | None, vertices: Tensor, faces: Tensor) -> RayCaster:
     """Builds the ray caster called `name` over a triangle mesh.
 
     Args:
-        name: "embree" (CPU) or "brute" (any device and dtype, tiny meshes); None picks by the vertices' device.
+        name: "embree" (CPU), "direct" (CPU, small meshes) or "brute" (any device and dtype, tiny meshes); None picks the
+            fastest by the vertices' device and the number of triangles.
         vertices: (V, 3) float32 or float64, finite.
         faces: (F, 3) int32, counted from 0.
 
@@ -26,7 +28,8 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor) -> RayCaster:
         ValueError: unknown name, or a mesh that cannot be used.
     """
     if name is None:
-        name = "embree" if vertices.device.type == "cpu" else "warp"
+        on_cpu = "direct" if len(faces) <= FEW_TRIANGLES else "embree"
+        name = on_cpu if vertices.device.type == "cpu" else "warp"
     if name == "warp":
         raise ValueError("ray caster 'warp' (CUDA) is not yet available; move the scene to the CPU, or use 'brute'")
     if name not in CASTERS:

@@ -1,0 +1,102 @@
+"""Ray casting for small meshes: every triangle is tested, without a tree, a vector of rays at a time.
+
+A tree spends most of its time on branches that a processor cannot foresee; `every_triangle.py` has none. What a ray costs
+grows with the number of triangles.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from array import array
+from collections.abc import Iterable
+from threading import Lock
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.machine import MachineCode, host_width
+from torch_radbp.jit.team import run_lanes
+from torch_radbp.raycast import every_triangle
+from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
+from torch_radbp.raycast.protocol import Hit, Ray
+
+CPU = torch.device("cpu")
+MOST_TRIANGLES = 1000  # their corners, a vector of each, must fit on the stack of a thread
+
+
+class Direct:
+    """A `RayCaster` for tensors on the CPU, in the dtype of the rays. Time grows with rays times triangles.
+
+    No ray slips between two triangles that share an edge, or whose corners are in the same places. A copied or unpickled
+    caster counts its rays from zero.
+
+    Args:
+        vertices: (V, 3) float32 or float64, finite; copied.
+        faces: (F, 3) integers in [0, V); copied; at most `MOST_TRIANGLES`. Triangles without area are never hit.
+
+    Raises:
+        ValueError: the mesh is not as said above, or not on the CPU.
+    """
+
+    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
+        self.vertices = checked_vertices(vertices, device=CPU)
+        self.faces = checked_faces(faces, len(self.vertices), device=CPU)
+        if len(self.faces) > MOST_TRIANGLES:
+            raise ValueError(f"the ray caster 'direct' takes at most {MOST_TRIANGLES} triangles, got {len(self.faces)}; "
+                             "use 'embree'")
+        self.rays_cast = 0
+        self._counting = Lock()
+        self._meshes: dict[torch.dtype, tuple[Tensor, ...]] = {}  # by the dtype of rays, made when it is first needed
+
+    def intersect(self, ray: Ray) -> Hit:
+        check_lanes(ray, None, CPU)
+        shape, dtype = ray.o.x.shape, ray.o.x.dtype
+        hit = Hit(torch.empty(shape, dtype=torch.int32, device=CPU),
+                  *(torch.empty(shape, dtype=dtype, device=CPU) for _ in range(3)))
+        self._run("closest_hit", [*ray.o, *ray.d], hit)
+        return hit
+
+    def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
+        check_lanes(ray, tmax, CPU)
+        hidden = torch.empty(ray.o.x.shape, dtype=torch.bool, device=CPU)
+        self._run("any_hit", [*ray.o, *ray.d, tmax], [hidden])
+        return hidden
+
+    def _run(self, loop: str, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
+        """Runs a loop of `every_triangle` over all lanes."""
+        dtype, lanes = columns[0].dtype, columns[0].numel()
+        if dtype not in self._meshes:
+            self._meshes[dtype] = mesh_in_units(self.vertices, self.faces, dtype)
+        inputs = [column.detach().contiguous() for column in columns] + list(self._meshes[dtype])
+        run_lanes(machine_code(loop, dtype).address, lanes, addresses(inputs), addresses(answers))
+        with self._counting:
+            self.rays_cast += lanes
+
+    def __reduce__(self):
+        return Direct, (self.vertices, self.faces)
+
+
+@functools.cache
+def machine_code(loop: str, dtype: torch.dtype, width: int | None = None) -> MachineCode:
+    """The loop for numbers of a dtype and vectors of a width; None: what the processor has."""
+    width = width or host_width() * torch.float32.itemsize // dtype.itemsize
+    return MachineCode(getattr(every_triangle, loop)(width, "float" if dtype == torch.float32 else "double"))
+
+
+def mesh_in_units(vertices: Tensor, faces: Tensor, dtype: torch.dtype) -> tuple[Tensor, ...]:
+    """What the loops read of a mesh, see `every_triangle.begin`; coordinates are scaled by a power of two.
+
+    Products of three coordinates then neither overflow nor underflow, and nothing is rounded. Corners in the same place are
+    one.
+    """
+    corners, names = torch.unique(vertices.to(dtype), dim=0, return_inverse=True)
+    extent = float((corners.amax(dim=0) - corners.amin(dim=0)).max())
+    exponent = math.frexp(extent)[1] if extent > 0 else 0
+    scale = torch.tensor(2.0 ** max(-120, min(120, -exponent)), dtype=dtype)
+    triangles = names[faces.long()].to(torch.int32).contiguous()
+    return corners * scale, triangles, torch.tensor(len(corners)), torch.tensor(len(faces)), scale
+
+
+def addresses(tensors: Iterable[Tensor]) -> array:
+    return array("q", [tensor.data_ptr() for tensor in tensors])

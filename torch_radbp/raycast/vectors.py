@@ -1,0 +1,179 @@
+"""`Vectors`: a function over vectors of lanes, written down as LLVM's text, instruction by instruction."""
+
+from __future__ import annotations
+
+from torch_radbp.jit.loops import TAKE_PARTS
+
+ZERO = "zeroinitializer"
+SIZES = {"i8": 1, "i32": 4, "float": 4, "double": 8}
+SUFFIXES = {"float": "f32", "double": "f64"}
+
+# Masks take care of a vector that is not full, so fewer lanes than a vector has are no special case.
+FEW_LANES = """\
+define internal void @few_lanes(i64 %lanes, ptr %inputs, ptr %outputs) {
+  call void @lanes(i64 0, i64 %lanes, ptr %inputs, ptr %outputs)
+  ret void
+}"""
+
+
+class Vectors:
+    """The text of `void lanes(i64 first, i64 last, ptr inputs, ptr outputs)`, which grows with every method called.
+
+    Methods that compute give the name of their result. Numbers are vectors of `scalar`, flags vectors of i1.
+
+    Args:
+        width: lanes in a vector; at least 2.
+        scalar: "float" or "double".
+    """
+
+    def __init__(self, width: int, scalar: str):
+        self.width, self.scalar = width, scalar
+        self.numbers, self.integers, self.flags = self.vector(scalar), self.vector("i32"), self.vector("i1")
+        self.lines: list[str] = []
+        self.declared: dict[str, str] = {}
+
+    def text(self) -> str:
+        """The module; its `lanes_of_job` takes parts of a `team.Job`."""
+        # Where a quotient may be rough (`rough_div`), it is a product with the processor's estimate of the reciprocal.
+        head = ('define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) '
+                '"reciprocal-estimates"="all" {')
+        parts = TAKE_PARTS.format(width=self.width)
+        return "\n".join([parts, FEW_LANES, head, *self.lines, "}", *self.declared.values(), ""])
+
+    def lay(self, *lines: str) -> None:
+        """Adds labels and instructions that name their results themselves."""
+        self.lines += lines
+
+    def line(self, text: str) -> str:
+        """Adds an instruction."""
+        name = f"%x{len(self.lines)}"
+        self.lines.append(f"{name} = {text}")
+        return name
+
+    def call(self, function: str, result: str, *arguments: tuple[str, str]) -> str:
+        """Calls a function of LLVM's; arguments are pairs of type and name. Nothing is named if the result is void."""
+        self.declared[function] = f"declare {result} @{function}({', '.join(kind for kind, _ in arguments)})"
+        text = f"call {result} @{function}({', '.join(f'{kind} {name}' for kind, name in arguments)})"
+        if result != "void":
+            return self.line(text)
+        self.lay(text)
+        return ""
+
+    # -- Types and constants --------------------------------------------------------------------------------------------
+
+    def vector(self, kind: str) -> str:
+        return f"<{self.width} x {kind}>"
+
+    def suffix(self, kind: str) -> str:
+        """The end of the names of LLVM's functions for vectors of a type."""
+        return f"v{self.width}{SUFFIXES.get(kind, kind)}"
+
+    def constant(self, number: str) -> str:
+        return f"splat ({self.scalar} {number})"
+
+    def steps(self, kind: str) -> str:
+        """0, 1, 2, ..."""
+        return "<" + ", ".join(f"{kind} {lane}" for lane in range(self.width)) + ">"
+
+    def splat(self, name: str, kind: str) -> str:
+        """One value in every lane."""
+        vector = self.vector(kind)
+        first = self.line(f"insertelement {vector} poison, {kind} {name}, i32 0")
+        return self.line(f"shufflevector {vector} {first}, {vector} poison, {self.integers} {ZERO}")
+
+    # -- Arithmetic -----------------------------------------------------------------------------------------------------
+
+    def add(self, a: str, b: str) -> str:
+        """The sum; if it is of a product, both may become one instruction. So with `sub` and `mul`."""
+        return self.line(f"fadd contract {self.numbers} {a}, {b}")
+
+    def sub(self, a: str, b: str) -> str:
+        return self.line(f"fsub contract {self.numbers} {a}, {b}")
+
+    def mul(self, a: str, b: str) -> str:
+        return self.line(f"fmul contract {self.numbers} {a}, {b}")
+
+    def dot(self, a: list[str], b: list[str]) -> str:
+        return self.add(self.mul(a[2], b[2]), self.add(self.mul(a[1], b[1]), self.mul(a[0], b[0])))
+
+    def determinant(self, a: list[str], b: list[str]) -> str:
+        """a[0] b[1] - a[1] b[0], each product rounded: exactly the opposite of what b and a give."""
+        products = [self.line(f"fmul {self.numbers} {p}, {q}") for p, q in ((a[0], b[1]), (a[1], b[0]))]
+        return self.line(f"fsub {self.numbers} {products[0]}, {products[1]}")
+
+    def div(self, a: str, b: str) -> str:
+        return self.line(f"fdiv {self.numbers} {a}, {b}")
+
+    def rough_div(self, a: str, b: str) -> str:
+        """A quotient that may be wrong in its last bits."""
+        return self.line(f"fdiv arcp contract {self.numbers} {a}, {b}")
+
+    def negative(self, a: str) -> str:
+        return self.line(f"fneg {self.numbers} {a}")
+
+    def magnitude(self, a: str) -> str:
+        return self.call(f"llvm.fabs.{self.suffix(self.scalar)}", self.numbers, (self.numbers, a))
+
+    def negated_where_negative(self, a: str, b: str) -> str:
+        """`a` times the sign of `b`."""
+        words = self.vector("i32" if self.scalar == "float" else "i64")
+        sign = f"splat ({words[1:-1].split()[-1]} {-1 << 31 if self.scalar == 'float' else -1 << 63})"
+        a, b = (self.line(f"bitcast {self.numbers} {name} to {words}") for name in (a, b))
+        signed = self.line(f"xor {words} {a}, {self.line(f'and {words} {b}, {sign}')}")
+        return self.line(f"bitcast {words} {signed} to {self.numbers}")
+
+    # -- Decisions ------------------------------------------------------------------------------------------------------
+
+    def compare(self, a: str, relation: str, b: str) -> str:
+        """Flags; LLVM's relations with an "o" in front are false for NaN."""
+        return self.line(f"fcmp {relation} {self.numbers} {a}, {b}")
+
+    def both(self, a: str, b: str) -> str:
+        return self.line(f"and {self.flags} {a}, {b}")
+
+    def either(self, a: str, b: str) -> str:
+        return self.line(f"or {self.flags} {a}, {b}")
+
+    def neither(self, a: str, b: str) -> str:
+        return self.line(f"xor {self.flags} {self.either(a, b)}, splat (i1 true)")
+
+    def choose(self, flags: str, a: str, b: str, kind: str = "") -> str:
+        """`a` where the flags are set, else `b`; vectors of `kind`, numbers unless it is given."""
+        vector = self.vector(kind or self.scalar)
+        return self.line(f"select {self.flags} {flags}, {vector} {a}, {vector} {b}")
+
+    def bits(self, flags: str) -> str:
+        """The flags as an i64, lane 0 in its lowest bit."""
+        packed = self.line(f"bitcast {self.flags} {flags} to i{self.width}")
+        return self.line(f"zext i{self.width} {packed} to i64")
+
+    # -- Memory ---------------------------------------------------------------------------------------------------------
+
+    def at(self, kind: str, base: str, index: str | int) -> str:
+        """The address of an entry of an array."""
+        return self.line(f"getelementptr {kind}, ptr {base}, i64 {index}")
+
+    def load(self, kind: str, base: str, index: str | int = 0) -> str:
+        """An entry of an array, alone."""
+        return self.line(f"load {kind}, ptr {self.at(kind, base, index)}")
+
+    def store(self, vector: str, value: str, address: str) -> None:
+        self.lay(f"store {vector} {value}, ptr {address}")
+
+    def load_where(self, mask: str, base: str, index: str) -> str:
+        """Numbers of consecutive lanes from `index` on; 0 where the mask is not set."""
+        return self.call(f"llvm.masked.load.{self.suffix(self.scalar)}.p0", self.numbers,
+                         ("ptr", self.at(self.scalar, base, index)), ("i32", str(SIZES[self.scalar])), (self.flags, mask),
+                         (self.numbers, ZERO))
+
+    def store_where(self, mask: str, kind: str, value: str, base: str, index: str) -> None:
+        """Stores values of consecutive lanes from `index` on where the mask is set."""
+        self.call(f"llvm.masked.store.{self.suffix(kind)}.p0", "void", (self.vector(kind), value),
+                  ("ptr", self.at(kind, base, index)), ("i32", str(SIZES[kind])), (self.flags, mask))
+
+    def gather(self, kind: str, base: str, indices: str, mask: str = "splat (i1 true)") -> str:
+        """Entries of an array at i32 indices; 0 where the mask is not set."""
+        places = self.line(f"getelementptr {kind}, ptr {base}, {self.integers} {indices}")
+        return self.call(f"llvm.masked.gather.{self.suffix(kind)}.v{self.width}p0", self.vector(kind),
+                         (self.vector("ptr"), places), ("i32", str(SIZES[kind])), (self.flags, mask),
+                         (self.vector(kind), ZERO))
