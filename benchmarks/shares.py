@@ -41,13 +41,14 @@ from torch_radbp.adjoint import function, sweep
 from torch_radbp.boundary import JumpWatch
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit import run as lane_run
+from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.render import Renderer
 
 BACKWARD, REST = "derivative of packing", "the rest"
 TIMED = {  # part: what is timed for it; what is called inside of another part counts for the inner one
-    "closest hits": [(Embree, "intersect")],
-    "shadow rays": [(Embree, "occluded")],
+    "closest hits": [(Direct, "intersect"), (Embree, "intersect")],
+    "shadow rays": [(Direct, "occluded"), (Embree, "occluded")],
     "fused code": [(lane_run, "run_lanes")],
     "lane compiler": [(LaneFunction, "__call__"), (LaneFunction, "into")],
     "scatter": [(sweep, "scatter_add")],
