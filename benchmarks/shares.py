@@ -1,7 +1,8 @@
 """Where the time of a pass goes: ``python -m benchmarks.shares``.
 
 The scenes of `versus_mitsuba`, compiled or with ``--eager``, one process each, one thread, so that every second belongs to
-one part. Medians of the rounds; shares are of forward + backward:
+one part; CPU seconds, which other programs on the machine disturb less. Medians of the rounds; shares are of forward +
+backward:
 
 * closest hits, shadow rays: the casters' queries;
 * fused code: loops of machine code; lane compiler: calls of them, without the loops (arguments, buffers for the results);
@@ -60,16 +61,17 @@ TIMED = {  # part: what is timed for it; what is called inside of another part c
 
 
 class Clock:
-    """Seconds by part."""
+    """Seconds by part, as `time` tells them."""
 
-    def __init__(self):
+    def __init__(self, time: Callable[[], float] = time.thread_time):
+        self.time = time
         self.seconds: dict[str, float] = defaultdict(float)
         self.open: list[str] = []
         self.since = 0.0
 
     def turn(self) -> None:
         """Counts the time since the last turn for the innermost part."""
-        now = time.perf_counter()
+        now = self.time()
         if self.open:
             self.seconds[self.open[-1]] += now - self.since
         self.since = now
@@ -120,7 +122,7 @@ def measure(options: argparse.Namespace) -> dict:
     for seed in range(options.rounds):
         with clocked() as clock:
             kernel = kernel_seconds()
-            whole = ours.run(seed).both
+            whole = ours.run(seed).cpu
             kernel = kernel_seconds() - kernel
         outside = whole - sum(clock.seconds.values())  # the loss
         rounds.append({**clock.seconds, REST: clock.seconds[REST] + outside, "seconds": whole, "in the kernel": kernel})
@@ -155,7 +157,7 @@ def main() -> None:
     if options.only:
         print(json.dumps(measure(options)))
         return
-    heads = ["scene", "s, 1 thread", *(f"{part} %" for part in [*TIMED, "in the kernel"]), "peak MiB", "predicted MiB"]
+    heads = ["scene", "CPU s", *(f"{part} %" for part in [*TIMED, "in the kernel"]), "peak MiB", "predicted MiB"]
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}", flush=True)
     flags = [f"--{name}" for name in ("eager", "quick") if getattr(options, name)]
     for name in options.scene:

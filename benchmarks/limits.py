@@ -1,0 +1,161 @@
+"""How far the fused loops are from what the machine can do: ``python -m benchmarks.limits``.
+
+One thread, in CPU seconds. For each function that a pass of a scene calls compiled: the seconds of its loops, and the least
+time that their tensors of lanes, their arithmetic and their gathers take on this machine. Those limits are measured here, by loops of the
+same compiler: one that copies tensors larger than the caches, one that multiplies and adds in registers, one that reads a
+table of a few hundred entries at random. A loop overlaps them at best, so that it cannot be faster than the greatest;
+where it does not overlap them it takes their sum. Divisions, square roots and conversions count like additions, which
+they are slower than.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+from unittest.mock import patch
+
+import torch
+
+from benchmarks.peers import Ours
+from benchmarks.scenes import QUICK, SCENES
+from torch_radbp.jit import LaneFunction
+from torch_radbp.jit import run as lane_run
+from torch_radbp.jit.graph import LANES, Program
+
+NO_WORK = ("input", "constant", "gather")
+CHAINS, STEPS = 8, 64  # of the arithmetic that is measured: independent chains hide the latency of each operation
+LARGE, SMALL, ENTRIES = 1 << 24, 1 << 13, 256
+
+
+class Work(NamedTuple):
+    """What a loop does for all its lanes."""
+
+    moved: float = 0.0  # bytes of tensors of lanes, read and written
+    operations: float = 0.0
+    gathers: float = 0.0
+
+    def plus(self, program: Program, lanes: int) -> Work:
+        """With that of a call of a program."""
+        of_lanes = [value for value in program.values if value.kind == LANES]
+        tensors = [value for value in of_lanes if value.operation == "input"] + [
+            value for value in program.outputs if value is not None]
+        return Work(self.moved + lanes * sum(value.dtype.itemsize for value in tensors),
+                    self.operations + lanes * sum(value.operation not in NO_WORK for value in of_lanes),
+                    self.gathers + lanes * sum(value.operation == "gather" for value in of_lanes))
+
+
+def copied(x):
+    return x + 1.0
+
+
+def computed(x):
+    chains = [x + float(chain) for chain in range(CHAINS)]
+    for _ in range(STEPS):
+        chains = [chain * 0.999 + 0.001 for chain in chains]
+    return sum(chains)
+
+
+def read(table, index):
+    total = table[index]
+    for step in range(1, 16):
+        total = total + table[(index + step * 7) & (ENTRIES - 1)]
+    return total
+
+
+def best_seconds(function: LaneFunction, *arguments) -> float:
+    """The least time of a loop among several calls, into the same memory."""
+    results = function(*arguments)
+    times = []
+    for _ in range(9):
+        start = time.thread_time()
+        function.into(results, *arguments)
+        times.append(time.thread_time() - start)
+    return min(times)
+
+
+def machine() -> Work:
+    """What one thread does per second: bytes, operations, gathers."""
+    x = torch.rand(LARGE)
+    moved = 2 * x.nbytes / best_seconds(LaneFunction(copied), x)
+    x = torch.rand(SMALL)
+    operations = SMALL * CHAINS * STEPS * 2 / best_seconds(LaneFunction(computed), x)
+    index = torch.randint(ENTRIES, (SMALL,), dtype=torch.int32)
+    gathers = SMALL * 16 / best_seconds(LaneFunction(read, ("table",)), torch.rand(ENTRIES), index)
+    return Work(moved, operations, gathers)
+
+
+class Loops:
+    """Seconds and work of the loops by the function's name."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.work: dict[str, Work] = defaultdict(Work)
+
+
+@contextmanager
+def watched() -> Iterator[Loops]:
+    """Watches all compiled functions while it is open."""
+    loops, names = Loops(), {}
+    prepare, compute = LaneFunction.prepared, lane_run.compute
+
+    def prepared(function: LaneFunction, *arguments):
+        found = prepare(function, *arguments)
+        names[id(found[0])] = function.name
+        return found
+
+    def computing(compiled, given, outputs) -> None:
+        start = time.thread_time()
+        compute(compiled, given, outputs)
+        name = names[id(compiled)]
+        loops.seconds[name] += time.thread_time() - start
+        loops.work[name] = loops.work[name].plus(compiled.program, given.lanes)
+
+    with patch.object(LaneFunction, "prepared", prepared), patch.object(lane_run, "compute", computing):
+        yield loops
+
+
+def rows(name: str, rounds: int, quick: bool, limits: Work) -> Iterator[str]:
+    """The lines of the table for one scene."""
+    make, setting = SCENES[name]
+    with tempfile.TemporaryDirectory() as folder:
+        ours = Ours(make(Path(folder), QUICK if quick else setting), compiled=True)
+    ours.run(0)
+    passes = []
+    for seed in range(1, rounds + 1):
+        with watched() as loops:
+            ours.run(seed)
+        passes.append(loops)
+    for function, work in passes[-1].work.items():
+        seconds = statistics.median(loops.seconds[function] for loops in passes)
+        least = [amount / rate for amount, rate in zip(work, limits)]
+        cells = [name, function, *(f"{1000 * value:.1f}" for value in (seconds, *least)), f"{seconds / max(least):.1f}",
+                 f"{seconds / sum(least):.1f}"]
+        yield f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", choices=SCENES, nargs="+", default=list(SCENES))
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    limits = machine()
+    print(f"one thread: {limits.moved / 1e9:.1f} GB/s, {limits.operations / 1e9:.1f} billion operations and "
+          f"{limits.gathers / 1e9:.2f} billion gathers a second (float32)\n")
+    print("| scene | function | ms | memory, ms | arithmetic, ms | gathers, ms | x the greatest | x the sum |\n"
+          "|---|---|---|---|---|---|---|---|")
+    for name in options.scene:
+        for line in rows(name, options.rounds, options.quick, limits):
+            print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
