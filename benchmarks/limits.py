@@ -1,11 +1,11 @@
 """How far the fused loops are from what the machine can do: ``python -m benchmarks.limits``.
 
 One thread, in CPU seconds. For each function that a pass of a scene calls compiled: the seconds of its loops, and the least
-time that their tensors of lanes, their arithmetic and their gathers take on this machine. Those limits are measured here, by loops of the
-same compiler: one that copies tensors larger than the caches, one that multiplies and adds in registers, one that reads a
-table of a few hundred entries at random. A loop overlaps them at best, so that it cannot be faster than the greatest;
-where it does not overlap them it takes their sum. Divisions, square roots and conversions count like additions, which
-they are slower than.
+time that their tensors of lanes, their arithmetic and their gathers take on this machine. Those limits are measured here, by
+loops of the same compiler: one that copies tensors larger than the caches, one that multiplies and adds in registers, one
+that reads a table of a few hundred entries at random. A loop overlaps them at best, so that it cannot be faster than the
+greatest; where it does not overlap them it takes their sum. Divisions, square roots and conversions count like additions,
+which they are slower than.
 """
 
 from __future__ import annotations
