@@ -31,7 +31,7 @@ def measure(options: argparse.Namespace) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         scene = make(Path(folder), QUICK if options.quick else setting)
         peers = {MITSUBA: Mitsuba(scene), "eager" if options.eager else "compiled": Ours(scene, not options.eager)}
-    first = {name: peer.run(10_000).both for name, peer in peers.items()}
+    first = {name: peer.run(10_000)._asdict() for name, peer in peers.items()}
     for peer in peers.values():
         peer.run(10_001)
     passes: dict[str, list[Pass]] = {name: [] for name in peers}
@@ -71,8 +71,9 @@ def row(result: dict) -> str:
         return f"{median(ours, what) / median(theirs, what):.2f}"
 
     times = " + ".join(f"{median(theirs, what):.2f}" for what in (lambda p: p.forward, lambda p: p.backward))
+    first = {name: Pass(**each) for name, each in result["first"].items()}
     cells = [result["scene"], ours, times, ratio(lambda p: p.forward), ratio(lambda p: p.backward), ratio(lambda p: p.both),
-             ratio(lambda p: p.cpu), f"{result['first'][ours]:.1f}", f"{result['first'][theirs]:.1f}"]
+             ratio(lambda p: p.cpu), *(f"{first[name].both:.1f} ({first[name].cpu:.1f})" for name in (ours, theirs))]
     sums = result["gradient_sums"]
     if len(sums[ours]) > 1:
         z = [z_score(*([run[parameter] for run in sums[name]] for name in (ours, theirs))) for parameter in sums[ours][0]]
@@ -80,7 +81,7 @@ def row(result: dict) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-HEADER = """| scene | ours | Mitsuba, s | forward | backward | both | CPU | first call, s | Mitsuba's, s | z of gradients |
+HEADER = """| scene | ours | Mitsuba, s | forward | backward | both | CPU | first call, s (CPU) | Mitsuba's | z of gradients |
 |---|---|---|---|---|---|---|---|---|---|"""
 LEGEND = """Ratios: ours over Mitsuba's, medians of {} rounds; CPU: of the CPU seconds of both passes.
 z: the difference of the gradient, summed over the entries of a parameter, in standard errors; the greatest of them all.

@@ -15,14 +15,15 @@ def result(theirs: list[float], ours: list[float]) -> dict:
     def passes(seconds: list[float]) -> list[dict]:
         return [{"forward": value, "backward": 2 * value, "cpu": 4 * value} for value in seconds]
 
-    return {"scene": "box", "first": {MITSUBA: 1.0, "compiled": 2.0},
+    return {"scene": "box", "first": {MITSUBA: passes([1.0])[0], "compiled": passes([2.0])[0]},
             "passes": {MITSUBA: passes(theirs), "compiled": passes(ours)},
             "gradient_sums": {MITSUBA: [{"a": 1.0}, {"a": 2.0}], "compiled": [{"a": 3.0}, {"a": 4.0}]}}
 
 
 def test_ratios_are_ours_over_theirs():
     cells = [cell.strip() for cell in row(result([2.0, 4.0], [1.0, 2.0])).strip("|").split("|")]
-    assert cells == ["box", "compiled", "3.00 + 6.00", "0.50", "0.50", "0.50", "0.50", "2.0", "1.0", "+2.8 of 1"]
+    assert cells == ["box", "compiled", "3.00 + 6.00", "0.50", "0.50", "0.50", "0.50", "6.0 (8.0)", "3.0 (4.0)",
+                     "+2.8 of 1"]
     assert len(cells) == len(HEADER.splitlines()[0].strip("|").split("|"))
 
 
