@@ -81,7 +81,7 @@ def row(result: dict) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-HEADER = """| scene | ours | Mitsuba, s | forward | backward | both | CPU | first call, s (CPU) | Mitsuba's | z of gradients |
+HEADER = """| scene | ours | Mitsuba, s | forward | backward | both | CPU | first call, s (CPU) | Mitsuba's | z of gradient |
 |---|---|---|---|---|---|---|---|---|---|"""
 LEGEND = """Ratios: ours over Mitsuba's, medians of {} rounds; CPU: of the CPU seconds of both passes.
 z: the difference of the gradient, summed over the entries of a parameter, in standard errors; the greatest of them all.
