@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import Sweep
+from torch_radbp.lookup import lookup
 from torch_radbp.path import PathState, add_at, bounces
 from torch_radbp.plugin import boolean
-from torch_radbp.lookup import lookup
 from torch_radbp.vec import Vec3, masked
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 
 from torch_radbp.adjoint.sweep import Sweep
+from torch_radbp.lookup import lookup
 from torch_radbp.path import bounces
 from torch_radbp.plugin import boolean
-from torch_radbp.lookup import lookup
 from torch_radbp.vec import Vec3, masked
 
 

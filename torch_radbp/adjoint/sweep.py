@@ -28,10 +28,10 @@ from torch.utils._pytree import tree_flatten, tree_map, tree_map_only, tree_unfl
 
 from torch_radbp.adjoint.local_map import local_map
 from torch_radbp.adjoint.scatter import scatter_add
+from torch_radbp.lookup import Tap, lookup, tapped
 from torch_radbp.path import Integrand, PathState, Position, Settings, Step, survivors, take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
-from torch_radbp.lookup import Tap, lookup, tapped
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Ray, Vec3
 
