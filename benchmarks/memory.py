@@ -27,8 +27,8 @@ from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
 from torch_radbp.adjoint.function import pixel_sums, start_paths
 from torch_radbp.adjoint.sweep import empty_memo
-from torch_radbp.path import add_at, survivors, take_step
 from torch_radbp.vec import Vec3, masked
+from torch_radbp.wavefront import add_at, survivors, take_step
 
 CHECKPOINT = "checkpoint per bounce"
 STRATEGIES = {

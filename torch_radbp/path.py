@@ -1,4 +1,4 @@
-"""One bounce of path tracing, and the loop over bounces.
+"""One bounce of path tracing.
 
 With L_k the radiance that leaves vertex k towards vertex k-1,
 
@@ -6,46 +6,53 @@ With L_k the radiance that leaves vertex k towards vertex k-1,
 
 where E_k is what the vertex emits plus the light that reaches it by next-event estimation, and F_k is BSDF times cosine over
 the density of the sampled direction (and over the probability of surviving roulette). `bounce` computes E_k, F_k and the
-next ray; the image is L_1, summed forwards here with the throughput beta_k = F_1 ... F_{k-1}, and walked backwards by
-`adjoint/sweep.py`.
+next ray. The image is L_1: `wavefront.py` sums it forwards, with the throughput beta_k = F_1 ... F_{k-1}, and
+`adjoint/sweep.py` walks it backwards.
+
+A bounce is computed for lanes that meet surfaces of one appearance, so that none pays for what others meet.
 
 Reference: Li 2020, "Deriving Radiative Backpropagation using the Recursive Form of Path Tracing"; Kajiya 1986.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.raycast.protocol import Hit, RayCaster
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
     LaneKey,
     SampleKey,
     bounce_key,
-    depth_counter,
     lane_key,
     random_bits,
     uniform,
 )
-from torch_radbp.scene.camera_hit import camera_hit
+from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
-from torch_radbp.scene.light import LightNumbers, LightSample, emitted, emitted_pdf, sample_light, shadow_ray
+from torch_radbp.scene.light import (
+    LightNumbers,
+    LightSample,
+    emitted,
+    emitted_by_surface,
+    emitted_pdf,
+    pdf_of_surface,
+    sample_light,
+    shadow_ray,
+)
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors, camera_ray
-from torch_radbp.vec import Ray, Vec3, masked, max_component, rows
+from torch_radbp.vec import Ray, Vec3, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)
-
-SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
 
 class Settings(NamedTuple):
@@ -53,7 +60,6 @@ class Settings(NamedTuple):
 
     nee: bool = True
     hide_emitters: bool = False  # at this bounce
-    last: bool = False  # the path ends here: only emission counts
     moving: bool = False  # rays carry derivatives
     sampling: str = "detached"  # if they do, which go through the choice of directions: "detached", "hybrid", "attached"
 
@@ -76,16 +82,12 @@ class PathState(NamedTuple):
     lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
 
 
-class Step(NamedTuple):
-    """The decisions of a bounce: those that would cost rays to repeat, and whether the path goes on.
+class Arrival(NamedTuple):
+    """The paths that reach a bounce, and what they meet, (N,) each."""
 
-    Whoever takes the bounce again goes by this record, so that all agree even where rounding would decide otherwise (of
-    another device, another number of threads, a compiled function and an eager one).
-    """
-
+    state: PathState
     hit: Hit
-    visible: Tensor  # bool: the shadow ray was free
-    survives: Tensor  # bool: the path goes on
+    front: Tensor | None  # bool: they meet the side of the shading normal; None: not needed to tell appearances apart
 
 
 class Scattering(NamedTuple):
@@ -98,7 +100,7 @@ class Scattering(NamedTuple):
     Ld: Vec3  # light by next-event estimation if the shadow ray is free
     si: SurfaceInteraction
     light: LightSample | None  # None without next-event estimation
-    material: Material | None  # None at the last vertex, as what follows
+    material: Material | None  # None where nothing is scattered, as what follows
     sample: BSDFSample | None  # the direction in which the path goes on
     thinning: Tensor | None  # what F has from roulette: 1 / survival probability
     survives: Tensor  # bool: the path goes on
@@ -141,22 +143,24 @@ def start_path(ray: Ray, key: LaneKey) -> PathState:
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane)
 
 
-def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
-           settings: Settings) -> Vertex:
+def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, settings: Settings,
+           appearance: Appearance | None) -> Vertex:
     """One step of the recursion L_k = E_k + F_k L_{k+1}: what happens at the vertex, and where the path goes from there.
 
     Args:
         scene: attached; what is integrated.
         proposal: detached; decides samples, densities, weights and survival.
-        state: the path so far.
-        hit: what the ray meets.
+        arrival: the paths that reach this bounce.
+        lanes: (M,) int32, those of them that are computed, in this order.
         at: the depth of this bounce.
         settings: the integrand.
+        appearance: of the surfaces that the lanes meet; None: only what is emitted counts.
 
     Returns:
-        The vertex. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
+        The M vertices. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
     """
-    local = scattering(scene, proposal, state, hit, at, settings)
+    state, hit, front = rows(arrival, lanes)
+    local = scattering(scene, proposal, Arrival(state, hit, front), at, settings, appearance)
 
     # Aim the shadow ray at the light sample.
     zero = torch.zeros_like(state.pdf)
@@ -171,27 +175,32 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: H
                   PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane), local.survives)
 
 
-def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
-               settings: Settings, here: Corners | None = None) -> Scattering:
-    """The vertex without its outgoing ray. Args as for `bounce` and `surface_interaction`; attached to them."""
+def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
+               appearance: Appearance | None, here: Corners | None = None) -> Scattering:
+    """The vertex without its outgoing ray, of lanes as they are. Args as for `bounce` and `surface_interaction`."""
     # Find the surface that the ray meets. The point slides where the ray was not left to chance, or is followed.
+    state, hit, front = arrival
     slides = None
     if settings.moving:
         slides = torch.isinf(state.pdf) | (settings.sampling == "attached")
-    si = surface_interaction(scene, state.ray, hit, slides, here)
+    si = surface_interaction(scene, state.ray, hit, appearance, slides, here, front)
 
-    # Add the light that it emits, weighted against the chance that next-event estimation finds it.
+    # Add the light that comes from there, weighted against the chance that next-event estimation finds it.
     zero = torch.zeros_like(state.pdf)
     none = Vec3(zero, zero, zero)
-    Le = none if settings.hide_emitters else emitted(scene, state.ray, si)
+    Le = none
+    if not settings.hide_emitters:
+        Le = emitted(scene, state.ray, si) if appearance is None else emitted_by_surface(scene, si)
     if settings.nee:
         geometry = scene if settings.sampling == "attached" else proposal
-        Le = Le * mis_weight(state.pdf, emitted_pdf(geometry, state.ray, si, proposal), settings)
-    if settings.last:
+        other = (emitted_pdf(geometry, state.ray, si, proposal) if appearance is None
+                 else pdf_of_surface(geometry, si, proposal))
+        Le = Le * mis_weight(state.pdf, other, settings)
+    if appearance is None:
         return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
 
     # Look up the material.
-    material = material_at(scene, si)
+    material = material_at(scene, appearance, si)
 
     # Connect to a point on a light.
     key = bounce_key(state.key, at.counter)
@@ -203,7 +212,7 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, state: PathState, hi
         light, Ld = next_event(material, si, light, settings)
 
     # Sample the BSDF for the next direction.
-    choice = number(BSDF_CHOICE) if material.discrete else None
+    choice = number(BSDF_CHOICE) if material.kind.discrete else None
     chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling)
 
     # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
@@ -230,111 +239,3 @@ def mis_weight(pdf: Tensor, other: Tensor, settings: Settings) -> Tensor:
     """The power heuristic; it carries a derivative only if that of the densities is wanted."""
     weight = power_heuristic(pdf, other)
     return weight if settings.sampling == "attached" else weight.detach()
-
-
-class Integrand(NamedTuple):
-    """The integrand with the functions that evaluate it: everything about a rendering but its lanes."""
-
-    scene: SceneTensors  # attached if plain autograd is to record the loop
-    proposal: SceneTensors  # the same, detached
-    caster: RayCaster
-    settings: Settings
-    max_depth: int
-    rr_depth: int
-    bounce: Callable[..., Vertex]  # `bounce`, eager or compiled
-    clipping: PinholeTensors | None = None  # the camera of the paths, if its far plane cuts the scene
-
-    def at(self, depth: int) -> Position:
-        """The position on the path as tensors."""
-        like = self.scene.lights.choice.pmf
-        roulette = depth + 1 >= self.rr_depth
-        return Position(depth_counter(depth, like.device),
-                        like.new_tensor(SURVIVE_AT_LEAST if roulette else 1.0),
-                        like.new_tensor(SURVIVE_AT_MOST if roulette else 1.0))
-
-    def settings_at(self, depth: int) -> Settings:
-        """The settings with what is special at the first and the last bounce."""
-        return self.settings._replace(hide_emitters=self.settings.hide_emitters and depth == 0,
-                                      last=depth + 1 >= self.max_depth)
-
-
-def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
-              hit: Hit | None = None) -> tuple[Vertex, Step]:
-    """One bounce of every lane; rays are cast only if `step` and `hit` do not hold their answers."""
-    if hit is None:
-        hit = first_hit(integrand, state.ray, depth) if step is None else step.hit
-    settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
-    vertex = integrand.bounce(integrand.scene, integrand.proposal, state, hit, integrand.at(depth), settings)
-    if step is None:
-        connects = settings.nee and not settings.last
-        visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
-            torch.zeros_like(vertex.survives))
-        step = Step(hit, visible, vertex.survives)
-    return vertex, step
-
-
-def survivors(state: PathState, step: Step) -> PathState:
-    """The lanes of the next bounce's `state` that go on, packed together."""
-    alive = surviving(step)
-    return state if len(alive) == len(state.lane) else rows(state, alive)
-
-
-def surviving(step: Step) -> Tensor:
-    """Indices of the lanes that go on, int64."""
-    return step.survives.nonzero().squeeze(1)
-
-
-class Bounce(NamedTuple):
-    """One turn of the loop over bounces."""
-
-    depth: int
-    state: PathState  # that reached it
-    vertex: Vertex
-    step: Step
-
-
-def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mapping[int, Step] = {}) -> Iterator[Bounce]:
-    """The loop over bounces, until every path has ended.
-
-    Args:
-        integrand: the scene and how to step.
-        state: of the paths that have reached `depth`.
-        depth: of the first bounce to take.
-        steps: by depth, what was decided before; no ray is cast there.
-    """
-    while depth < integrand.max_depth and len(state.lane):
-        vertex, step = take_step(integrand, state, depth, steps.get(depth))
-        yield Bounce(depth, state, vertex, step)
-        state, depth = survivors(vertex.next, step), depth + 1
-
-
-def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None] | None = None) -> Vec3:
-    """The radiance L_1 along each lane's camera ray: the sum of beta_k E_k over bounces.
-
-    Args:
-        integrand: the scene and how to step.
-        start: from `start_path`.
-        visit: called at every depth with the state that reached it and what was decided there.
-
-    Returns:
-        (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
-    """
-    L = Vec3.buffer(start.beta.x)
-    for depth, state, vertex, step in bounces(integrand, start):
-        if visit is not None:
-            visit(depth, state, step)
-        add_at(L, state.lane, state.beta * (vertex.Le + masked(step.visible, vertex.Ld)))
-    return L
-
-
-def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:
-    """Adds `value` to `L` at `lane`, in place."""
-    for total, part in zip(L, value):
-        total.index_add_(0, lane, part) if len(lane) < len(total) else total.add_(part)
-
-
-def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
-    """The closest surface; of camera rays, the closest that the camera is to see."""
-    if depth > 0:
-        return integrand.caster.intersect(ray)
-    return camera_hit(integrand.caster, integrand.proposal, ray, integrand.clipping, integrand.settings.hide_emitters)

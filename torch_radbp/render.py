@@ -28,7 +28,7 @@ from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.adjoint.working_set import WorkingSet, measured
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.entry import entry
-from torch_radbp.path import Integrand, Settings
+from torch_radbp.path import Settings
 from torch_radbp.plugin import Sensor, boolean, integer, nearest
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.sampling.sampler import sample_key
@@ -40,6 +40,7 @@ from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import beyond_far_plane
 from torch_radbp.stages import EAGER, compiled
+from torch_radbp.wavefront import Integrand
 
 SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
 
@@ -268,7 +269,7 @@ class Renderer(nn.Module):
         case = (call.scene.layout, call.scene.dtype, integrand.settings, integrand.max_depth, wanted, triangles, taped)
         if case not in self.working_sets:
             attached = call.make_integrand(call.scene)._replace(bounce=EAGER.bounce) if taped else None
-            self.working_sets[case] = measured(integrand, attached, partial(pilot_paths, call), wanted, triangles)
+            self.working_sets[case] = measured(integrand, attached, partial(pilot_paths, call), wanted)
         return self.working_sets[case]
 
     def caster_of(self, scene: SceneTensors) -> RayCaster:

@@ -30,8 +30,8 @@ EAGER = Stages(sample_camera, bounce, bounce_adjoint)
 @functools.cache
 def compiled() -> Stages:
     """The stages as fused loops; one set for the whole process."""
-    return Stages(CompiledStage(sample_camera, "camera"), CompiledStage(bounce, "scene", "proposal"),
-                  CompiledStage(bounce_adjoint, "scene", "adj_L", "memo"))
+    return Stages(CompiledStage(sample_camera, "camera"), CompiledStage(bounce, "scene", "proposal", "arrival"),
+                  CompiledStage(bounce_adjoint, "scene", "arrival", "adj_L", "memo"))
 
 
 class CompiledStage:

@@ -118,10 +118,13 @@ def gather(table: Tensor, index: Tensor) -> Tensor:
 
 
 def rows(record, index: Tensor):
-    """The rows `index` of every tensor of a record."""
+    """The rows `index` of every tensor of a record, in nested tuples; None stays None."""
+    if record is None:
+        return None
     if isinstance(record, Tensor):
         return record.index_select(0, index)
-    return record if record is None else type(record)(*(rows(part, index) for part in record))
+    parts = [rows(part, index) for part in record]
+    return type(record)(*parts) if hasattr(record, "_fields") else tuple(parts)
 
 
 def attached(value: Tensor | Vec3, source: Tensor | Vec3) -> Tensor | Vec3:

@@ -10,8 +10,10 @@ import torch_radbp as rb
 from tests.scenes import cornell, parameters
 from torch_radbp.adjoint import function
 from torch_radbp.adjoint.function import start_paths
-from torch_radbp.adjoint.local_map import local_map
-from torch_radbp.path import bounces, survivors, take_step
+from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.path import Arrival
+from torch_radbp.vec import rows
+from torch_radbp.wavefront import bounces, survivors, take_step
 
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 1}
 
@@ -31,20 +33,22 @@ def test_a_bounce_taken_again_keeps_the_survivors_although_rounding_differs():
         vertex, again = take_step(integrand, other, depth, step)
         assert again is step
         assert 0 < int((vertex.survives != step.survives).sum()) < len(state.lane)
-        assert torch.equal(survivors(vertex.next, again).lane, state.lane[step.survives])
+        assert torch.equal(survivors(vertex.next, again).lane, state.lane[step.order][step.survives])
 
 
 def test_the_derivative_is_that_of_the_recorded_survivors():
     integrand, taken = first_bounces()
     depth, state, vertex, step = taken[0]
     flipped = step._replace(survives=~step.survives)
-    settings = integrand.settings_at(depth)
+    settings, appearance = integrand.settings_at(depth), integrand.appearance(step.queues[0])
+    assert len(step.queues) == 1
     for decided in (step, flipped):
-        local = local_map(integrand.scene, integrand.proposal, state, decided, None, integrand.at(depth), settings)
+        arrival, verdict = rows(Arrival(state, decided.hit, None), step.order), Verdict(decided.visible, decided.survives)
+        local = local_map(integrand.scene, integrand.proposal, arrival, verdict, None, integrand.at(depth), settings,
+                          appearance)
         weight = torch.stack(tuple(local.F))
         assert (weight[:, ~decided.survives] == 0).all() and torch.isfinite(weight).all()
-        hit = decided.survives & (step.hit.prim >= 0)
-        assert (weight[:, hit] > 0).any(0).float().mean() > 0.9
+        assert (weight[:, decided.survives] > 0).any(0).float().mean() > 0.9
 
 
 def test_nothing_of_a_chunk_is_held_once_it_is_added_to_the_image(monkeypatch):

@@ -50,7 +50,8 @@ def test_the_brush_strokes_follow_coordinates_and_vertices(name, distribution):
 def test_what_does_not_follow_them_costs_nothing():
     assert pack(scene_of(BRUSHED)).triangles.along is not None
     plain = pack(scene_of({"type": "roughconductor", "alpha": 0.2}))
-    assert plain.triangles.along is None and plain.triangles.vertices.uv is None and not plain.layout.anisotropic
+    assert plain.triangles.along is None and plain.triangles.vertices.uv is None
+    assert not any(appearance.kind.oriented for appearance in plain.layout.appearances)
 
 
 def frames(count: int = 200) -> tuple[Vec3, Vec3]:

@@ -8,7 +8,7 @@ from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.departure import glued_direction
 from torch_radbp.scene.interaction import at_corners, corner_rows, surface_interaction
-from torch_radbp.scene.material import sample_kind
+from torch_radbp.scene.material import Material, sample
 from torch_radbp.scene.pack import pack
 from torch_radbp.vec import Ray, Vec3
 
@@ -23,14 +23,14 @@ class Unlikely(DiffuseKind):
         return values[0] * pdf, pdf
 
 
-@pytest.mark.parametrize("follow", [False, True])
-def test_the_weight_of_a_direction_of_nearly_no_density(follow):
+@pytest.mark.parametrize("sampling", ["detached", "attached"])
+def test_the_weight_of_a_direction_of_nearly_no_density(sampling):
     value = torch.full((3,), 0.5, requires_grad=True)
     zero, one = torch.zeros(3), torch.ones(3)
     values = (Vec3(value, value, value),)
-    sample = sample_kind(Unlikely(), values, values, Vec3(zero, zero, one), None, 0.3 * one, 0.4 * one, follow)
-    gradient, = torch.autograd.grad(sample.weight.x.sum(), value)
-    assert torch.isfinite(sample.weight.stack()).all() and torch.isfinite(gradient).all()
+    drawn = sample(Material(Unlikely(), values), Vec3(zero, zero, one), None, 0.3 * one, 0.4 * one, sampling)
+    gradient, = torch.autograd.grad(drawn.weight.x.sum(), value)
+    assert torch.isfinite(drawn.weight.stack()).all() and torch.isfinite(gradient).all()
 
 
 def vec(*values: float) -> Vec3:
@@ -52,14 +52,14 @@ def test_the_change_of_solid_angle_of_a_triangle_seen_edge_on():
     o = vec(3.0, 0.0, 0.0)
     scene = square()
     there = at_corners(scene.triangles.vertices.p, corner_rows(scene, a_hit()))
-    d, change = glued_direction(there, o, vec(-1.0, 0.0, 0.0).detach(), a_hit(), torch.ones(1, dtype=torch.bool))
+    d, change = glued_direction(there, o, vec(-1.0, 0.0, 0.0).detach(), a_hit(), slides=torch.ones(1, dtype=torch.bool))
     assert change == 1
     assert all(torch.isfinite(gradient).all() for gradient in torch.autograd.grad(change.sum() + d.x.sum(), list(o)))
 
 
 def test_the_point_that_slides_over_a_triangle_seen_edge_on():
     ray = Ray(vec(3.0, 0.0, 0.0), vec(-1.0, 0.0, 0.0))
-    si = surface_interaction(square(), ray, a_hit(), torch.ones(1, dtype=torch.bool))
+    si = surface_interaction(square(), ray, a_hit(), slides=torch.ones(1, dtype=torch.bool))
     gradients = torch.autograd.grad(si.p.x.sum() + si.p.y.sum(), [*ray.o, *ray.d], allow_unused=True)
     assert torch.isfinite(si.p.stack()).all()
     assert all(torch.isfinite(gradient).all() for gradient in gradients if gradient is not None)

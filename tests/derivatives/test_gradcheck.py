@@ -78,7 +78,8 @@ def test_gradcheck(name, sampling):
         largest = float(gradient.abs().max())
         assert largest > SMALLEST, f"{parameter} does not matter in the scene {name!r}: derivative {largest:.1e}"
 
-    forward = sampling == "attached" and not any(kind.discrete and not kind.delta for kind in pack(scene).layout.kinds)
+    kinds = [appearance.kind for appearance in pack(scene).layout.appearances]
+    forward = sampling == "attached" and not any(kind.discrete and not kind.delta for kind in kinds)
     held = rendering.with_choices_held if forward else rendering.along_the_tape
 
     def value(inputs):

@@ -86,7 +86,7 @@ class Hit(nn.Module):
         o, d = given if len(given) == 2 else (self.o, *given)
         scene, ray = pack(self.scene), Ray(Vec3.of(o), normalize(Vec3.of(d)))
         hit = cast(self.scene, detached(self.scene), Ray(ray.o.detach(), ray.d.detach())).hit
-        si = surface_interaction(scene, ray, hit, torch.ones_like(hit.prim, dtype=torch.bool))
+        si = surface_interaction(scene, ray, hit, slides=torch.ones_like(hit.prim, dtype=torch.bool))
         return emitted(scene, ray, si).stack(), emitted_pdf(scene, ray, si, self.proposal)
 
 

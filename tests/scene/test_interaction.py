@@ -20,7 +20,7 @@ def interaction(triangle: int, slides: torch.Tensor | None, **shapes):
     number = torch.ones(1, dtype=torch.float64)
     ray = Ray(Vec3(0.3 * number, 0.4 * number, 2 * number), Vec3(0 * number, 0 * number, -number))
     hit = Hit(torch.tensor([triangle], dtype=torch.int32), number / 3, number / 3, 2 * number)
-    return surface_interaction(pack(scene), ray, hit, slides), positions
+    return surface_interaction(pack(scene), ray, hit, slides=slides), positions
 
 
 def test_flat_shapes_stay_flat_beside_smooth_ones():

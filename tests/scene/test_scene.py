@@ -77,7 +77,8 @@ def test_colours_poses_and_areas_are_attached_and_choices_are_not():
     packed = pack(scene)
     lights, kinds = packed.lights, packed.layout.lights
     area, sky, points = (lights.tables[kinds.index(kind)] for kind in (AreaKind(), ConstantKind(), PointKind()))
-    assert all(component.requires_grad for component in (*packed.reflectance.texels, *packed.radiance.texels,
+    colours, = packed.textures
+    assert all(component.requires_grad for component in (*colours, *packed.radiance.texels,
                                                          *sky.radiance, *points.place, area.inverse_area))
     assert not any(tensor.requires_grad for tensor in (*lights.choice, lights.surround_pmf))
 
@@ -88,7 +89,8 @@ def test_a_texture_used_by_two_materials_is_stored_once():
                  a=rectangle((0, 0, 0), bsdf={"type": "diffuse", "reflectance": {"type": "ref", "id": "picture"}}),
                  b=rectangle((0, 0, 1), bsdf={"type": "diffuse", "reflectance": {"type": "ref", "id": "picture"}}))
     assert [name for name, _ in scene.named_parameters() if name.endswith("data")] == ["picture.data"]
-    assert len(pack(scene).reflectance.texels.x) == 12
+    images, = pack(scene).textures
+    assert len(images.texels.x) == 12
 
 
 def test_a_grey_colour_has_one_value_and_one_derivative():

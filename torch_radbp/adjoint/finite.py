@@ -14,11 +14,11 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint.sweep import Sweep, bounce_adjoint
-from torch_radbp.path import Integrand, PathState, Position, Settings, Step, Vertex, bounce
+from torch_radbp.path import Arrival, PathState, Position, Vertex, bounce
 from torch_radbp.plugin import Plugin, Texture
-from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.wavefront import Integrand
 
 ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) and smaller steps"
 
@@ -45,10 +45,10 @@ class Finding:
         self.lanes, self.of = 0, 0
         self.prim: Tensor | None = None  # (lanes,) what the bad lanes had hit
 
-    def look(self, depth: int, bad: Tensor, hit: Hit) -> None:
-        """Notes a bounce whose lanes `bad` (N,) bool are not finite, unless one was found before."""
+    def look(self, depth: int, bad: Tensor, prim: Tensor) -> None:
+        """Notes a bounce whose lanes `bad` (N,) bool, which met `prim`, are not finite, unless one was found before."""
         if self.depth is None and bool(bad.any()):
-            self.depth, self.lanes, self.of, self.prim = depth, int(bad.sum()), len(bad), hit.prim[bad]
+            self.depth, self.lanes, self.of, self.prim = depth, int(bad.sum()), len(bad), prim[bad]
 
     def place(self, tensors: SceneTensors, scene: Scene | None) -> str:
         """The finding in words."""
@@ -90,15 +90,15 @@ def plain_name(parameter: str) -> str:
 
 def checked_bounce(finding: Finding) -> Callable[..., Vertex]:
     """`path.bounce`, which notes the first bounce whose terms are not finite; for one chunk."""
-    depth = -1
+    depth, counter = -1, None
 
-    def checked(scene: SceneTensors, proposal: SceneTensors, state: PathState, hit: Hit, at: Position,
-                settings: Settings) -> Vertex:
-        nonlocal depth
-        depth += 1
-        vertex = bounce(scene, proposal, state, hit, at, settings)
+    def checked(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, *rest) -> Vertex:
+        nonlocal depth, counter
+        if at.counter is not counter:  # the first queue of a bounce
+            depth, counter = depth + 1, at.counter
+        vertex = bounce(scene, proposal, arrival, lanes, at, *rest)
         terms = torch.stack([*vertex.Le, *vertex.Ld, *vertex.F])
-        finding.look(depth, ~torch.isfinite(terms).all(0), hit)
+        finding.look(depth, ~torch.isfinite(terms).all(0), arrival.hit.prim[lanes])
         return vertex
 
     return checked
@@ -114,13 +114,13 @@ class CheckedSweep(Sweep):
     def adjoint(self, state: PathState, depth: int) -> None:
         """Differentiates one bounce, as `Sweep` does."""
 
-        def checked(scene: SceneTensors, wanted: tuple[bool, ...], state: PathState, step: Step, *arguments):
-            above, tables = bounce_adjoint(scene, wanted, state, step, *arguments)
-            bad = torch.zeros_like(step.visible)
+        def checked(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, *arguments):
+            above, tables = bounce_adjoint(scene, wanted, arrival, lanes, *arguments)
+            bad = torch.zeros_like(lanes, dtype=torch.bool)
             parts = [part for part in tree_flatten(above)[0] if isinstance(part, Tensor)]
             for part in [*parts, *(read.adjoint for reads in tables for read in reads)]:
                 bad |= ~torch.isfinite(part)
-            self.finding.look(depth, bad, step.hit)
+            self.finding.look(depth, bad, arrival.hit.prim[lanes])
             return above, tables
 
         self.adjoint_of_bounce = checked

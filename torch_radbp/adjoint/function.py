@@ -23,13 +23,14 @@ from torch_radbp.adjoint.finite import (
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.entry import entry
-from torch_radbp.path import Integrand, PathState, Step, sample_camera, start_path, trace
+from torch_radbp.path import PathState, sample_camera, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.perspective import PinholeTensors
 from torch_radbp.vec import Ray, Vec3
+from torch_radbp.wavefront import Integrand, Step, trace
 
 SAVED = object()  # stands for a tensor that autograd keeps
 

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path import PathState, Position, Settings, Step, scattering
+from torch_radbp.path import Arrival, Position, Settings, scattering
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.departure import attached_departure
 from torch_radbp.scene.interaction import Corners
 from torch_radbp.scene.tensors import SceneTensors
@@ -24,21 +25,30 @@ class LocalMap(NamedTuple):
     pdf: Tensor | None  # density of its direction
 
 
-def local_map(scene: SceneTensors, proposal: SceneTensors, state: PathState, step: Step, following: Hit | None, at: Position,
-              settings: Settings, here: Corners | None = None, there: Corners | None = None) -> LocalMap:
+class Verdict(NamedTuple):
+    """What was decided at a bounce."""
+
+    visible: Tensor  # (N,) bool: the shadow ray was free
+    survives: Tensor  # (N,) bool: the path goes on
+
+
+def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, verdict: Verdict, following: Hit | None,
+              at: Position, settings: Settings, appearance: Appearance | None, here: Corners | None = None,
+              there: Corners | None = None) -> LocalMap:
     """From parameters, and from the ray if it is moving, to E_k and F_k, and to the next ray.
 
     Args:
-        scene, proposal, state, at, settings: as for `bounce`.
-        step: what was decided.
+        scene, proposal, at, settings, appearance: as for `bounce`.
+        arrival: the lanes, as they are.
+        verdict: what was decided.
         following: what the next ray meets, triangle -1 where it meets nothing or there is none.
         here, there: the corners of the triangles that the ray meets and that the next ray does; None: as the scene has them.
     """
-    local = scattering(scene, proposal, state, step.hit, at, settings, here)
-    E = local.Le + masked(step.visible, local.Ld)
+    local = scattering(scene, proposal, arrival, at, settings, appearance, here)
+    E = local.Le + masked(verdict.visible, local.Ld)
     if local.sample is None:
         return LocalMap(E, E.map(torch.zeros_like), None, None)
     if not settings.moving:
-        return LocalMap(E, masked(step.survives, local.sample.weight * local.thinning), None, None)
+        return LocalMap(E, masked(verdict.survives, local.sample.weight * local.thinning), None, None)
     weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling, there)
-    return LocalMap(E, masked(step.survives, weight * local.thinning), ray, local.sample.pdf)
+    return LocalMap(E, masked(verdict.survives, weight * local.thinning), ray, local.sample.pdf)

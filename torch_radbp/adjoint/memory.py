@@ -18,11 +18,12 @@ from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.schedule import DROP, KEEP, backward_plan
 from torch_radbp.adjoint.tape import TapeAdjoint
 from torch_radbp.adjoint.working_set import Growth, WorkingSet
-from torch_radbp.path import Integrand, PathState, trace
+from torch_radbp.path import PathState
+from torch_radbp.wavefront import Integrand, trace
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
 STATE = (10, 12)  # `PathState`: ray, throughput, density; key and lane
-STEP = (3, 6)  # `Step`: barycentrics and distance; triangle, visibility and survival
+STEP = (3, 11)  # `Step`: barycentrics and distance; triangle, side, order, visibility and survival
 RADIANCE = (3, 0)  # a `Vec3`
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 TRIANGLE = {False: (0, 0), True: (18, 12)}  # `MetTriangle`, if there is any

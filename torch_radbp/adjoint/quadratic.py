@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.lookup import lookup
-from torch_radbp.path import PathState, add_at, bounces
+from torch_radbp.path import PathState
 from torch_radbp.plugin import boolean
-from torch_radbp.vec import Vec3, masked
+from torch_radbp.vec import Vec3, masked, rows
+from torch_radbp.wavefront import add_at, bounces
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,11 @@ class QuadraticAdjoint:
 def radiance_beyond(sweep: Sweep, reached: PathState, first: int) -> Vec3:
     """L_{k+1} of the paths that have reached bounce k, the depth `first`, by lane; 0 where they end."""
     L, weight = Vec3.buffer(sweep.adj_L.x), Vec3.full(sweep.adj_L.x, 1.0).map(Tensor.clone)
-    for depth, state, vertex, step in bounces(sweep.integrand, reached, first, sweep.record.steps):
+    for depth, _, vertex, step in bounces(sweep.integrand, reached, first, sweep.record.steps):
         if depth > first:
-            here = lookup(weight, state.lane)
-            add_at(L, state.lane, here * (vertex.Le + masked(step.visible, vertex.Ld)))
+            lane = vertex.next.lane
+            here = rows(weight, lane)
+            add_at(L, lane, here * (vertex.Le + masked(step.visible, vertex.Ld)))
             for old, new in zip(weight, here * vertex.F):
-                old.index_copy_(0, state.lane.long(), new)
+                old.index_copy_(0, lane.long(), new)
     return L

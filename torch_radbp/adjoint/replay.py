@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import torch
 
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.lookup import lookup
-from torch_radbp.path import bounces
 from torch_radbp.plugin import boolean
-from torch_radbp.vec import Vec3, masked
+from torch_radbp.vec import Vec3, masked, rows
+from torch_radbp.wavefront import bounces
 
 
 @dataclass(frozen=True)
@@ -41,10 +40,11 @@ class ReplayAdjoint:
         """Walks down the path with what remains of L."""
         L, stack = sweep.record.radiance, []
         for depth, state, vertex, step in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps):
-            remaining = lookup(L, state.lane) - (vertex.Le + masked(step.visible, vertex.Ld))
+            lane = vertex.next.lane
+            remaining = rows(L, lane) - (vertex.Le + masked(step.visible, vertex.Ld))
             F = masked(step.survives, vertex.F)
             incident = Vec3(*(torch.where(f > 0, r / torch.where(f > 0, f, 1.0), 0.0) for r, f in zip(remaining, F)))
-            L = Vec3(*(old.index_copy(0, state.lane.long(), new) for old, new in zip(L, incident)))
+            L = Vec3(*(old.index_copy(0, lane.long(), new) for old, new in zip(L, incident)))
             if sweep.moving:
                 stack.append((state, L))
             else:

@@ -24,16 +24,18 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_map, tree_map_only, tree_unflatten
+from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
 
-from torch_radbp.adjoint.local_map import local_map
+from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.adjoint.scatter import scatter_add
-from torch_radbp.lookup import Tap, lookup, tapped
-from torch_radbp.path import Integrand, PathState, Position, Settings, Step, survivors, take_step
+from torch_radbp.lookup import Tap, tapped
+from torch_radbp.path import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Ray, Vec3
+from torch_radbp.vec import Ray, Vec3, rows
+from torch_radbp.wavefront import Integrand, Step, survivors, take_step
 
 
 class PathRecord(NamedTuple):
@@ -71,23 +73,26 @@ class TableAdjoint(NamedTuple):
     adjoint: Tensor
 
 
-def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], state: PathState, step: Step, adj_L: Vec3,
-                   memo: Memo, at: Position, settings: Settings) -> tuple[Memo, list[list[TableAdjoint]]]:
+def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, verdict: Verdict,
+                   adj_L: Vec3, memo: Memo, at: Position, settings: Settings, appearance: Appearance | None
+                   ) -> tuple[Memo, list[list[TableAdjoint]]]:
     """The local vector-Jacobian product of one bounce.
 
     Args:
         scene: detached.
         wanted: of each leaf of `scene` (counted as `tree_flatten` does), whether to differentiate it.
-        state, step: the bounce, as in the forward pass.
+        arrival, lanes, appearance: as for `bounce`.
+        verdict: what was decided for these lanes.
         adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
         memo: of all lanes of the chunk.
         at, settings: as in the forward pass.
 
     Returns:
-        The memo for the bounce above, of the lanes of `state`, and for each wanted leaf what its reads add to its gradient.
+        The memo for the bounce above, of these lanes, and for each wanted leaf what its reads add to its gradient.
     """
-    memo = tree_map_only(Tensor, lambda table: lookup(table, state.lane), memo)
-    adj_L = lookup(adj_L, state.lane) * state.beta
+    state, hit, front = rows(arrival, lanes)
+    memo = rows(memo, state.lane)
+    adj_L = rows(adj_L, state.lane) * state.beta
     taps: list[Tap] = []
     attached, _ = tapped(scene, wanted, 0, taps)
     inputs, here, there = (), None, None
@@ -95,12 +100,13 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], state: PathSta
         ray, pdf = tree_map(as_leaf, (state.ray, state.pdf))
         state, inputs = state._replace(ray=ray, pdf=pdf), (*ray.o, *ray.d, pdf)
     if memo.triangle is not None:
-        rows = corner_rows(scene, step.hit)
-        here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, rows))
-        there = None if settings.last else read_again(attached.triangles.vertices.p, memo.triangle)
+        met = corner_rows(scene, hit)
+        here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, met))
+        there = None if appearance is None else read_again(attached.triangles.vertices.p, memo.triangle)
         inputs = (*inputs, *(coordinate for corner in here for coordinate in corner))
     with torch.enable_grad():
-        local = local_map(attached, scene, state, step, memo.hit, at, settings, here, there)
+        local = local_map(attached, scene, Arrival(state, hit, front), verdict, memo.hit, at, settings, appearance, here,
+                          there)
         outputs, adjoints = [*local.E, *local.F], [*adj_L, *(adj_L * memo.L)]
         if local.ray is not None:
             outputs += [*local.ray.o, *local.ray.d, local.pdf]
@@ -110,10 +116,10 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], state: PathSta
     above = Memo((local.E + local.F * memo.L).detach())
     found = [zeros_unless(next(adjoints), leaf) for leaf in inputs]
     if settings.moving:
-        above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], step.hit)
+        above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], hit)
     if memo.triangle is not None:
         adj_here = tuple(Vec3(*found[first:first + 3]) for first in (7, 10, 13))
-        above = above._replace(triangle=MetTriangle(rows, tree_map(Tensor.detach, here), adj_here))
+        above = above._replace(triangle=MetTriangle(met, tree_map(Tensor.detach, here), adj_here))
     return above, [table_adjoints(tap, adjoints) for tap in taps]
 
 
@@ -189,17 +195,31 @@ class Sweep:
         step = self.record.steps.get(depth)
         if step is None:
             _, step = take_step(self.integrand, state, depth)
-        above, tables = self.adjoint_of_bounce(self.integrand.scene, self.wanted, state, step, self.adj_L, self.memo,
-                                               self.integrand.at(depth), self.integrand.settings_at(depth))
+        integrand, arrival = self.integrand, Arrival(state, step.hit, step.front)
+        at, settings = integrand.at(depth), integrand.settings_at(depth)
+        for queue in step.queues:
+            here = slice(queue.first, queue.last)
+            lanes, verdict = step.order[here], Verdict(step.visible[here], step.survives[here])
+            above, tables = self.adjoint_of_bounce(integrand.scene, self.wanted, arrival, lanes, verdict, self.adj_L,
+                                                   self.memo, at, settings, integrand.appearance(queue))
+            self.scatter(tables, above if depth == 0 else None)
+            self.memo = replaced(self.memo, rows(state.lane, lanes), above)
+
+    def scatter(self, tables: list[list[TableAdjoint]], seen: Memo | None) -> None:
+        """Adds what a bounce has found to the gradients.
+
+        Args:
+            tables: of each wanted leaf.
+            seen: the memo, if the camera sees these lanes: no bounce aims at them.
+        """
         places: dict[tuple[int, int], Tensor] = {}
         for gradient, reads in zip(self.gradients, tables):
             for index, adjoint in reads:
                 scatter_add(gradient, index, adjoint, places)
-        if depth == 0 and above.triangle is not None:  # no bounce aims at what the camera sees
-            for row, adj_p in zip(above.triangle.rows, above.triangle.adj_p):
+        if seen is not None and seen.triangle is not None:
+            for row, adj_p in zip(seen.triangle.rows, seen.triangle.adj_p):
                 for gradient, adjoint in zip(self.of_positions, adj_p):
                     scatter_add(gradient, row, adjoint, places)
-        self.memo = replaced(self.memo, state.lane, above)
 
 
 def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:
@@ -223,8 +243,6 @@ def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:
 
 def replaced(memo: Memo, lane: Tensor, above: Memo) -> Memo:
     """The memo with new rows in the places `lane`."""
-    if len(lane) == len(memo.L.x):
-        return above
     place = lane.long()
     pairs = zip(tree_flatten(memo)[0], tree_flatten(above)[0])
     rows = [old if old is None else old.index_copy_(0, place, new) for old, new in pairs]

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_map
+from torch.utils._pytree import tree_map, tree_map_only
 
-from torch_radbp.adjoint.local_map import local_map
-from torch_radbp.path import Integrand, PathState, add_at, first_hit, surviving, take_step, trace
+from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.path import Arrival, PathState
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.vec import Vec3, rows
+from torch_radbp.wavefront import Integrand, Queue, add_at, first_hit, joined, surviving, take_step, trace
 
 
 @dataclass(frozen=True)
@@ -36,17 +37,25 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
     hit = first_hit(fixed, detached(state).ray, depth)
     while depth < integrand.max_depth and len(state.lane):
         vertex, step = take_step(fixed, detached(state), depth, hit=hit)
-        alive = surviving(step)
-        last = depth + 1 >= integrand.max_depth
+        alive, last = surviving(step), integrand.is_last(depth)
         hit = None if last else fixed.caster.intersect(rows(vertex.next.ray, alive))
-        local = local_map(integrand.scene, integrand.proposal, state, step, spread(hit, alive, step.hit),
-                          integrand.at(depth), integrand.settings_at(depth))
-        add_at(L, state.lane, state.beta * local.E)
-        if last:
-            break
-        state = rows(PathState(local.ray, state.beta * local.F, local.pdf, state.key, state.lane), alive)
-        depth += 1
+        following = spread(hit, alive, vertex.shadow_distance)
+        arrival, verdict = rows(Arrival(state, step.hit, step.front), step.order), Verdict(step.visible, step.survives)
+        ahead = []
+        for queue in step.queues:
+            here, then, decided, there = (slice_of(record, queue) for record in (arrival, arrival.state, verdict, following))
+            local = local_map(integrand.scene, integrand.proposal, here, decided, there, integrand.at(depth),
+                              integrand.settings_at(depth), integrand.appearance(queue))
+            add_at(L, then.lane, then.beta * local.E)
+            ahead.append(then if local.ray is None else
+                         PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane))
+        state, depth = rows(joined(ahead), alive), depth + 1
     return L
+
+
+def slice_of(record, queue: Queue):
+    """The lanes of a queue, of every tensor of a record."""
+    return tree_map_only(Tensor, lambda tensor: tensor[queue.first:queue.last], record)
 
 
 def detached(state: PathState) -> PathState:
@@ -54,9 +63,14 @@ def detached(state: PathState) -> PathState:
     return tree_map(Tensor.detach, state)
 
 
-def spread(hit: Hit | None, alive: Tensor, like: Hit) -> Hit | None:
-    """The hits of the lanes `alive`, among misses of all others."""
+def spread(hit: Hit | None, alive: Tensor, like: Tensor) -> Hit | None:
+    """The hits of the lanes `alive`, among misses of all others.
+
+    Args:
+        like: (M,) of all lanes, floating point.
+    """
     if hit is None:
         return None
-    miss = Hit(torch.full_like(like.prim, -1), *(torch.zeros_like(part) for part in like[1:]))
+    zero = torch.zeros_like(like)
+    miss = Hit(torch.full_like(like, -1, dtype=hit.prim.dtype), zero, zero, zero)
     return Hit(*(old.index_copy(0, alive, new) for old, new in zip(miss, hit)))

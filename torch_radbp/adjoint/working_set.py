@@ -14,13 +14,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_map_only
+from torch.utils._pytree import tree_flatten, tree_map_only
 from torch.utils.weak import WeakIdKeyDictionary
 
-from torch_radbp.adjoint.sweep import bounce_adjoint, empty_memo
+from torch_radbp.adjoint.sweep import PathRecord, Sweep, bounce_adjoint
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.path import Integrand, PathState, take_step
+from torch_radbp.path import PathState
 from torch_radbp.vec import Vec3
+from torch_radbp.wavefront import Integrand, take_step
 
 LANES = (1024, 3072)  # of the two measurements
 
@@ -76,7 +77,7 @@ def growth(measure: Callable[[int], float]) -> Growth:
 
 
 def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[int], PathState],
-             wanted: tuple[bool, ...], twice: bool) -> WorkingSet:
+             wanted: tuple[bool, ...]) -> WorkingSet:
     """The working set of a call.
 
     Args:
@@ -84,7 +85,6 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         attached: of the attached scene, if derivatives are recorded by autograd; else None.
         start: makes so many camera paths.
         wanted: of each leaf of the scene, whether its derivative is.
-        twice: whether triangles carry derivatives for two bounces each.
     """
     def of_bounce(lanes: int) -> float:
         state = start(lanes)
@@ -96,9 +96,12 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         state = start(lanes)
         with torch.no_grad():
             _, step = take_step(integrand, state, 0)
-            adj_L, memo = Vec3.full(state.pdf, 1.0), empty_memo(state.pdf, integrand.settings.moving, twice)
+            record = PathRecord(lambda: state, None, {}, {0: step}, 1)
+            gradients = [torch.zeros_like(leaf, dtype=torch.float64)
+                         for leaf, want in zip(tree_flatten(integrand.scene)[0], wanted) if want]
+            sweep = Sweep(integrand, bounce_adjoint, record, Vec3.full(state.pdf, 1.0), wanted, gradients)
             with AllocatedBytes() as allocated:
-                bounce_adjoint(integrand.scene, wanted, state, step, adj_L, memo, integrand.at(0), integrand.settings_at(0))
+                sweep.adjoint(state, 0)
         return allocated.peak
 
     def of_tape(lanes: int) -> float:

@@ -23,7 +23,7 @@ from torch_radbp.plugin import Plugin, Sensor, Shape
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import tangent_of
-from torch_radbp.scene.material import followed
+from torch_radbp.scene.material import followed, turning_values
 from torch_radbp.scene.pack import one_sided
 
 MOVE_SHAPES = ("to_world", "vertex_positions")
@@ -144,8 +144,9 @@ class JumpWatch:
         turning: dict[str, bool] = {}  # names of parameters; True: all these surfaces are ideal mirrors or glass
         for bsdf in one_sided(scene.bsdfs()):
             if followed(bsdf.kind(), sampling):
-                turning |= {f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}": bsdf.kind().delta
-                            for slot in bsdf.kind().steering if asks_for_derivatives(bsdf.textures()[slot].texels())}
+                turning |= {f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}": not bsdf.kind().smooth
+                            for slot in turning_values(bsdf.kind(), sampling)
+                            if asks_for_derivatives(bsdf.textures()[slot].texels())}
         for shape in scene.shapes:
             delta = [bsdf.kind().delta for bsdf in one_sided([shape.bsdf]) if followed(bsdf.kind(), sampling)]
             turning |= {name: all(delta) for name in moving(scene, shape, ("vertex_normals",)) if delta}

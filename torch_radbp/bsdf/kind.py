@@ -5,10 +5,11 @@ every surface point. The values of its `textures` vary, and are handed to the fu
 `x` is used). Directions are unit vectors with z along the shading normal; `wi` points towards the viewer, `wo` along the
 sampled ray or towards the light.
 
-A kind has lobes. A *delta* lobe scatters into single directions, which only `sample` finds; the others are *smooth*. Sampling
-has two stages, because derivatives treat the discrete decision separately: `choose` picks a lobe, with a probability that
-carries no derivative, and `sample` maps random numbers to a direction of that lobe, attached. Smooth lobes may overlap: the
-density of a direction is the sum over all of them, each times its probability. With F = f |cos| / density,
+A kind has lobes. A *delta* lobe scatters into single directions, which only `sample` finds; the others are *smooth*.
+Sampling has two stages, because derivatives treat the discrete decision separately: `choose` picks a lobe, with a
+probability that carries no derivative, and `sample` maps random numbers to a direction of that lobe, attached. Smooth lobes
+may overlap: the density of a direction is the sum over all of them, each times its probability. With
+F = f |cos| / density,
 
     F = eval / pdf                              detached: `pdf` without derivative
     F = eval / pdf with `fixed_lobes`           attached: the density with the derivative of the direction, but without that
@@ -91,7 +92,7 @@ class Kind(ABC):
 
     @abstractmethod
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
-        """A unit vector wo of the chosen lobe, attached to values and wi. `eval` and `pdf` are zero where it cannot be used."""
+        """A unit vector wo of the chosen lobe, attached. `eval` and `pdf` are zero where it cannot be used."""
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> Choice:
         """The lobe, decided by the random number `choice`; `sample` will get the same u and v. Detached.
@@ -101,7 +102,7 @@ class Kind(ABC):
         return Choice(torch.zeros_like(wi.z), torch.ones_like(wi.z))
 
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
-        """Weight of the chosen delta lobe, not divided by the choice's probability; attached. Of a smooth lobe: unused, finite."""
+        """Weight of the chosen delta lobe, not divided by the choice's probability; attached. Else finite, and not used."""
         raise TypeError(f"{type(self).__name__} has no delta lobe: use eval")
 
 

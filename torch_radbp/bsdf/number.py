@@ -5,6 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from torch_radbp.plugin import BSDF, Plugin, Texture
+from torch_radbp.texture.bitmap import reader_of
+from torch_radbp.texture.reader import Reader
 from torch_radbp.texture.rgb import RGB
 
 
@@ -45,10 +47,9 @@ class NumberOf(Texture):
         """(H, W, 3) the numbers, in all three channels; attached."""
         return self.texture.scalars()[..., None].expand(-1, -1, 3)
 
-    @property
-    def has_coordinates(self) -> bool:
-        """True if it varies over the surface."""
-        return not isinstance(self.texture, RGB)
+    def reader(self) -> Reader:
+        """How lanes read it: as they read that texture."""
+        return reader_of(self.texture)
 
     def __getattr__(self, name: str):
         if name in ("to_uv", "wrap_mode", "filter_type"):

@@ -52,12 +52,14 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
     if there is None:
         there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
     d, change = glued_direction(there, o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))
+    specular = ray if sampling == "hybrid" else Ray(o, fixed)
+    if not material.kind.smooth:
+        return sample.weight, specular
     value, _ = evaluate(material, si.wi, si.frame.to_local(d))
     pdf = sample.pdf.detach()
     weight = value * (change / torch.where(pdf > 0, pdf, 1.0))  # a path that ends is masked by the caller, if finite
-    if not any(kind.delta for kind in material.kinds):
+    if not material.kind.delta:
         return weight, Ray(o, d)
-    specular = ray if sampling == "hybrid" else Ray(o, fixed)
     return where(chance, weight, sample.weight), Ray(where(chance, o, specular.o), where(chance, d, specular.d))
 
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.lookup import lookup
+from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import (
     TINY,
@@ -36,7 +37,7 @@ class SurfaceInteraction(NamedTuple):
 
     valid: Tensor  # bool: the ray meets a surface at all
     prim: Tensor  # int32 triangle, 0 where invalid
-    material: Tensor  # int32 row of the material table
+    material: Tensor | None  # int32 row of the material table; None where no appearance is asked for
     emitter: Tensor | None  # int32 element of the light table, -1: emits nothing; None: no triangle does
     p: Vec3  # world position
     n: Vec3  # unit geometric normal
@@ -53,18 +54,21 @@ class SurfaceInteraction(NamedTuple):
         return self.p + self.n * torch.copysign(self.clearance, dot(self.n, d))
 
 
-def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | None = None,
-                        here: Corners | None = None) -> SurfaceInteraction:
+def surface_interaction(scene: SceneTensors, ray: Ray, hit, appearance: Appearance | None = None,
+                        slides: Tensor | None = None, here: Corners | None = None,
+                        front: Tensor | None = None) -> SurfaceInteraction:
     """Interpolates the triangle that was hit.
 
     Args:
         scene: the scene.
         ray: (N,) rays.
         hit: a `raycast.Hit`: triangle (-1: none), barycentric coordinates of its second and third vertex, distance.
+        appearance: of the surfaces, which tells what their material needs to know; None: nothing.
         slides: (N,) bool: how the point follows when ray and scene are attached. True: it stays on the ray and slides over
             the triangle. False: it is glued to the triangle, at fixed barycentric coordinates, whatever the ray does.
             None: it does not follow, because nothing moves.
         here: the corners of the triangle; None: as the scene has them.
+        front: (N,) bool: the viewer is on the side of the shading normal, where that was decided before; else None.
     """
     triangles = scene.triangles
     valid = hit.prim >= 0
@@ -79,24 +83,39 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         t = attached(t, dot(p - ray.o, ray.d))
         n = attached(n, unit_normal(e1, e2))
     cosine = dot(n, ray.d)
-    shading, shading_cosine = n, cosine
-    if layout.shading_normals:
-        shading = normalize(interpolated(at_corners(vertices.n, rows), hit.u, hit.v))
-        if triangles.smooth is not None:
-            shading = where(lookup(triangles.smooth, prim), shading, n)
-        shading_cosine = dot(shading, ray.d)
-    uv = None if vertices.uv is None else interpolated(at_corners(vertices.uv, rows), hit.u, hit.v)
-    front = shading_cosine < 0
-    material = lookup(triangles.material, prim)
+    shading = shading_normal(scene, hit, n)
+    shading_cosine = dot(shading, ray.d)
+    front = shading_cosine < 0 if front is None else front
     emitter = lookup(triangles.emitter, prim) if layout.lit_surfaces else None
-    if layout.back_sides:
-        material = material + (~front).to(material.dtype) * scene.materials.count
-        side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
-        shading, shading_cosine = shading * side, shading_cosine * side
-    frame = ShadingFrame(shading, lookup(triangles.along, prim) if layout.anisotropic else None)
+    uv = None
+    if layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv):
+        uv = interpolated(at_corners(vertices.uv, rows), hit.u, hit.v)
+    material, along = None, None
+    if appearance is not None:
+        material = lookup(triangles.material, prim)
+        along = lookup(triangles.along, prim) if appearance.kind.oriented else None
+        if layout.back_sides:
+            material = material + (~front).to(material.dtype) * scene.materials.count
+            side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
+            shading, shading_cosine = shading * side, shading_cosine * side
+    frame = ShadingFrame(shading, along)
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
     return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, uv, t, cosine,
                               lookup(triangles.clearance, prim))
+
+
+def shading_normal(scene: SceneTensors, hit, n: Vec3) -> Vec3:
+    """The unit normal by which a surface is shaded, attached to the vertex normals; `n` where it has none."""
+    triangles = scene.triangles
+    if not scene.layout.shading_normals:
+        return n
+    shading = normalize(interpolated(at_corners(triangles.vertices.n, corner_rows(scene, hit)), hit.u, hit.v))
+    return shading if triangles.smooth is None else where(lookup(triangles.smooth, hit.prim.clamp_min(0)), shading, n)
+
+
+def is_in_front(scene: SceneTensors, ray: Ray, hit) -> Tensor:
+    """(N,) bool: the rays meet the side of the shading normal."""
+    return dot(shading_normal(scene, hit, lookup(scene.triangles.n, hit.prim.clamp_min(0))), ray.d) < 0
 
 
 def clearance(corners: Corners) -> Tensor:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Kind
 from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.plugin import BSDF, Texture
+from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.light_table import kinds_of, light_table
@@ -19,7 +20,8 @@ from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors, TriangleTable, VertexTable
 from torch_radbp.shape.surface import Triangles
 from torch_radbp.texture.bank import TextureBank
-from torch_radbp.texture.bitmap import WRAP_MODES
+from torch_radbp.texture.bitmap import reader_of, texture_bank
+from torch_radbp.texture.reader import Reader
 from torch_radbp.texture.rgb import RGB
 from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
 
@@ -44,30 +46,11 @@ class BankBuilder:
 
     @property
     def has_bitmaps(self) -> bool:
-        return any(getattr(texture, "has_coordinates", not isinstance(texture, RGB)) for texture in self.textures)
+        return any(texture.has_coordinates if hasattr(texture, "has_coordinates") else reader_of(texture).needs_uv
+                   for texture in self.textures)
 
     def build(self, dtype: torch.dtype, device: torch.device) -> TextureBank:
-        textures = self.textures or [RGB(value=0.0)]
-        images = [texture.texels().to(dtype=dtype, device=device) for texture in textures]
-        sizes = [tuple(image.shape[:2]) for image in images]
-        texels = torch.cat([image.reshape(-1, 3) for image in images])
-        offsets = [0, *itertools.accumulate(height * width for height, width in sizes)][:-1]
-        same = torch.eye(4, dtype=dtype, device=device)
-        to_uv = [getattr(texture, "to_uv", None) for texture in textures]
-        matrices = torch.stack([same if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in to_uv])
-
-        def integers(values) -> Tensor:
-            return torch.as_tensor(values, dtype=torch.int32, device=device)
-
-        def row(k: int) -> Vec3:
-            return Vec3(matrices[:, k, 0].contiguous(), matrices[:, k, 1].contiguous(), matrices[:, k, 3].contiguous())
-
-        return TextureBank(
-            texels=Vec3.of(texels), offset=integers(offsets), width=integers([width for _, width in sizes]),
-            height=integers([height for height, _ in sizes]),
-            wrap=integers([WRAP_MODES.index(getattr(texture, "wrap_mode", "repeat")) for texture in textures]),
-            nearest=torch.tensor([getattr(texture, "filter_type", "nearest") == "nearest" for texture in textures],
-                                 device=device), to_u=row(0), to_v=row(1))
+        return texture_bank(self.textures or [RGB(value=0.0)], dtype, device)
 
 
 def pack(scene: Scene) -> SceneTensors:
@@ -79,9 +62,9 @@ def pack(scene: Scene) -> SceneTensors:
     """
     check_parameters(scene)
     dtype, device = scene.dtype, scene.device
-    reflectance, radiance = BankBuilder(), BankBuilder()
+    radiance = BankBuilder()
     bsdfs = list(scene.bsdfs())
-    materials, kinds = material_table(bsdfs, reflectance, device)
+    materials, appearances, readers, banks = material_tables(bsdfs, dtype, device)
     surfaces = [without_flat_normals(shape.oriented()) for shape in scene.shapes]
     check_extent(scene, [surface.vertices for surface in surfaces])
     counts = [len(surface.faces) for surface in surfaces]
@@ -90,14 +73,14 @@ def pack(scene: Scene) -> SceneTensors:
     radiated = {id(emitter): emitter.radiated() for emitter in scene.emitters}
     textures = {name: 0 if texture is None else radiance.add(texture) for name, texture in radiated.items()}
     layout = Layout(
-        bending=any(differentiated(bsdf.textures()[slot].texels()) for bsdf in one_sided(bsdfs) if bsdf.kind().delta
-                    for slot in bsdf.kind().steering),
+        bending=any(differentiated(bsdf.textures()[slot].texels()) for bsdf in one_sided(bsdfs)
+                    for slot in bsdf.kind().bending),
         shading_normals=any(surface.normals is not None for surface in surfaces),
-        back_sides=bool(materials.turned.any()), kinds=kinds, anisotropic=any(kind.oriented for kind in kinds),
-        reflectance_bitmaps=reflectance.has_bitmaps, radiance_bitmaps=radiance.has_bitmaps,
-        lights=kinds_of(scene.emitters))
-    needs_uv = layout.reflectance_bitmaps or layout.radiance_bitmaps
-    triangles = triangle_table(surfaces, layout.shading_normals, needs_uv, layout.anisotropic, dtype, device)
+        back_sides=bool(materials.turned.any()), sides_differ=sides_differ(materials), appearances=appearances,
+        readers=readers, radiance_bitmaps=radiance.has_bitmaps, lights=kinds_of(scene.emitters))
+    needs_uv = layout.radiance_bitmaps or any(look.needs_uv for look in appearances)
+    oriented = any(look.kind.oriented for look in appearances)
+    triangles = triangle_table(surfaces, layout.shading_normals, needs_uv, oriented, dtype, device)
     repeats = torch.tensor(counts, device=device)
     emitting = torch.tensor([shape.emitter is not None for shape in scene.shapes], device=device).repeat_interleave(repeats)
     triangles = triangles._replace(
@@ -105,7 +88,7 @@ def pack(scene: Scene) -> SceneTensors:
         emitter=torch.where(emitting, emitting.cumsum(0) - 1, -1).to(torch.int32))
     lights = light_table(scene, layout.lights, triangles, counts, lambda emitter: textures[id(emitter)],
                          layout.radiance_bitmaps)
-    return SceneTensors(triangles, materials, reflectance.build(dtype, device), lights,
+    return SceneTensors(triangles, materials, banks, lights,
                         radiance.build(dtype, device), layout)
 
 
@@ -124,20 +107,45 @@ def flat_normals(surface: Triangles, faces: Tensor) -> bool:
     return bool((surface.normals[faces] - normals.stack()[:, None]).abs().max() < FLAT)
 
 
-def material_table(bsdfs: list[BSDF], bank: BankBuilder, device: torch.device) -> tuple[MaterialTable, tuple[Kind, ...]]:
-    """The rows of all materials, and the kinds that they are of."""
+class Materials(NamedTuple):
+    """The materials of a scene as tables."""
+
+    table: MaterialTable
+    appearances: tuple[Appearance, ...]
+    readers: tuple[Reader, ...]
+    textures: tuple[Any, ...]  # the banks of the readers
+
+
+def material_tables(bsdfs: list[BSDF], dtype: torch.dtype, device: torch.device) -> Materials:
+    """The rows of all materials, their appearances, and their textures."""
     two_sided = [isinstance(bsdf, TwoSided) for bsdf in bsdfs]
     sides = one_sided(bsdfs)
-    kinds = tuple(dict.fromkeys(bsdf.kind() for bsdf in sides))
-    textures = [[bank.add(texture) for texture in bsdf.textures()] for bsdf in sides]
-    slots = max((kind.slots for kind in kinds), default=0)
+    textures = [bsdf.textures() for bsdf in sides]
+    looks = [Appearance(bsdf.kind(), tuple(map(reader_of, own))) for bsdf, own in zip(sides, textures)]
+    appearances = tuple(dict.fromkeys(looks))
+    readers = tuple(dict.fromkeys(reader for look in appearances for reader in look.readers))
+    of_reader: dict[Reader, dict[int, Texture]] = {reader: {} for reader in readers}
+    for look, own in zip(looks, textures):
+        for reader, texture in zip(look.readers, own):
+            of_reader[reader].setdefault(id(texture), texture)
+    row = {reader: {key: number for number, key in enumerate(found)} for reader, found in of_reader.items()}
+    slots = [[row[reader][id(texture)] for reader, texture in zip(look.readers, own)] for look, own in zip(looks, textures)]
 
-    def column(values, dtype=torch.int32) -> Tensor:
-        return torch.tensor(values, dtype=dtype, device=device)
+    def column(values: Sequence[int | bool], kind: torch.dtype = torch.int32) -> Tensor:
+        return torch.tensor(values, dtype=kind, device=device)
 
-    return MaterialTable(column([kinds.index(bsdf.kind()) for bsdf in sides]),
-                         tuple(column([row[k] if k < len(row) else 0 for row in textures]) for k in range(slots)),
-                         column([False] * len(bsdfs) + two_sided, torch.bool), column(len(bsdfs))), kinds
+    table = MaterialTable(
+        column([appearances.index(look) for look in looks]),
+        tuple(column([own[k] if k < len(own) else 0 for own in slots]) for k in range(max(map(len, slots), default=0))),
+        column([False] * len(bsdfs) + two_sided, torch.bool), column(len(bsdfs)))
+    banks = tuple(reader.bank(list(of_reader[reader].values()), dtype, device) for reader in readers)
+    return Materials(table, appearances, readers, banks)
+
+
+def sides_differ(materials: MaterialTable) -> bool:
+    """True if a material has another appearance from behind."""
+    front, back = materials.appearance.chunk(2)
+    return not torch.equal(front, back)
 
 
 def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Kind
 from torch_radbp.emitter.kind import LightKind, Table
 from torch_radbp.sampling.alias import AliasTable
+from torch_radbp.scene.appearance import Appearance
 from torch_radbp.texture.bank import TextureBank
+from torch_radbp.texture.reader import Reader
 from torch_radbp.vec import Vec2, Vec3
 
 
@@ -20,9 +21,9 @@ class Layout(NamedTuple):
     bending: bool  # parameters with derivatives steer ideal specular scattering
     shading_normals: bool  # some differ from the triangles' own normals
     back_sides: bool  # some materials are different, or turned, from behind
-    kinds: tuple[Kind, ...]  # of materials
-    anisotropic: bool  # some materials are, so that the shading frame follows the surface's coordinates
-    reflectance_bitmaps: bool
+    sides_differ: bool  # some materials have another appearance from behind, so that lanes queue by the side they are on
+    appearances: tuple[Appearance, ...]  # of materials
+    readers: tuple[Reader, ...]  # of their textures
     radiance_bitmaps: bool
     lights: tuple[LightKind, ...]  # kinds of light
 
@@ -63,7 +64,7 @@ class TriangleTable(NamedTuple):
     n: Vec3  # unit geometric normal, detached: where it needs a derivative, `unit_normal` of the edges gives it
     smooth: Tensor | None  # (T,) bool: shaded with the normals of its vertices; None: so are all, or none
     clearance: Tensor  # (T,) distance off the triangle at which rays leave it, detached
-    along: Vec3 | None  # unit direction in which u grows, 0 where it is not defined; None if no material is anisotropic
+    along: Vec3 | None  # unit direction in which u grows, 0 where it is not defined; None if no material is oriented
     material: Tensor  # (T,) int32, row of `MaterialTable`
     emitter: Tensor  # (T,) int32, element of `LightTable`; -1: emits nothing
 
@@ -71,8 +72,8 @@ class TriangleTable(NamedTuple):
 class MaterialTable(NamedTuple):
     """Two rows for each of M materials: first all seen from the side of the normal, then all seen from behind."""
 
-    kind: Tensor  # (2 M,) int32, of `Layout.kinds`
-    slots: tuple[Tensor, ...]  # (2 M,) int32 each: the textures that the functions of the kind take
+    appearance: Tensor  # (2 M,) int32, of `Layout.appearances`
+    slots: tuple[Tensor, ...]  # (2 M,) int32 each: the texture that gives this value, a row of its reader's bank
     turned: Tensor  # (2 M,) bool: the shading frame is turned towards the viewer
     count: Tensor  # () int32, M
 
@@ -96,7 +97,7 @@ class SceneTensors(NamedTuple):
 
     triangles: TriangleTable
     materials: MaterialTable
-    reflectance: TextureBank
+    textures: tuple[Any, ...]  # the banks of `Layout.readers`
     lights: LightTable
     radiance: TextureBank
     layout: Layout

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
+from torch_radbp.texture.bank import TextureBank, sample_texture
+from torch_radbp.texture.reader import Reader
+from torch_radbp.vec import Vec2, Vec3
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest")
@@ -40,6 +47,45 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
     if data.ndim != 3 or data.shape[2] not in (1, 3) or data.numel() == 0:
         raise ValueError(f"{name} must have shape (H, W), (H, W, 1) or (H, W, 3), got {tuple(data.shape)}")
     return data if data.shape[2] == 3 else data.expand(-1, -1, 3).contiguous()
+
+
+@dataclass(frozen=True)
+class BitmapReader(Reader):
+    """Reads images. Bank: `TextureBank`."""
+
+    def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
+        return texture_bank(textures, dtype, device)
+
+    def read(self, bank: TextureBank, row: Tensor, uv: Vec2 | None) -> Vec3:
+        return sample_texture(bank, row, uv)
+
+
+def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
+    """Images laid end to end, attached; a texture that is no image has one texel."""
+    images = [texture.texels().to(dtype=dtype, device=device) for texture in textures]
+    sizes = [tuple(image.shape[:2]) for image in images]
+    offsets = [0, *itertools.accumulate(height * width for height, width in sizes)][:-1]
+    same = torch.eye(4, dtype=dtype, device=device)
+    to_uv = [getattr(texture, "to_uv", None) for texture in textures]
+    matrices = torch.stack([same if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in to_uv])
+
+    def integers(values: Sequence[int]) -> Tensor:
+        return torch.as_tensor(values, dtype=torch.int32, device=device)
+
+    def row(k: int) -> Vec3:
+        return Vec3(matrices[:, k, 0].contiguous(), matrices[:, k, 1].contiguous(), matrices[:, k, 3].contiguous())
+
+    return TextureBank(
+        texels=Vec3.of(torch.cat([image.reshape(-1, 3) for image in images])), offset=integers(offsets),
+        width=integers([width for _, width in sizes]), height=integers([height for height, _ in sizes]),
+        wrap=integers([WRAP_MODES.index(getattr(texture, "wrap_mode", "repeat")) for texture in textures]),
+        nearest=torch.tensor([getattr(texture, "filter_type", "nearest") == "nearest" for texture in textures],
+                             device=device), to_u=row(0), to_v=row(1))
+
+
+def reader_of(texture: Texture) -> Reader:
+    """How lanes read a texture; one that says nothing is read as an image."""
+    return texture.reader() if hasattr(texture, "reader") else BitmapReader()
 
 
 @register("texture", "bitmap")
@@ -76,6 +122,10 @@ class Bitmap(Texture):
 
     def domains(self) -> dict[str, Domain]:
         return {"data": IMAGE}
+
+    def reader(self) -> BitmapReader:
+        """How lanes read it."""
+        return BitmapReader()
 
     def texels(self) -> Tensor:
         """(H, W, 3) linear RGB, attached."""

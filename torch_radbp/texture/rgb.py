@@ -2,11 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
 from torch_radbp.domain import Domain
+from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Plugin, Texture, finite, register
+from torch_radbp.texture.reader import Reader
+from torch_radbp.vec import Vec2, Vec3
+
+
+@dataclass(frozen=True)
+class ColourReader(Reader):
+    """Reads constant colours. Bank: (R,) linear RGB."""
+
+    needs_uv: ClassVar[bool] = False
+
+    def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> Vec3:
+        colours = [texture.texels().reshape(3) for texture in textures]
+        return Vec3.of(torch.stack(colours).to(dtype=dtype, device=device))
+
+    def read(self, bank: Vec3, row: Tensor, uv: Vec2 | None) -> Vec3:
+        return lookup(bank, row)
 
 
 @register("texture", "rgb")
@@ -30,6 +51,10 @@ class RGB(Texture):
 
     def domains(self) -> dict[str, Domain]:
         return {"value": Domain(shapes=((), (3,)))}
+
+    def reader(self) -> ColourReader:
+        """How lanes read it."""
+        return ColourReader()
 
     def texels(self) -> Tensor:
         """(1, 1, 3) linear RGB, attached."""

@@ -1,0 +1,217 @@
+"""The loop over bounces: all paths of a chunk take one step together.
+
+    cast rays -> lanes in queues by the appearance of what they meet -> `bounce` for each queue -> shadow rays -> survivors
+
+The loop is the same forwards, where `trace` sums the image, and wherever a backward pass replays it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.lookup import lookup
+from torch_radbp.path import Arrival, PathState, Position, Settings, Vertex
+from torch_radbp.raycast.protocol import Hit, RayCaster
+from torch_radbp.sampling.sampler import depth_counter
+from torch_radbp.scene.appearance import Appearance
+from torch_radbp.scene.camera_hit import camera_hit
+from torch_radbp.scene.interaction import is_in_front
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.perspective import PinholeTensors
+from torch_radbp.vec import Ray, Vec3, masked, rows
+
+SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
+
+
+class Queue(NamedTuple):
+    """Lanes that go through the same functions: a part of `Step.order`."""
+
+    appearance: int | None  # of what they meet, a number of `Layout.appearances`; None: only what is emitted counts
+    first: int
+    last: int  # the place after its last lane
+
+
+class Step(NamedTuple):
+    """The decisions of a bounce: those that would cost rays to repeat, and who goes on.
+
+    Whoever takes the bounce again goes by this record, so that all agree even where rounding would decide otherwise (of
+    another device, another number of threads, a compiled function and an eager one).
+    """
+
+    hit: Hit  # (N,) of the paths that reach the bounce
+    front: Tensor | None  # (N,) bool, see `Arrival`
+    order: Tensor  # (M,) int32, these paths queue by queue; those that meet neither surface nor light are left out
+    queues: tuple[Queue, ...]
+    visible: Tensor  # (M,) bool: the shadow ray was free
+    survives: Tensor  # (M,) bool: the path goes on
+
+
+class Integrand(NamedTuple):
+    """The integrand with the functions that evaluate it: everything about a rendering but its lanes."""
+
+    scene: SceneTensors  # attached if plain autograd is to record the loop
+    proposal: SceneTensors  # the same, detached
+    caster: RayCaster
+    settings: Settings
+    max_depth: int
+    rr_depth: int
+    bounce: Callable[..., Vertex]  # `path.bounce`, eager or compiled
+    clipping: PinholeTensors | None = None  # the camera of the paths, if its far plane cuts the scene
+
+    def at(self, depth: int) -> Position:
+        """The position on the path as tensors."""
+        like = self.scene.lights.choice.pmf
+        roulette = depth + 1 >= self.rr_depth
+        return Position(depth_counter(depth, like.device),
+                        like.new_tensor(SURVIVE_AT_LEAST if roulette else 1.0),
+                        like.new_tensor(SURVIVE_AT_MOST if roulette else 1.0))
+
+    def settings_at(self, depth: int) -> Settings:
+        """The settings with what is special at the first bounce."""
+        return self.settings._replace(hide_emitters=self.settings.hide_emitters and depth == 0)
+
+    def is_last(self, depth: int) -> bool:
+        """True if paths end at this bounce: nothing is scattered any more."""
+        return depth + 1 >= self.max_depth
+
+    def appearance(self, queue: Queue) -> Appearance | None:
+        """The appearance that the lanes of a queue meet."""
+        return None if queue.appearance is None else self.scene.layout.appearances[queue.appearance]
+
+
+def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
+              hit: Hit | None = None) -> tuple[Vertex, Step]:
+    """One bounce of every lane; rays are cast only if `step` and `hit` do not hold their answers.
+
+    Returns:
+        The vertices in the order of `Step.order`, and the decisions.
+    """
+    if step is None:
+        hit = first_hit(integrand, state.ray, depth) if hit is None else hit
+        step = Step(hit, *queued(integrand.proposal, state.ray, hit, integrand.is_last(depth)), hit.prim, hit.prim)
+        vertex = bounce_queues(integrand, state, depth, step)
+        connects = integrand.settings.nee and not integrand.is_last(depth)
+        visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
+            torch.zeros_like(vertex.survives))
+        return vertex, step._replace(visible=visible, survives=vertex.survives)
+    return bounce_queues(integrand, state, depth, step), step
+
+
+def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step) -> Vertex:
+    """The vertices of all lanes, each queue by the functions of its appearance."""
+    settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
+    arrival, at = Arrival(state, step.hit, step.front), integrand.at(depth)
+    return joined([integrand.bounce(integrand.scene, integrand.proposal, arrival, step.order[queue.first:queue.last], at,
+                                    settings, integrand.appearance(queue)) for queue in step.queues])
+
+
+def queued(scene: SceneTensors, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
+    """`Step.front`, `Step.order` and `Step.queues` of rays that met `hit`.
+
+    Args:
+        scene: detached.
+        ray, hit: (N,).
+        last: whether only what is emitted counts.
+    """
+    layout, met, prim = scene.layout, hit.prim >= 0, hit.prim.clamp_min(0)
+    if last:
+        shines = met & (lookup(scene.triangles.emitter, prim) >= 0)
+        shines = shines | ~met if layout.surround else shines
+        order = shines.nonzero().squeeze(1).to(torch.int32)
+        return None, order, (Queue(None, 0, len(order)),)
+    nothing = len(layout.appearances)
+    if nothing == 1 and not layout.surround:
+        order = met.nonzero().squeeze(1).to(torch.int32)
+        return None, order, (Queue(0, 0, len(order)),)
+    row, front = lookup(scene.triangles.material, prim), None
+    if layout.sides_differ:
+        front = is_in_front(scene, ray, hit)
+        row = row + (~front).to(row.dtype) * scene.materials.count
+    number = torch.where(met, lookup(scene.materials.appearance, row), nothing)
+    order = number.to(torch.int8 if nothing < 127 else torch.int32).sort(stable=True).indices.to(torch.int32)
+    queues, first = [], 0
+    for appearance, count in enumerate(torch.bincount(number, minlength=nothing + 1).tolist()):
+        if count and (appearance < nothing or layout.surround):
+            queues.append(Queue(appearance if appearance < nothing else None, first, first + count))
+            first += count
+    return front, order[:first], tuple(queues) or (Queue(None, 0, 0),)
+
+
+def joined(parts: list):
+    """Records of the same structure, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    if isinstance(parts[0], Tensor):
+        return torch.cat(parts)
+    return None if parts[0] is None else type(parts[0])(*(joined(list(column)) for column in zip(*parts)))
+
+
+def survivors(state: PathState, step: Step) -> PathState:
+    """The lanes of the next bounce's `state` that go on, packed together."""
+    alive = surviving(step)
+    return state if len(alive) == len(state.lane) else rows(state, alive)
+
+
+def surviving(step: Step) -> Tensor:
+    """Places in `Step.order` of the lanes that go on, int64."""
+    return step.survives.nonzero().squeeze(1)
+
+
+class Bounce(NamedTuple):
+    """One turn of the loop over bounces."""
+
+    depth: int
+    state: PathState  # that reached it
+    vertex: Vertex  # of the lanes in `step.order`
+    step: Step
+
+
+def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mapping[int, Step] = {}) -> Iterator[Bounce]:
+    """The loop over bounces, until every path has ended.
+
+    Args:
+        integrand: the scene and how to step.
+        state: of the paths that have reached `depth`.
+        depth: of the first bounce to take.
+        steps: by depth, what was decided before; no ray is cast there.
+    """
+    while depth < integrand.max_depth and len(state.lane):
+        vertex, step = take_step(integrand, state, depth, steps.get(depth))
+        yield Bounce(depth, state, vertex, step)
+        state, depth = survivors(vertex.next, step), depth + 1
+
+
+def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None] | None = None) -> Vec3:
+    """The radiance L_1 along each lane's camera ray: the sum of beta_k E_k over bounces.
+
+    Args:
+        integrand: the scene and how to step.
+        start: from `start_path`.
+        visit: called at every depth with the state that reached it and what was decided there.
+
+    Returns:
+        (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
+    """
+    L = Vec3.buffer(start.beta.x)
+    for depth, state, vertex, step in bounces(integrand, start):
+        if visit is not None:
+            visit(depth, state, step)
+        add_at(L, vertex.next.lane, rows(state.beta, step.order) * (vertex.Le + masked(step.visible, vertex.Ld)))
+    return L
+
+
+def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:
+    """Adds `value` to `L` at `lane`, in place."""
+    for total, part in zip(L, value):
+        total.index_add_(0, lane, part)
+
+
+def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
+    """The closest surface; of camera rays, the closest that the camera is to see."""
+    if depth > 0:
+        return integrand.caster.intersect(ray)
+    return camera_hit(integrand.caster, integrand.proposal, ray, integrand.clipping, integrand.settings.hide_emitters)
