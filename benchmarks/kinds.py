@@ -1,8 +1,8 @@
 """What eight kinds of material cost beside one: ``python -m benchmarks.kinds``.
 
-The room of `versus_mitsuba` with things of eight kinds, and all of one kind, for each kind that can be a wall. All
-take turns within one process, compiled and then eager. Paths differ in length (glass and mirrors are not black), so that
-the ratio by ray is printed beside the ratio of seconds.
+The room of `versus_mitsuba` with things of eight kinds, and all of one kind, for each kind that can be a wall. All take turns
+within one process, compiled and then eager; CPU seconds of all threads. Paths differ in length (glass and mirrors are not
+black), so that the ratio by ray is printed beside the ratio of seconds.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Counted:
 
     def run(self, seed: int) -> None:
         before = self.ours.renderer.last_caster.rays_cast
-        self.seconds.append(self.ours.run(seed).both)
+        self.seconds.append(self.ours.run(seed).cpu)
         self.rays = self.ours.renderer.last_caster.rays_cast - before
 
     @property
@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
     options = parser.parse_args()
-    print("| | room | forward + backward, s | million rays | eight kinds over this | by ray |\n|---|---|---|---|---|---|")
+    print("| | room | forward + backward, CPU s | million rays | eight over this | by ray |\n|---|---|---|---|---|---|")
     for mode in ("compiled", "eager"):
         rooms = measure(mode == "compiled", options.rounds, options.quick)
         eight = rooms[EIGHT]
