@@ -31,15 +31,18 @@ from torch_radbp.entry import entry
 from torch_radbp.path import Settings
 from torch_radbp.plugin import Sensor, boolean, integer, nearest
 from torch_radbp.raycast import RayCaster, make_caster
+from torch_radbp.raycast.known import KnownCaster, Mesh
 from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.scene import Scene
-from torch_radbp.scene.differentiated import any_differentiated
+from torch_radbp.scene.differentiated import any_differentiated, primal
 from torch_radbp.scene.integrator import depths
+from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.perspective import beyond_far_plane
+from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane
 from torch_radbp.stages import EAGER, compiled
+from torch_radbp.vec import Vec3
 from torch_radbp.wavefront import Integrand
 
 SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
@@ -107,7 +110,8 @@ class Renderer(nn.Module):
         self.sampling, self.nee, self.compile_stages, self.caster_name = sampling, nee, compile, caster
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
-        self.last_caster: RayCaster | None = None
+        self.known_caster: KnownCaster | None = None
+        self.kept = Kept()
         self.jump_watch = JumpWatch()
         self.working_sets: dict[tuple, WorkingSet] = {}
         self.check_settings()
@@ -216,16 +220,18 @@ class Renderer(nn.Module):
         keeps = parameters and torch.is_grad_enabled() and seed_grad is None and self.memory_budget is None
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
                            self.adjoint if keeps else None, self.compile_stages))
-        scene = pack(self.scene)
+        kept = Kept(self.kept)
+        scene = pack(self.scene, kept)
         caster = self.caster_of(scene)
-        cameras = [available[index].tensors() for index in indices]
+        cameras = [kept(camera_of, kept.twin(id(available[index]), available[index])) for index in indices]
         moving = self.sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
             self.sampling == "hybrid" and scene.layout.bending)
         samplers = [available[index].sampler for index in indices]
         views = [View(camera, width, height,
                       tuple(sample_key(s + sampler.seed, index, sampler.low_discrepancy, scene.device) for s in seeds),
-                      clips=bool(beyond_far_plane(detached(camera), scene.triangles.vertices.p.detach()).any()))
+                      clips=kept(reaches_beyond, scene.triangles.vertices.p, camera))
                  for index, camera, sampler in zip(indices, cameras, samplers)]
+        self.kept = kept.close()
         # What autograd is to record runs eagerly: a compiled bounce records nothing.
         stages = compiled() if self.compile_stages and not isinstance(self.adjoint, TapeAdjoint) else EAGER
         settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,
@@ -278,17 +284,28 @@ class Renderer(nn.Module):
         Each call keeps its own, and so does the graph behind its image: neither geometry that moves later nor another
         thread changes what they see.
         """
-        vertices, faces = scene.triangles.vertices.p.detach().stack(), torch.stack(scene.triangles.corners, 1)
-        caster = self.last_caster
-        if caster is None or not (same(caster.vertices, vertices) and same(caster.faces, faces)):
-            caster = self.last_caster = None  # freed first, if no graph and no thread holds it
-            caster = self.last_caster = make_caster(self.caster_name, vertices, faces)
-        return caster
+        mesh = Mesh(scene.triangles.vertices.p.map(primal), scene.triangles.corners)
+        known = self.known_caster
+        if known is None or not known.mesh.equals(mesh):
+            known = self.known_caster = None  # freed first, if no graph and no thread holds it
+            known = KnownCaster(make_caster(self.caster_name, *mesh.stacked()), mesh)
+        self.known_caster = known._replace(mesh=mesh)  # the next call may bring the very same tensors again
+        return known.caster
+
+    @property
+    def last_caster(self) -> RayCaster | None:
+        """The ray caster of the last call."""
+        return None if self.known_caster is None else self.known_caster.caster
 
 
-def same(a: Tensor, b: Tensor) -> bool:
-    """True if two tensors have one dtype, one device and the same values."""
-    return a.dtype == b.dtype and a.device == b.device and torch.equal(a, b)
+def camera_of(sensor: Sensor) -> PinholeTensors:
+    """The camera of a sensor, attached."""
+    return sensor.tensors()
+
+
+def reaches_beyond(vertices: Vec3, camera: PinholeTensors) -> bool:
+    """True if any of some vertices, (V,), lies beyond the far plane of a camera."""
+    return bool(beyond_far_plane(detached(camera), vertices.detach()).any())
 
 
 def checked_seed(name: str, value: int) -> int:

@@ -13,7 +13,7 @@ from torch_radbp.bsdf.dielectric import Dielectric
 from torch_radbp.bsdf.roughconductor import RoughConductor
 from torch_radbp.bsdf.roughdielectric import RoughDielectric
 from torch_radbp.scene.pack import BankBuilder
-from torch_radbp.texture.bitmap import Bitmap
+from torch_radbp.texture.bitmap import Bitmap, texture_bank
 
 BAD = {
     "unknown metal": (Conductor, {"material": "Ag2"}, "material 'Ag2' is not known.*did you mean 'Ag'"),
@@ -72,7 +72,7 @@ def test_the_index_of_glass_is_one_parameter_with_a_gradient():
     glass.eta.requires_grad_()
     bank = BankBuilder()
     index = bank.add(glass.textures()[0])
-    texels = bank.build(torch.float64, torch.device("cpu")).texels
+    texels = texture_bank(bank.textures, torch.float64, torch.device("cpu")).texels
     assert not bank.has_bitmaps
     gradient, = torch.autograd.grad(texels.x[index] * 3, glass.eta)
     assert gradient.shape == () and gradient == 3

@@ -9,7 +9,8 @@ from torch.func import functional_call
 import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
-from torch_radbp.scene.pack import growth_of_u, pack
+from torch_radbp.scene.geometry import growth_of_u
+from torch_radbp.scene.pack import pack
 from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.vec import Frame, Vec2, Vec3, cross, dot
 

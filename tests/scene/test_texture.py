@@ -7,7 +7,7 @@ import torch
 from tests.scenes import texels
 from torch_radbp.scene.pack import BankBuilder
 from torch_radbp.texture.bank import sample_texture
-from torch_radbp.texture.bitmap import Bitmap
+from torch_radbp.texture.bitmap import Bitmap, texture_bank
 from torch_radbp.texture.rgb import RGB
 from torch_radbp.vec import Vec2
 
@@ -42,7 +42,7 @@ def values(textures, which, uv):
     bank = BankBuilder()
     for texture in textures:
         bank.add(texture.double())
-    tensors = bank.build(torch.float64, torch.device("cpu"))
+    tensors = texture_bank(bank.textures, torch.float64, torch.device("cpu"))
     index = torch.as_tensor(which, dtype=torch.int32)
     return sample_texture(tensors, index, Vec2.of(torch.as_tensor(uv))).stack().detach().numpy()
 

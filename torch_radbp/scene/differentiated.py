@@ -12,6 +12,11 @@ def tangent_of(tensor: Tensor) -> Tensor | None:
     return forward_ad.unpack_dual(tensor).tangent if tensor.is_floating_point() else None
 
 
+def primal(tensor: Tensor) -> Tensor:
+    """The tensor without its gradient and its forward-mode tangent."""
+    return forward_ad.unpack_dual(tensor).primal.detach() if tensor.is_floating_point() else tensor
+
+
 def differentiated(tensor: Tensor) -> bool:
     """True if `tensor` requires a gradient or has a tangent."""
     return tensor.requires_grad or tangent_of(tensor) is not None

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.emitter.kind import EmittingTriangles, Light, LightKind, SurfaceKind
+from torch_radbp.emitter.kind import EmittingTriangles, Light, LightKind, SurfaceKind, Table
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.scene.interaction import edges
-from torch_radbp.scene.scene import Scene
-from torch_radbp.scene.tensors import LightTable, TriangleTable
+from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.tensors import Layout, LightTable, TriangleTable
 from torch_radbp.vec import attached, cross, rows, unit_normal
 
 SMALLEST_SHARE = 1e-12  # of a lamp's area: smaller triangles are never picked
@@ -22,50 +24,75 @@ def kinds_of(emitters: Sequence[Light]) -> tuple[LightKind, ...]:
     return tuple(sorted({emitter.kind() for emitter in emitters}, key=repr))
 
 
-def light_table(scene: Scene, kinds: tuple[LightKind, ...], triangles: TriangleTable, counts: list[int],
-                texture_of: Callable[[Light], int], images: bool) -> LightTable:
+class Emission(NamedTuple):
+    """What next-event estimation knows about an emitter."""
+
+    kind: LightKind
+    type: str
+    sampling_weight: float
+    texture: int  # in the light bank
+    triangles: int | None  # that it has; None: it is on no surface
+
+
+def light_table(kept: Kept, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
+                layout: Layout) -> LightTable:
     """The elements that next-event estimation picks from.
 
     Args:
-        scene: gives shapes and emitters.
-        kinds: of the emitters.
+        kept: what is known from the last rendering.
         triangles: of all shapes, attached; says which belong to an emitter.
-        counts: the number of triangles of each shape.
-        texture_of: the number in the light bank of an emitter's texture.
-        images: True if some of these textures have coordinates.
+        emissions: of all emitters, those on surfaces first.
+        lamps: twins of the others.
+        layout: gives the kinds of emitters.
 
     Raises:
         ValueError: if no emitter can be picked, or a surface cannot carry its emitter.
     """
-    emitting = (triangles.emitter >= 0).nonzero().squeeze(1)
-    surfaces, area = emitting_triangles(triangles, emitting, images)
-    carriers = [(shape.emitter, count) for shape, count in zip(scene.shapes, counts) if shape.emitter is not None]
-    lamps = [emitter for emitter in scene.emitters if not emitter.kind().on_surface]
-    emitters = [emitter for emitter, _ in carriers] + lamps
-    weights = weights_of(emitters, area, [count for _, count in carriers])
-    integer = {"dtype": torch.int32, "device": area.device}
-    repeats = torch.tensor([count for _, count in carriers] + [1] * len(lamps), device=area.device)
+    surfaces, area = kept(emitting_triangles, triangles, layout.radiance_bitmaps)
+    weights = kept(weights_of, emissions, kept.frozen("areas of emitters", area))
+    surfaces = kept(with_inverse_areas, surfaces, area, weights)
+    kind, row, texture = kept(element_columns, layout.lights, emissions, area.device)
+    choice = kept(alias_table, weights)
+    tables = [kept(surface_table, each, surfaces, kind, number) if each.on_surface else
+              kept(lamp_table, each, tuple(lamp for lamp in lamps if lamp.kind() == each), weights)
+              for number, each in enumerate(layout.lights)]
+    return LightTable(choice, kind, row, texture, tuple(tables), kept(pmf_of_surround, emissions, choice.pmf))
 
-    def column(value: Callable[[Light], int]) -> Tensor:
-        return torch.tensor([value(emitter) for emitter in emitters], **integer).repeat_interleave(repeats)
 
-    kind, texture = column(lambda emitter: kinds.index(emitter.kind())), column(texture_of)
-    picked = weights[:len(area)] > 0
-    # A degenerate triangle is never picked, and must not make gradients infinite.
-    surfaces = surfaces._replace(inverse_area=torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0))
-    row, tables, choice = torch.zeros_like(kind), [], alias_table(weights)
-    for number, each in enumerate(kinds):
+def element_columns(kinds: tuple[LightKind, ...], emissions: tuple[Emission, ...],
+                    device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """For each element its kind, its row in the table of the kind, and its texture, (E,) int32."""
+    integer = {"dtype": torch.int32, "device": device}
+    repeats = torch.tensor([elements(emission) for emission in emissions], device=device)
+    kind, texture = (torch.tensor(values, **integer).repeat_interleave(repeats) for values in (
+        [kinds.index(emission.kind) for emission in emissions], [emission.texture for emission in emissions]))
+    row = torch.zeros_like(kind)
+    for number in range(len(kinds)):
         own = (kind == number).nonzero().squeeze(1)
         row[own] = torch.arange(len(own), **integer)
-        tables.append(surface_table(each, surfaces, own) if each.on_surface else
-                      each.table([emitter for emitter in lamps if emitter.kind() == each], area))
-    surround = [index for index, emitter in enumerate(lamps) if emitter.kind().surround]
-    surround_pmf = choice.pmf[len(area) + surround[0]] if surround else area.new_zeros(())
-    return LightTable(choice, kind, row, texture, tuple(tables), surround_pmf)
+    return kind, row, texture
 
 
-def emitting_triangles(triangles: TriangleTable, emitting: Tensor, images: bool) -> tuple[EmittingTriangles, Tensor]:
-    """Some triangles of a scene, `emitting` (S,), and their areas (S,); attached, but for the inverse areas."""
+def elements(emission: Emission) -> int:
+    """The number of elements of an emitter."""
+    return 1 if emission.triangles is None else emission.triangles
+
+
+def pmf_of_surround(emissions: tuple[Emission, ...], pmf: Tensor) -> Tensor:
+    """The probability of picking the surround, (); 0 if there is none."""
+    firsts = itertools.accumulate(map(elements, emissions), initial=0)
+    surround = [first for first, emission in zip(firsts, emissions) if emission.kind.surround]
+    return pmf[surround[0]] if surround else pmf.new_zeros(())
+
+
+def emitting_triangles(triangles: TriangleTable, images: bool) -> tuple[EmittingTriangles, Tensor]:
+    """The triangles that belong to an emitter, and their areas (S,); attached, but for the inverse areas, which are unset.
+
+    Args:
+        triangles: of the scene, attached.
+        images: True if some textures of emitters have coordinates.
+    """
+    emitting = (triangles.emitter >= 0).nonzero().squeeze(1)
     corners = tuple(rows(triangles.vertices, corner[emitting]) for corner in triangles.corners)
     p = tuple(corner.p for corner in corners)
     _, e1, e2 = edges(*p)
@@ -78,8 +105,21 @@ def emitting_triangles(triangles: TriangleTable, emitting: Tensor, images: bool)
         uv=tuple(corner.uv for corner in corners) if images else None, inverse_area=area), area
 
 
-def surface_table(kind: SurfaceKind, surfaces: EmittingTriangles, own: Tensor) -> EmittingTriangles:
-    """The rows `own` of the emitting triangles, which are of one kind."""
+def with_inverse_areas(surfaces: EmittingTriangles, area: Tensor, weights: Tensor) -> EmittingTriangles:
+    """The emitting triangles with 1 / `area` (S,), attached, by the weights of all elements (E,)."""
+    # A degenerate triangle is never picked, and must not make gradients infinite.
+    picked = weights[:len(area)] > 0
+    return surfaces._replace(inverse_area=torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0))
+
+
+def lamp_table(kind: LightKind, lamps: tuple[Light, ...], like: Tensor) -> Table:
+    """The table of the lamps of one kind, attached."""
+    return kind.table(lamps, like)
+
+
+def surface_table(kind: SurfaceKind, surfaces: EmittingTriangles, kinds: Tensor, number: int) -> EmittingTriangles:
+    """The emitting triangles of one kind, `number` in the column `kinds` of all elements."""
+    own = (kinds == number).nonzero().squeeze(1)
     table = surfaces if len(own) == len(surfaces.inverse_area) else part(surfaces, own)
     kind.check(table)
     return table
@@ -93,27 +133,27 @@ def part(record, index: Tensor):
     return rows(record, index)
 
 
-def weights_of(emitters: list[Light], area: Tensor, counts: list[int]) -> Tensor:
+def weights_of(emissions: tuple[Emission, ...], area: Tensor) -> Tensor:
     """The weights with which elements are picked, (E,): an emitter's weight, spread over its triangles by area.
 
     Args:
-        emitters: those on surfaces first.
-        area: (S,) of their triangles.
-        counts: the number of triangles of each of them.
+        emissions: those on surfaces first.
+        area: (S,) of their triangles, detached.
 
     Raises:
         ValueError: if a `sampling_weight` is negative or not finite, or all weights are 0.
     """
-    for emitter in emitters:
-        if not 0 <= emitter.sampling_weight < float("inf"):
-            raise ValueError(f"sampling_weight of a {emitter.type} emitter must be at least 0 and finite, got "
-                             f"{emitter.sampling_weight}")
+    for emission in emissions:
+        if not 0 <= emission.sampling_weight < float("inf"):
+            raise ValueError(f"sampling_weight of a {emission.type} emitter must be at least 0 and finite, got "
+                             f"{emission.sampling_weight}")
+    counts = [emission.triangles for emission in emissions if emission.triangles is not None]
     weights = []
-    for emitter, own in zip(emitters, area.detach().split(counts)):
+    for emission, own in zip(emissions, area.split(counts)):
         share = own / own.sum()
         # Tiny triangles are never picked: the derivative of 1 / area might overflow.
-        weights.append(torch.where(share > SMALLEST_SHARE, share, 0.0) * emitter.sampling_weight)
-    weights.append(area.new_tensor([emitter.sampling_weight for emitter in emitters[len(counts):]]))
+        weights.append(torch.where(share > SMALLEST_SHARE, share, 0.0) * emission.sampling_weight)
+    weights.append(area.new_tensor([emission.sampling_weight for emission in emissions[len(counts):]]))
     weights = torch.cat(weights)
     if not bool(weights.any()):
         raise ValueError("next-event estimation has no emitter to pick: the sampling_weight of every emitter is 0, or the "

@@ -1,9 +1,7 @@
 """The current parameters of a scene by name, and the check that each is in its domain.
 
-Parameters change between renderings: by an optimiser, `torch.func.functional_call`, `torch.nn.utils.parametrize` or
-`.data`. So they are checked once per call: first the shapes, then the extremes of all of them, in one pass over each and one
-transfer from the device. Writing through `.data` leaves no trace on a tensor, so that nothing can be remembered from the
-previous call; the pass takes a small part of the time in which the scene is packed.
+Parameters change between renderings. So all are compared with those of the last one (see `scene.kept`), and what has changed
+is checked: first the shapes, then the extremes.
 """
 
 from __future__ import annotations
@@ -15,6 +13,8 @@ from torch import Tensor, nn
 
 from torch_radbp.domain import LARGEST_COORDINATE, Domain
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
+from torch_radbp.scene.differentiated import differentiated, primal
+from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.scene import Scene
 
 DTYPES = (torch.float32, torch.float64)
@@ -63,8 +63,12 @@ def held_values(scene: Scene) -> dict[str, Held]:
     return found
 
 
-def check_parameters(scene: Scene) -> None:
+def check_parameters(scene: Scene, kept: Kept) -> None:
     """Checks the current parameters of a scene.
+
+    Args:
+        scene: as it is now.
+        kept: what is known from the last rendering.
 
     Raises:
         ValueError: naming the first that has a wrong shape, is not finite, is out of range, or is not a valid pose.
@@ -76,14 +80,19 @@ def check_parameters(scene: Scene) -> None:
         for name, held in found.items():
             for domain in held.domains:
                 domain.check_shape(f"parameter {name!r}", held.value)
-        extremes = torch.stack([torch.stack(detached(held.value).aminmax()).double() for held in found.values()])
-        for (name, held), (least, greatest) in zip(found.items(), extremes.tolist()):
-            for domain in held.domains:
-                finite = abs(least) < torch.inf and abs(greatest) < torch.inf
-                domain.check_range(f"parameter {name!r}", held.value, least, greatest, LEEWAY,
-                                   OUTSIDE if finite else NOT_FINITE)
-                if domain.is_pose:
-                    domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", held.value)
+        for name, (value, domains) in found.items():
+            value = primal(value) if differentiated(value) else kept.frozen(name, value)
+            kept(check_values, name, value, tuple(dict.fromkeys(domains)))
+
+
+def check_values(name: str, value: Tensor, domains: tuple[Domain, ...]) -> None:
+    """Raises ValueError unless the values of a parameter, detached, are in all of some domains."""
+    least, greatest = torch.stack(value.aminmax()).double().tolist()
+    finite = abs(least) < torch.inf and abs(greatest) < torch.inf
+    for domain in domains:
+        domain.check_range(f"parameter {name!r}", value, least, greatest, LEEWAY, OUTSIDE if finite else NOT_FINITE)
+        if domain.is_pose:
+            domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", value)
 
 
 def check_names(root: nn.Module) -> None:
@@ -100,11 +109,6 @@ def check_names(root: nn.Module) -> None:
         if stray is not None and type(module) in ours:
             name = f"{prefix}.{stray}".removeprefix(".")
             raise AttributeError(f"there is no parameter {name!r}; {nearest(name, dict(root.named_parameters()))}")
-
-
-def detached(value: Tensor) -> Tensor:
-    """The tensor without its gradient and its forward-mode tangent."""
-    return torch.autograd.forward_ad.unpack_dual(value).primal.detach() if value.is_floating_point() else value
 
 
 def check_types(scene: Scene, found: dict[str, Held]) -> None:
@@ -125,16 +129,20 @@ def check_types(scene: Scene, found: dict[str, Held]) -> None:
         raise TypeError(f"parameter {first!r} is on the device meta, which holds no numbers: load the scene again")
 
 
-def check_extent(scene: Scene, vertices: list[Tensor]) -> None:
+def check_extent(scene: Scene, largest: list[float]) -> None:
     """Raises ValueError naming the first shape that is too large for float32.
 
     Args:
-        scene: its shapes.
-        vertices: (V, 3) of each shape, world space.
+        scene: gives the names of its shapes.
+        largest: of each shape the largest coordinate.
     """
-    for shape, positions in zip(scene.shapes, vertices):
-        largest = max(map(abs, torch.stack(positions.detach().aminmax()).tolist()))
-        if not largest <= LARGEST_COORDINATE:
-            raise ValueError(f"the shape {scene.name_of(shape)!r} has vertices up to {largest:.3g} from the origin along an "
-                             f"axis, and would vanish: areas overflow in float32 beyond {LARGEST_COORDINATE:g}; scale the "
-                             f"whole scene down")
+    for shape, coordinate in zip(scene.shapes, largest):
+        if not coordinate <= LARGEST_COORDINATE:
+            raise ValueError(f"the shape {scene.name_of(shape)!r} has vertices up to {coordinate:.3g} from the origin along "
+                             f"an axis, and would vanish: areas overflow in float32 beyond {LARGEST_COORDINATE:g}; scale "
+                             f"the whole scene down")
+
+
+def largest_coordinate(vertices: Tensor) -> float:
+    """The largest magnitude of a coordinate of some vertices, (V, 3), detached."""
+    return max(map(abs, torch.stack(vertices.aminmax()).tolist()))

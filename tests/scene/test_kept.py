@@ -1,0 +1,341 @@
+"""What a renderer takes over from the last call: all that has not changed, and nothing that has."""
+
+import copy
+import gc
+import pickle
+import weakref
+
+import pytest
+import torch
+from torch import nn
+from torch.func import functional_call
+from torch.nn.utils import parametrize
+from torch.utils._pytree import tree_flatten
+
+import torch_radbp as rb
+from tests.scene.test_pack import grid
+from tests.scenes import load, rectangle, rgb, sensor, texels
+from torch_radbp.emitter import envmap
+from torch_radbp.plugin import Texture
+from torch_radbp.scene import geometry, light_table
+from torch_radbp.scene.kept import Kept, same_bits
+from torch_radbp.scene.pack import pack
+from torch_radbp.shape.mesh import Mesh
+
+SETTINGS = {"spp": 4, "max_depth": 3}
+
+
+def scene_of(dtype=torch.float64, **more) -> rb.Scene:
+    """One of everything of which tables are made."""
+    sheet = {"type": "bitmap", "data": 0.2 + 0.6 * texels(4, 4)}
+    hills = grid(4, bsdf={"type": "diffuse", "reflectance": sheet})
+    hills["vertex_texcoords"] = 0.5 + 0.45 * hills["vertex_positions"][:, :2]
+    return load(dtype, camera=sensor(6), hills=hills,
+                ball={"type": "sphere", "radius": 0.3, "bsdf": {"type": "roughconductor", "alpha": 0.3}},
+                sky={"type": "envmap", "bitmap": 0.1 + texels(3, 4)},
+                spot={"type": "spot", "intensity": rgb(3, 2, 1), "texture": {"type": "bitmap", "data": texels(2, 2)},
+                      "to_world": rb.look_at((1, 1, 2), (0, 0, 0), (0, 1, 0))},
+                lamp=rectangle((0.5, 0, 1), 0.3, emitter={"type": "area", "radiance": rgb(4, 5, 6)}), **more)
+
+
+def image_and_gradients(renderer: rb.Renderer, names: tuple[str, ...] = ()) -> list[torch.Tensor]:
+    """The image, and the derivatives of its sum by some parameters."""
+    wanted = [renderer.scene.get_parameter(name).requires_grad_() for name in names]
+    image = renderer(seed=3)
+    gradients = torch.autograd.grad(image.square().sum(), wanted) if names else ()
+    for parameter in wanted:
+        parameter.requires_grad_(False)
+    return [image.detach(), *gradients]
+
+
+def assert_nothing_is_stale(renderer: rb.Renderer, *names: str) -> None:
+    """A call gives what a renderer gives that has never been called before, to the last bit."""
+    fresh = rb.Renderer(renderer.scene, **SETTINGS)
+    for found, expected in zip(image_and_gradients(renderer, names), image_and_gradients(fresh, names)):
+        assert torch.equal(found, expected)
+
+
+def write(name: str, change):
+    """A change of a parameter under `torch.no_grad`."""
+    def apply(scene: rb.Scene) -> None:
+        with torch.no_grad():
+            change(scene.get_parameter(name))
+    return apply
+
+
+def step(name: str, optimiser: type[torch.optim.Optimizer], **settings):
+    """A step of an optimiser."""
+    def apply(scene: rb.Scene) -> None:
+        parameter = scene.get_parameter(name)
+        parameter.grad = 1e-2 * torch.ones_like(parameter)
+        optimiser([parameter.requires_grad_()], lr=0.1, **settings).step()
+        parameter.requires_grad_(False).grad = None
+    return apply
+
+
+def load_state(scene: rb.Scene) -> None:
+    scene.load_state_dict({name: value * (0.9 if "vertex_positions" in name else 1.0)
+                           for name, value in scene.state_dict().items()})
+
+
+def swap(tensor: torch.Tensor) -> None:
+    """Exchanges two rows, which keeps all sums."""
+    tensor[[3, 7]] = tensor[[7, 3]]
+
+
+class Half(nn.Module):
+    def forward(self, value: torch.Tensor) -> torch.Tensor:
+        return 0.5 * value
+
+
+CHANGES = {
+    "in place": write("hills.vertex_positions", lambda p: p.mul_(0.9)),
+    "two vertices exchanged": write("hills.vertex_positions", swap),
+    "one bit": write("hills.vertex_positions", lambda p: p.view(torch.int64)[5, 2].add_(1 << 45)),
+    "through data": write("hills.vertex_positions", lambda p: p.data[3].add_(0.1)),
+    "data replaced": write("hills.vertex_positions", lambda p: setattr(p, "data", 0.9 * p.data)),
+    "through numpy": write("hills.vertex_positions", lambda p: p.detach().numpy().__setitem__((3, 2), 0.4)),
+    "texels through numpy": write("hills.bsdf.reflectance.data", lambda p: p.detach().numpy().__setitem__((1, 2), 0.9)),
+    "sky through data": write("sky.data", lambda p: p.data[1, 2].mul_(20)),
+    "scale of the sky": write("sky.scale", lambda p: p.data.mul_(2)),
+    "pose of the sky": write("sky.to_world", lambda p: p.copy_(p[[1, 2, 0, 3]])),
+    "spot": write("spot.to_world", lambda p: p.data[0, 3].add_(0.2)),
+    "image of the spot": write("spot.texture.data", lambda p: p.data.mul_(0.5)),
+    "roughness": write("ball.bsdf.alpha.value", lambda p: p.data.mul_(0.5)),
+    "pose of the ball": write("ball.to_world", lambda p: p.data[:3, :3].mul_(-1.5)),
+    "pose of the lamp": write("lamp.to_world", lambda p: p.data[:3, :2].mul_(2)),
+    "camera": write("camera.to_world", lambda p: p.data[0, 3].add_(0.1)),
+    "view": write("camera.x_fov", lambda p: p.data.mul_(0.7)),
+    "step of SGD": step("hills.vertex_positions", torch.optim.SGD),
+    "step of Adam, fused": step("hills.vertex_positions", torch.optim.Adam, fused=True),
+    "load_state_dict": load_state,
+    "parametrize": lambda scene: parametrize.register_parametrization(scene.hills, "vertex_positions", Half()),
+    "faces": lambda scene: scene.hills.faces.data[0].copy_(scene.hills.faces[9]),
+    "normals turned": lambda scene: setattr(scene.lamp, "flip_normals", True),
+    "smooth": lambda scene: setattr(scene.hills, "recompute_normals", True),
+    "weight of a light": lambda scene: setattr(scene.spot, "sampling_weight", 5.0),
+    "far plane": lambda scene: setattr(scene.camera, "far_clip", 2.0),
+    "shape removed": lambda scene: scene._modules.pop("ball"),
+    "texture exchanged": lambda scene: setattr(scene.hills.bsdf, "reflectance", scene.ball.bsdf.specular_reflectance),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_what_has_changed_is_seen(change):
+    scene = scene_of()
+    renderer = rb.Renderer(scene, **SETTINGS)
+    before = renderer(seed=3)
+    assert torch.equal(renderer(seed=3), before)
+    change(scene)
+    assert not torch.equal(renderer(seed=3), before)
+    assert_nothing_is_stale(renderer)
+    assert_nothing_is_stale(renderer, "lamp.emitter.radiance.value", "sky.scale")
+
+
+@pytest.mark.parametrize("name", ["hills.vertex_positions", "hills.bsdf.reflectance.data", "sky.data", "sky.to_world",
+                                  "ball.to_world", "lamp.to_world", "ball.bsdf.alpha.value", "camera.to_world",
+                                  "spot.intensity.value"])
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+def test_gradients_are_the_same_with_tables_taken_over(name):
+    renderer = rb.Renderer(scene_of(), **SETTINGS)
+    renderer()
+    for _ in range(2):
+        assert_nothing_is_stale(renderer, name)
+        write(name, lambda p: (p[:3] if len(p.shape) else p).mul_(0.99))(renderer.scene)
+        renderer.scene.get_parameter("hills.vertex_positions").data.mul_(0.98)
+
+
+def test_values_handed_over_hold_for_one_call():
+    scene = scene_of()
+    renderer = rb.Renderer(scene, **SETTINGS)
+    before = renderer(seed=3)
+    for factor in (0.9, 0.8, 0.9):
+        moved = {"scene.hills.vertex_positions": factor * scene.hills.vertex_positions, "scene.sky.data": 2 * scene.sky.data}
+        image = functional_call(renderer, moved, kwargs={"seed": 3})
+        assert torch.equal(image, functional_call(rb.Renderer(scene, **SETTINGS), moved, kwargs={"seed": 3}))
+        assert torch.equal(renderer(seed=3), before)
+
+
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+def test_tangents_and_gradients_may_alternate():
+    scene = scene_of(torch.float32)
+    renderer = rb.Renderer(scene, **SETTINGS)
+    name = "hills.vertex_positions"
+    tangent = torch.ones_like(scene.get_parameter(name))
+
+    def derivative(renderer: rb.Renderer) -> torch.Tensor:
+        return torch.func.jvp(lambda x: functional_call(renderer, {f"scene.{name}": x}, kwargs={"seed": 3}),
+                              (scene.get_parameter(name).detach(),), (tangent,))[1]
+
+    expected = derivative(rb.Renderer(scene, **SETTINGS))
+    for _ in range(2):
+        assert torch.equal(derivative(renderer), expected)
+        assert_nothing_is_stale(renderer, name)
+
+
+def test_a_change_of_a_colour_makes_no_table_of_anything_else(monkeypatch):
+    made = []
+    for module, name in ((Mesh, "triangles"), (geometry, "normals_and_clearances"), (light_table, "alias_table"),
+                         (envmap, "grid_distribution")):
+        function = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *arguments, f=function, name=name: made.append(name) or f(*arguments))
+    scene = scene_of()
+    renderer = rb.Renderer(scene, **SETTINGS)
+    renderer()
+    assert set(made) == {"triangles", "normals_and_clearances", "alias_table", "grid_distribution"}
+    made.clear()
+    colour = scene.get_parameter("lamp.emitter.radiance.value").requires_grad_()
+    for _ in range(2):
+        renderer().sum().backward()
+        with torch.no_grad():
+            colour.mul_(0.9)
+    assert made == []
+
+
+def taken_over(new, old) -> bool:
+    """True if a record consists of the tensors of another one."""
+    return all(a is b for a, b in zip(tree_flatten(new)[0], tree_flatten(old)[0], strict=True))
+
+
+def test_tables_are_the_same_objects_until_something_changes():
+    scene, kept = scene_of(), Kept()
+    first = pack(scene, kept)
+    second = pack(scene, kept := Kept(kept.close()))
+    for table in ("triangles", "lights", "textures", "radiance"):
+        assert taken_over(getattr(second, table), getattr(first, table)), table
+    scene.get_parameter("hills.bsdf.reflectance.data").data[0, 0] = 0.5
+    third = pack(scene, kept := Kept(kept.close()))
+    assert taken_over((third.triangles, third.lights, third.radiance), (first.triangles, first.lights, first.radiance))
+    assert not taken_over(third.textures, first.textures)
+    scene.get_parameter("hills.vertex_positions").data[0, 0] += 0.5
+    fourth = pack(scene, Kept(kept.close()))
+    assert not taken_over(fourth.triangles.vertices.p, first.triangles.vertices.p)
+    assert taken_over((fourth.triangles.corners, fourth.textures), (first.triangles.corners, third.textures))
+
+
+def test_of_attached_geometry_what_is_detached_is_made_again_only_if_it_moves():
+    scene, kept = scene_of(), Kept()
+    positions = scene.get_parameter("hills.vertex_positions").requires_grad_()
+    first = pack(scene, kept)
+    second = pack(scene, kept := Kept(kept.close()))
+    assert second.triangles.vertices.p is not first.triangles.vertices.p and second.triangles.vertices.p.x.requires_grad
+    assert second.triangles.n is first.triangles.n and second.triangles.corners is first.triangles.corners
+    assert not second.triangles.n.x.requires_grad
+    with torch.no_grad():
+        positions.mul_(0.9)
+    third = pack(scene, Kept(kept.close())).triangles
+    assert third.n is not first.triangles.n and third.corners is first.triangles.corners
+
+
+def test_a_graph_keeps_the_tables_that_its_image_shows():
+    scene = scene_of()
+    names = ("hills.bsdf.reflectance.data", "lamp.emitter.radiance.value")
+    expected = image_and_gradients(rb.Renderer(scene, **SETTINGS), names)
+    renderer = rb.Renderer(scene, **SETTINGS)
+    wanted = [scene.get_parameter(name).requires_grad_() for name in names]
+    image = renderer(seed=3)
+    with torch.no_grad():
+        for name in (*names, "hills.vertex_positions", "sky.data"):
+            scene.get_parameter(name).mul_(0.8)
+    renderer(seed=3)
+    found = torch.autograd.grad(image.square().sum(), wanted)
+    assert all(torch.equal(a, b) for a, b in zip(found, expected[1:]))
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda renderer: pickle.loads(pickle.dumps(renderer))],
+                         ids=["deepcopy", "pickle"])
+def test_a_copy_starts_anew_and_is_independent(copied):
+    renderer = rb.Renderer(scene_of(), **SETTINGS)
+    before = renderer(seed=3)
+    other = copied(renderer)
+    assert not other.kept.results and not other.kept.copies
+    assert torch.equal(other(seed=3), before)
+    other.scene.get_parameter("hills.vertex_positions").data.mul_(0.9)
+    assert_nothing_is_stale(other)
+    assert torch.equal(renderer(seed=3), before)
+
+
+def test_tables_made_in_inference_mode_serve_gradients():
+    renderer = rb.Renderer(scene_of(), **SETTINGS)
+    with torch.inference_mode():
+        renderer()
+    assert_nothing_is_stale(renderer, "lamp.emitter.radiance.value", "hills.bsdf.reflectance.data")
+
+
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+def test_what_is_no_longer_there_is_let_go():
+    scene = scene_of()
+    renderer = rb.Renderer(scene, **SETTINGS)
+    renderer()
+    gone = [weakref.ref(value) for place, value in renderer.kept.copies.items() if len(value.shape) and len(value) > 3000]
+    assert gone  # the ball's
+    del scene._modules["ball"]
+    renderer()
+    gc.collect()
+    assert all(reference() is None for reference in gone)
+    count = len(renderer.kept.results), len(renderer.kept.copies)
+    for _ in range(3):
+        write("hills.vertex_positions", lambda p: p.mul_(0.9))(scene)
+        renderer()
+    assert (len(renderer.kept.results), len(renderer.kept.copies)) == count
+
+
+class Striped(Texture):
+    """A texture that depends on what cannot be compared."""
+
+    wrap_mode, filter_type = "repeat", "nearest"
+
+    def __init__(self):
+        super().__init__()
+        self.stripes = [0.2, 0.7]
+
+    def texels(self) -> torch.Tensor:
+        return torch.tensor(self.stripes, dtype=torch.float64)[:, None, None].expand(-1, 1, 3)
+
+
+def test_what_cannot_be_compared_is_made_anew():
+    scene = scene_of(wall=rectangle((0, 0, -1), 4, bsdf={"type": "diffuse", "reflectance": Striped()}))
+    renderer = rb.Renderer(scene, **SETTINGS)
+    before = renderer(seed=3)
+    scene.wall.bsdf.reflectance.stripes[0] = 0.9
+    assert not torch.equal(renderer(seed=3), before)
+    assert_nothing_is_stale(renderer)
+
+
+def test_a_result_is_taken_over_only_for_arguments_that_stand_still():
+    made = []
+
+    def make(*arguments) -> torch.Tensor:
+        made.append(arguments)
+        return torch.ones(2)
+
+    live, kept = torch.zeros(2), Kept()
+    for arguments in ((1,), (True,), (1.0,), (0.0,), (-0.0,), ("a", (1, 2)), (torch.float32,)):
+        assert kept(make, *arguments) is kept(make, *arguments)
+    assert len(made) == 7
+    for arguments in ((live,), ([1],), (1, (live,)), (object(),)):
+        assert kept(make, *arguments) is not kept(make, *arguments)
+    frozen = kept.frozen("place", live)
+    first = kept(make, frozen)
+    following = Kept(kept.close())
+    assert following.frozen("place", live.clone()) is frozen and following(make, frozen) is first
+    live.data[1] = 1.0
+    changed = Kept(following.close())
+    assert changed.frozen("place", live) is not frozen and changed(make, changed.frozen("place", live)) is not first
+
+
+@pytest.mark.parametrize("a, b, equal", [
+    (torch.tensor([torch.nan, 1.0]), torch.tensor([torch.nan, 1.0]), True),
+    (torch.tensor([0.0, 1.0]), torch.tensor([-0.0, 1.0]), False),
+    (torch.arange(7.0), torch.arange(7.0), True),
+    (torch.arange(9.0)[1:], torch.arange(9.0)[1:].clone(), True),
+    (torch.arange(8.0)[1:4], torch.arange(8.0)[1:4].clone(), True),
+    (torch.arange(12.0).reshape(3, 4).T, torch.arange(12.0).reshape(3, 4).T.clone(), True),
+    (torch.ones(3).expand(2, 3), torch.ones(2, 3), True),
+    (torch.ones(4), torch.ones(2, 2), False), (torch.ones(2), torch.ones(2, dtype=torch.float64), False),
+    (torch.tensor([True, False, True]), torch.tensor([True, False, True]), True),
+    (torch.tensor([True, False, True]), torch.tensor([True, False, False]), False),
+    (torch.zeros(0, 3), torch.zeros(0, 3), True), (torch.tensor(2.0), torch.tensor(3.0), False),
+])
+def test_tensors_are_compared_bit_by_bit(a, b, equal):
+    assert same_bits(a, b) == same_bits(b, a) == equal

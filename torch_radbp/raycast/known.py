@@ -1,0 +1,40 @@
+"""The ray caster of the last rendering, and how to tell that it still serves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.raycast.protocol import RayCaster
+from torch_radbp.vec import Vec3
+
+
+class Mesh(NamedTuple):
+    """The triangles of a scene, detached. These tensors are never written into."""
+
+    p: Vec3  # (V,) positions
+    corners: tuple[Tensor, Tensor, Tensor]  # (T,) int32 each, rows of `p`
+
+    def equals(self, other: Mesh) -> bool:
+        """True if the other has the same triangles."""
+        return all(map(same, (*self.p, *self.corners), (*other.p, *other.corners)))
+
+    def stacked(self) -> tuple[Tensor, Tensor]:
+        """The vertices (V, 3) and faces (T, 3)."""
+        return self.p.stack(), torch.stack(self.corners, 1)
+
+
+class KnownCaster(NamedTuple):
+    """A ray caster and what it was made of."""
+
+    caster: RayCaster
+    mesh: Mesh
+
+
+def same(a: Tensor, b: Tensor) -> bool:
+    """True if two tensors that are never written into have one dtype, one device and the same values."""
+    if (a.dtype, a.device, a.shape) != (b.dtype, b.device, b.shape):
+        return False
+    return a.data_ptr() == b.data_ptr() or torch.equal(a, b)

@@ -1,0 +1,172 @@
+"""The triangles of a scene as tables. What is detached in them is made again only where vertices or faces have changed."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Shape
+from torch_radbp.scene.differentiated import differentiated
+from torch_radbp.scene.interaction import at_corners, clearance, edges
+from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.tensors import TriangleTable, VertexTable
+from torch_radbp.shape.surface import Triangles
+from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
+
+BLOCK = 1 << 15  # number of triangles that are processed at a time
+FEW = 1 << 10  # number of triangles examined before all of a surface are
+FLAT = 1e-5  # largest difference between a vertex normal and that of its face on a flat surface
+
+
+class PlacedShape(NamedTuple):
+    """A shape as triangles in world space."""
+
+    surface: Triangles  # attached
+    vertices: Tensor  # (V, 3) of the surface, detached; the same object as in the last rendering while the values are
+    faces: Tensor  # (F, 3) likewise
+
+
+class Columns(NamedTuple):
+    """What a scene needs to know about its triangles beside their positions."""
+
+    normals: bool  # of vertices
+    uv: bool
+    tangents: bool  # along u
+    material: tuple[int, ...]  # of each shape, row of `MaterialTable`
+    emitting: tuple[bool, ...]  # whether each shape belongs to an emitter
+
+
+def placed_shape(kept: Kept, shape: Shape, dtype: torch.dtype) -> PlacedShape:
+    """A shape as it is now."""
+    surface = kept(without_flat_normals, kept(oriented, kept.twin(id(shape), shape)))
+    return PlacedShape(surface, kept.frozen((id(shape), "vertices"), surface.vertices.to(dtype)),
+                       kept.frozen((id(shape), "faces"), surface.faces))
+
+
+def oriented(shape: Shape) -> Triangles:
+    """The triangles of a shape in world space."""
+    return shape.oriented()
+
+
+def without_flat_normals(surface: Triangles) -> Triangles:
+    """The surface without vertex normals if they equal those of its faces, and no derivative can tell them apart."""
+    if surface.normals is None or differentiated(surface.normals) or differentiated(surface.vertices):
+        return surface
+    some = surface.faces[::max(1, len(surface.faces) // FEW)]
+    flat = flat_normals(surface, some) and flat_normals(surface, surface.faces)
+    return surface._replace(normals=None) if flat else surface
+
+
+def flat_normals(surface: Triangles, faces: Tensor) -> bool:
+    """True if the vertex normals of some faces of a surface, (F, 3), equal the normals of these faces."""
+    normals, _ = normals_and_clearances(surface.vertices, faces)
+    return bool((surface.normals[faces] - normals.stack()[:, None]).abs().max() < FLAT)
+
+
+
+def triangle_table(kept: Kept, shapes: Sequence[PlacedShape], columns: Columns, dtype: torch.dtype,
+                   device: torch.device) -> TriangleTable:
+    """The triangles of all shapes, in order."""
+    counts = tuple(len(shape.faces) for shape in shapes)
+    vertices = kept(vertex_table, tuple(shape.surface for shape in shapes), columns.normals,
+                    columns.uv or columns.tangents, dtype, device)
+    corners = kept(concatenated_faces, tuple(shape.faces for shape in shapes),
+                   tuple(len(shape.vertices) for shape in shapes), device)
+    n, clearances = kept(concatenated, tuple(kept(normals_and_clearances, shape.vertices, shape.faces) for shape in shapes),
+                         dtype, device)
+    smooth = tuple(shape.surface.normals is not None for shape in shapes)
+    smooth = None if all(smooth) or not columns.normals else kept(of_each, smooth, counts, torch.bool, device)
+    along = kept(tangents, vertices, corners) if columns.tangents else None
+    if not columns.uv:
+        vertices = kept(VertexTable, vertices.p, vertices.n, None)
+    return TriangleTable(vertices, corners, n, smooth, clearances, along,
+                         material=kept(of_each, columns.material, counts, torch.int32, device),
+                         emitter=kept(emitter_rows, columns.emitting, counts, device))
+
+
+def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, dtype: torch.dtype,
+                 device: torch.device) -> VertexTable:
+    """The vertices of all surfaces; if wanted with normals and uv, which are zero where a surface has none."""
+    none = torch.zeros(0, 3, dtype=dtype, device=device)
+
+    def column(parts: list[Tensor | None], width: int) -> Tensor:
+        rows = [surface.vertices.new_zeros(len(surface.vertices), width) if part is None else part
+                for surface, part in zip(surfaces, parts)]
+        return torch.cat([none[:, :width], *(row.to(dtype) for row in rows)])
+
+    return VertexTable(Vec3.of(column([surface.vertices for surface in surfaces], 3)),
+                       Vec3.of(column([surface.normals for surface in surfaces], 3)) if normals else None,
+                       Vec2.of(column([surface.uv for surface in surfaces], 2)) if uv else None)
+
+
+def concatenated_faces(faces: Sequence[Tensor], counts: Sequence[int],
+                       device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """The corners of all triangles, (T,) int32 rows of the concatenated vertices.
+
+    Args:
+        faces: (F, 3) of each shape.
+        counts: the number of vertices of each.
+        device: of the result.
+    """
+    firsts = itertools.accumulate(counts, initial=0)
+    none = torch.zeros(0, 3, dtype=torch.int32, device=device)
+    rows = torch.cat([none, *(own.to(torch.int32) + first for own, first in zip(faces, firsts))])
+    return tuple(corner.contiguous() for corner in rows.unbind(1))
+
+
+def of_each(values: Sequence[int | bool], counts: Sequence[int], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """The value of the shape that each triangle belongs to, (T,)."""
+    return torch.tensor(values, dtype=dtype, device=device).repeat_interleave(torch.tensor(counts, device=device))
+
+
+def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.device) -> Tensor:
+    """The number of each triangle among those that belong to an emitter, (T,) int32; -1: it belongs to none."""
+    emitting = of_each(emitting, counts, torch.bool, device)
+    return torch.where(emitting, emitting.cumsum(0) - 1, -1).to(torch.int32)
+
+
+def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tensor]:
+    """The unit normals of triangles, and the distances off them at which rays start; (F,) each.
+
+    Args:
+        vertices: (V, 3) positions, detached.
+        faces: (F, 3) integers.
+    """
+    columns, positions = [], Vec3.of(vertices)
+    # By blocks, so that intermediate results stay in the processor's cache.
+    for block in faces.split(BLOCK):
+        corners = at_corners(positions, block.unbind(1))
+        _, e1, e2 = edges(*corners)
+        columns.append((*unit_normal(e1, e2), clearance(corners)))
+    *n, clearances = (torch.cat(parts) for parts in zip(*columns))
+    return Vec3(*n), clearances
+
+
+def concatenated(parts: Sequence[tuple[Vec3, Tensor]], dtype: torch.dtype, device: torch.device) -> tuple[Vec3, Tensor]:
+    """The normals and clearances of all shapes, (T,) each, from those of each."""
+    none = torch.zeros(0, dtype=dtype, device=device)
+    *n, clearances = (torch.cat([none, *column]) for column in zip((none,) * 4, *((*n, own) for n, own in parts)))
+    return Vec3(*n), clearances
+
+
+def tangents(vertices: VertexTable, corners: tuple[Tensor, Tensor, Tensor]) -> Vec3:
+    """The unit directions in the triangles along which u grows, attached."""
+    return growth_of_u(*edges(*at_corners(vertices.p, corners))[1:], *at_corners(vertices.uv, corners))
+
+
+def growth_of_u(e1: Vec3, e2: Vec3, uv0: Vec2, uv1: Vec2, uv2: Vec2) -> Vec3:
+    """The unit direction in a triangle along which u grows and v is constant; 0 where it is undefined. Attached.
+
+    Args:
+        e1, e2: (T,) edges from the first vertex.
+        uv0, uv1, uv2: (T,) coordinates of the vertices.
+    """
+    d1, d2 = Vec2(uv1.x - uv0.x, uv1.y - uv0.y), Vec2(uv2.x - uv0.x, uv2.y - uv0.y)
+    sign = torch.sign(d1.x * d2.y - d1.y * d2.x).detach()
+    tangent = scaled(e1 * (sign * d2.y) - e2 * (sign * d1.y))
+    known = max_component(tangent.detach().map(torch.abs)) > 0
+    return masked(known, normalize(where(known, tangent, Vec3.full(sign, 1.0))))
