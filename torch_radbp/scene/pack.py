@@ -131,7 +131,8 @@ def material_tables(kept: Kept, bsdfs: list[BSDF], dtype: torch.dtype, device: t
         column([appearances.index(look) for look in looks]),
         tuple(column([own[k] if k < len(own) else 0 for own in slots]) for k in range(max(map(len, slots), default=0))),
         column([False] * len(bsdfs) + two_sided, torch.bool), column(len(bsdfs)))
-    banks = tuple(kept(bank_of, reader, twins(kept, reader, own.values()), dtype, device) for reader, own in of_reader.items())
+    banks = tuple(kept(bank_of, reader, twins(kept, reader, of_reader[reader].values()), dtype, device)
+                  for reader in readers)
     return Materials(table, appearances, readers, banks)
 
 
