@@ -1,6 +1,6 @@
 """What eight kinds of material cost beside one: ``python -m benchmarks.kinds``.
 
-The room of `versus_mitsuba` with things of eight kinds, and all of one kind, for each kind that can be a wall. All take turns
+The room of `versus_mitsuba` with things of eight kinds, and all of one kind, for each that can be a wall. All take turns
 within one process, compiled and then eager; CPU seconds of all threads. Paths differ in length (glass and mirrors are not
 black), so that the ratio by ray is printed beside the ratio of seconds.
 """
