@@ -20,6 +20,7 @@ from torch_radbp.adjoint.finite import (
     gradient_error,
     image_error,
 )
+from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.entry import entry
@@ -236,7 +237,7 @@ class RenderFunction(torch.autograd.Function):
                    for leaf, want in zip(tree_flatten(view.camera)[0], wants) if want]
         first = [len(leaves) + sum(map(sum, wanted_of_cameras[:sensor])) for sensor in range(len(call.views))]
 
-        def swept(index: int, gradients: list[Tensor], make_sweep: Callable = Sweep) -> Sweep:
+        def swept(index: int, gradients: Gradients, make_sweep: Callable = Sweep) -> Sweep:
             chunk = call.chunks[index]
             key = call.views[chunk.sensor].sample_keys[call.retrace]
             record = trace_chunk(call, integrand, chunk, key, record=True)[1] if call.retrace else records[index]
@@ -248,23 +249,21 @@ class RenderFunction(torch.autograd.Function):
         def sweep_again(finding: Finding) -> None:
             for index in range(len(call.chunks)):
                 if finding.depth is None:
-                    swept(index, [torch.zeros_like(leaf, dtype=torch.float64) for leaf in leaves],
-                          partial(CheckedSweep, finding))
+                    swept(index, Gradients(leaves), partial(CheckedSweep, finding))
 
-        def differentiate_share(share: range) -> list[Tensor]:
-            gradients = [torch.zeros_like(leaf, dtype=torch.float64) for leaf in (*leaves, *cameras)]
+        def differentiate_share(share: range) -> Gradients:
+            gradients = Gradients((*leaves, *cameras))
             for index in share:
                 chunk = call.chunks[index]
                 key = call.views[chunk.sensor].sample_keys[call.retrace]
-                sweep = swept(index, gradients[:len(leaves)])
+                sweep = swept(index, gradients)
                 wants = wanted_of_cameras[chunk.sensor]
                 if any(wants):
                     for k, adjoint in enumerate(camera_adjoint(call, chunk, key, wants, sweep.memo.adj_ray)):
-                        gradients[first[chunk.sensor] + k] += adjoint
+                        gradients.add_whole(first[chunk.sensor] + k, adjoint)
             return gradients
 
-        gradients = [sum(parts) for parts in zip(*in_turns(len(call.chunks), call.workers, differentiate_share))]
-        results = [gradient.to(leaf.dtype) for gradient, leaf in zip(gradients, (*leaves, *cameras))]
+        results = gradients_of(in_turns(len(call.chunks), call.workers, differentiate_share))
         if not finite(results):
             if not finite([grad_images]):
                 raise NonFiniteError(f"the derivative of the loss with respect to the image is NaN or infinite in "

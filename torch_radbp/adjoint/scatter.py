@@ -1,34 +1,103 @@
-"""The gradient of a read of a table: each lane's adjoint is added to the entry that it has read."""
+"""The gradients of tables that lanes read: each lane's adjoint is added to the entry that it has read.
+
+A table may have four entries, to which millions of lanes add, or millions, most of which nobody reads. Totals are float64
+(one float32 sum loses what is small against the total: 2% of the lamp's gradient at 4 million paths). Memory of large ones
+comes zeroed from the operating system when it is first touched, pages that were touched are noted, and only these are
+summed over the workers and converted in the end.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
 from torch import Tensor
 
-MOST_BLOCKS, MOST_PARTIAL_SUMS = 256, 1 << 16
+from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, scatter_add
+
+PAGE = 1 << PAGE_BITS  # entries
+COPIES, SMALL = 4, 1 << 12  # copies of the totals, for tables with at most so many entries
 
 
-def scatter_add(gradient: Tensor, index: Tensor, adjoint: Tensor, places: dict[tuple[int, int], Tensor]) -> None:
-    """Adds each lane's adjoint to its entry of a table's gradient.
+class Contribution(NamedTuple):
+    """What one read of a table adds to its gradient."""
 
-    Millions of lanes may add to one entry: one float32 sum would lose what is small against the total (2% of the lamp's
-    gradient at 4 million paths). So the total is float64, and small tables are summed in blocks first, in parallel.
+    leaf: int  # which table
+    index: Tensor  # (N,) int32
+    adjoint: Tensor  # (N,)
+
+
+class Gradients:
+    """The gradients of some tables, as far as one worker has found them.
 
     Args:
-        gradient: (K,) float64, written into.
-        index: (N,) int32.
-        adjoint: (N,).
-        places: what was made of indices before, for several tables are read at the same ones.
+        tables: (K,) each, or () for a number.
     """
-    entries = len(gradient)
-    blocks = max(1, min(MOST_BLOCKS, len(index), MOST_PARTIAL_SUMS // entries))
-    whole = len(index) // blocks * blocks
-    if (id(index), blocks) not in places:
-        places[id(index), blocks] = index[:whole].view(blocks, -1).long()
-    place = places[id(index), blocks]
-    if blocks == 1:
-        gradient.scatter_add_(0, place[0], adjoint.to(gradient.dtype))
-        return
-    partial = adjoint.new_zeros(blocks, entries)
-    partial.scatter_add_(1, place, adjoint[:whole].view(blocks, -1))
-    gradient += partial.sum(0, dtype=gradient.dtype)
-    gradient.index_add_(0, index[whole:], adjoint[whole:].to(gradient.dtype))
+
+    def __init__(self, tables: Sequence[Tensor]):
+        self.tables = tables
+        self.totals = [zeros(pages(table.numel()) * PAGE, copies(table.numel()), torch.float64, table.device)
+                       for table in tables]
+        self.touched = {table.numel(): torch.zeros(pages(table.numel()), dtype=torch.bool, device=table.device)
+                        for table in tables}  # by number of entries
+
+    def add(self, contributions: Iterable[Contribution]) -> None:
+        """Adds what reads of equally many lanes contribute."""
+        together: dict[tuple[int, int], list[Contribution]] = {}  # those of tables of equal length at the same index
+        for part in contributions:
+            together.setdefault((id(part.index), self.tables[part.leaf].numel()), []).append(part)
+        additions = []
+        for (_, entries), parts in together.items():
+            for first in range(0, len(parts), MOST_TABLES):
+                some = parts[first:first + MOST_TABLES]
+                additions.append(Addition(some[0].index, [part.adjoint for part in some],
+                                          [self.totals[part.leaf] for part in some], self.touched[entries]))
+        if additions and additions[0].index.is_cpu:
+            scatter_add(additions)
+        else:
+            for addition in additions:
+                for adjoint, total in zip(addition.numbers, addition.totals):
+                    total[:, 0].index_add_(0, addition.index, adjoint.to(total.dtype))
+                addition.touched.fill_(True)
+
+    def add_whole(self, leaf: int, gradient: Tensor) -> None:
+        """Adds to the gradient of a whole table."""
+        entries = gradient.numel()
+        self.totals[leaf][:entries, 0] += gradient.reshape(-1)
+        self.touched[entries].fill_(True)
+
+
+def gradients_of(workers: Sequence[Gradients]) -> list[Tensor]:
+    """The gradients, in the tables' shapes and dtypes, from those that each worker has found.
+
+    They are summed in the workers' order.
+    """
+    results = []
+    for leaf, table in enumerate(workers[0].tables):
+        touched = torch.stack([worker.touched[table.numel()] for worker in workers]).any(0).nonzero().squeeze(1)
+        parts = [worker.totals[leaf].view(pages(table.numel()), -1).index_select(0, touched) for worker in workers]
+        for part in parts[1:]:
+            parts[0] += part
+        total = parts[0].view(len(touched), PAGE, copies(table.numel())).sum(2).to(table.dtype)
+        gradient = zeros(pages(table.numel()), PAGE, table.dtype, table.device).index_copy_(0, touched, total)
+        results.append(gradient.view(-1)[:table.numel()].view(table.shape))
+    return results
+
+
+def pages(entries: int) -> int:
+    """The number of pages of a table, the last perhaps not full."""
+    return max(1, -(-entries // PAGE))
+
+
+def copies(entries: int) -> int:
+    """The number of copies of the totals of a table; its lanes take turns."""
+    return COPIES if entries <= SMALL else 1
+
+
+def zeros(rows: int, columns: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Zeros whose memory, on the CPU, is not taken before it is touched."""
+    if device.type != "cpu":
+        return torch.zeros(rows, columns, dtype=dtype, device=device)
+    return torch.from_numpy(np.zeros((rows, columns), dtype=torch.empty(0, dtype=dtype).numpy().dtype))

@@ -27,7 +27,7 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
-from torch_radbp.adjoint.scatter import scatter_add
+from torch_radbp.adjoint.scatter import Contribution, Gradients
 from torch_radbp.lookup import Tap, tapped
 from torch_radbp.path import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import Hit
@@ -164,16 +164,16 @@ def table_adjoints(tap: Tap, adjoints: Iterator[Tensor | None]) -> list[TableAdj
 
 
 class Sweep:
-    """The state of one chunk's backward pass: the memo, the adjoint of the image, the gradient buffers."""
+    """The state of one chunk's backward pass: the memo, the adjoint of the image, the gradients."""
 
     def __init__(self, integrand: Integrand, adjoint_of_bounce: Callable, record: PathRecord, adj_L: Vec3,
-                 wanted: tuple[bool, ...], gradients: list[Tensor]):
+                 wanted: tuple[bool, ...], gradients: Gradients):
         self.integrand, self.adjoint_of_bounce, self.record = integrand, adjoint_of_bounce, record
         self.adj_L, self.wanted, self.gradients = adj_L, wanted, gradients
         taps: list[Tap] = []
         positions = tapped(integrand.scene, wanted, 0, taps)[0].triangles.vertices.p
         twice = self.moving and integrand.settings.sampling != "attached" and isinstance(positions.x, Tap)
-        self.of_positions = [gradients[taps.index(tap)] for tap in positions] if twice else []
+        self.of_positions = [taps.index(tap) for tap in positions] if twice else []  # leaves
         self.memo = empty_memo(adj_L.x, self.moving, twice)
 
     def advance(self, state: PathState, depth: int) -> PathState:
@@ -212,14 +212,11 @@ class Sweep:
             tables: of each wanted leaf.
             seen: the memo, if the camera sees these lanes: no bounce aims at them.
         """
-        places: dict[tuple[int, int], Tensor] = {}
-        for gradient, reads in zip(self.gradients, tables):
-            for index, adjoint in reads:
-                scatter_add(gradient, index, adjoint, places)
+        found = [Contribution(leaf, *read) for leaf, reads in enumerate(tables) for read in reads]
         if seen is not None and seen.triangle is not None:
-            for row, adj_p in zip(seen.triangle.rows, seen.triangle.adj_p):
-                for gradient, adjoint in zip(self.of_positions, adj_p):
-                    scatter_add(gradient, row, adjoint, places)
+            found += [Contribution(leaf, row, adjoint) for row, adj_p in zip(seen.triangle.rows, seen.triangle.adj_p)
+                      for leaf, adjoint in zip(self.of_positions, adj_p)]
+        self.gradients.add(found)
 
 
 def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:

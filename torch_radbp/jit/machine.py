@@ -23,9 +23,14 @@ def initialized() -> llvm.Target:
 
 
 class MachineCode:
-    """A module's function `lanes_of_job` as machine code; it lies at `address` as long as this object lives."""
+    """The functions of a module as machine code, which stays where it is as long as this object lives.
 
-    def __init__(self, text: str):
+    Args:
+        text: the module.
+        entry: its function that lies at `address`.
+    """
+
+    def __init__(self, text: str, entry: str = "lanes_of_job"):
         machine = initialized().create_target_machine(cpu=llvm.get_host_cpu_name(),
                                                       features=llvm.get_host_cpu_features().flatten(), opt=2)
         module = llvm.parse_assembly(text)
@@ -35,4 +40,8 @@ class MachineCode:
         builder.getModulePassManager().run(module, builder)
         self.engine = llvm.create_mcjit_compiler(module, machine)
         self.engine.finalize_object()
-        self.address = self.engine.get_function_address("lanes_of_job")
+        self.address = self.address_of(entry)
+
+    def address_of(self, function: str) -> int:
+        """Where a function of the module lies."""
+        return self.engine.get_function_address(function)

@@ -1,0 +1,88 @@
+"""The gradients of tables from the reads of lanes, of one worker and of several."""
+
+import ctypes
+import os
+import sys
+
+import pytest
+import torch
+
+from torch_radbp.adjoint.scatter import SMALL, Contribution, Gradients, gradients_of
+
+LENGTHS = (1, 4, 511, 513, SMALL, SMALL + 1, 200_000)
+
+
+def contributions(tables: list[torch.Tensor], lanes: int, seed: int) -> list[Contribution]:
+    """Four reads of each table, of which those of tables of equal length share the index."""
+    generator = torch.Generator().manual_seed(seed)
+    index = {(len(table), read): torch.randint(len(table), (lanes,), generator=generator, dtype=torch.int32)
+             for table in tables for read in range(4)}
+    return [Contribution(leaf, index[len(table), read], torch.randn(lanes, generator=generator, dtype=table.dtype))
+            for read in range(4) for leaf, table in enumerate(tables)]
+
+
+def expected(tables: list[torch.Tensor], parts: list[Contribution]) -> list[torch.Tensor]:
+    totals = [torch.zeros(len(table), dtype=torch.float64) for table in tables]
+    for leaf, index, adjoint in parts:
+        totals[leaf].index_add_(0, index, adjoint.double())
+    return totals
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+@pytest.mark.parametrize("dtype, rtol", [(torch.float32, 1e-7), (torch.float64, 1e-13)], ids=str)
+def test_each_entry_gets_what_its_readers_found(length, dtype, rtol):
+    tables = [torch.empty(length, dtype=dtype) for _ in range(5)] + [torch.empty(7, dtype=dtype)]
+    workers, parts = [Gradients(tables) for _ in range(3)], []
+    for worker, gradients in enumerate(workers):
+        for chunk in range(2):
+            parts += (found := contributions(tables, 3000, 10 * worker + chunk))
+            gradients.add(found)
+    for found, total in zip(gradients_of(workers), expected(tables, parts)):
+        assert found.dtype == dtype and found.shape == total.shape
+        torch.testing.assert_close(found.double(), total, rtol=rtol, atol=1e-12)
+
+
+def test_a_total_keeps_what_is_small_against_it():
+    """A million lanes of 1e-4 beside one of 1e5 come to 100; in float32 they vanish."""
+    for length in (2, SMALL + 1):
+        gradients = Gradients([torch.empty(length)])
+        lanes = torch.full((1_000_001,), 1e-4)
+        lanes[0] = 1e5
+        gradients.add([Contribution(0, torch.ones(len(lanes), dtype=torch.int32), lanes)])
+        assert gradients_of([gradients])[0][1].item() == pytest.approx(1e5 + 100, rel=1e-7)
+
+
+def resident(tensor: torch.Tensor) -> int:
+    """The bytes of a tensor that are in memory."""
+    page = os.sysconf("SC_PAGESIZE")
+    first, last = tensor.data_ptr() // page, -(-(tensor.data_ptr() + tensor.nbytes) // page)
+    found = (ctypes.c_ubyte * (last - first))()
+    assert ctypes.CDLL(None).mincore(ctypes.c_void_p(first * page), ctypes.c_size_t((last - first) * page), found) == 0
+    return bytes(found).count(1) * page
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="mincore tells what is in memory on Linux")
+def test_pages_that_nobody_reads_take_no_memory():
+    table = torch.empty(1).expand(1 << 28)  # so many that the allocator has none to give that were used before
+    gradients = Gradients([table])
+    gradients.add([Contribution(0, torch.arange(5000, dtype=torch.int32) + (1 << 25), torch.ones(5000))])
+    gradient, = gradients_of([gradients])
+    for tensor in (gradients.totals[0], gradient):
+        assert tensor.nbytes >= 1 << 30 and 0 < resident(tensor) <= 16 << 20  # pages of the system may be of 2 MiB
+    assert gradient[(1 << 25) - 1:][:3].tolist() == [0, 1, 1]
+
+
+def test_numbers_whole_tables_and_tables_without_entries_have_gradients_too():
+    tables = [torch.empty(()), torch.empty(3), torch.empty(0)]
+    gradients = Gradients(tables)
+    gradients.add_whole(0, torch.tensor(2.0))
+    gradients.add_whole(0, torch.tensor(2.5))
+    gradients.add_whole(1, torch.tensor([1.0, 2.0, 3.0]))
+    gradients.add([])
+    assert [gradient.tolist() for gradient in gradients_of([gradients, Gradients(tables)])] == [4.5, [1, 2, 3], []]
+
+
+def test_other_devices_get_torch_operations():
+    gradients = Gradients([torch.empty(1000, device="meta")])
+    gradients.add([Contribution(0, torch.zeros(9, dtype=torch.int32, device="meta"), torch.zeros(9, device="meta"))])
+    assert gradients.totals[0].device.type == "meta"
