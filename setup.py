@@ -36,7 +36,6 @@ setup(
         "torch>=2.13,<2.14",
         "numpy>=1.26",
         "embreex>=4.4",
-        "numba>=0.62",
         "llvmlite>=0.45",
         "OpenEXR>=3.3",
         "Pillow>=10",

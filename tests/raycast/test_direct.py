@@ -6,7 +6,7 @@ import torch
 from tests.raycast.meshes import mesh, random_rays, soup
 from tests.raycast.test_hits import DTYPES, crossing
 from torch_radbp.jit.team import run_lanes
-from torch_radbp.raycast import Ray, make_caster
+from torch_radbp.raycast import Ray, make_caster, queries
 from torch_radbp.raycast.direct import Direct, addresses, machine_code, mesh_in_units
 from torch_radbp.vec import Vec3
 
@@ -19,8 +19,8 @@ def answers(width: int, dtype: torch.dtype, vertices, faces, ray: Ray, tmax) -> 
     hit = [torch.empty(LANES, dtype=torch.int32), *(torch.empty(LANES, dtype=dtype) for _ in range(3))]
     hidden = torch.empty(LANES, dtype=torch.bool)
     rays = [*ray.o, *ray.d]
-    run_lanes(machine_code("closest_hit", dtype, width).address, LANES, addresses([*rays, *tables]), addresses(hit))
-    run_lanes(machine_code("any_hit", dtype, width).address, LANES, addresses([*rays, tmax, *tables]), addresses([hidden]))
+    for loop, columns, results in ((queries.closest_hit, rays, hit), (queries.any_hit, [*rays, tmax], [hidden])):
+        run_lanes(machine_code(loop, dtype, width).address, LANES, addresses([*columns, *tables]), addresses(results))
     return [*hit, hidden]
 
 

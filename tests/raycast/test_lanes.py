@@ -8,7 +8,7 @@ import torch
 from tests.raycast.meshes import mesh, random_rays, take
 from tests.raycast.test_hits import CASTERS, COMPILED
 from torch_radbp.jit import team
-from torch_radbp.raycast import Ray, make_caster, packets
+from torch_radbp.raycast import Ray, make_caster
 from torch_radbp.vec import Vec3
 
 
@@ -123,15 +123,6 @@ def test_the_number_of_threads_changes_nothing(caster, threads, pool, monkeypatc
 def test_torch_lends_its_threads():
     """Without them queries are right but slower: nothing else would tell."""
     assert team.openmp_parallel() is not None
-
-
-def test_loops_compile_where_nothing_can_be_cached(monkeypatch):
-    """A read-only installation without a writable user cache: numba then has no place for machine code."""
-    numba_caching = pytest.importorskip("numba.core.caching")
-    monkeypatch.setattr(numba_caching.CacheImpl, "_locator_classes", [])
-    monkeypatch.setattr(packets, "any_hit", packets.compiled(packets.any_hit.__wrapped__))
-    tracer = make_caster("embree", *mesh("box"))
-    assert bool(tracer.occluded(random_rays(20), torch.full((20,), torch.inf)).all())
 
 
 def test_brute_force_is_right_across_its_chunks(monkeypatch):

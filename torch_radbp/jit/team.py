@@ -62,13 +62,14 @@ def run(body: int, argument: int, threads: int) -> None:
             call.result()
 
 
-def run_lanes(body: int, lanes: int, inputs: array, outputs: array) -> None:
+def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = PART) -> None:
     """Runs the C function at `body`, which takes parts of a `Job`, on all of torch's threads.
 
     Args:
         body: its address.
         lanes: how many.
         inputs, outputs: arrays of 64-bit integers, the addresses of what it reads and writes.
+        part: lanes that a thread takes at a time.
     """
-    job = Job(lanes, PART, 0, inputs.buffer_info()[0], outputs.buffer_info()[0])
-    run(body, ctypes.addressof(job), threads=max(1, min(torch.get_num_threads(), -(-lanes // PART))))
+    job = Job(lanes, part, 0, inputs.buffer_info()[0], outputs.buffer_info()[0])
+    run(body, ctypes.addressof(job), threads=max(1, min(torch.get_num_threads(), -(-lanes // part))))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from array import array
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from threading import Lock
 
 import torch
@@ -17,9 +17,10 @@ from torch import Tensor
 
 from torch_radbp.jit.machine import MachineCode, host_width
 from torch_radbp.jit.team import run_lanes
-from torch_radbp.raycast import every_triangle
+from torch_radbp.raycast import every_triangle, queries
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
+from torch_radbp.raycast.vectors import Vectors
 
 CPU = torch.device("cpu")
 MOST_TRIANGLES = 1000  # their corners, a vector of each, must fit on the stack of a thread
@@ -54,17 +55,17 @@ class Direct:
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         hit = Hit(torch.empty(shape, dtype=torch.int32, device=CPU),
                   *(torch.empty(shape, dtype=dtype, device=CPU) for _ in range(3)))
-        self._run("closest_hit", [*ray.o, *ray.d], hit)
+        self._run(queries.closest_hit, [*ray.o, *ray.d], hit)
         return hit
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
         hidden = torch.empty(ray.o.x.shape, dtype=torch.bool, device=CPU)
-        self._run("any_hit", [*ray.o, *ray.d, tmax], [hidden])
+        self._run(queries.any_hit, [*ray.o, *ray.d, tmax], [hidden])
         return hidden
 
-    def _run(self, loop: str, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
-        """Runs a loop of `every_triangle` over all lanes."""
+    def _run(self, loop: Callable, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
+        """Runs a loop of `queries` over all lanes."""
         dtype, lanes = columns[0].dtype, columns[0].numel()
         if dtype not in self._meshes:
             self._meshes[dtype] = mesh_in_units(self.vertices, self.faces, dtype)
@@ -78,14 +79,15 @@ class Direct:
 
 
 @functools.cache
-def machine_code(loop: str, dtype: torch.dtype, width: int | None = None) -> MachineCode:
-    """The loop for numbers of a dtype and vectors of a width; None: what the processor has."""
+def machine_code(loop: Callable, dtype: torch.dtype, width: int | None = None) -> MachineCode:
+    """A loop of `queries` for numbers of a dtype and vectors of a width; None: what the processor has."""
     width = width or host_width() * torch.float32.itemsize // dtype.itemsize
-    return MachineCode(getattr(every_triangle, loop)(width, "float" if dtype == torch.float32 else "double"))
+    code = Vectors(width, "float" if dtype == torch.float32 else "double")
+    return MachineCode(loop(code, every_triangle.KERNEL))
 
 
 def mesh_in_units(vertices: Tensor, faces: Tensor, dtype: torch.dtype) -> tuple[Tensor, ...]:
-    """What the loops read of a mesh, see `every_triangle.begin`; coordinates are scaled by a power of two.
+    """What the loops read of a mesh, see `every_triangle.INPUTS`; coordinates are scaled by a power of two.
 
     Products of three coordinates then neither overflow nor underflow, and nothing is rounded. Corners in the same place are
     one.

@@ -1,26 +1,31 @@
 """Ray casting on the CPU by Embree 4, called in packets from compiled loops on torch's own threads.
 
-Of the `embreex` wheel only the shared library is used (`library.py`). Lanes go to it through the loops of `packets.py`,
-which run on the threads of `jit/team.py`.
+Of the `embreex` wheel only the shared library is used (`library.py`). Lanes go to it through the loops of `queries.py`, in
+the packets of `packets.py`, on the threads of `jit/team.py`.
 """
 
 from __future__ import annotations
 
+import functools
 import weakref
+from array import array
+from collections.abc import Callable, Iterable
 from threading import Lock
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from torch_radbp.jit import team
-from torch_radbp.raycast import library, packets
+from torch_radbp.jit.machine import MachineCode
+from torch_radbp.jit.team import run_lanes
+from torch_radbp.raycast import library, packets, queries
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
+from torch_radbp.raycast.vectors import Vectors
 from torch_radbp.vec import Vec3, crossing, dot
 
 CPU = torch.device("cpu")
 ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what Embree writes into a `Hit`
+PART = 1024  # lanes that a thread takes at a time: few enough to keep all threads busy to the end
 
 
 class Embree:
@@ -72,26 +77,22 @@ class Embree:
         check_lanes(ray, None, CPU)
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         hit = Hit(*(torch.empty(shape, dtype=answer, device=CPU) for answer in ANSWERS))
-        self._query(packets.closest_hit, self._embree.rtcIntersect8, ray, **hit._asdict())
+        self._run(queries.closest_hit, self._embree.rtcIntersect8, [*ray.o, *ray.d], hit)
         return hit if dtype == torch.float32 else self._refined(ray, hit)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
         hidden = torch.empty(ray.o.x.shape, dtype=torch.bool, device=CPU)
-        self._query(packets.any_hit, self._embree.rtcOccluded8, ray, tmax=_single(tmax), hidden=hidden)
+        self._run(queries.any_hit, self._embree.rtcOccluded8, [*ray.o, *ray.d, tmax], [hidden])
         return hidden
 
-    def _query(self, loop, query, ray: Ray, **columns: Tensor) -> None:
-        """Runs a loop of `packets` over all lanes; `columns` are the contiguous tensors that its job names."""
-        columns |= zip(("ox", "oy", "oz", "dx", "dy", "dz"), map(_single, (*ray.o, *ray.d)), strict=True)
-        lanes, next_lane = ray.o.x.numel(), np.zeros((), np.int64)
-        job = np.zeros((), packets.JOB)
-        job["query"], job["scene"] = library.address(query), self._scene
-        job["lanes"], job["next_lane"] = lanes, next_lane.ctypes.data
-        for name, tensor in columns.items():
-            job[name] = tensor.data_ptr()
-        blocks = -(-lanes // packets.BLOCK)
-        team.run(loop.address, job.ctypes.data, threads=max(1, min(torch.get_num_threads(), blocks)))
+    def _run(self, loop: Callable, query, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
+        """Runs a loop of `queries` over all lanes."""
+        lanes = columns[0].numel()
+        columns = [column.detach().to(torch.float32).contiguous() for column in columns]
+        inputs = array("q", [*(column.data_ptr() for column in columns), library.address(query), self._scene])
+        outputs = array("q", [answer.data_ptr() for answer in answers])
+        run_lanes(machine_code(loop).address, lanes, inputs, outputs, PART)
         with self._counting:
             self.rays_cast += lanes
 
@@ -111,9 +112,10 @@ class Embree:
         return Embree, (self.vertices, self.faces)
 
 
-def _single(lanes: Tensor) -> Tensor:
-    """The lanes as Embree reads them, contiguous float32; a copy only if they are not."""
-    return lanes.detach().to(torch.float32).contiguous()
+@functools.cache
+def machine_code(loop: Callable) -> MachineCode:
+    """A loop of `queries` over packets."""
+    return MachineCode(loop(Vectors(packets.WIDTH, "float"), packets.KERNEL))
 
 
 def _release(embree, geometry: int, scene: int, device: int) -> None:
