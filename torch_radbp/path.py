@@ -48,7 +48,7 @@ from torch_radbp.scene.light import (
 )
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.perspective import PinholeTensors, camera_ray
+from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
@@ -118,7 +118,7 @@ class Vertex(NamedTuple):
     survives: Tensor  # bool: the path goes on
 
 
-def sample_camera(camera: PinholeTensors, width: Tensor, pixel: Tensor, sample: Tensor,
+def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor,
                   key: SampleKey) -> tuple[Ray, LaneKey]:
     """One camera ray per lane, and the lane's key of random numbers.
 
@@ -130,10 +130,10 @@ def sample_camera(camera: PinholeTensors, width: Tensor, pixel: Tensor, sample: 
     """
     lane = lane_key(key, pixel, sample)
     camera_key = bounce_key(lane, CAMERA_COUNTER)
-    dtype = camera.tan_x.dtype
     row = torch.div(pixel, width, rounding_mode="floor")
     column = pixel - row * width
-    return camera_ray(camera, column, row, uniform(camera_key, 0, dtype), uniform(camera_key, 1, dtype)), lane
+    u, v = (uniform(camera_key, dimension, camera.dtype) for dimension in (0, 1))
+    return camera.ray(column, row, u, v), lane
 
 
 def start_path(ray: Ray, key: LaneKey) -> PathState:

@@ -40,7 +40,7 @@ from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane
+from torch_radbp.sensor.kind import Camera
 from torch_radbp.stages import EAGER, compiled
 from torch_radbp.vec import Vec3
 from torch_radbp.wavefront import Integrand
@@ -298,14 +298,14 @@ class Renderer(nn.Module):
         return None if self.known_caster is None else self.known_caster.caster
 
 
-def camera_of(sensor: Sensor) -> PinholeTensors:
+def camera_of(sensor: Sensor) -> Camera:
     """The camera of a sensor, attached."""
     return sensor.tensors()
 
 
-def reaches_beyond(vertices: Vec3, camera: PinholeTensors) -> bool:
+def reaches_beyond(vertices: Vec3, camera: Camera) -> bool:
     """True if any of some vertices, (V,), lies beyond the far plane of a camera."""
-    return bool(beyond_far_plane(detached(camera), vertices.detach()).any())
+    return bool(detached(camera).beyond_far_plane(vertices.detach()).any())
 
 
 def checked_seed(name: str, value: int) -> int:

@@ -21,7 +21,7 @@ from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.perspective import PinholeTensors
+from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3, masked, rows
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
@@ -60,7 +60,7 @@ class Integrand(NamedTuple):
     max_depth: int
     rr_depth: int
     bounce: Callable[..., Vertex]  # `path.bounce`, eager or compiled
-    clipping: PinholeTensors | None = None  # the camera of the paths, if its far plane cuts the scene
+    clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
 
     def at(self, depth: int) -> Position:
         """The position on the path as tensors."""

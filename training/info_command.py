@@ -62,14 +62,14 @@ def _emitters(scene) -> Table:
 
 
 def _sensors(scene) -> Table:
-    table = _table("SENSORS", "name", "type", "image", "crop", "horizontal fov", "filter", "spp")
+    table = _table("SENSORS", "name", "type", "image", "crop", "view", "filter", "spp")
     for sensor in scene.sensors:
         film = sensor.film
         is_whole = (film.crop_width, film.crop_height) == (film.width, film.height)
         crop = f"{film.crop_width} x {film.crop_height} at ({film.crop_offset_x}, {film.crop_offset_y})"
         table.add_row(
             scene.name_of(sensor), sensor.type, f"{film.width} x {film.height}", "" if is_whole else crop,
-            f"{sensor.x_fov.item():.2f} deg", film.rfilter.type, str(sensor.sampler.sample_count),
+            sensor.view(), film.rfilter.type, str(sensor.sampler.sample_count),
         )  # fmt: skip
     return table
 

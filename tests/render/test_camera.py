@@ -11,7 +11,7 @@ from tests.scenes import CASES, cornell, load, look_at, rectangle, rgb, sensor
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.sensor.perspective import Perspective, camera_ray
+from torch_radbp.sensor.perspective import Perspective
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
 
@@ -25,7 +25,7 @@ def camera(width=24, height=16, crop=None, **attributes):
 def ray(sensor, column, row, u=HALF, v=HALF):
     """(origin, direction) of one ray, each (3,)."""
     column, row = torch.tensor([[column], [row]], dtype=torch.int32)
-    found = camera_ray(sensor.tensors(), column, row, u, v)
+    found = sensor.tensors().ray(column, row, u, v)
     return found.o.stack()[0].detach(), found.d.stack()[0].detach()
 
 

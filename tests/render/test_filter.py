@@ -14,8 +14,8 @@ import torch_radbp as rb
 from tests.scenes import load, rectangle, rgb, sensor
 from torch_radbp.film.box import Box
 from torch_radbp.film.gaussian import Gaussian
+from torch_radbp.film.position import quantile
 from torch_radbp.film.tent import Tent
-from torch_radbp.sensor.perspective import quantile
 
 FILTERS = {"box": Box(), "wide box": Box(radius=1.5), "tent": Tent(), "narrow tent": Tent(radius=0.4),
            "gaussian": Gaussian(), "wide gaussian": Gaussian(stddev=1.3)}

@@ -29,7 +29,7 @@ from torch_radbp.raycast import RayCaster
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.perspective import PinholeTensors
+from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3
 from torch_radbp.wavefront import Integrand, Step, trace
 
@@ -49,7 +49,7 @@ class Chunk(NamedTuple):
 class View(NamedTuple):
     """One sensor of a call."""
 
-    camera: PinholeTensors  # attached
+    camera: Camera  # attached
     width: int  # of the crop window, pixels
     height: int
     sample_keys: tuple[SampleKey, SampleKey]  # of the forward pass, and of the backward pass
@@ -204,8 +204,8 @@ class RenderFunction(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, call: RenderCall, *leaves: Tensor) -> Tensor:
-        ctx.camera_leaves = [[leaf.requires_grad for leaf in tree_flatten(view.camera)[0]] for view in call.views]
-        ctx.scene_leaves = [isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0]]
+        ctx.camera_leaves = [asks_for_gradient(view.camera) for view in call.views]
+        ctx.scene_leaves = asks_for_gradient(call.scene)
         scene, views = detached(call.scene), [detached(view) for view in call.views]
         integrand = call.make_integrand(scene)
         ctx.call = call = call._replace(scene=scene, views=views, caster=None, make_integrand=None)
@@ -275,6 +275,11 @@ class RenderFunction(torch.autograd.Function):
         return None, *(next(results) if need else None for need in ctx.needs_input_grad[1:])
 
 
+def asks_for_gradient(record) -> list[bool]:
+    """Of each leaf of a record, as `tree_flatten` counts, whether it is a tensor that requires a gradient."""
+    return [isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(record)[0]]
+
+
 def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
     """The leaves that a gradient is asked for, of those that were handed over."""
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
@@ -284,12 +289,12 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple
     """The gradients of the wanted leaves of a camera from the rays of one chunk."""
     view = call.views[chunk.sensor]
     leaves, structure = tree_flatten(view.camera)
-    leaves = [leaf.clone().requires_grad_(want) for leaf, want in zip(leaves, wanted)]
+    leaves = [leaf.clone().requires_grad_() if want else leaf for leaf, want in zip(leaves, wanted)]
     sensors = [view._replace(camera=tree_unflatten(leaves, structure)) if number == chunk.sensor else other
                for number, other in enumerate(call.views)]
     with torch.enable_grad():
         ray = start_paths(call._replace(views=sensors, sample_camera=sample_camera), chunk, key).ray
-        inputs = [leaf for leaf in leaves if leaf.requires_grad]
+        inputs = [leaf for leaf, want in zip(leaves, wanted) if want]
         adjoints = vector_jacobian_product([*ray.o, *ray.d], inputs, [*adj_ray.o, *adj_ray.d])
     return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]
 

@@ -9,14 +9,13 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges
-from torch_radbp.boundary.silhouette import Sight, crosses_view, is_silhouette
+from torch_radbp.boundary.silhouette import Sight, crosses_view, is_silhouette, viewpoint
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.vec import Ray, Vec3
 
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # along each edge, from which rays are cast
 MOST_EDGES = 1 << 14  # that are examined
 APART = 1e-4  # distance from the edge at which a ray starts, as a share of the scene's extent
-FAR_AWAY = 1e4  # distance at which a directional light is placed, in the same unit
 
 
 class Shadows(NamedTuple):
@@ -39,8 +38,8 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
         sights: of the cameras.
     """
     extent = (vertices.amax(0) - vertices.amin(0)).max().double()
-    vertices, light = vertices.double(), light.double()
-    position = light[:3] if light[3] else vertices.mean(0) + FAR_AWAY * extent * light[:3]
+    vertices = vertices.double()
+    position = viewpoint(light.double(), vertices)
     vertices = vertices[edges.vertex]
     outline = is_silhouette(edges, vertices - position).nonzero().squeeze(1)
     edge = outline[::max(1, -(-len(outline) // MOST_EDGES))].repeat(len(PLACES))

@@ -8,15 +8,17 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges
-from torch_radbp.sensor.perspective import PinholeTensors
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.vec import Vec3
 
+FAR_AWAY = 1e4  # extents of the mesh: the distance at which an eye or a light in a direction is placed
 MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a surface may end exactly there
 
 
 class Sight(NamedTuple):
     """The view of one sensor."""
 
-    camera: PinholeTensors  # detached
+    camera: Camera  # detached
     width: int  # of its crop window, pixels
     height: int
 
@@ -32,13 +34,22 @@ def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
     Returns:
         (E,) bool.
     """
-    vertices = vertices[edges.vertex].double()
-    return is_silhouette(edges, vertices - eye(sight)) & crosses_view(edges, vertices, sight)
+    camera, vertices = sight.camera, vertices.double()
+    eye, vertices = viewpoint(camera.kind.eye(camera.lens), vertices), vertices[edges.vertex]
+    return is_silhouette(edges, vertices - eye) & crosses_view(edges, vertices, sight)
 
 
-def eye(sight: Sight) -> Tensor:
-    """The camera's position, (3,) float64."""
-    return torch.stack(tuple(sight.camera.origin)).double()
+def viewpoint(place: Tensor, vertices: Tensor) -> Tensor:
+    """The position of an eye or a light, (3,); one that is a direction is put far away from a mesh.
+
+    Args:
+        place: (4,) homogeneous: a position, or with 0 at the end the direction towards it; float64.
+        vertices: (V, 3) of the mesh, float64.
+    """
+    if place[3]:
+        return place[:3]
+    extent = (vertices.amax(0) - vertices.amin(0)).max()
+    return vertices.mean(0) + FAR_AWAY * extent * place[:3]
 
 
 def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
@@ -69,12 +80,8 @@ def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
     Reference: Cyrus and Beck 1978, "Generalized Two- and Three-Dimensional Clipping".
     """
     camera, width, height = sight
-    axes = torch.stack([torch.stack(tuple(axis)) for axis in camera.axes]).double()
-    x, y, z = ((vertices - eye(sight)) @ axes.T).unbind(1)
-    left, right = limits(camera.crop_x, camera.size_x, camera.shift_x, width) * camera.tan_x
-    top, bottom = limits(camera.crop_y, camera.size_y, camera.shift_y, height) * camera.tan_x / camera.aspect
-    # Distances to the six planes, positive inside; x points to the left, y up.
-    inside = torch.stack([left * z - x, x - right * z, top * z - y, y - bottom * z, z - camera.near, camera.far - z])
+    x, y = limits(camera.film.crop_x, camera.film.size_x, width), limits(camera.film.crop_y, camera.film.size_y, height)
+    inside = camera.kind.frustum(camera.lens, x, y, Vec3.of(vertices))
     start, end = inside[:, edges.a], inside[:, edges.b]
     crossing = start / torch.where(start == end, 1.0, start - end)
     zero = torch.zeros_like(crossing)
@@ -83,7 +90,6 @@ def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
     return enters < leaves
 
 
-def limits(crop: Tensor, size: Tensor, shift: Tensor, pixels: int) -> Tensor:
-    """The image coordinates, from 1 to -1, of the first and the last pixel of a crop window; (2,) float64."""
-    first, last = crop + MARGIN * pixels, crop + (1.0 - MARGIN) * pixels
-    return torch.stack([1.0 - 2.0 * (place / size + shift) for place in (first, last)]).double()
+def limits(crop: Tensor, size: Tensor, pixels: int) -> Tensor:
+    """The positions on the image of the borders of a crop window, less a margin; (2,) float64."""
+    return torch.stack([(crop + share * pixels) / size for share in (MARGIN, 1.0 - MARGIN)]).double()

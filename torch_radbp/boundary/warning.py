@@ -28,7 +28,6 @@ from torch_radbp.scene.pack import one_sided
 
 MOVE_SHAPES = ("to_world", "vertex_positions")
 MOVE_LIGHTS = ("to_world", "position")
-MOVE_VIEWS = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y")
 FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
 CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
 
@@ -124,7 +123,7 @@ class JumpWatch:
         """
         scene, sensors, sampling = rendering.scene, rendering.sensors, rendering.sampling
         jumping = [bsdf for bsdf in one_sided(scene.bsdfs()) if bsdf.kind().jumps and sampling != "attached"]
-        turning = [name for plugins, attributes in ((scene.shapes, MOVE_SHAPES), (sensors, MOVE_VIEWS), (jumping, ("eta",)))
+        turning = [name for plugins, attributes in ((scene.shapes, MOVE_SHAPES), (sensors, None), (jumping, ("eta",)))
                    for plugin in plugins for name in moving(scene, plugin, attributes)]
         if not (jumping and turning):
             return None
@@ -152,7 +151,7 @@ class JumpWatch:
             turning |= {name: all(delta) for name in moving(scene, shape, ("vertex_normals",)) if delta}
             turning |= {name: True for name in moving(scene, shape, MOVE_SHAPES) if any(delta)}
         if any(bsdf.kind().delta and followed(bsdf.kind(), sampling) for bsdf in one_sided(scene.bsdfs())):
-            turning |= {name: True for sensor in rendering.sensors for name in moving(scene, sensor, MOVE_VIEWS)}
+            turning |= {name: True for sensor in rendering.sensors for name in moving(scene, sensor)}
         named = self.missing(rendering) if turning else {}
         turning = {name: ideal for name, ideal in turning.items() if name not in named}
         if not turning or flat(rendering.caster.vertices):
@@ -173,7 +172,7 @@ class JumpWatch:
                 count = number_in_view(self.edges(id(shape), vertices, own, [len(own)]), vertices, rendering.sights)
                 missing |= {name: count for name in names}
         for sensor, sight in zip(rendering.sensors, rendering.sights):
-            names = moving(scene, sensor, MOVE_VIEWS)
+            names = moving(scene, sensor)
             if names:
                 count = number_in_view(self.edges("world", vertices, faces, counts), vertices, [sight])
                 missing |= {name: count for name in names}
@@ -237,8 +236,9 @@ def flat(vertices: Tensor) -> bool:
     return bool(squared_extent[0] <= FLAT**2 * squared_extent[-1])
 
 
-def moving(scene: Scene, plugin: Plugin, attributes: Sequence[str]) -> list[str]:
-    """The full names of those attributes of a plugin that have derivatives in this rendering."""
+def moving(scene: Scene, plugin: Plugin, attributes: Sequence[str] | None = None) -> list[str]:
+    """The full names of those attributes of a plugin, or of all, that have derivatives in this rendering."""
+    attributes = plugin.domains() if attributes is None else attributes
     asked = [name for name in attributes if asks_for_derivatives(getattr(plugin, name, None))]
     return [f"{scene.name_of(plugin)}.{name}" for name in asked]
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.film.gaussian import Gaussian
+from torch_radbp.film.position import FilmTensors
 from torch_radbp.plugin import Film, ReconstructionFilter, boolean, integer, nearest, register
 
 PIXEL_FORMATS, COMPONENT_FORMATS, FILE_FORMATS = ("rgb",), ("float16", "float32", "uint32"), ("openexr",)
@@ -48,6 +49,14 @@ class HDRFilm(Film):
         self.sample_border, self.pixel_format = boolean("sample_border", sample_border), pixel_format
         self.component_format, self.file_format = component_format, file_format
         self.rfilter = Gaussian() if rfilter is None else rfilter
+
+    def tensors(self, like: Tensor) -> FilmTensors:
+        """What decides the places of samples; `like` gives dtype and device."""
+        numbers = self.width, self.height, self.crop_offset_x, self.crop_offset_y
+        return FilmTensors(
+            *(like.new_tensor(float(number)) for number in numbers), quantiles=self.rfilter.quantiles().to(like),
+            inside_x=tuple(part.to(like) for part in self.sampled_part(self.crop_width)),
+            inside_y=tuple(part.to(like) for part in self.sampled_part(self.crop_height)))
 
     def sampled_part(self, size: int) -> tuple[Tensor, Tensor]:
         """The part of the filter's distribution that each of `size` columns (or rows) of pixels samples.

@@ -6,11 +6,11 @@ import torch
 
 from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.perspective import PinholeTensors, beyond_far_plane
+from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, dot, rows
 
 
-def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: PinholeTensors | None, hide_emitters: bool):
+def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: Camera | None, hide_emitters: bool):
     """The closest visible surface, a `raycast.Hit`.
 
     Args:
@@ -25,7 +25,7 @@ def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: PinholeTensors |
         hit = behind_emitters(caster, scene, ray, hit)
     if clipping is not None:
         p = surface_interaction(scene, ray, hit).p
-        hit = hit._replace(prim=torch.where(beyond_far_plane(clipping, p), -1, hit.prim))
+        hit = hit._replace(prim=torch.where(clipping.beyond_far_plane(p), -1, hit.prim))
     return hit
 
 

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.domain import NUMBER, POSE, Domain
-from torch_radbp.film.filter import TABLE_SIZE
-from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, nearest, positive, register
-from torch_radbp.sensor.sampler import LowDiscrepancy
-from torch_radbp.shape.surface import affine
-from torch_radbp.vec import Frame, Ray, Vec3, dot, gather, normalize
+from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register
+from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera
+from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 FIELD_OF_VIEW = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, high_is_in=False, unit=" degrees")
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 
 
-class PinholeTensors(NamedTuple):
-    """What `camera_ray` reads of one sensor; scalars are () tensors."""
+class PinholeLens(NamedTuple):
+    """What the functions of a pinhole read; scalars are () tensors."""
 
     axes: Frame  # world directions of the camera's x, y, z; unit length
     origin: Vec3
@@ -31,17 +29,40 @@ class PinholeTensors(NamedTuple):
     shift_y: Tensor  # fraction of the height
     near: Tensor
     far: Tensor
-    size_x: Tensor  # of the whole image, pixels
-    size_y: Tensor
-    crop_x: Tensor  # left edge of the crop window, pixels
-    crop_y: Tensor
-    quantiles: Tensor  # (TABLE_SIZE,) of the reconstruction filter
-    inside_x: tuple[Tensor, Tensor]  # (W,) each: start and length of the part of the filter that a column samples
-    inside_y: tuple[Tensor, Tensor]  # (H,) each
+
+    def slopes(self, position: Vec2) -> Vec2:
+        """x / z and y / z of the local directions in which positions on the image are seen."""
+        return Vec2((1.0 - 2.0 * (position.x + self.shift_x)) * self.tan_x,
+                    (1.0 - 2.0 * (position.y + self.shift_y)) * self.tan_x / self.aspect)
+
+
+@dataclass(frozen=True)
+class PinholeKind(CameraKind):
+    """Rays meet in a point."""
+
+    def ray(self, lens: PinholeLens, position: Vec2) -> Ray:
+        slopes = lens.slopes(position)
+        d = lens.axes.to_world(Vec3(slopes.x, slopes.y, torch.ones_like(slopes.x)))
+        near = d * lens.near
+        o = Vec3(lens.origin.x + near.x, lens.origin.y + near.y, lens.origin.z + near.z)
+        return Ray(o, normalize(d))
+
+    def beyond_far_plane(self, lens: PinholeLens, p: Vec3) -> Tensor:
+        return dot(p - lens.origin, lens.axes.n) > lens.far
+
+    def eye(self, lens: PinholeLens) -> Tensor:
+        origin = torch.stack(tuple(lens.origin)).double()
+        return torch.cat([origin, origin.new_ones(1)])
+
+    def frustum(self, lens: PinholeLens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
+        along_x, along_y, ahead = lens.axes.to_local(p - lens.origin)
+        (left, right), (top, bottom) = lens.slopes(Vec2(x, y))
+        return torch.stack([left * ahead - along_x, along_x - right * ahead, top * ahead - along_y,
+                            along_y - bottom * ahead, ahead - lens.near, lens.far - ahead])
 
 
 @register("sensor", "perspective")
-class Perspective(Sensor):
+class Perspective(ProjectiveCamera):
     """A pinhole camera. It looks along its local +z, with y up and x to the left, as in Mitsuba.
 
     Parameters: `to_world` (4, 4), `x_fov` (), `principal_point_offset_x`, `principal_point_offset_y` ().
@@ -61,17 +82,11 @@ class Perspective(Sensor):
                  focus_distance: float | None = None, shutter_open: float = 0.0, shutter_close: float = 0.0,
                  film: Film | None = None, sampler: Sampler | None = None):
         super().__init__()
-        self.film = HDRFilm() if film is None else film
-        self.sampler = LowDiscrepancy() if sampler is None else sampler
         fov, fov_axis = field_of_view(fov, focal_length, fov_axis)
-        if not 0 < near_clip < far_clip:
-            raise ValueError(f"near_clip must be positive and less than far_clip, got {near_clip} and {far_clip}")
-        self.near_clip, self.far_clip = positive("near_clip", near_clip), float(far_clip)
+        self.place(to_world, near_clip, far_clip, film, sampler)
         self.focus_distance, self.shutter_open, self.shutter_close = focus_distance, shutter_open, shutter_close
         dtype = torch.get_default_dtype()
-        self.freeze("to_world", affine("to_world", to_world))
-        aspect = self.film.width / self.film.height
-        self.freeze("x_fov", torch.tensor(horizontal_fov(fov, fov_axis, aspect), dtype=dtype))
+        self.freeze("x_fov", torch.tensor(horizontal_fov(fov, fov_axis, self.aspect), dtype=dtype))
         self.freeze("principal_point_offset_x", torch.tensor(float(principal_point_offset_x), dtype=dtype))
         self.freeze("principal_point_offset_y", torch.tensor(float(principal_point_offset_y), dtype=dtype))
 
@@ -86,24 +101,20 @@ class Perspective(Sensor):
 
     fov_axis, focal_length = "x", None
 
-    def tensors(self) -> PinholeTensors:
-        """The camera as a record of tensors, attached."""
+    def kind(self) -> PinholeKind:
+        return PinholeKind()
+
+    def lens(self) -> PinholeLens:
         matrix = self.to_world
         columns = [normalize(Vec3.of(matrix[:3, k])) for k in range(3)]
-
-        def scalar(value: float) -> Tensor:
-            return matrix.new_tensor(value)
-
-        film = self.film
-        return PinholeTensors(
+        return PinholeLens(
             axes=Frame(*columns), origin=Vec3.of(matrix[:3, 3]), tan_x=torch.tan(0.5 * torch.deg2rad(self.x_fov)),
-            aspect=scalar(film.width / film.height), shift_x=self.principal_point_offset_x,
-            shift_y=self.principal_point_offset_y, near=scalar(self.near_clip), far=scalar(self.far_clip),
-            size_x=scalar(film.width), size_y=scalar(film.height),
-            crop_x=scalar(film.crop_offset_x), crop_y=scalar(film.crop_offset_y),
-            quantiles=film.rfilter.quantiles().to(matrix),
-            inside_x=tuple(part.to(matrix) for part in film.sampled_part(film.crop_width)),
-            inside_y=tuple(part.to(matrix) for part in film.sampled_part(film.crop_height)))
+            aspect=matrix.new_tensor(self.aspect), shift_x=self.principal_point_offset_x,
+            shift_y=self.principal_point_offset_y, near=matrix.new_tensor(self.near_clip),
+            far=matrix.new_tensor(self.far_clip))
+
+    def view(self) -> str:
+        return f"{self.fov:.2f} deg"
 
 
 def field_of_view(fov: float | None, focal_length: str | None, fov_axis: str) -> tuple[float, str]:
@@ -145,40 +156,3 @@ def horizontal_fov(fov: float, axis: str, aspect: float) -> float:
     elif axis == "diagonal":
         half *= aspect / math.hypot(aspect, 1)
     return math.degrees(2 * math.atan(half))
-
-
-def camera_ray(camera: PinholeTensors, column: Tensor, row: Tensor, u: Tensor, v: Tensor) -> Ray:
-    """Rays through pixels (column, row) of the crop window, offset by the reconstruction filter.
-
-    Args:
-        camera: from `Perspective.tensors`, attached.
-        column, row: (N,) pixel coordinates inside the crop window.
-        u, v: (N,) uniform numbers.
-
-    Returns:
-        Rays in world space that start on the near plane; attached to the camera's parameters.
-    """
-    u = gather(camera.inside_x[0], column) + u * gather(camera.inside_x[1], column)
-    v = gather(camera.inside_y[0], row) + v * gather(camera.inside_y[1], row)
-    x = (column + camera.crop_x + 0.5 + quantile(camera.quantiles, u)) / camera.size_x
-    y = (row + camera.crop_y + 0.5 + quantile(camera.quantiles, v)) / camera.size_y
-    along_x = (1.0 - 2.0 * (x + camera.shift_x)) * camera.tan_x
-    along_y = (1.0 - 2.0 * (y + camera.shift_y)) * camera.tan_x / camera.aspect
-    across = Vec3(along_x, along_y, torch.ones_like(along_x))
-    d = camera.axes.to_world(across)
-    near = d * camera.near
-    o = Vec3(camera.origin.x + near.x, camera.origin.y + near.y, camera.origin.z + near.z)
-    return Ray(o, normalize(d))
-
-
-def beyond_far_plane(camera: PinholeTensors, p: Vec3) -> Tensor:
-    """True where points lie beyond the far plane and cannot be seen."""
-    return dot(p - camera.origin, camera.axes.n) > camera.far
-
-
-def quantile(table: Tensor, u: Tensor) -> Tensor:
-    """Linear interpolation of a filter's (TABLE_SIZE,) table at `u` in [0, 1]."""
-    position = u * (TABLE_SIZE - 1)
-    left = position.to(torch.int32).clamp_max(TABLE_SIZE - 2)
-    fraction = position - left
-    return gather(table, left) * (1.0 - fraction) + gather(table, left + 1) * fraction

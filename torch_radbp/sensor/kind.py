@@ -1,0 +1,126 @@
+"""The interface between sensors and the tracer.
+
+A sensor has two parts: its `CameraKind`, a hashable value that names the functions, and the tensors that they read: the
+lens, a record of the kind's own, and the film. A `Camera` holds all three; it is what the tracer knows of a sensor.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.domain import POSE, Domain
+from torch_radbp.film.hdrfilm import HDRFilm
+from torch_radbp.film.position import FilmTensors
+from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, positive
+from torch_radbp.sensor.sampler import LowDiscrepancy
+from torch_radbp.shape.surface import affine
+from torch_radbp.vec import Ray, Vec2, Vec3
+
+Lens = Any  # a NamedTuple of tensors, attached
+
+
+@dataclass(frozen=True)
+class CameraKind(ABC):
+    """The functions of one kind of camera."""
+
+    @abstractmethod
+    def ray(self, lens: Lens, position: Vec2) -> Ray:
+        """World rays, unit length, that start on the near plane; attached to the lens.
+
+        Args:
+            lens: of the camera.
+            position: (N,) on the image, fractions of its size; (0, 0) is the upper left corner.
+        """
+
+    @abstractmethod
+    def beyond_far_plane(self, lens: Lens, p: Vec3) -> Tensor:
+        """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
+
+    @abstractmethod
+    def eye(self, lens: Lens) -> Tensor:
+        """(4,) homogeneous: the point where all rays meet, or with 0 at the end the direction towards it; detached."""
+
+    @abstractmethod
+    def frustum(self, lens: Lens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
+        """Distances to the six planes that bound the view, of any scale, positive inside; (6, N), linear in p.
+
+        Args:
+            lens: of the camera, detached.
+            x, y: (2,) the left and the right, the upper and the lower border of the view, as positions on the image.
+            p: (N,) world points.
+        """
+
+
+class Camera(NamedTuple):
+    """A sensor as tensors; attached."""
+
+    kind: CameraKind
+    lens: Lens
+    film: FilmTensors
+
+    @property
+    def dtype(self) -> torch.dtype:
+        return self.film.quantiles.dtype
+
+    def ray(self, column: Tensor, row: Tensor, u: Tensor, v: Tensor) -> Ray:
+        """Rays through pixels of the crop window, offset by the reconstruction filter; attached to the lens.
+
+        Args:
+            column, row: (N,) of the pixels.
+            u, v: (N,) uniform numbers.
+        """
+        return self.kind.ray(self.lens, self.film.position(column, row, u, v))
+
+    def beyond_far_plane(self, p: Vec3) -> Tensor:
+        """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
+        return self.kind.beyond_far_plane(self.lens, p)
+
+
+class ProjectiveCamera(Sensor):
+    """A sensor at `to_world` with a near and a far plane.
+
+    Parameters: `to_world` (4, 4), and those of the subclass.
+    """
+
+    def place(self, to_world: Matrix4 | None, near_clip: float, far_clip: float, film: Film | None,
+              sampler: Sampler | None) -> None:
+        """Stores what all such cameras have.
+
+        Raises:
+            ValueError: if the planes are out of order.
+        """
+        self.film = HDRFilm() if film is None else film
+        self.sampler = LowDiscrepancy() if sampler is None else sampler
+        if not 0 < near_clip < far_clip:
+            raise ValueError(f"near_clip must be positive and less than far_clip, got {near_clip} and {far_clip}")
+        self.near_clip, self.far_clip = positive("near_clip", near_clip), float(far_clip)
+        self.freeze("to_world", affine("to_world", to_world))
+
+    def domains(self) -> dict[str, Domain]:
+        return {"to_world": POSE}
+
+    @property
+    def aspect(self) -> float:
+        """Width / height of the whole image."""
+        return self.film.width / self.film.height
+
+    def kind(self) -> CameraKind:
+        """The functions."""
+        raise TypeError(f"{type(self).__name__} does not define its kind")
+
+    def lens(self) -> Lens:
+        """What the functions read, attached."""
+        raise TypeError(f"{type(self).__name__} does not define its lens")
+
+    def view(self) -> str:
+        """The field of view in words."""
+        raise TypeError(f"{type(self).__name__} does not describe its view")
+
+    def tensors(self) -> Camera:
+        """The camera as a record of tensors, attached."""
+        return Camera(self.kind(), self.lens(), self.film.tensors(self.to_world))
