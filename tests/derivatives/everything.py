@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.scenes import SCENES, SUBJECT, bitmap, camera, floor, lamp, sky, turned
+from tests.derivatives.scenes import SCENES, SUBJECT, beam, bitmap, camera, floor, lamp, parallel, sky, turned
 from tests.scenes import load, rgb
 
 MATERIALS = ("diffuse", "conductor", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
@@ -49,8 +49,8 @@ def shapes() -> dict[str, Any]:
         size = 0.2 if name in ("mesh", "obj", "ply") else 0.42
         found[f"{SUBJECT}_{name}"] = objects(name)[SUBJECT] | turned(
             place(number), 20 + 7 * number, 30 - 5 * number, 10, size=size)
-    return {f"{SUBJECT}_sensor": camera(16, 50), "floor": floor(), **found,
-            **{f"{SUBJECT}_{name}": objects(name)[SUBJECT] for name in LIGHTS},
+    return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_parallel": parallel(1.2, 16), "floor": floor(), **found,
+            f"{SUBJECT}_beam": beam(), **{f"{SUBJECT}_{name}": objects(name)[SUBJECT] for name in LIGHTS},
             f"{SUBJECT}_surround": {"type": "constant", "radiance": rgb(0.3, 0.2, 0.4)}}
 
 

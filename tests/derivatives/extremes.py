@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 import torch_radbp as rb
+from tests.derivatives.scenes import parallel
 from tests.scenes import diffuse, look_at, rectangle, rgb, texels
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -174,7 +175,8 @@ def places() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
             lamp=rectangle((0, 2, 0), 0.4, (1, 0, 0), 90, emitter=GLOW)),
         "sphere, constant sky": lambda dtype: crowd(
             BRUSHED, dtype, sky={"type": "constant", "radiance": rgb(1, 1, 1)}, tent=None, cube=None,
-            ball={"type": "sphere", "radius": 0.5, "bsdf": BRUSHED}),
+            camera=parallel(2.0), ball={"type": "sphere", "radius": 0.5, "bsdf": BRUSHED},
+            beam=rectangle((0.2, 2.2, 0.3), 0.9, (1, 0.1, 0.2), 100, emitter=GLOW | {"type": "directionalarea"})),
     }
 
 

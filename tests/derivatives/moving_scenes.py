@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
+from tests.derivatives.scenes import parallel
 from tests.scenes import diffuse, load, look_at, rgb, sensor
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -289,6 +290,9 @@ SCENES = {
     "camera shifted": MovingScene(scene(**FLOOR, **POINT), "sensor.to_world", rigid(SHIFT), 0.005),
     "camera turned": MovingScene(scene(**FLOOR, **POINT), "sensor.to_world", rigid(TURN, (0.5, -0.4, 2.6)), 0.005),
     "camera in a room": MovingScene(scene(**ROOM), "sensor.to_world", rigid(TWIST, (0.5, -0.4, 2.6)), 0.005, 3),
+    "camera without perspective": MovingScene(
+        scene(sensor=parallel() | {"film": camera()["film"]}, **FLOOR, **POINT), "sensor.to_world",
+        rigid(TWIST, (0.5, -0.4, 2.6)), 0.005),
     "principal point x": MovingScene(scene(**FLOOR, **POINT), "sensor.principal_point_offset_x", constant(1), 0.005),
     "principal point y": MovingScene(scene(**FLOOR, **SKY), "sensor.principal_point_offset_y", constant(1), 0.005),
     "field of view": MovingScene(scene(sensor=camera(rfilter="box"), **FLOOR, **POINT), "sensor.x_fov", constant(1), 0.5),

@@ -41,6 +41,12 @@ def camera(size: int = 2, fov: float = 34, **attributes: Any) -> dict[str, Any]:
     return sensor(size, (0.3, 0.4, 3.5), (0.05, 0.02, 0), fov, **attributes)
 
 
+def parallel(scaled: float = 0.8, size: int = 2) -> dict[str, Any]:
+    """A camera without perspective."""
+    pose = look_at((0.3, 0.4, 3.5), (0.05, 0.02, 0), (0, 1, 0)) @ scale((scaled, 1.2 * scaled, 1))
+    return {"type": "orthographic", "to_world": pose, "film": camera(size, rfilter="gaussian")["film"]}
+
+
 def lamp(**attributes: Any) -> dict[str, Any]:
     """A lamp above that faces down."""
     return rectangle((0.5, 2.6, 1.7), 0.8, (1, 0.13, 0.21), 119, **{
@@ -122,6 +128,12 @@ def light(**attributes: Any) -> dict[str, Any]:
             "dark": diffuse(0.1, 0.2, 0.1), SUBJECT: attributes}
 
 
+def beam(**attributes: Any) -> dict[str, Any]:
+    """A panel that throws parallel light on the middle of the view."""
+    return {"type": "rectangle", "to_world": AIMED @ scale((0.7, 0.7, 1)),
+            "emitter": {"type": "directionalarea", "radiance": bitmap(factor=3.0)}} | attributes
+
+
 def turned(at, *angles: float, size: float = 1.0, **attributes: Any) -> dict[str, Any]:
     """A shape turned by odd angles about x, y and z."""
     x, y, z = angles
@@ -167,6 +179,7 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "area of a mesh": light(**quadrilateral(
         smooth=False, vertex_positions=[[-0.6, 1.9, 1.6], [0.9, 2.3, 1.5], [0.8, 2.2, 2.7], [-0.7, 2.0, 2.8]],
         emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
+    "directionalarea": light(**beam(bsdf={"type": "ref", "id": "dark"})),
     "constant": light(type="constant", radiance=rgb(0.6, 0.9, 1.4)),
     "directional": light(type="directional", direction=[-0.3, -1.0, -0.9], irradiance=rgb(2.8, 2.7, 2.4)),
     "envmap": light(**sky()),
@@ -176,6 +189,7 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
                   texture=bitmap()),
     "perspective": {SUBJECT: camera(principal_point_offset_x=0.03, principal_point_offset_y=-0.02, rfilter="gaussian"),
                     "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
+    "orthographic": {SUBJECT: parallel(), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
 }
 
 

@@ -16,6 +16,7 @@ MOVES = {
     "vertices": ("mesh", "subject", "vertex_positions"), "normals": ("mesh", "subject", "vertex_normals"),
     "texture coordinates": ("mesh", "subject", "vertex_texcoords"), "shape's pose": ("disk", "subject", "to_world"),
     "camera's pose": ("perspective", "subject", "to_world"), "field of view": ("perspective", "subject", "x_fov"),
+    "pose without perspective": ("orthographic", "subject", "to_world"),
     "principal point": ("perspective", "subject", "principal_point_offset_x"),
     "light's position": ("point", "subject", "position"),
     "lamp's pose": ("area", "subject", "to_world"), "sky's pose": ("envmap", "subject", "to_world"),

@@ -48,6 +48,8 @@ EMITTERS: dict[str, dict[str, Any]] = {
     "area": {"lamp": {"type": "rectangle", "to_world": LAMP_POSE, "emitter": {"type": "area", "radiance": slide()}}},
     "area_sphere": {"lamp": {"type": "sphere", "to_world": translate((0.2, 0.8, 0.1)) @ scale((0.3, 0.3, 0.3)),
                              "emitter": {"type": "area", "radiance": rgb(3, 2, 1)}}},
+    "directionalarea": {"lamp": {"type": "rectangle", "to_world": LAMP_POSE,
+                                 "emitter": {"type": "directionalarea", "radiance": slide()}}},
     "constant": {"lamp": {"type": "constant", "radiance": rgb(0.3, 0.4, 0.6)}},
     "envmap": {"lamp": {"type": "envmap", "bitmap": sky_image(), "scale": 1.5, "to_world": turned(20, 50, -10)}},
     "envmap_compensated": {"lamp": {"type": "envmap", "bitmap": sky_image(), "mis_compensation": True}},

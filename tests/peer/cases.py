@@ -34,6 +34,7 @@ class Camera(NamedTuple):
     film: str = size(24, 16)
     rfilter: str = BOX
     place: str = LOOK
+    type: str = "perspective"
 
 
 def fov(axis: str, film: str = size(24, 16)) -> Camera:
@@ -62,6 +63,10 @@ CAMERAS = {
     "default_filter": Camera(FOV, size(24, 16) + BORDER, ""),
     "transform_chain": Camera(FOV, place='<transform name="to_world"><rotate z="1" angle="12"/><rotate y="1" angle="176"/>'
                                          '<translate x="0.2" y="-0.1" z="3"/></transform>'),
+    "orthographic": Camera(
+        '<float name="near_clip" value="0.5"/>', crop(3, 2, 20, 12), type="orthographic",
+        place='<transform name="to_world"><scale x="1.6" y="1.3" z="0.7"/><lookat origin="0.5, -0.4, 3" target="0, 0.1, 0" '
+              'up="0.1, 1, 0"/></transform>'),
     "matrix": Camera(FOV, place='<transform name="to_world"><rotate y="1" angle="180"/>'
                                 '<matrix value="1 0 0 0.1  0 1 0 0.2  0 0 1 3  0 0 0 1"/></transform>'),
 }
@@ -77,7 +82,7 @@ def poster(name: str) -> Callable[[Folder], Path]:
         return folder.text("scene.xml", scene_xml(
             camera.film, camera.sensor + camera.place,
             shape("rectangle", "poster", diffuse("0"), emitter) + SKY.format("0.1, 0.2, 0.3"),
-            '<integer name="max_depth" value="2"/>', camera.rfilter))
+            '<integer name="max_depth" value="2"/>', camera.rfilter, camera.type))
 
     return build
 

@@ -54,11 +54,11 @@ class Case(NamedTuple):
 
 
 def scene_xml(film: str, sensor: str, body: str, integrator: str = '<integer name="max_depth" value="4"/>',
-              rfilter: str = '<rfilter type="box"/>') -> str:
-    """A scene file with one sensor; every part is XML."""
+              rfilter: str = '<rfilter type="box"/>', camera: str = "perspective") -> str:
+    """A scene file with one sensor, of type `camera`; every part is XML."""
     return f"""<scene version="3.0.0">
   <integrator type="path">{integrator}</integrator>
-  <sensor type="perspective" id="sensor">
+  <sensor type="{camera}" id="sensor">
     {sensor}
     <sampler type="independent"><integer name="sample_count" value="16"/></sampler>
     <film type="hdrfilm">{film}<string name="pixel_format" value="rgb"/>{rfilter}</film>

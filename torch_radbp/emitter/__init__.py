@@ -1,3 +1,12 @@
 """Emitters: where light comes from."""
 
-from torch_radbp.emitter import area, constant, directional, envmap, point, projector, spot  # noqa: F401 (registers the plugins)
+from torch_radbp.emitter import (  # noqa: F401 (registers the plugins)
+    area,
+    constant,
+    directional,
+    directionalarea,
+    envmap,
+    point,
+    projector,
+    spot,
+)

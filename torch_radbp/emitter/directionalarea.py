@@ -1,0 +1,73 @@
+"""A surface that emits parallel light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torch_radbp.domain import AMOUNT, Domain
+from torch_radbp.emitter.attributes import weight
+from torch_radbp.emitter.kind import Aim, EmittingTriangles, Light, Pick, ShadowSource, SurfaceKind
+from torch_radbp.lookup import lookup
+from torch_radbp.plugin import Texture, register
+from torch_radbp.texture.rgb import as_texture
+from torch_radbp.vec import Ray, Vec3, crossing, dot, interpolated
+
+
+@dataclass(frozen=True)
+class DirectionalAreaKind(SurfaceKind):
+    """Light along the normals of triangles: what reaches a point starts where the perpendicular from it meets one."""
+
+    delta: ClassVar[bool] = True
+
+    def check(self, triangles: EmittingTriangles) -> None:
+        if triangles.shading is not None:
+            raise ValueError("a directionalarea emitter belongs to a shape with flat faces, whose beams are those of its "
+                             "triangles, got one with normals of its vertices; set face_normals or take an area emitter")
+
+    def aim(self, table: EmittingTriangles, proposal: EmittingTriangles, p: Vec3, pick: Pick) -> Aim:
+        n, corners = lookup(table.n, pick.row), lookup(table.p, pick.row)
+        p0, e1, e2 = corners[0], corners[1] - corners[0], corners[2] - corners[0]
+        volume, of_u, of_v = crossing(Ray(p, -n), p0, e1, e2)
+        met = volume.abs() > 0
+        volume = torch.where(met, volume, 1.0)
+        u, v = of_u / volume, of_v / volume
+        met = met & (dot(p - p0, n) > 0) & (u >= 0) & (v >= 0) & (u + v <= 1)
+        # What no beam meets has a finite target and texture coordinates all the same.
+        u, v = torch.where(met, u, 0.25), torch.where(met, v, 0.25)
+        uv = None if table.uv is None else interpolated(lookup(table.uv, pick.row), u, v)
+        return Aim(-n, pick.pmf * met.to(pick.pmf.dtype), interpolated(corners, u, v), uv=uv)
+
+    def source(self, middle: Tensor, axis: Tensor) -> ShadowSource:
+        towards = -torch.nn.functional.normalize(axis, dim=0)
+        return ShadowSource(torch.cat([towards, towards.new_zeros(1)]), torch.zeros_like(axis))
+
+
+@register("emitter", "directionalarea")
+class DirectionalArea(Light):
+    """Emits a beam along the normal from the front side of the flat shape that carries it.
+
+    A surface across the beam receives the irradiance `radiance` (W / m^2) at any distance. The shape itself looks black.
+    Mitsuba's particle tracer renders the same; its path tracers, which do not look for the foot of the perpendicular, see no
+    light at all.
+
+    Parameters: `radiance`, a texture. Derivatives: with respect to its texels and to the shape, except for the contribution
+    of the edge of the beam, where the light is discontinuous.
+    """
+
+    def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
+        super().__init__()
+        self.radiance = as_texture(self, "radiance", radiance)
+        self.sampling_weight = weight(sampling_weight)
+
+    def domains(self) -> dict[str, Domain]:
+        return {"radiance": AMOUNT}
+
+    def kind(self) -> DirectionalAreaKind:
+        return DirectionalAreaKind()
+
+    def radiated(self) -> Texture:
+        return self.radiance
