@@ -7,7 +7,7 @@ import torch
 
 import torch_radbp as rb
 from tests.derivatives.extremes import CASES
-from tests.scenes import diffuse, load, rectangle, rgb, sensor
+from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.plugin import REGISTRY
 from torch_radbp.scene.pack import pack
@@ -118,6 +118,17 @@ def test_an_image_that_is_not_finite_is_traced_to_plugin_bounce_and_count(adjoin
                r"roughconductor `metal`; keep the parameters within bounds")
     with pytest.raises(rb.NonFiniteError, match=message):
         rb.Renderer(mirror_scene(), spp=2, max_depth=4, adjoint=adjoint)(seed=1)
+
+
+@pytest.mark.parametrize("emitter, source", [
+    ({"type": "envmap", "data": torch.full((2, 3, 3), 1e18), "scale": 1e24}, "the envmap `sun`"),
+    ({"type": "projector", "irradiance": 1e18, "scale": 1e24, "to_world": look_at((0, 0, 2), (0, 0, 0), (0, 1, 0))},
+     "the projector `sun`")], ids=["around", "at a point"])
+def test_light_beyond_float32_is_blamed_on_the_emitter_and_not_on_the_wall(emitter, source):
+    wall = rectangle((0, 0, 0), 2, bsdf=diffuse(0.5, 0.4, 0.3))
+    scene = load(torch.float32, camera=sensor(3, fov=20), wall=wall, sun=emitter)
+    with pytest.raises(rb.NonFiniteError, match=f"at bounce 1, .* in the light of {source}, which is too bright; keep"):
+        rb.Renderer(scene, spp=2, max_depth=2)(seed=1)
 
 
 def test_a_loss_that_is_not_finite_is_told_from_a_rendering_that_is_not():

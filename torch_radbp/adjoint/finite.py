@@ -14,10 +14,11 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint.sweep import Sweep, bounce_adjoint
-from torch_radbp.path import Arrival, PathState, Position, Vertex, bounce
+from torch_radbp.path import Arrival, PathState, Position, Vertex, bounce, scattering
 from torch_radbp.plugin import Plugin, Texture
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import rows
 from torch_radbp.wavefront import Integrand
 
 ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) and smaller steps"
@@ -44,18 +45,26 @@ class Finding:
         self.depth: int | None = None
         self.lanes, self.of = 0, 0
         self.prim: Tensor | None = None  # (lanes,) what the bad lanes had hit
+        self.in_light = False  # the light is not finite before any surface has reflected it
 
-    def look(self, depth: int, bad: Tensor, prim: Tensor) -> None:
-        """Notes a bounce whose lanes `bad` (N,) bool, which met `prim`, are not finite, unless one was found before."""
+    def look(self, depth: int, bad: Tensor, prim: Tensor, light: Tensor | None = None) -> None:
+        """Notes a bounce whose lanes `bad` (N,) bool, which met `prim`, are not finite, unless one was found before.
+
+        `light`: (N,) bool, whether the light that emitters send there is finite; None: unknown.
+        """
         if self.depth is None and bool(bad.any()):
             self.depth, self.lanes, self.of, self.prim = depth, int(bad.sum()), len(bad), prim[bad]
+            self.in_light = light is not None and not bool(light[bad].all())
 
     def place(self, tensors: SceneTensors, scene: Scene | None) -> str:
         """The finding in words."""
         if self.depth is None:
             return "in no bounce alone: sums or products of finite numbers overflow"
-        return (f"first at bounce {self.depth + 1}, in {self.lanes} of {self.of} paths, "
-                f"{most_frequent_surface(self.prim, tensors, scene)}")
+        start = f"first at bounce {self.depth + 1}, in {self.lanes} of {self.of} paths, "
+        if self.in_light and scene is not None:
+            sources = " or ".join(described(scene, emitter) for emitter in scene.emitters)
+            return f"{start}in the light of {sources}, which is too bright"
+        return start + most_frequent_surface(self.prim, tensors, scene)
 
 
 def most_frequent_surface(prim: Tensor, tensors: SceneTensors, scene: Scene | None) -> str:
@@ -98,10 +107,19 @@ def checked_bounce(finding: Finding) -> Callable[..., Vertex]:
             depth, counter = depth + 1, at.counter
         vertex = bounce(scene, proposal, arrival, lanes, at, *rest)
         terms = torch.stack([*vertex.Le, *vertex.Ld, *vertex.F])
-        finding.look(depth, ~torch.isfinite(terms).all(0), arrival.hit.prim[lanes])
+        bad = ~torch.isfinite(terms).all(0)
+        light = light_is_finite(scene, proposal, arrival, lanes, at, *rest) if bool(bad.any()) else None
+        finding.look(depth, bad, arrival.hit.prim[lanes], light)
         return vertex
 
     return checked
+
+
+def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, *rest) -> Tensor:
+    """True in those lanes of a bounce, (N,), to which emitters send finite light, before any surface reflects it."""
+    local = scattering(scene, proposal, rows(arrival, lanes), *rest)
+    sent = (*local.Le, *(() if local.light is None else local.light.radiance))
+    return torch.isfinite(torch.stack(sent)).all(0)
 
 
 class CheckedSweep(Sweep):
