@@ -33,7 +33,6 @@ from torch_radbp.sampling.sampler import (
     random_bits,
     uniform,
 )
-from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import (
@@ -143,24 +142,23 @@ def start_path(ray: Ray, key: LaneKey) -> PathState:
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane)
 
 
-def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, settings: Settings,
-           appearance: Appearance | None) -> Vertex:
+def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
+           settings: Settings) -> Vertex:
     """One step of the recursion L_k = E_k + F_k L_{k+1}: what happens at the vertex, and where the path goes from there.
 
     Args:
-        scene: attached; what is integrated.
-        proposal: detached; decides samples, densities, weights and survival.
+        scene: attached; the part of it that these lanes read. If it has no appearance, only what is emitted counts.
+        proposal: the same, detached; decides samples, densities, weights and survival.
         arrival: the paths that reach this bounce.
         lanes: (M,) int32, those of them that are computed, in this order.
         at: the depth of this bounce.
         settings: the integrand.
-        appearance: of the surfaces that the lanes meet; None: only what is emitted counts.
 
     Returns:
         The M vertices. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
     """
     state, hit, front = rows(arrival, lanes)
-    local = scattering(scene, proposal, Arrival(state, hit, front), at, settings, appearance)
+    local = scattering(scene, proposal, Arrival(state, hit, front), at, settings)
 
     # Aim the shadow ray at the light sample.
     zero = torch.zeros_like(state.pdf)
@@ -176,31 +174,31 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
-               appearance: Appearance | None, here: Corners | None = None) -> Scattering:
+               here: Corners | None = None) -> Scattering:
     """The vertex without its outgoing ray, of lanes as they are. Args as for `bounce` and `surface_interaction`."""
     # Find the surface that the ray meets. The point slides where the ray was not left to chance, or is followed.
     state, hit, front = arrival
     slides = None
     if settings.moving:
         slides = torch.isinf(state.pdf) | (settings.sampling == "attached")
-    si = surface_interaction(scene, state.ray, hit, appearance, slides, here, front)
+    si = surface_interaction(scene, state.ray, hit, slides, here, front)
 
     # Add the light that comes from there, weighted against the chance that next-event estimation finds it.
     zero = torch.zeros_like(state.pdf)
     none = Vec3(zero, zero, zero)
     Le = none
     if not settings.hide_emitters:
-        Le = emitted(scene, state.ray, si) if appearance is None else emitted_by_surface(scene, si)
+        Le = emitted(scene, state.ray, si) if scene.appearance is None else emitted_by_surface(scene, si)
     if settings.nee:
         geometry = scene if settings.sampling == "attached" else proposal
-        other = (emitted_pdf(geometry, state.ray, si, proposal) if appearance is None
+        other = (emitted_pdf(geometry, state.ray, si, proposal) if scene.appearance is None
                  else pdf_of_surface(geometry, si, proposal))
         Le = Le * mis_weight(state.pdf, other, settings)
-    if appearance is None:
+    if scene.appearance is None:
         return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
 
     # Look up the material.
-    material = material_at(scene, appearance, si)
+    material = material_at(scene, si)
 
     # Connect to a point on a light.
     key = bounce_key(state.key, at.counter)

@@ -238,9 +238,9 @@ class Renderer(nn.Module):
                             sampling=self.sampling if moving else "detached")
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
-            return Integrand(tensors, detached(tensors), caster, settings, max_depth, self.rr_depth, stages.bounce)
+            return Integrand(tensors, detached(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
 
-        call = RenderCall(scene, caster, make_integrand, stages.bounce_adjoint, stages.sample_camera, self.adjoint, views,
+        call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views,
                           plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers, self.scene,
                           parameters)
         if self.memory_budget is None:
@@ -257,7 +257,7 @@ class Renderer(nn.Module):
     def plan(self, call: RenderCall) -> MemoryPlan:
         """Predicts the memory of a call from a pilot of its paths; within the budget, if there is one."""
         scene = detached(call.scene)
-        integrand = call.make_integrand(scene)._replace(bounce=EAGER.bounce)
+        integrand = call.make_integrand(scene).with_stages(EAGER)
         lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
         chunk = max(part.pixels * part.samples for part in call.chunks)
         moving = integrand.settings.moving
@@ -274,7 +274,7 @@ class Renderer(nn.Module):
         taped = isinstance(call.adjoint, TapeAdjoint)
         case = (call.scene.layout, call.scene.dtype, integrand.settings, integrand.max_depth, wanted, triangles, taped)
         if case not in self.working_sets:
-            attached = call.make_integrand(call.scene)._replace(bounce=EAGER.bounce) if taped else None
+            attached = call.make_integrand(call.scene).with_stages(EAGER) if taped else None
             self.working_sets[case] = measured(integrand, attached, partial(pilot_paths, call), wanted)
         return self.working_sets[case]
 

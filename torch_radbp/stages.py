@@ -9,29 +9,23 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Callable
-from typing import NamedTuple
+from copy import copy
 
 from torch_radbp.adjoint.sweep import bounce_adjoint
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.path import bounce, sample_camera
+from torch_radbp.vec import rows
+from torch_radbp.wavefront import Stages, brightened
 
-
-class Stages(NamedTuple):
-    """The three functions that run per chunk or per bounce."""
-
-    sample_camera: Callable
-    bounce: Callable
-    bounce_adjoint: Callable
-
-
-EAGER = Stages(sample_camera, bounce, bounce_adjoint)
+EAGER = Stages(sample_camera, bounce, bounce_adjoint, rows, brightened)
 
 
 @functools.cache
 def compiled() -> Stages:
     """The stages as fused loops; one set for the whole process."""
     return Stages(CompiledStage(sample_camera, "camera"), CompiledStage(bounce, "scene", "proposal", "arrival"),
-                  CompiledStage(bounce_adjoint, "scene", "arrival", "adj_L", "memo"))
+                  CompiledStage(bounce_adjoint, "scene", "arrival", "adj_L", "memo"), CompiledStage(rows, "record"),
+                  CompiledStage(brightened, "L", "beta"))
 
 
 class CompiledStage:
@@ -45,6 +39,12 @@ class CompiledStage:
     def __init__(self, stage: Callable, *tables: str):
         self.stage, self.fused = stage, LaneFunction(stage, tables)
         self.refused = False
+
+    def knowing(self, *arguments) -> CompiledStage:
+        """The same stage, for calls that begin with these very arguments."""
+        other = copy(self)
+        other.fused = self.fused.knowing(*arguments)
+        return other
 
     def __call__(self, *arguments):
         try:

@@ -20,6 +20,7 @@ from torch_radbp.sampling.sampler import depth_counter
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.interaction import is_in_front
+from torch_radbp.scene.part import part_of
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3, masked, rows
@@ -50,6 +51,33 @@ class Step(NamedTuple):
     survives: Tensor  # (M,) bool: the path goes on
 
 
+class Stages(NamedTuple):
+    """The functions that run once for each chunk, or for each bounce: in plain torch, or compiled."""
+
+    sample_camera: Callable
+    bounce: Callable
+    bounce_adjoint: Callable
+    rows: Callable
+    brightened: Callable
+
+    def eager(self) -> Stages:
+        """The same in plain torch."""
+        return Stages(*(getattr(stage, "stage", stage) for stage in self))
+
+
+def knowing(stage: Callable, *arguments) -> Callable:
+    """A stage, prepared for calls that begin with these very arguments."""
+    return stage.knowing(*arguments) if hasattr(stage, "knowing") else stage
+
+
+class Part(NamedTuple):
+    """What the lanes of one queue go through."""
+
+    scene: SceneTensors  # the part of the integrand's scene that they read
+    proposal: SceneTensors  # the same, detached
+    bounce: Callable[..., Vertex]  # prepared for both
+
+
 class Integrand(NamedTuple):
     """The integrand with the functions that evaluate it: everything about a rendering but its lanes."""
 
@@ -59,8 +87,20 @@ class Integrand(NamedTuple):
     settings: Settings
     max_depth: int
     rr_depth: int
-    bounce: Callable[..., Vertex]  # `path.bounce`, eager or compiled
+    stages: Stages
+    parts: dict[int | None, Part]  # by `Queue.appearance`, filled when one is first met
     clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
+
+    def with_stages(self, stages: Stages) -> Integrand:
+        """The same integrand, evaluated by other functions."""
+        return self._replace(stages=stages, parts={})
+
+    def part(self, queue: Queue) -> Part:
+        """What the lanes of a queue go through."""
+        if queue.appearance not in self.parts:
+            scene, proposal = (part_of(tensors, self.appearance(queue)) for tensors in (self.scene, self.proposal))
+            self.parts[queue.appearance] = Part(scene, proposal, knowing(self.stages.bounce, scene, proposal))
+        return self.parts[queue.appearance]
 
     def at(self, depth: int) -> Position:
         """The position on the path as tensors."""
@@ -105,8 +145,8 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     """The vertices of all lanes, each queue by the functions of its appearance."""
     settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
     arrival, at = Arrival(state, step.hit, step.front), integrand.at(depth)
-    return joined([integrand.bounce(integrand.scene, integrand.proposal, arrival, step.order[queue.first:queue.last], at,
-                                    settings, integrand.appearance(queue)) for queue in step.queues])
+    parts = [(integrand.part(queue), step.order[queue.first:queue.last]) for queue in step.queues]
+    return joined([part.bounce(part.scene, part.proposal, arrival, lanes, at, settings) for part, lanes in parts])
 
 
 def queued(scene: SceneTensors, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
@@ -150,10 +190,10 @@ def joined(parts: list):
     return None if parts[0] is None else type(parts[0])(*(joined(list(column)) for column in zip(*parts)))
 
 
-def survivors(state: PathState, step: Step) -> PathState:
+def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
     """The lanes of the next bounce's `state` that go on, packed together."""
     alive = surviving(step)
-    return state if len(alive) == len(state.lane) else rows(state, alive)
+    return state if len(alive) == len(state.lane) else integrand.stages.rows(state, alive)
 
 
 def surviving(step: Step) -> Tensor:
@@ -182,7 +222,7 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
     while depth < integrand.max_depth and len(state.lane):
         vertex, step = take_step(integrand, state, depth, steps.get(depth))
         yield Bounce(depth, state, vertex, step)
-        state, depth = survivors(vertex.next, step), depth + 1
+        state, depth = survivors(integrand, vertex.next, step), depth + 1
 
 
 def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None] | None = None) -> Vec3:
@@ -200,8 +240,31 @@ def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathStat
     for depth, state, vertex, step in bounces(integrand, start):
         if visit is not None:
             visit(depth, state, step)
-        add_at(L, vertex.next.lane, rows(state.beta, step.order) * (vertex.Le + masked(step.visible, vertex.Ld)))
+        lane = vertex.next.lane
+        put(L, lane.long(), integrand.stages.brightened(L, state.beta, step.order, lane, vertex.Le, vertex.Ld, step.visible))
     return L
+
+
+def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: Vec3, visible: Tensor) -> Vec3:
+    """The radiance of some lanes after a bounce: beta (Le + visible Ld) more than before.
+
+    Args:
+        L: of all lanes of the chunk.
+        beta: of the paths that reached the bounce.
+        order: (M,) int32, those of them that are meant; the rest is in their order.
+        lane: (M,) int32, their places in the chunk.
+        Le, Ld, visible: of the bounce.
+    """
+    return rows(L, lane) + rows(beta, order) * (Le + masked(visible, Ld))
+
+
+def put(record, place: Tensor, entries) -> None:
+    """Overwrites the entries at `place`, which tells no row twice, of every tensor of a record, in nested tuples."""
+    if isinstance(record, Tensor):
+        record.index_copy_(0, place, entries)
+    elif record is not None:
+        for old, new in zip(record, entries):
+            put(old, place, new)
 
 
 def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:

@@ -33,19 +33,18 @@ def test_a_bounce_taken_again_keeps_the_survivors_although_rounding_differs():
         vertex, again = take_step(integrand, other, depth, step)
         assert again is step
         assert 0 < int((vertex.survives != step.survives).sum()) < len(state.lane)
-        assert torch.equal(survivors(vertex.next, again).lane, state.lane[step.order][step.survives])
+        assert torch.equal(survivors(integrand, vertex.next, again).lane, state.lane[step.order][step.survives])
 
 
 def test_the_derivative_is_that_of_the_recorded_survivors():
     integrand, taken = first_bounces()
     depth, state, vertex, step = taken[0]
     flipped = step._replace(survives=~step.survives)
-    settings, appearance = integrand.settings_at(depth), integrand.appearance(step.queues[0])
-    assert len(step.queues) == 1
+    part, = (integrand.part(queue) for queue in step.queues)
     for decided in (step, flipped):
         arrival, verdict = rows(Arrival(state, decided.hit, None), step.order), Verdict(decided.visible, decided.survives)
-        local = local_map(integrand.scene, integrand.proposal, arrival, verdict, None, integrand.at(depth), settings,
-                          appearance)
+        local = local_map(part.scene, part.proposal, arrival, verdict, None, integrand.at(depth),
+                          integrand.settings_at(depth))
         weight = torch.stack(tuple(local.F))
         assert (weight[:, ~decided.survives] == 0).all() and torch.isfinite(weight).all()
         assert (weight[:, decided.survives] > 0).any(0).float().mean() > 0.9

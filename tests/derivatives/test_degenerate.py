@@ -52,7 +52,7 @@ def test_the_change_of_solid_angle_of_a_triangle_seen_edge_on():
     o = vec(3.0, 0.0, 0.0)
     scene = square()
     there = at_corners(scene.triangles.vertices.p, corner_rows(scene, a_hit()))
-    d, change = glued_direction(there, o, vec(-1.0, 0.0, 0.0).detach(), a_hit(), slides=torch.ones(1, dtype=torch.bool))
+    d, change = glued_direction(there, o, vec(-1.0, 0.0, 0.0).detach(), a_hit(), torch.ones(1, dtype=torch.bool))
     assert change == 1
     assert all(torch.isfinite(gradient).all() for gradient in torch.autograd.grad(change.sum() + d.x.sum(), list(o)))
 

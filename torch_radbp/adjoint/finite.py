@@ -141,7 +141,8 @@ class CheckedSweep(Sweep):
             self.finding.look(depth, bad, arrival.hit.prim[lanes])
             return above, tables
 
-        self.adjoint_of_bounce = checked
+        self.integrand = self.integrand.with_stages(self.integrand.stages._replace(bounce_adjoint=checked))
+        self.adjoints = {}
         super().adjoint(state, depth)
 
 

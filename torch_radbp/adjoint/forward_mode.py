@@ -26,7 +26,6 @@ from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint.function import RenderCall, render_images
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.path import bounce, sample_camera
 from torch_radbp.scene.differentiated import tangent_of
 
 
@@ -46,8 +45,8 @@ def render_tangents(call: RenderCall) -> Tensor:
         raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
     with torch.no_grad():
-        eager = call.make_integrand(call.scene)._replace(bounce=bounce)
-        return render_images(call._replace(sample_camera=sample_camera), eager, record=False,
+        eager = call.stages.eager()
+        return render_images(call._replace(stages=eager), call.make_integrand(call.scene).with_stages(eager), record=False,
                              tracer=trace_attached)[0]
 
 

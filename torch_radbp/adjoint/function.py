@@ -24,14 +24,14 @@ from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.entry import entry
-from torch_radbp.path import PathState, sample_camera, start_path
+from torch_radbp.path import PathState, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3
-from torch_radbp.wavefront import Integrand, Step, trace
+from torch_radbp.wavefront import Integrand, Stages, Step, trace
 
 SAVED = object()  # stands for a tensor that autograd keeps
 
@@ -62,8 +62,7 @@ class RenderCall(NamedTuple):
     scene: SceneTensors
     caster: RayCaster | None  # of its triangles; as the next one, None where the integrand is made
     make_integrand: Callable[[SceneTensors], Integrand] | None
-    adjoint_of_bounce: Callable
-    sample_camera: Callable
+    stages: Stages
     adjoint: object  # the strategy
     views: list[View]
     chunks: list[Chunk]
@@ -92,7 +91,7 @@ def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
     offset = torch.div(lane, chunk.samples, rounding_mode="floor")
     view = call.views[chunk.sensor]
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    return start_path(*call.sample_camera(view.camera, width, offset + chunk.first_pixel,
+    return start_path(*call.stages.sample_camera(view.camera, width, offset + chunk.first_pixel,
                                           lane - offset * chunk.samples + chunk.first_sample, key))
 
 
@@ -102,7 +101,7 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    return start_path(*call.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0]))
+    return start_path(*call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0]))
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:
@@ -184,12 +183,12 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
     def trace_again(integrand: Integrand, finding: Finding) -> None:
         for chunk in call.chunks:
             if finding.depth is None:
-                trace_chunk(call, integrand._replace(bounce=checked_bounce(finding)), chunk,
+                trace_chunk(call, integrand.with_stages(integrand.stages._replace(bounce=checked_bounce(finding))), chunk,
                             call.views[chunk.sensor].sample_keys[0], record=False)
 
     with torch.no_grad():
         call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
-        raise image_error(images, integrand._replace(scene=integrand.proposal), call.module, trace_again)
+        raise image_error(images, integrand._replace(scene=integrand.proposal, parts={}), call.module, trace_again)
 
 
 def lane_adjoint(call: RenderCall, chunk: Chunk, grad_images: Tensor) -> Vec3:
@@ -241,7 +240,7 @@ class RenderFunction(torch.autograd.Function):
             chunk = call.chunks[index]
             key = call.views[chunk.sensor].sample_keys[call.retrace]
             record = trace_chunk(call, integrand, chunk, key, record=True)[1] if call.retrace else records[index]
-            sweep = make_sweep(integrand_of(call, integrand, chunk), call.adjoint_of_bounce, record,
+            sweep = make_sweep(integrand_of(call, integrand, chunk), record,
                                lane_adjoint(call, chunk, grad_images), wanted, gradients)
             call.adjoint.backward(sweep)
             return sweep
@@ -293,7 +292,7 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple
     sensors = [view._replace(camera=tree_unflatten(leaves, structure)) if number == chunk.sensor else other
                for number, other in enumerate(call.views)]
     with torch.enable_grad():
-        ray = start_paths(call._replace(views=sensors, sample_camera=sample_camera), chunk, key).ray
+        ray = start_paths(call._replace(views=sensors, stages=call.stages.eager()), chunk, key).ray
         inputs = [leaf for leaf, want in zip(leaves, wanted) if want]
         adjoints = vector_jacobian_product([*ray.o, *ray.d], inputs, [*adj_ray.o, *adj_ray.d])
     return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]

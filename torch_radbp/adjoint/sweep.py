@@ -19,6 +19,7 @@ Reference: Li 2020, section 2 (`d_Li_cached`, where the memo is called `cache`).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -31,11 +32,11 @@ from torch_radbp.adjoint.scatter import Contribution, Gradients
 from torch_radbp.lookup import Tap, tapped
 from torch_radbp.path import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
+from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Ray, Vec3, rows
-from torch_radbp.wavefront import Integrand, Step, survivors, take_step
+from torch_radbp.wavefront import Integrand, Queue, Step, knowing, put, survivors, take_step
 
 
 class PathRecord(NamedTuple):
@@ -74,14 +75,13 @@ class TableAdjoint(NamedTuple):
 
 
 def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, verdict: Verdict,
-                   adj_L: Vec3, memo: Memo, at: Position, settings: Settings, appearance: Appearance | None
-                   ) -> tuple[Memo, list[list[TableAdjoint]]]:
+                   adj_L: Vec3, memo: Memo, at: Position, settings: Settings) -> tuple[Memo, list[list[TableAdjoint]]]:
     """The local vector-Jacobian product of one bounce.
 
     Args:
-        scene: detached.
+        scene: the part that these lanes read, detached.
         wanted: of each leaf of `scene` (counted as `tree_flatten` does), whether to differentiate it.
-        arrival, lanes, appearance: as for `bounce`.
+        arrival, lanes: as for `bounce`.
         verdict: what was decided for these lanes.
         adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
         memo: of all lanes of the chunk.
@@ -102,11 +102,10 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
     if memo.triangle is not None:
         met = corner_rows(scene, hit)
         here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, met))
-        there = None if appearance is None else read_again(attached.triangles.vertices.p, memo.triangle)
+        there = None if scene.appearance is None else read_again(attached.triangles.vertices.p, memo.triangle)
         inputs = (*inputs, *(coordinate for corner in here for coordinate in corner))
     with torch.enable_grad():
-        local = local_map(attached, scene, Arrival(state, hit, front), verdict, memo.hit, at, settings, appearance, here,
-                          there)
+        local = local_map(attached, scene, Arrival(state, hit, front), verdict, memo.hit, at, settings, here, there)
         outputs, adjoints = [*local.E, *local.F], [*adj_L, *(adj_L * memo.L)]
         if local.ray is not None:
             outputs += [*local.ray.o, *local.ray.d, local.pdf]
@@ -163,23 +162,52 @@ def table_adjoints(tap: Tap, adjoints: Iterator[Tensor | None]) -> list[TableAdj
     return found
 
 
-class Sweep:
-    """The state of one chunk's backward pass: the memo, the adjoint of the image, the gradients."""
+class Adjoint(NamedTuple):
+    """What the lanes of one queue are differentiated with."""
 
-    def __init__(self, integrand: Integrand, adjoint_of_bounce: Callable, record: PathRecord, adj_L: Vec3,
-                 wanted: tuple[bool, ...], gradients: Gradients):
-        self.integrand, self.adjoint_of_bounce, self.record = integrand, adjoint_of_bounce, record
-        self.adj_L, self.wanted, self.gradients = adj_L, wanted, gradients
-        taps: list[Tap] = []
-        positions = tapped(integrand.scene, wanted, 0, taps)[0].triangles.vertices.p
-        twice = self.moving and integrand.settings.sampling != "attached" and isinstance(positions.x, Tap)
-        self.of_positions = [taps.index(tap) for tap in positions] if twice else []  # leaves
+    scene: SceneTensors  # the part that they read, detached
+    wanted: tuple[bool, ...]  # of each leaf of it
+    leaves: list[int]  # the wanted ones, as `Gradients` counts them
+    of_bounce: Callable  # `bounce_adjoint`
+
+
+class Sweep:
+    """The state of one chunk's backward pass: the memo, the adjoint of the image, the gradients.
+
+    Args:
+        integrand: of the detached scene.
+        record: of the forward pass.
+        adj_L: (N,) dloss/dL_1 of the chunk's lanes.
+        wanted: of each leaf of the scene, whether to differentiate it.
+        gradients: of the wanted leaves, added to.
+    """
+
+    def __init__(self, integrand: Integrand, record: PathRecord, adj_L: Vec3, wanted: tuple[bool, ...],
+                 gradients: Gradients):
+        self.integrand, self.record, self.adj_L = integrand, record, adj_L
+        self.gradients = gradients
+        counted = itertools.count()
+        self.leaves = [next(counted) if want else None for want in wanted]
+        self.adjoints: dict[int | None, Adjoint] = {}
+        positions = tree_unflatten(self.leaves, tree_flatten(integrand.scene)[1]).triangles.vertices.p
+        twice = self.moving and integrand.settings.sampling != "attached" and positions.x is not None
+        self.of_positions = list(positions) if twice else []  # leaves
         self.memo = empty_memo(adj_L.x, self.moving, twice)
+
+    def adjoint_of(self, queue: Queue) -> Adjoint:
+        """What the lanes of a queue are differentiated with; made once."""
+        if queue.appearance not in self.adjoints:
+            part, appearance = self.integrand.part(queue).proposal, self.integrand.appearance(queue)
+            leaves = leaves_of_part(self.leaves, self.integrand.scene, appearance, None)
+            wanted = tuple(leaf is not None for leaf in leaves)
+            self.adjoints[queue.appearance] = Adjoint(part, wanted, [leaf for leaf in leaves if leaf is not None],
+                                                      knowing(self.integrand.stages.bounce_adjoint, part, wanted))
+        return self.adjoints[queue.appearance]
 
     def advance(self, state: PathState, depth: int) -> PathState:
         """Replays one bounce."""
         vertex, step = take_step(self.integrand, state, depth, self.record.steps.get(depth))
-        return survivors(vertex.next, step)
+        return survivors(self.integrand, vertex.next, step)
 
     @property
     def moving(self) -> bool:
@@ -198,25 +226,16 @@ class Sweep:
         integrand, arrival = self.integrand, Arrival(state, step.hit, step.front)
         at, settings = integrand.at(depth), integrand.settings_at(depth)
         for queue in step.queues:
-            here = slice(queue.first, queue.last)
+            here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue)
             lanes, verdict = step.order[here], Verdict(step.visible[here], step.survives[here])
-            above, tables = self.adjoint_of_bounce(integrand.scene, self.wanted, arrival, lanes, verdict, self.adj_L,
-                                                   self.memo, at, settings, integrand.appearance(queue))
-            self.scatter(tables, above if depth == 0 else None)
-            self.memo = replaced(self.memo, rows(state.lane, lanes), above)
-
-    def scatter(self, tables: list[list[TableAdjoint]], seen: Memo | None) -> None:
-        """Adds what a bounce has found to the gradients.
-
-        Args:
-            tables: of each wanted leaf.
-            seen: the memo, if the camera sees these lanes: no bounce aims at them.
-        """
-        found = [Contribution(leaf, *read) for leaf, reads in enumerate(tables) for read in reads]
-        if seen is not None and seen.triangle is not None:
-            found += [Contribution(leaf, row, adjoint) for row, adj_p in zip(seen.triangle.rows, seen.triangle.adj_p)
-                      for leaf, adjoint in zip(self.of_positions, adj_p)]
-        self.gradients.add(found)
+            above, tables = adjoint.of_bounce(adjoint.scene, adjoint.wanted, arrival, lanes, verdict, self.adj_L, self.memo,
+                                              at, settings)
+            found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
+            if depth == 0 and above.triangle is not None:  # no bounce aims at what the camera sees
+                found += [Contribution(leaf, row, adjoint) for row, adj_p in zip(above.triangle.rows, above.triangle.adj_p)
+                          for leaf, adjoint in zip(self.of_positions, adj_p)]
+            self.gradients.add(found)
+            put(self.memo, rows(state.lane, lanes).long(), above)
 
 
 def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:
@@ -236,11 +255,3 @@ def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:
         return memo
     p, adj_p = (tuple(Vec3.buffer(like) for _ in range(3)) for _ in range(2))
     return memo._replace(triangle=MetTriangle(tuple(nothing.clone() for _ in range(3)), p, adj_p))
-
-
-def replaced(memo: Memo, lane: Tensor, above: Memo) -> Memo:
-    """The memo with new rows in the places `lane`."""
-    place = lane.long()
-    pairs = zip(tree_flatten(memo)[0], tree_flatten(above)[0])
-    rows = [old if old is None else old.index_copy_(0, place, new) for old, new in pairs]
-    return tree_unflatten(rows, tree_flatten(memo)[1])

@@ -32,7 +32,7 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
     """
     if not integrand.settings.moving:
         return trace(integrand, state, visit)
-    fixed = integrand._replace(scene=integrand.proposal)
+    fixed = integrand._replace(scene=integrand.proposal, parts={})
     L, depth = Vec3.buffer(state.beta.x.detach()), 0
     hit = first_hit(fixed, detached(state).ray, depth)
     while depth < integrand.max_depth and len(state.lane):
@@ -44,8 +44,9 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
         ahead = []
         for queue in step.queues:
             here, then, decided, there = (slice_of(record, queue) for record in (arrival, arrival.state, verdict, following))
-            local = local_map(integrand.scene, integrand.proposal, here, decided, there, integrand.at(depth),
-                              integrand.settings_at(depth), integrand.appearance(queue))
+            part = integrand.part(queue)
+            local = local_map(part.scene, part.proposal, here, decided, there, integrand.at(depth),
+                              integrand.settings_at(depth))
             add_at(L, then.lane, then.beta * local.E)
             ahead.append(then if local.ray is None else
                          PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane))

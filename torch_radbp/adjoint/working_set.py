@@ -17,7 +17,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map_only
 from torch.utils.weak import WeakIdKeyDictionary
 
-from torch_radbp.adjoint.sweep import PathRecord, Sweep, bounce_adjoint
+from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.path import PathState
 from torch_radbp.vec import Vec3
@@ -99,7 +99,7 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
             record = PathRecord(lambda: state, None, {}, {0: step}, 1)
             gradients = [torch.zeros_like(leaf, dtype=torch.float64)
                          for leaf, want in zip(tree_flatten(integrand.scene)[0], wanted) if want]
-            sweep = Sweep(integrand, bounce_adjoint, record, Vec3.full(state.pdf, 1.0), wanted, gradients)
+            sweep = Sweep(integrand, record, Vec3.full(state.pdf, 1.0), wanted, gradients)
             with AllocatedBytes() as allocated:
                 sweep.adjoint(state, 0)
         return allocated.peak

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.lookup import lookup
-from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import (
     TINY,
@@ -54,23 +53,21 @@ class SurfaceInteraction(NamedTuple):
         return self.p + self.n * torch.copysign(self.clearance, dot(self.n, d))
 
 
-def surface_interaction(scene: SceneTensors, ray: Ray, hit, appearance: Appearance | None = None,
-                        slides: Tensor | None = None, here: Corners | None = None,
+def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | None = None, here: Corners | None = None,
                         front: Tensor | None = None) -> SurfaceInteraction:
     """Interpolates the triangle that was hit.
 
     Args:
-        scene: the scene.
+        scene: the part that these lanes read; of one with several appearances only what does not depend on them is found.
         ray: (N,) rays.
         hit: a `raycast.Hit`: triangle (-1: none), barycentric coordinates of its second and third vertex, distance.
-        appearance: of the surfaces, which tells what their material needs to know; None: nothing.
         slides: (N,) bool: how the point follows when ray and scene are attached. True: it stays on the ray and slides over
             the triangle. False: it is glued to the triangle, at fixed barycentric coordinates, whatever the ray does.
             None: it does not follow, because nothing moves.
         here: the corners of the triangle; None: as the scene has them.
         front: (N,) bool: the viewer is on the side of the shading normal, where that was decided before; else None.
     """
-    triangles = scene.triangles
+    triangles, appearance = scene.triangles, scene.appearance
     valid = hit.prim >= 0
     prim = hit.prim.clamp_min(0)
     vertices, layout = triangles.vertices, scene.layout

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from torch_radbp.bsdf.kind import Choice, Kind, Values
 from torch_radbp.lookup import lookup
-from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, where
@@ -35,9 +34,12 @@ class BSDFSample(NamedTuple):
     pdf: Tensor  # density over solid angle; infinite for ideal specular scattering; 0: the path ends
 
 
-def material_at(scene: SceneTensors, appearance: Appearance, si: SurfaceInteraction) -> Material:
-    """Reads the textures of the material at a surface point, on the side that the ray meets."""
-    readers = scene.layout.readers
+def material_at(scene: SceneTensors, si: SurfaceInteraction) -> Material:
+    """Reads the textures of the material at a surface point, on the side that the ray meets.
+
+    `scene` is the part that these lanes read.
+    """
+    readers, appearance = scene.layout.readers, scene.appearance
     return Material(appearance.kind, tuple(
         reader.read(scene.textures[readers.index(reader)], lookup(slot, si.material), si.uv)
         for reader, slot in zip(appearance.readers, scene.materials.slots)))

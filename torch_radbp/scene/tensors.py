@@ -103,6 +103,11 @@ class SceneTensors(NamedTuple):
     layout: Layout
 
     @property
+    def appearance(self) -> Appearance | None:
+        """The one that all surfaces have, as in a part of a scene (see `part.py`); None if there is none, or more."""
+        return self.layout.appearances[0] if len(self.layout.appearances) == 1 else None
+
+    @property
     def device(self) -> torch.device:
         return self.triangles.material.device
 

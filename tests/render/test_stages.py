@@ -1,0 +1,38 @@
+"""Compiled functions are made for appearances, not for scenes."""
+
+import torch
+
+import torch_radbp as rb
+from tests.scenes import load, rectangle, rgb, sensor
+from torch_radbp.stages import compiled
+
+DIFFUSE = {"type": "diffuse", "reflectance": rgb(0.2, 0.5, 0.7)}
+METAL = {"type": "roughconductor", "alpha": 0.2}
+PICTURE = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": torch.full((3, 4, 3), 0.4)}}
+LAMP = {"type": "area", "radiance": rgb(1, 2, 3)}
+
+
+def render(**materials) -> None:
+    """Forward and backward, compiled, of walls of these materials under a lamp."""
+    walls = {name: rectangle((0.5 * number - 0.5, 0, 0), 0.25, bsdf=bsdf) for number, (name, bsdf) in enumerate(materials.items())}
+    scene = load(torch.float32, camera=sensor(24), lamp=rectangle((0, 0, 5), emitter=LAMP), **walls)
+    for name, parameter in scene.named_parameters():
+        parameter.requires_grad_(".bsdf." in name)
+    rb.Renderer(scene, spp=4, max_depth=4, compile=True)().sum().backward()
+
+
+def functions() -> tuple[int, ...]:
+    """How many functions each stage was compiled to so far."""
+    return tuple(len(stage.fused.compiled) for stage in compiled())
+
+
+def test_a_second_scene_of_known_appearances_compiles_nothing_and_a_new_one_only_itself():
+    render(a=DIFFUSE, b=METAL)
+    first = functions()
+    render(floor=METAL, wall=DIFFUSE, third=METAL)
+    assert functions() == first
+    render(a=DIFFUSE, b=METAL, c=PICTURE)
+    names = compiled()._fields
+    new = {name: now - before for name, now, before in zip(names, functions(), first)}
+    assert new.pop("bounce") == 1 and new.pop("bounce_adjoint") == 1
+    assert not any(new.values()), new

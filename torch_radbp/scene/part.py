@@ -1,0 +1,47 @@
+"""The part of a scene that lanes of one appearance read.
+
+Functions of a bounce get no more than this, so that one that is compiled serves all scenes with that appearance, whatever
+else they contain.
+"""
+
+from __future__ import annotations
+
+from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
+
+from torch_radbp.scene.appearance import Appearance
+from torch_radbp.scene.tensors import Layout, SceneTensors
+
+
+def part_of(scene: SceneTensors, appearance: Appearance | None) -> SceneTensors:
+    """The tables that matter where `appearance` is met; None: where nothing is scattered."""
+    return reduced(scene, scene.layout, appearance)._replace(layout=layout_of_part(scene.layout, appearance))
+
+
+def leaves_of_part(leaves: list, scene: SceneTensors, appearance: Appearance | None, nothing) -> list:
+    """Things that belong to the leaves of a scene (counted as `tree_flatten` does), for the leaves of its part.
+
+    Args:
+        nothing: what leaves that are no tables get.
+    """
+    record = reduced(tree_unflatten(leaves, tree_flatten(scene)[1]), scene.layout, appearance)
+    layout = tree_map(lambda _: nothing, layout_of_part(scene.layout, appearance))
+    return tree_flatten(record._replace(layout=layout))[0]
+
+
+def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) -> SceneTensors:
+    """A record like that of a scene with this layout, without the tables that its part has not."""
+    triangles = scene.triangles
+    if not (layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv)):
+        triangles = triangles._replace(vertices=triangles.vertices._replace(uv=None))
+    if not (appearance is not None and appearance.kind.oriented):
+        triangles = triangles._replace(along=None)
+    readers = () if appearance is None else appearance.readers
+    return scene._replace(
+        triangles=triangles, materials=scene.materials._replace(slots=scene.materials.slots[:len(readers)]),
+        textures=tuple(scene.textures[layout.readers.index(reader)] for reader in dict.fromkeys(readers)))
+
+
+def layout_of_part(layout: Layout, appearance: Appearance | None) -> Layout:
+    """The features that matter to the part."""
+    appearances, readers = ((), ()) if appearance is None else ((appearance,), tuple(dict.fromkeys(appearance.readers)))
+    return layout._replace(bending=False, sides_differ=False, appearances=appearances, readers=readers)
