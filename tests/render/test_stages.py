@@ -14,7 +14,8 @@ LAMP = {"type": "area", "radiance": rgb(1, 2, 3)}
 
 def render(**materials) -> None:
     """Forward and backward, compiled, of walls of these materials under a lamp."""
-    walls = {name: rectangle((0.5 * number - 0.5, 0, 0), 0.25, bsdf=bsdf) for number, (name, bsdf) in enumerate(materials.items())}
+    walls = {name: rectangle((0.5 * number - 0.5, 0, 0), 0.25, bsdf=bsdf)
+             for number, (name, bsdf) in enumerate(materials.items())}
     scene = load(torch.float32, camera=sensor(24), lamp=rectangle((0, 0, 5), emitter=LAMP), **walls)
     for name, parameter in scene.named_parameters():
         parameter.requires_grad_(".bsdf." in name)

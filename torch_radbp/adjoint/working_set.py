@@ -17,6 +17,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map_only
 from torch.utils.weak import WeakIdKeyDictionary
 
+from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.path import PathState
@@ -97,8 +98,7 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         with torch.no_grad():
             _, step = take_step(integrand, state, 0)
             record = PathRecord(lambda: state, None, {}, {0: step}, 1)
-            gradients = [torch.zeros_like(leaf, dtype=torch.float64)
-                         for leaf, want in zip(tree_flatten(integrand.scene)[0], wanted) if want]
+            gradients = Gradients([leaf for leaf, want in zip(tree_flatten(integrand.scene)[0], wanted) if want])
             sweep = Sweep(integrand, record, Vec3.full(state.pdf, 1.0), wanted, gradients)
             with AllocatedBytes() as allocated:
                 sweep.adjoint(state, 0)
