@@ -15,14 +15,30 @@ from torch_radbp.vec import Vec3
 
 def material(description: dict) -> BSDF:
     """The plugin that a dict of Mitsuba's vocabulary describes."""
-    description = dict(description)
-    return REGISTRY["bsdf"][description.pop("type")](**description).double()
+    return plugin(description).double()
+
+
+def plugin(value):
+    """The plugin for a dict, the plugins for a list of dicts; other values as they are."""
+    if isinstance(value, list) and isinstance(value[0], dict):
+        return [plugin(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    attributes = {name: plugin(item) for name, item in value.items() if name != "type"}
+    return REGISTRY["bsdf"][value["type"]](**attributes)
 
 
 def as_dict(description: dict) -> dict:
-    """A description as the loaders take it: lists are colours."""
-    return {name: {"type": "rgb", "value": value} if isinstance(value, list) else value
-            for name, value in description.items()}
+    """A description as the loaders take it: lists of numbers are colours, those of materials are children in order."""
+    found = {}
+    for name, value in description.items():
+        if isinstance(value, list) and isinstance(value[0], dict):
+            found |= {f"{name}_{number}": as_dict(item) for number, item in enumerate(value)}
+        elif isinstance(value, list):
+            found[name] = {"type": "rgb", "value": value}
+        else:
+            found[name] = as_dict(value) if isinstance(value, dict) else value
+    return found
 
 
 def values_of(bsdf: BSDF, like: Tensor) -> Values:
@@ -76,6 +92,8 @@ MATERIALS = {
     "dielectric": {"type": "dielectric", "int_ior": 1.5, "specular_reflectance": [0.9, 0.5, 0.7],
                    "specular_transmittance": [0.4, 0.9, 0.6]},
     "thin": {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.33},
+    "plastic": {"type": "plastic", "diffuse_reflectance": [0.2, 0.5, 0.9], "specular_reflectance": [0.9, 0.6, 0.8]},
+    "nonlinear plastic": {"type": "plastic", "int_ior": 1.9, "diffuse_reflectance": [0.8, 0.5, 0.1], "nonlinear": True},
 }
 for _name in ("beckmann", "ggx"):
     _rough = {"distribution": _name, "alpha": 0.3}
@@ -88,7 +106,18 @@ for _name in ("beckmann", "ggx"):
         f"brushed glass {_name}": {"type": "roughdielectric", **_brushed, "int_ior": "diamond"},
         f"bubble {_name}": {"type": "roughdielectric", **_rough, "int_ior": 1.0, "ext_ior": 1.33},
     }
-DELTA = [name for name, description in MATERIALS.items() if description["type"] in ("conductor", "dielectric")]
-SMOOTH = [name for name in MATERIALS if name not in DELTA]
+
+
+def kind_of(name: str) -> Kind:
+    """The scattering functions of one of `MATERIALS`."""
+    return material(MATERIALS[name]).kind()
+
+
+KINDS = {name: kind_of(name) for name in MATERIALS}
+DELTA = [name for name, kind in KINDS.items() if kind.delta]
+SMOOTH = [name for name, kind in KINDS.items() if kind.smooth]
+IDEAL = [name for name in DELTA if name not in SMOOTH]
+MIXED = [name for name in DELTA if name in SMOOTH]
+TRANSMITTING = [name for name, kind in KINDS.items() if kind.transmits]
 ROUGH = [name for name in SMOOTH if name != "diffuse"]
 GLASS = [name for name in ROUGH if MATERIALS[name]["type"] == "roughdielectric"]

@@ -10,6 +10,7 @@ from tests.bsdf.lanes import MATERIALS, as_dict, material
 from tests.io.documents import scene_dict
 from torch_radbp.bsdf.conductor import Conductor
 from torch_radbp.bsdf.dielectric import Dielectric
+from torch_radbp.bsdf.plastic import Plastic
 from torch_radbp.bsdf.roughconductor import RoughConductor
 from torch_radbp.bsdf.roughdielectric import RoughDielectric
 from torch_radbp.scene.pack import BankBuilder
@@ -28,6 +29,9 @@ BAD = {
     "hidden normals": (RoughDielectric, {"sample_visible": False}, "sample_visible must be true"),
     "half of a roughness": (RoughConductor, {"alpha_u": 0.1}, "alpha_u and alpha_v must be given both"),
     "three roughnesses": (RoughDielectric, {"alpha": 0.1, "alpha_u": 0.1, "alpha_v": 0.1}, "either alpha, or alpha_u and"),
+    "unknown plastic": (Plastic, {"int_ior": "polypropylen"}, "int_ior 'polypropylen' is not known.*'polypropylene'"),
+    "bright base": (Plastic, {"diffuse_reflectance": 1.5}, r"diffuse_reflectance must be in \[0, 1\], got 1.5"),
+    "shifted a bit": (Plastic, {"nonlinear": 1}, "nonlinear must be True or False, got 1"),
     "negative roughness": (RoughConductor, {"alpha": -0.1}, "alpha must be at least 0, got -0.1"),
 }
 
@@ -49,6 +53,8 @@ def test_defaults_are_those_of_mitsuba():
     glass = {"eta": 1.50418, "specular_reflectance.value": 1.0, "specular_transmittance.value": 1.0}
     assert figures(Dielectric()) == glass
     assert figures(RoughDielectric()) == {"alpha.value": 0.1, **glass}
+    coat = {"eta": 1.48959, "diffuse_reflectance.value": 0.5, "specular_reflectance.value": 1.0}
+    assert figures(Plastic()) == coat and not Plastic().nonlinear
     assert RoughConductor().distribution == RoughDielectric().distribution == "beckmann"
     assert not any(p.requires_grad for bsdf in (Dielectric(), RoughConductor()) for p in bsdf.parameters())
 
@@ -61,10 +67,23 @@ def test_a_kind_is_a_hashable_value_and_counts_its_textures(name):
     assert all(a is b for a, b in zip(one.textures(), one.textures()))  # what a table of textures is keyed by
 
 
+def options(value):
+    """What of a description is not a number or a colour."""
+    if isinstance(value, list):
+        return tuple(map(options, value)) if isinstance(value[0], dict) else None
+    if not isinstance(value, dict):
+        return None
+    names = ("type", "distribution", "nonlinear")
+    return ("alpha_u" in value, *(value.get(name) for name in names),
+            *(options(value[name]) for name in sorted(value) if options(value[name]) is not None))
+
+
 def test_kinds_differ_by_their_options():
+    defaults = {"roughconductor": {"distribution": "beckmann"}, "roughdielectric": {"distribution": "beckmann"},
+                "plastic": {"nonlinear": False}}
+    described = [options(defaults.get(description["type"], {}) | description) for description in MATERIALS.values()]
     kinds = [material(description).kind() for description in MATERIALS.values()]
-    # Diffuse, conductor, dielectric, and two rough ones in two distributions, round or brushed.
-    assert len(set(kinds)) == 3 + 2 * 2 * 2
+    assert len(set(kinds)) == len(set(described)) == len(set(zip(kinds, described))) > 12
 
 
 def test_the_index_of_glass_is_one_parameter_with_a_gradient():

@@ -3,19 +3,34 @@
 import pytest
 import torch
 
-from tests.bsdf.lanes import DELTA, GLASS, MATERIALS, SMOOTH, direction, directions, material, numbers, sampled, values_of
-from torch_radbp.vec import Vec3
+from tests.bsdf.lanes import (
+    GLASS,
+    IDEAL,
+    KINDS,
+    MATERIALS,
+    SMOOTH,
+    direction,
+    directions,
+    material,
+    numbers,
+    sampled,
+    values_of,
+)
+from torch_radbp.vec import Vec3, where
 
 COUNT = 50_000
 # Beckmann's shadowing in `eval` is Walter's rational function, right to 0.35 per cent each way.
 RATIONAL = 0.007
+# Of a coat's inside, the share that is reflected is known to 0.6 per cent, and a third of it or less remains.
+COATS = 0.02
 
 
 def white(description: dict) -> dict:
     """The same material without absorption."""
     absorbing = ("material", "eta", "k", "specular_reflectance", "specular_transmittance")
     description = {name: value for name, value in description.items() if name not in absorbing}
-    return description | ({"reflectance": 1.0} if "reflectance" in description else {})
+    bases = {"diffuse": "reflectance", "plastic": "diffuse_reflectance", "roughplastic": "diffuse_reflectance"}
+    return description | ({bases[description["type"]]: 1.0} if description["type"] in bases else {})
 
 
 def squared_index(values, w: Vec3) -> torch.Tensor:
@@ -44,10 +59,9 @@ def energy(description: dict, z: float) -> torch.Tensor:
     kind, wi = bsdf.kind(), direction(z, 0.4, COUNT)
     values = values_of(bsdf, wi.z)
     choice, wo = sampled(kind, values, wi, numbers(COUNT))
+    weight = kind.eval(values, wi, wo) / kind.pdf(values, wi, wo).clamp_min(1e-30)
     if kind.delta:
-        weight = kind.specular(values, wi, choice) / choice.probability
-    else:
-        weight = kind.eval(values, wi, wo) / kind.pdf(values, wi, wo).clamp_min(1e-30)
+        weight = where(choice.is_delta(kind), kind.specular(values, wi, choice) / choice.probability, weight)
     assert torch.equal(weight.x, weight.y)
     if description["type"].endswith("dielectric"):  # radiance to power
         weight = weight * torch.where(wi.z * wo.z < 0, squared_index(values, wo) / squared_index(values, wi), 1.0)
@@ -59,13 +73,15 @@ def energy(description: dict, z: float) -> torch.Tensor:
 def test_no_energy_is_made(name, z):
     description = white(MATERIALS[name])
     power = energy(description, z)
-    if z < 0 and "dielectric" not in description["type"]:
+    if z < 0 and not KINDS[name].transmits:
         assert (power == 0).all()
         return
-    lossless = description["type"] in ("diffuse", "conductor", "dielectric")
-    # Sampling visible normals, each sample's weight is the shadowing of wo: at most 1.
-    assert (power <= 1 + RATIONAL).all()
-    if lossless:
+    if "plastic" in description["type"]:  # several lobes, which only together conserve energy
+        assert power.mean() <= 1 + COATS and power.std() < 0.5
+    else:
+        # Sampling visible normals, each sample's weight is the shadowing of wo: at most 1.
+        assert (power <= 1 + RATIONAL).all()
+    if description["type"] in ("diffuse", "conductor", "dielectric"):
         torch.testing.assert_close(power, torch.ones_like(power), rtol=1e-12, atol=0)
     assert power.mean() > 0.5
 
@@ -89,13 +105,12 @@ def test_roughness_loses_energy_between_microfacets(distribution):
     assert 0.1 < loss[2] < 0.6
 
 
-@pytest.mark.parametrize("name", DELTA)
+@pytest.mark.parametrize("name", IDEAL)
 def test_what_a_smooth_surface_does_is_not_found_otherwise(name):
     bsdf = material(MATERIALS[name])
     kind, wi = bsdf.kind(), directions(100)
     values = values_of(bsdf, wi.z)
     choice, wo = sampled(kind, values, wi, numbers(100))
-    assert kind.delta
     assert (kind.eval(values, wi, wo).stack() == 0).all() and (kind.pdf(values, wi, wo) == 0).all()
 
 

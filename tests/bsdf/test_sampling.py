@@ -6,7 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from tests.bsdf.lanes import GLASS, MATERIALS, ROUGH, SMOOTH, direction, directions, material, numbers, sampled, values_of
+from tests.bsdf.lanes import (
+    GLASS,
+    KINDS,
+    MATERIALS,
+    MIXED,
+    ROUGH,
+    SMOOTH,
+    direction,
+    directions,
+    material,
+    numbers,
+    sampled,
+    values_of,
+)
 from tests.sampling.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.vec import Vec3
 
@@ -44,15 +57,15 @@ def useful(kind, values, wi, wo):
 @pytest.mark.parametrize("name", SMOOTH)
 def test_directions_follow_their_density(name, angle):
     bsdf, z = material(MATERIALS[name]), ANGLES[angle]
-    if z < 0 and name not in GLASS:
+    if z < 0 and not KINDS[name].transmits:
         pytest.skip("black from behind")
     kind, random, wi = bsdf.kind(), numbers(COUNT), direction(z, 0.7, COUNT)
     values = values_of(bsdf, wi.z)
-    _, wo = sampled(kind, values, wi, random)
+    choice, wo = sampled(kind, values, wi, random)
     torch.testing.assert_close(wo.x**2 + wo.y**2 + wo.z**2, torch.ones_like(wo.x), rtol=0, atol=1e-9)
-    keep = useful(kind, values, wi, wo)
+    keep = useful(kind, values, wi, wo) & ~choice.is_delta(kind)
     expected = expected_on_sphere(kind, bsdf, z, 0.7, FINE)
-    # The density adds up to what is not lost between microfacets.
+    # The density adds up to what is not lost between microfacets, nor to delta lobes.
     lost = 1 - keep.double().mean().item()
     assert abs(expected.sum() / COUNT - (1 - lost)) < 5 * math.sqrt(lost * (1 - lost) / COUNT) + 2e-3
     assert p_value(histogram(wo.map(torch.Tensor.detach), keep), expected, constraints=0) > SIGNIFICANCE
@@ -117,12 +130,25 @@ def test_a_choice_is_made_with_its_probability(name):
     choice, _ = sampled(kind, values_of(bsdf, wi.z), wi, random)
     assert not choice.probability.requires_grad and not choice.lobe.requires_grad
     assert (choice.probability > 0).all() and (choice.probability <= 1).all()
-    if "glass" in name or name == "dielectric":
+    if kind.discrete:
         assert 0.05 < choice.lobe.mean() < 0.95
         share = torch.where(choice.lobe > 0, 1 - choice.probability, choice.probability)
         assert abs((random.choice < share).double() + choice.lobe - 1).max() == 0
-    if kind.delta is False and name not in GLASS:
+    else:
         assert (choice.probability == 1).all() and (choice.lobe == 0).all()
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_delta_lobes_take_what_the_density_of_the_smooth_ones_leaves(name):
+    bsdf, kind = material(MATERIALS[name]), KINDS[name]
+    for z in (0.9, 0.3):
+        wi = direction(z, 0.7, COUNT)
+        values = values_of(bsdf, wi.z)
+        choice, _ = sampled(kind, values, wi, numbers(COUNT))
+        assert choice.delta.dtype == torch.bool and 0.01 < choice.delta.double().mean() < 0.99
+        assert (kind.specular(values, wi, choice).stack()[choice.delta] > 0).all()
+        smooth = expected_on_sphere(kind, bsdf, z, 0.7, FINE).sum() / COUNT
+        assert abs(smooth - (~choice.delta).double().mean()) < 5 * 0.5 / math.sqrt(COUNT)
 
 
 @pytest.mark.parametrize("name", ROUGH)
@@ -133,9 +159,8 @@ def test_the_density_with_fixed_lobes_has_another_derivative_only_where_lobes_ar
     wo = sampled(kind, values, wi, numbers(COUNT)).wo.detach()
     pdf, fixed = (kind.eval_pdf(values, wi, wo, fixed_lobes)[1] for fixed_lobes in (False, True))
     assert (pdf > 0).double().mean() > 0.3 and torch.equal(pdf, fixed)
-    slopes = [torch.autograd.grad(density.sum(), wi.z, retain_graph=True)[0] for density in (pdf, fixed)]
-    same = torch.equal(*slopes)
-    assert same == (name not in GLASS)
+    slopes = [torch.autograd.grad((density + 0 * wi.z).sum(), wi.z, retain_graph=True)[0] for density in (pdf, fixed)]
+    assert torch.equal(*slopes) != kind.discrete
 
 
 @pytest.mark.parametrize("name", GLASS)

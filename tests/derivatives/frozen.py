@@ -28,7 +28,7 @@ from torch_radbp.scene.tensors import SceneTensors
 # Functions inside of which something is detached on behalf of a discrete choice: of a lobe, of a light. Of the whole scene
 # that the second one detaches, only the tables from which lights are chosen.
 PROPOSAL = "make_integrand"
-CHOICES = frozenset({"choose", PROPOSAL})
+CHOICES = frozenset({"choose", "chance_of_lobe", PROPOSAL})
 DEEPEST_CALL = 14  # frames between such a function and what it detaches
 
 
@@ -133,7 +133,7 @@ class Rendering:
     def along_the_tape(self, values: list[Tensor]) -> Tensor:
         """The same with the decisions held, of which the forward pass makes no use, by the loop that plain autograd records.
 
-        Detached and hybrid sampling hold everything. Attached sampling holds the choice of a lobe of a rough material: the
+        Detached and hybrid sampling hold everything. Attached sampling holds the choice of a smooth lobe: the
         forward pass has its probability inside of the density, and the derivative takes it out.
         """
         parameters = {f"renderer.{name}": value for name, value in self.parameters(attached(values)).items()}

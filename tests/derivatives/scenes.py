@@ -146,6 +146,7 @@ METAL = {"eta": rgb(0.2, 0.9, 1.1), "k": rgb(3.9, 2.4, 2.2), "specular_reflectan
 ROUGH_METAL = {"eta": 0.9, "k": 2.4, "specular_reflectance": 0.8}
 TINTED = {"int_ior": 1.5, "specular_reflectance": rgb(0.9, 0.5, 0.7), "specular_transmittance": rgb(0.4, 0.9, 0.6)}
 ROUGH_GLASS = {"int_ior": 1.5, "specular_reflectance": 0.7, "specular_transmittance": 0.8}
+PLASTIC = {"int_ior": 1.6, "diffuse_reflectance": rgb(0.3, 0.5, 0.7), "specular_reflectance": rgb(0.9, 0.5, 0.7)}
 BRUSHED = {"alpha_u": 0.25, "alpha_v": 0.5}
 
 SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
@@ -165,6 +166,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "rough metal ggx": metal(type="roughconductor", distribution="ggx", alpha=0.3, **ROUGH_METAL),
     "brushed metal beckmann": metal(type="roughconductor", distribution="beckmann", **BRUSHED, **ROUGH_METAL),
     "brushed metal ggx": metal(type="roughconductor", distribution="ggx", **BRUSHED, **ROUGH_METAL),
+    "plastic": metal(type="plastic", **PLASTIC),
+    "nonlinear plastic": metal(type="plastic", nonlinear=True, **PLASTIC),
     "dielectric": glass(type="dielectric", **TINTED),
     "rough glass beckmann": glass(type="roughdielectric", distribution="beckmann", alpha=0.3, **ROUGH_GLASS),
     "rough glass ggx": glass(type="roughdielectric", distribution="ggx", alpha=0.3, **ROUGH_GLASS),

@@ -26,7 +26,7 @@ FEW = 3  # entries of a parameter that are all checked
 PROJECTIONS = 2  # random sums of all pixels, of which the derivative is taken
 STEP, ABSOLUTE, RELATIVE = 1e-6, 1e-8, 1e-6
 SMALLEST = 1e-4  # of the greatest derivative by a parameter; the sums have size 1
-DELTA = ("conductor", "dielectric")  # scenes in which hybrid sampling is not detached sampling
+DELTA = ("conductor", "dielectric", "plastic")  # scenes in which hybrid sampling is not detached sampling
 CASES = [(name, sampling) for name in SCENES for sampling in ("attached", "detached", "hybrid")
          if sampling != "hybrid" or name in DELTA]
 
@@ -79,7 +79,7 @@ def test_gradcheck(name, sampling):
         assert largest > SMALLEST, f"{parameter} does not matter in the scene {name!r}: derivative {largest:.1e}"
 
     kinds = [appearance.kind for appearance in pack(scene).layout.appearances]
-    forward = sampling == "attached" and not any(kind.discrete and not kind.delta for kind in kinds)
+    forward = sampling == "attached" and not any(kind.discrete and kind.smooth for kind in kinds)
     held = rendering.with_choices_held if forward else rendering.along_the_tape
 
     def value(inputs):

@@ -44,6 +44,7 @@ class DielectricKind(DeltaKind):
     """
 
     discrete: ClassVar[bool] = True
+    transmits: ClassVar[bool] = True
 
     @property
     def steering(self) -> tuple[int, ...]:

@@ -33,9 +33,14 @@ def dielectric_reflectance(cos_i: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
     inverse = 1.0 / eta
     cos2_t = 1.0 - inverse * inverse * (1.0 - cos_i * cos_i)
     cos_t = torch.sqrt(cos2_t.clamp_min(torch.finfo(cos_i.dtype).eps)) * (cos2_t > 0).to(cos_i.dtype)
+    return unpolarised(cos_i, cos_t, eta), cos_t
+
+
+def unpolarised(cos_i: Tensor, cos_t: Tensor, eta: Tensor) -> Tensor:
+    """The reflectance of a boundary between dielectrics, by the cosines of incidence and refraction, not both zero."""
     perpendicular = (cos_i - eta * cos_t) / (cos_i + eta * cos_t)
     parallel = (eta * cos_i - cos_t) / (eta * cos_i + cos_t)
-    return 0.5 * (perpendicular * perpendicular + parallel * parallel), cos_t
+    return 0.5 * (perpendicular * perpendicular + parallel * parallel)
 
 
 def conductor_reflectance(cos_i: Tensor, eta: Vec3, k: Vec3) -> Vec3:

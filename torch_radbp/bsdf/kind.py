@@ -42,6 +42,10 @@ class Choice(NamedTuple):
     delta: Tensor | None = None  # (N,) bool: it is a delta lobe; None: the kind has no other, or none at all
     parts: tuple[Choice, ...] = ()  # the choices of the kinds that this one holds
 
+    def is_delta(self, kind: Kind) -> Tensor:
+        """(N,) bool: a delta lobe was picked; `kind` is the one that picked it."""
+        return torch.full_like(self.lobe, kind.delta, dtype=torch.bool) if self.delta is None else self.delta
+
 
 @dataclass(frozen=True)
 class Kind(ABC):
@@ -54,6 +58,7 @@ class Kind(ABC):
     smooth: ClassVar[bool] = True  # it has smooth lobes
     discrete: ClassVar[bool] = False  # `choose` has a choice
     oriented: ClassVar[bool] = False  # anisotropic: turning the surface about its normal makes a difference
+    transmits: ClassVar[bool] = False  # light passes to the other side
 
     @property
     def steering(self) -> tuple[int, ...]:
@@ -118,6 +123,11 @@ class DeltaKind(Kind):
     @abstractmethod
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
         """Weight of the chosen lobe, not divided by the choice's probability; attached."""
+
+
+def chance_of_lobe(chance: Tensor, fixed_lobes: bool) -> Tensor:
+    """The probability of a lobe as part of a density: with its derivative, or without if lobes are fixed."""
+    return chance.detach() if fixed_lobes else chance
 
 
 def above(w: Vec3) -> Vec3:

@@ -55,3 +55,23 @@ class NumberOf(Texture):
         if name in ("to_uv", "wrap_mode", "filter_type"):
             return getattr(self.texture, name)
         return super().__getattr__(name)
+
+
+class ComputedNumbers(RGB):
+    """Three of the numbers that a method of `owner` computes from its parameters, as a constant texture.
+
+    Args:
+        owner: the material.
+        method: the name of the method, which returns (K,) numbers, attached.
+        first: the index of the first of the three.
+    """
+
+    def __init__(self, owner: BSDF, method: str, first: int):
+        Plugin.__init__(self)
+        self.place, self.first = (owner, method), first  # a tuple, so that the owner is no submodule
+
+    @property
+    def value(self) -> Tensor:
+        """(3,), attached."""
+        owner, method = self.place
+        return getattr(owner, method)()[self.first:self.first + 3]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Values, above, side_of
+from torch_radbp.bsdf.kind import Choice, Values, above, chance_of_lobe, side_of
 from torch_radbp.bsdf.microfacet import ROUGHNESS, MicrofacetKind, half_vector, make_rough
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import Texture, register
@@ -48,6 +48,7 @@ class RoughDielectricKind(MicrofacetKind):
     """
 
     discrete: ClassVar[bool] = True
+    transmits: ClassVar[bool] = True
 
     @property
     def steering(self) -> tuple[int, ...]:
@@ -80,7 +81,7 @@ class RoughDielectricKind(MicrofacetKind):
         # Densities of the half vector over that of the direction, of reflection and of refraction.
         reflected, transmitted = 0.25 * (1.0 - g.transmits), (g.cos_i * g.cos_o / g.squared) * g.transmits
         scattered = values[-2] * (g.reflectance * reflected) + values[-1] * ((1.0 - g.reflectance) * transmitted)
-        chance = g.reflectance.detach() if fixed_lobes else g.reflectance
+        chance = chance_of_lobe(g.reflectance, fixed_lobes)
         return (scattered * (density * facets.masking(wi) * facets.masking(wo) * wo.z),
                 (chance * reflected + (1.0 - chance) * transmitted * g.eta * g.eta) * (density / facets.projected_area(wi)))
 

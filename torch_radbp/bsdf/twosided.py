@@ -18,7 +18,7 @@ class TwoSided(BSDF):
         if not 1 <= len(brdf) <= 2 or any(isinstance(side, TwoSided) for side in brdf):
             raise ValueError(f"twosided takes one or two one-sided BSDFs, got {[side.type for side in brdf]}")
         for side in brdf:
-            if "dielectric" in side.type:
+            if side.kind().transmits:
                 raise ValueError(f"twosided takes BSDFs that only reflect, got {side.type!r}, which has two sides already")
         for number, side in enumerate(brdf):
             self.add_module(f"brdf_{number}", side)
