@@ -105,7 +105,11 @@ for _name in ("beckmann", "ggx"):
         f"glass {_name}": {"type": "roughdielectric", **_rough, **_glass},
         f"brushed glass {_name}": {"type": "roughdielectric", **_brushed, "int_ior": "diamond"},
         f"bubble {_name}": {"type": "roughdielectric", **_rough, "int_ior": 1.0, "ext_ior": 1.33},
+        f"rough plastic {_name}": {"type": "roughplastic", **_rough, "diffuse_reflectance": [0.2, 0.5, 0.9],
+                                   "specular_reflectance": [0.9, 0.6, 0.8]},
     }
+MATERIALS["rough nonlinear plastic"] = {"type": "roughplastic", "alpha": 0.2, "int_ior": 1.9, "nonlinear": True,
+                                        "diffuse_reflectance": [0.8, 0.5, 0.1]}
 
 
 def kind_of(name: str) -> Kind:

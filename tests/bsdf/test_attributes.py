@@ -13,6 +13,7 @@ from torch_radbp.bsdf.dielectric import Dielectric
 from torch_radbp.bsdf.plastic import Plastic
 from torch_radbp.bsdf.roughconductor import RoughConductor
 from torch_radbp.bsdf.roughdielectric import RoughDielectric
+from torch_radbp.bsdf.roughplastic import RoughPlastic
 from torch_radbp.scene.pack import BankBuilder
 from torch_radbp.texture.bitmap import Bitmap, texture_bank
 
@@ -29,9 +30,12 @@ BAD = {
     "hidden normals": (RoughDielectric, {"sample_visible": False}, "sample_visible must be true"),
     "half of a roughness": (RoughConductor, {"alpha_u": 0.1}, "alpha_u and alpha_v must be given both"),
     "three roughnesses": (RoughDielectric, {"alpha": 0.1, "alpha_u": 0.1, "alpha_v": 0.1}, "either alpha, or alpha_u and"),
+    "equal indices of plastic": (RoughPlastic, {"int_ior": 1.5, "ext_ior": 1.5}, "int_ior and ext_ior must differ"),
+    "no roughness of plastic": (RoughPlastic, {"alpha": -0.1}, "alpha must be at least 0, got -0.1"),
     "unknown plastic": (Plastic, {"int_ior": "polypropylen"}, "int_ior 'polypropylen' is not known.*'polypropylene'"),
     "bright base": (Plastic, {"diffuse_reflectance": 1.5}, r"diffuse_reflectance must be in \[0, 1\], got 1.5"),
     "shifted a bit": (Plastic, {"nonlinear": 1}, "nonlinear must be True or False, got 1"),
+    "hidden normals of plastic": (RoughPlastic, {"sample_visible": False}, "sample_visible must be true"),
     "negative roughness": (RoughConductor, {"alpha": -0.1}, "alpha must be at least 0, got -0.1"),
 }
 
@@ -54,7 +58,9 @@ def test_defaults_are_those_of_mitsuba():
     assert figures(Dielectric()) == glass
     assert figures(RoughDielectric()) == {"alpha.value": 0.1, **glass}
     coat = {"eta": 1.48959, "diffuse_reflectance.value": 0.5, "specular_reflectance.value": 1.0}
-    assert figures(Plastic()) == coat and not Plastic().nonlinear
+    assert figures(Plastic()) == coat
+    assert figures(RoughPlastic()) == {**coat, "alpha": 0.1}
+    assert not Plastic().nonlinear and not RoughPlastic().nonlinear and RoughPlastic().distribution == "beckmann"
     assert RoughConductor().distribution == RoughDielectric().distribution == "beckmann"
     assert not any(p.requires_grad for bsdf in (Dielectric(), RoughConductor()) for p in bsdf.parameters())
 
@@ -80,7 +86,7 @@ def options(value):
 
 def test_kinds_differ_by_their_options():
     defaults = {"roughconductor": {"distribution": "beckmann"}, "roughdielectric": {"distribution": "beckmann"},
-                "plastic": {"nonlinear": False}}
+                "plastic": {"nonlinear": False}, "roughplastic": {"distribution": "beckmann", "nonlinear": False}}
     described = [options(defaults.get(description["type"], {}) | description) for description in MATERIALS.values()]
     kinds = [material(description).kind() for description in MATERIALS.values()]
     assert len(set(kinds)) == len(set(described)) == len(set(zip(kinds, described))) > 12

@@ -13,6 +13,7 @@ from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.bsdf.plastic import PlasticKind
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.bsdf.roughdielectric import RoughDielectricKind
+from torch_radbp.bsdf.roughplastic import RoughPlasticKind, coat_of
 from torch_radbp.vec import Vec3
 
 ALPHA = (0.0, 1e-4, 1e-3, 0.1, 1.0)
@@ -28,6 +29,8 @@ KINDS = {
     **{f"{'brushed ' * a}{name} {d}": kind(d, a) for d in ("beckmann", "ggx") for a in (False, True)
        for name, kind in (("metal", RoughConductorKind), ("glass", RoughDielectricKind))},
     **{f"{'nonlinear ' * n}plastic": PlasticKind(nonlinear=n) for n in (False, True)},
+    **{f"{'nonlinear ' * n}rough plastic {d}": RoughPlasticKind(d, nonlinear=n) for d in ("beckmann", "ggx")
+       for n in (False, True)},
 }
 
 
@@ -38,18 +41,26 @@ def grid(kind, dtype):
         optics = [[(c,) for c in COLOUR]]
     elif isinstance(kind, (ConductorKind, RoughConductorKind)):
         optics = [[(eta, k, c) for (eta, k), c in itertools.product(INDEX, COLOUR)]]
-    elif isinstance(kind, PlasticKind):
+    elif isinstance(kind, (PlasticKind, RoughPlasticKind)):
         optics = [list(itertools.product(ETA, COLOUR, COLOUR))]
     else:
         optics = [[(eta, c, c) for eta, c in itertools.product(ETA, COLOUR)]]
     rows = [(*row[:-2], *row[-2], row[-1]) for row in itertools.product(*rough, *optics, COSINE)]
     columns = torch.tensor(rows, dtype=torch.float64).to(dtype).unbind(1)
     values = tuple(Vec3(c.clone(), c.clone(), c.clone()) for c in columns[:-1])
+    if isinstance(kind, RoughPlasticKind):
+        values = (*values[:2], *coats(kind.distribution, values[0].x, values[1].x), *values[2:])
     z = columns[-1]
     r = torch.sqrt((1 - z.double()**2).clamp_min(0)).to(dtype)
     wi = Vec3(r * ACROSS[0], r * ACROSS[1], z.clone())
     assert len(values) == kind.slots
     return values, wi
+
+
+def coats(distribution: str, alpha, eta) -> list[Vec3]:
+    """The numbers that describe the coats of a rough plastic, three at a time."""
+    rows = [coat_of(distribution, *pair).numbers for pair in zip(alpha.double().tolist(), eta.double().tolist())]
+    return [Vec3.of(part) for part in torch.stack(rows).to(alpha).split(3, 1)]
 
 
 def assert_finite(what: str, output, values, *vectors) -> None:

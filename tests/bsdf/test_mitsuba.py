@@ -23,6 +23,8 @@ from torch_radbp.vec import Vec3
 COUNT = 1500
 # Mitsuba computes in single precision; near the mirror direction a sharp lobe magnifies its rounding.
 EVAL = 1e-3
+# Their quadrature of what a rough coat lets through is right to 5e-4 for GGX, and enters twice.
+ROUGH_COAT = 2e-3
 # For Beckmann the density here is that of the samples, exactly; Mitsuba's has Walter's rational function, right to 0.35%.
 DENSITY = {"beckmann": 3.6e-3, "ggx": 1e-3}
 
@@ -41,9 +43,10 @@ def assert_agree(description: dict, found, expected) -> None:
     # What is a millionth of the peak is below their rounding, or cut to zero.
     seen, likely = their_value.max(1) > 1e-6 * their_value.max(), their_density > 1e-6 * their_density.max()
     assert seen.sum() >= 3 and likely.sum() >= 3
-    np.testing.assert_allclose(value[seen], their_value[seen], rtol=EVAL, atol=1e-6 * their_value.max())
+    coat = ROUGH_COAT if "roughplastic" in repr(description) else 0.0
+    np.testing.assert_allclose(value[seen], their_value[seen], rtol=max(EVAL, coat), atol=1e-6 * their_value.max())
     np.testing.assert_allclose(density[likely], their_density[likely],
-                               rtol=DENSITY[description.get("distribution", "beckmann")])
+                               rtol=max(DENSITY[description.get("distribution", "beckmann")], coat))
     assert (value[~seen].max(initial=0) <= 2e-6 * their_value.max())
     assert (density[~likely].max(initial=0) <= 2e-6 * their_density.max())
 

@@ -11,7 +11,7 @@ from tests.derivatives.scenes import SCENES, SUBJECT, beam, bitmap, camera, floo
 from tests.scenes import load, rgb
 
 MATERIALS = ("diffuse", "conductor", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
-             "brushed glass beckmann", "plastic")
+             "brushed glass beckmann", "plastic", "rough plastic ggx")
 SHAPES = ("rectangle", "disk", "sphere", "cube", "mesh", "obj", "ply")
 LIGHTS = ("directional", "point", "projector", "spot")
 

@@ -168,6 +168,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "brushed metal ggx": metal(type="roughconductor", distribution="ggx", **BRUSHED, **ROUGH_METAL),
     "plastic": metal(type="plastic", **PLASTIC),
     "nonlinear plastic": metal(type="plastic", nonlinear=True, **PLASTIC),
+    "rough plastic beckmann": metal(type="roughplastic", distribution="beckmann", alpha=0.3, **PLASTIC),
+    "rough plastic ggx": metal(type="roughplastic", distribution="ggx", alpha=0.3, nonlinear=True, **PLASTIC),
     "dielectric": glass(type="dielectric", **TINTED),
     "rough glass beckmann": glass(type="roughdielectric", distribution="beckmann", alpha=0.3, **ROUGH_GLASS),
     "rough glass ggx": glass(type="roughdielectric", distribution="ggx", alpha=0.3, **ROUGH_GLASS),
