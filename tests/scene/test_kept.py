@@ -18,10 +18,11 @@ from tests.scenes import load, rectangle, rgb, sensor, texels
 from torch_radbp.emitter import envmap
 from torch_radbp.plugin import Texture
 from torch_radbp.scene import geometry, light_table
-from torch_radbp.scene.kept import Kept, same_bits
+from torch_radbp.scene.kept import PART, Kept, same_bits
 from torch_radbp.scene.pack import pack
 from torch_radbp.shape.mesh import Mesh
 
+LARGE = (9 << 20) + 5  # numbers
 SETTINGS = {"spp": 4, "max_depth": 3}
 
 
@@ -339,3 +340,19 @@ def test_a_result_is_taken_over_only_for_arguments_that_stand_still():
 ])
 def test_tensors_are_compared_bit_by_bit(a, b, equal):
     assert same_bits(a, b) == same_bits(b, a) == equal
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("place", [None, 0, 1_000_003, 4 << 20, -1])
+def test_large_tensors_are_compared_to_the_last_bit(place, threads):
+    assert 4 * LARGE > 2 * PART
+    count = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        a = torch.arange(LARGE, dtype=torch.int32)
+        b = a.clone()
+        if place is not None:
+            b[place] ^= 1 << 30
+        assert same_bits(a, b) == (place is None)
+    finally:
+        torch.set_num_threads(count)

@@ -103,12 +103,16 @@ def check_names(root: nn.Module) -> None:
     Args:
         root: a renderer, or a scene.
     """
-    ours = {Scene, type(root), *(plugin for plugins in REGISTRY.values() for plugin in plugins.values())}
     for prefix, module in root.named_modules():
         stray = next((name for name, value in vars(module).items() if isinstance(value, Tensor)), None)
-        if stray is not None and type(module) in ours:
+        if stray is not None and type(module) in {Scene, type(root), *registered()}:
             name = f"{prefix}.{stray}".removeprefix(".")
             raise AttributeError(f"there is no parameter {name!r}; {nearest(name, dict(root.named_parameters()))}")
+
+
+def registered() -> set[type[Plugin]]:
+    """The classes of all plugins."""
+    return {plugin for plugins in REGISTRY.values() for plugin in plugins.values()}
 
 
 def check_types(scene: Scene, found: dict[str, Held]) -> None:
