@@ -188,7 +188,7 @@ def same_memory(a: int, b: int, length: int) -> bool:
     if len(starts) < 2 or torch.get_num_threads() == 1:
         return not memory_difference()(a, b, length)
     parts = thread_pool().map(lambda start: memory_difference()(a + start, b + start, min(PART, length - start)), starts)
-    return not any(parts)
+    return not any(list(parts))  # of all: no thread may still read when the caller frees the memory
 
 
 @cache
