@@ -38,7 +38,8 @@ import torch
 from benchmarks.peers import Ours
 from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes import QUICK, SCENES
-from torch_radbp.adjoint import function, sweep
+from torch_radbp.adjoint import function
+from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary import JumpWatch
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit import run as lane_run
@@ -52,7 +53,7 @@ TIMED = {  # part: what is timed for it; what is called inside of another part c
     "shadow rays": [(Direct, "occluded"), (Embree, "occluded")],
     "fused code": [(lane_run, "run_lanes")],
     "lane compiler": [(LaneFunction, "__call__"), (LaneFunction, "into")],
-    "scatter": [(sweep, "scatter_add")],
+    "scatter": [(Gradients, "add")],
     "packing": [(Renderer, "prepare")],
     BACKWARD: [(torch.Tensor, "backward")],
     "warnings": [(JumpWatch, "look")],
