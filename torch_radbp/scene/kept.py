@@ -187,8 +187,12 @@ def same_memory(a: int, b: int, length: int) -> bool:
     starts = range(0, length, PART)
     if len(starts) < 2 or torch.get_num_threads() == 1:
         return not memory_difference()(a, b, length)
-    parts = thread_pool().map(lambda start: memory_difference()(a + start, b + start, min(PART, length - start)), starts)
-    return not any(list(parts))  # of all: no thread may still read when the caller frees the memory
+
+    def difference(start: int) -> int:
+        return memory_difference()(a + start, b + start, min(PART, length - start))
+
+    # A list of all: no thread may still read when the caller frees the memory.
+    return not any(list(thread_pool(os.getpid()).map(difference, starts)))
 
 
 @cache
@@ -200,8 +204,8 @@ def memory_difference() -> Callable[[int, int, int], int]:
 
 
 @cache
-def thread_pool() -> ThreadPoolExecutor:
-    """The threads that compare memory."""
+def thread_pool(process: int) -> ThreadPoolExecutor:
+    """The threads of a process that compare memory: a forked one does not inherit those of its parent."""
     return ThreadPoolExecutor(torch.get_num_threads(), thread_name_prefix="kept")
 
 
