@@ -119,6 +119,37 @@ def test_the_number_of_threads_changes_nothing(caster, threads, pool, monkeypatc
     assert torch.equal(tracer.occluded(ray, tmax), hidden)
 
 
+@pytest.mark.parametrize("caster", COMPILED)
+def test_the_order_of_rays_changes_nothing(caster):
+    """Embree follows neighbours that go the same way together, and others one by one; here many rays meet edges exactly."""
+    tracer = make_caster(caster, *mesh("sphere in a box"))
+    row, column = torch.meshgrid(torch.linspace(-1, 1, 301), torch.linspace(-1, 1, 301), indexing="ij")
+    zero = torch.zeros(row.numel())
+    ray = Ray(Vec3(zero, zero, zero + 1.4), Vec3(column.flatten(), row.flatten(), zero - 1))
+    shuffled = torch.randperm(len(zero), generator=torch.Generator().manual_seed(1))
+    hit, tmax = tracer.intersect(ray), torch.full_like(zero, 1.2)
+    assert all(torch.equal(a[shuffled], b) for a, b in zip(hit, tracer.intersect(take(ray, shuffled))))
+    hidden = tracer.occluded(ray, tmax)
+    assert 0.1 < hidden.float().mean() < 0.9
+    assert torch.equal(hidden[shuffled], tracer.occluded(take(ray, shuffled), tmax))
+
+
+def test_neighbours_that_go_the_same_way_leave_a_closed_sphere_nowhere():
+    """Eight rays at a time aim at one stretch of an edge; corners are left out, where Embree is not watertight."""
+    vertices, faces = mesh("fine sphere")
+    generator = torch.Generator().manual_seed(4)
+    groups = 20_000
+    ends = vertices[faces[torch.randint(len(faces), (groups,), generator=generator)].long()][:, :2].repeat_interleave(8, 0)
+    share = 0.1 + 0.7 * torch.rand(groups, generator=generator).repeat_interleave(8)
+    share += 0.1 * torch.rand(8 * groups, generator=generator)
+    o = (torch.rand(groups, 3, generator=generator) - 0.5).repeat_interleave(8, 0)
+    target = ends[:, 0] * share[:, None] + ends[:, 1] * (1 - share[:, None])
+    ray = Ray(Vec3.of(o), Vec3.of(target - o))
+    tracer = make_caster("embree", vertices, faces)
+    assert bool((tracer.intersect(ray).prim >= 0).all())
+    assert bool(tracer.occluded(ray, torch.full((8 * groups,), torch.inf)).all())
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a pool of Python threads may stand in")
 def test_torch_lends_its_threads():
     """Without them queries are right but slower: nothing else would tell."""

@@ -55,6 +55,8 @@ class Embree:
         # Embree reads this buffer in place, and 16 bytes at a time: past the last vertex by 4.
         self._buffer = torch.zeros(len(self.vertices) + 1, 3, dtype=torch.float32, device=CPU)
         self._buffer[:-1] = self.vertices
+        extent = self._buffer[:-1].amax(dim=0) - self._buffer[:-1].amin(dim=0)
+        self._near = packets.NEAR * extent.max()
         self._embree = embree = library.load()
         self._device = library.new_device()
         self._scene = embree.rtcNewScene(self._device)
@@ -90,7 +92,8 @@ class Embree:
         """Runs a loop of `queries` over all lanes."""
         lanes = columns[0].numel()
         columns = [column.detach().to(torch.float32).contiguous() for column in columns]
-        inputs = array("q", [*(column.data_ptr() for column in columns), library.address(query), self._scene])
+        inputs = array("q", [*(column.data_ptr() for column in columns), library.address(query), self._scene,
+                             self._near.data_ptr()])
         outputs = array("q", [answer.data_ptr() for answer in answers])
         run_lanes(machine_code(loop).address, lanes, inputs, outputs, PART)
         with self._counting:
