@@ -18,7 +18,7 @@ from torch import Tensor
 from torch_radbp.jit.machine import MachineCode, host_width
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import every_triangle, queries
-from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
+from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.vectors import Vectors
 
@@ -69,7 +69,7 @@ class Direct:
         dtype, lanes = columns[0].dtype, columns[0].numel()
         if dtype not in self._meshes:
             self._meshes[dtype] = mesh_in_units(self.vertices, self.faces, dtype)
-        inputs = [column.detach().contiguous() for column in columns] + list(self._meshes[dtype])
+        inputs = [*columns_of(columns, dtype), *self._meshes[dtype]]
         run_lanes(machine_code(loop, dtype).address, lanes, addresses(inputs), addresses(answers))
         with self._counting:
             self.rays_cast += lanes

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch_radbp.jit.machine import MachineCode
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import library, packets, queries
-from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
+from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.vectors import Vectors
 from torch_radbp.vec import Vec3, crossing, dot
@@ -57,7 +57,8 @@ class Embree:
         self._buffer[:-1] = self.vertices
         extent = self._buffer[:-1].amax(dim=0) - self._buffer[:-1].amin(dim=0)
         self._near = packets.NEAR * extent.max()
-        self._embree = embree = library.load()
+        embree = library.load()
+        self._intersect, self._occluded = library.address(embree.rtcIntersect8), library.address(embree.rtcOccluded8)
         self._device = library.new_device()
         self._scene = embree.rtcNewScene(self._device)
         self._geometry = embree.rtcNewGeometry(self._device, library.GEOMETRY_TYPE_TRIANGLE)
@@ -79,21 +80,20 @@ class Embree:
         check_lanes(ray, None, CPU)
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         hit = Hit(*(torch.empty(shape, dtype=answer, device=CPU) for answer in ANSWERS))
-        self._run(queries.closest_hit, self._embree.rtcIntersect8, [*ray.o, *ray.d], hit)
+        self._run(queries.closest_hit, self._intersect, [*ray.o, *ray.d], hit)
         return hit if dtype == torch.float32 else self._refined(ray, hit)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
         hidden = torch.empty(ray.o.x.shape, dtype=torch.bool, device=CPU)
-        self._run(queries.any_hit, self._embree.rtcOccluded8, [*ray.o, *ray.d, tmax], [hidden])
+        self._run(queries.any_hit, self._occluded, [*ray.o, *ray.d, tmax], [hidden])
         return hidden
 
-    def _run(self, loop: Callable, query, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
+    def _run(self, loop: Callable, query: int, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
         """Runs a loop of `queries` over all lanes."""
         lanes = columns[0].numel()
-        columns = [column.detach().to(torch.float32).contiguous() for column in columns]
-        inputs = array("q", [*(column.data_ptr() for column in columns), library.address(query), self._scene,
-                             self._near.data_ptr()])
+        columns = columns_of(columns, torch.float32)
+        inputs = array("q", [*(column.data_ptr() for column in columns), query, self._scene, self._near.data_ptr()])
         outputs = array("q", [answer.data_ptr() for answer in answers])
         run_lanes(machine_code(loop).address, lanes, inputs, outputs, PART)
         with self._counting:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor
 
@@ -75,3 +77,9 @@ def check_lanes(ray: Ray, tmax: Tensor | None, device: torch.device) -> None:
             )
         if lanes.device != device:
             raise ValueError(f"rays must be where their caster is, on {device}: {name} is on {lanes.device}")
+
+
+def columns_of(lanes: Iterable[Tensor], dtype: torch.dtype) -> list[Tensor]:
+    """Tensors of lanes as compiled loops read them: contiguous, of one dtype; copies only of those that are not."""
+    return [column if column.dtype == dtype and column.is_contiguous() else column.detach().to(dtype).contiguous()
+            for column in lanes]
