@@ -1,8 +1,12 @@
 """Sums of the lanes' numbers in the entries of tables, by the machine code for it."""
 
+import threading
+import time
+
 import pytest
 import torch
 
+from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.scatter import BLOCK, Addition, scatter_add
 
 LANES = (0, 1, 17, BLOCK, BLOCK + 1, 50_000)
@@ -59,3 +63,26 @@ def test_additions_that_do_not_fit_are_errors():
             scatter_add([bad])
     with pytest.raises(ValueError, match="indices of 10 lanes"):
         scatter_add([good, addition(11, 5, 1, 1, torch.float32)])
+
+
+def test_threads_that_ask_at_the_same_time_share_one_machine_code():
+    """Two of them would free what one is running."""
+    made, ready = [], threading.Barrier(4)
+
+    @made_once
+    def make(number):
+        time.sleep(0.01)
+        made.append(number)
+        return object()
+
+    def ask():
+        ready.wait()
+        found.append(make(7))
+
+    found = []
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert made == [7] and len(set(map(id, found))) == 1 and make(8) is not found[0]

@@ -3,8 +3,32 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
+from threading import Lock
+from typing import TypeVar
 
 from llvmlite import binding as llvm
+
+Made = TypeVar("Made")
+
+
+def made_once(make: Callable[..., Made]) -> Callable[..., Made]:
+    """`make` with a memory: each result is made once and kept, also if several threads ask for it at the same time.
+
+    `functools.cache` would let each make one, and free what one of them is running.
+    """
+    made: dict[tuple, Made] = {}
+    making = Lock()
+
+    @functools.wraps(make, updated=())
+    def remembered(*arguments) -> Made:
+        if arguments not in made:
+            with making:
+                if arguments not in made:
+                    made[arguments] = make(*arguments)
+        return made[arguments]
+
+    return remembered
 
 
 @functools.cache
@@ -14,7 +38,7 @@ def host_width() -> int:
     return 16 if features.get("avx512f") else 8 if features.get("avx2") else 4
 
 
-@functools.cache
+@made_once
 def initialized() -> llvm.Target:
     """LLVM's target for this machine, ready for use."""
     llvm.initialize_native_target()

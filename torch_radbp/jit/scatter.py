@@ -11,7 +11,6 @@ ones; whoever reads the totals sums the copies.
 from __future__ import annotations
 
 import ctypes
-import functools
 from array import array
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,7 +18,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode
+from torch_radbp.jit.machine import MachineCode, made_once
 
 PAGE_BITS = 9  # of a table that is noted as touched: 512 entries, 4 KiB
 MOST_TABLES = 3  # of an addition
@@ -143,7 +142,7 @@ class Code:
         self.run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.module.address)
 
 
-code = functools.cache(Code)
+code = made_once(Code)
 
 
 def scatter_add(additions: Sequence[Addition]) -> None:

@@ -6,7 +6,6 @@ grows with the number of triangles.
 
 from __future__ import annotations
 
-import functools
 import math
 from array import array
 from collections.abc import Callable, Iterable
@@ -15,7 +14,7 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, host_width
+from torch_radbp.jit.machine import MachineCode, host_width, made_once
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import every_triangle, queries
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
@@ -78,7 +77,7 @@ class Direct:
         return Direct, (self.vertices, self.faces)
 
 
-@functools.cache
+@made_once
 def machine_code(loop: Callable, dtype: torch.dtype, width: int | None = None) -> MachineCode:
     """A loop of `queries` for numbers of a dtype and vectors of a width; None: what the processor has."""
     width = width or host_width() * torch.float32.itemsize // dtype.itemsize

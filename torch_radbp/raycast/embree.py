@@ -6,7 +6,6 @@ the packets of `packets.py`, on the threads of `jit/team.py`.
 
 from __future__ import annotations
 
-import functools
 import weakref
 from array import array
 from collections.abc import Callable, Iterable
@@ -15,7 +14,7 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode
+from torch_radbp.jit.machine import MachineCode, made_once
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import library, packets, queries
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
@@ -115,7 +114,7 @@ class Embree:
         return Embree, (self.vertices, self.faces)
 
 
-@functools.cache
+@made_once
 def machine_code(loop: Callable) -> MachineCode:
     """A loop of `queries` over packets."""
     return MachineCode(loop(Vectors(packets.WIDTH, "float"), packets.KERNEL))
