@@ -12,7 +12,7 @@ __all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 
 # Imported when asked for: each has dependencies that the others do not need.
 CASTERS = {"embree": "Embree", "direct": "Direct", "brute": "Brute"}
-FEW_TRIANGLES = 100  # so many are tested one by one as fast as a tree finds the right ones, whatever the rays
+FEW_TRIANGLES = 100  # a path's rays, camera rays aside, test so many one by one faster than a tree finds the right ones
 
 
 def make_caster(name: str | None, vertices: Tensor, faces: Tensor) -> RayCaster:
