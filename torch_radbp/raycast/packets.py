@@ -22,8 +22,8 @@ ORIGIN, TNEAR, DIRECTION, TFAR, MASK, NORMAL, U, V, PRIM_ID, GEOM_ID, ROWS = 0, 
 QUERY = "call void %query(ptr %active, ptr %scene, ptr %packet, ptr %arguments)"
 COHERENT = 1 << 16  # RTC_RAY_QUERY_FLAG_COHERENT
 NEAR = 0.05  # how far origins of coherent rays may differ, in units of the mesh's extent
-# Powers of two, which LLVM's text holds exactly: by how much coherent directions may differ, relative to their length, and the
-# weight of a corner so near the opposite edge that rounding decides.
+# Powers of two, which LLVM's text holds exactly: by how much coherent directions may differ, relative to their length, and
+# the weight of a corner so near the opposite edge that rounding decides.
 ALIGNED, EDGE = 2.0**-3, 2.0**-20
 NOTHING = "splat (i32 -1)"  # the geometry before any is hit; also: all bits of a mask set
 
