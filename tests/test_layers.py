@@ -16,7 +16,7 @@ TRAINING = PACKAGE.parent / "training"
 
 # Data flows down this list; a module may import from its own layer and from those above it.
 LAYERS = [
-    {"domain", "entry", "vec", "lookup", "plugin", "pose", "jit"}, {"sampling"},
+    {"domain", "entry", "vec", "lookup", "plugin", "pose", "record", "jit"}, {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film"}, {"scene"},
     {"raycast"}, {"path"}, {"wavefront"}, {"adjoint"}, {"boundary"}, {"stages"}, {"render"}, {"jvp"}, {"check"}, {"public"},
     {"training"},

@@ -41,7 +41,7 @@ def tapped(node, wanted: tuple[bool, ...], place: int, taps: list[Tap]):
 
     Args:
         node: the record, or a part of it.
-        wanted: of each leaf, counted as `tree_flatten` does, whether to tap it.
+        wanted: of each leaf, counted as `leaves_of` does, whether to tap it.
         place: the number of the first leaf of `node`.
         taps: filled in, in order.
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_map_only, tree_unflatten
+from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from torch_radbp.adjoint.finite import (
     CheckedSweep,
@@ -26,6 +26,7 @@ from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.entry import entry
 from torch_radbp.path import PathState, start_path
 from torch_radbp.raycast import RayCaster
+from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
@@ -112,12 +113,12 @@ def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integr
 
 def detached(tensors):
     """A record of tensors without derivatives."""
-    return tree_map_only(Tensor, Tensor.detach, tensors)
+    return with_leaves(tensors, (leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(tensors)))
 
 
 def differentiable(tensors) -> list[Tensor]:
     """The leaves of a record that derivatives are wanted of, in order."""
-    return [leaf for leaf in tree_flatten(tensors)[0] if isinstance(leaf, Tensor) and leaf.requires_grad]
+    return [leaf for leaf in leaves_of(tensors) if isinstance(leaf, Tensor) and leaf.requires_grad]
 
 
 def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey, record: bool,
@@ -231,9 +232,9 @@ class RenderFunction(torch.autograd.Function):
         asked = iter(ctx.needs_input_grad[1:])
         wanted = tuple(attached and next(asked) for attached in ctx.scene_leaves)
         wanted_of_cameras = [tuple(attached and next(asked) for attached in leaves) for leaves in ctx.camera_leaves]
-        leaves = [leaf for leaf, want in zip(tree_flatten(call.scene)[0], wanted) if want]
+        leaves = [leaf for leaf, want in zip(leaves_of(call.scene), wanted) if want]
         cameras = [leaf for view, wants in zip(call.views, wanted_of_cameras)
-                   for leaf, want in zip(tree_flatten(view.camera)[0], wants) if want]
+                   for leaf, want in zip(leaves_of(view.camera), wants) if want]
         first = [len(leaves) + sum(map(sum, wanted_of_cameras[:sensor])) for sensor in range(len(call.views))]
 
         def swept(index: int, gradients: Gradients, make_sweep: Callable = Sweep) -> Sweep:
@@ -275,8 +276,8 @@ class RenderFunction(torch.autograd.Function):
 
 
 def asks_for_gradient(record) -> list[bool]:
-    """Of each leaf of a record, as `tree_flatten` counts, whether it is a tensor that requires a gradient."""
-    return [isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(record)[0]]
+    """Of each leaf of a record, as `leaves_of` counts, whether it is a tensor that requires a gradient."""
+    return [isinstance(leaf, Tensor) and leaf.requires_grad for leaf in leaves_of(record)]
 
 
 def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
@@ -287,9 +288,9 @@ def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
 def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple[bool, ...], adj_ray: Ray) -> list[Tensor]:
     """The gradients of the wanted leaves of a camera from the rays of one chunk."""
     view = call.views[chunk.sensor]
-    leaves, structure = tree_flatten(view.camera)
+    leaves = leaves_of(view.camera)
     leaves = [leaf.clone().requires_grad_() if want else leaf for leaf, want in zip(leaves, wanted)]
-    sensors = [view._replace(camera=tree_unflatten(leaves, structure)) if number == chunk.sensor else other
+    sensors = [view._replace(camera=with_leaves(view.camera, leaves)) if number == chunk.sensor else other
                for number, other in enumerate(call.views)]
     with torch.enable_grad():
         ray = start_paths(call._replace(views=sensors, stages=call.stages.eager()), chunk, key).ray

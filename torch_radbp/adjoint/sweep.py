@@ -25,13 +25,14 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
+from torch.utils._pytree import tree_map
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.adjoint.scatter import Contribution, Gradients
 from torch_radbp.lookup import Tap, tapped
 from torch_radbp.path import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.record import with_leaves
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
@@ -80,7 +81,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
 
     Args:
         scene: the part that these lanes read, detached.
-        wanted: of each leaf of `scene` (counted as `tree_flatten` does), whether to differentiate it.
+        wanted: of each leaf of `scene` (counted as `leaves_of` does), whether to differentiate it.
         arrival, lanes: as for `bounce`.
         verdict: what was decided for these lanes.
         adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
@@ -189,7 +190,7 @@ class Sweep:
         counted = itertools.count()
         self.leaves = [next(counted) if want else None for want in wanted]
         self.adjoints: dict[int | None, Adjoint] = {}
-        positions = tree_unflatten(self.leaves, tree_flatten(integrand.scene)[1]).triangles.vertices.p
+        positions = with_leaves(integrand.scene, self.leaves).triangles.vertices.p
         twice = self.moving and integrand.settings.sampling != "attached" and positions.x is not None
         self.of_positions = list(positions) if twice else []  # leaves
         self.memo = empty_memo(adj_L.x, self.moving, twice)

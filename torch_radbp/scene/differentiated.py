@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 from torch.autograd import forward_ad
-from torch.utils._pytree import tree_flatten
+
+from torch_radbp.record import leaves_of
 
 
 def tangent_of(tensor: Tensor) -> Tensor | None:
@@ -24,4 +25,4 @@ def differentiated(tensor: Tensor) -> bool:
 
 def any_differentiated(record) -> bool:
     """True if any tensor of a record requires a gradient or has a tangent."""
-    return any(differentiated(leaf) for leaf in tree_flatten(record)[0] if isinstance(leaf, Tensor))
+    return any(differentiated(leaf) for leaf in leaves_of(record) if isinstance(leaf, Tensor))

@@ -6,8 +6,7 @@ else they contain.
 
 from __future__ import annotations
 
-from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
-
+from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import Layout, SceneTensors
 
@@ -18,14 +17,14 @@ def part_of(scene: SceneTensors, appearance: Appearance | None) -> SceneTensors:
 
 
 def leaves_of_part(leaves: list, scene: SceneTensors, appearance: Appearance | None, nothing) -> list:
-    """Things that belong to the leaves of a scene (counted as `tree_flatten` does), for the leaves of its part.
+    """Things that belong to the leaves of a scene (counted as `leaves_of` does), for the leaves of its part.
 
     Args:
         nothing: what leaves that are no tables get.
     """
-    record = reduced(tree_unflatten(leaves, tree_flatten(scene)[1]), scene.layout, appearance)
-    layout = tree_map(lambda _: nothing, layout_of_part(scene.layout, appearance))
-    return tree_flatten(record._replace(layout=layout))[0]
+    record = reduced(with_leaves(scene, leaves), scene.layout, appearance)
+    layout = [nothing for _ in leaves_of(layout_of_part(scene.layout, appearance))]
+    return leaves_of(record._replace(layout=tuple(layout)))
 
 
 def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) -> SceneTensors:

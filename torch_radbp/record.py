@@ -1,0 +1,39 @@
+"""Records, that is nested tuples, named or not, and lists: their leaves in order, and the same record with other leaves.
+
+Leaves are counted as `torch.utils._pytree` counts them (None is one, an empty tuple has none), which takes five times as
+long: it looks each type up in a registry, and a small rendering spent a fifth of its time there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+
+def leaves_of(record: Any) -> list:
+    """Whatever is no tuple or list in a record, in order."""
+    leaves: list = []
+    collect(record, leaves)
+    return leaves
+
+
+def collect(record: Any, leaves: list) -> None:
+    """Adds the leaves of a record to a list."""
+    if isinstance(record, (tuple, list)):
+        for part in record:
+            collect(part, leaves)
+    else:
+        leaves.append(record)
+
+
+def with_leaves(record: Any, leaves: Iterable) -> Any:
+    """A record of the same structure with other leaves, given in order."""
+    return rebuilt(record, iter(leaves))
+
+
+def rebuilt(record: Any, leaves: Iterator) -> Any:
+    """As `with_leaves`, of a part of the record."""
+    if not isinstance(record, (tuple, list)):
+        return next(leaves)
+    parts = [rebuilt(part, leaves) for part in record]
+    return record._make(parts) if hasattr(record, "_fields") else type(record)(parts)
