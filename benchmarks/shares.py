@@ -53,7 +53,7 @@ TIMED = {  # part: what is timed for it; what is called inside of another part c
     "shadow rays": [(Direct, "occluded"), (Embree, "occluded")],
     "fused code": [(lane_run, "run_lanes")],
     "lane compiler": [(LaneFunction, "__call__"), (LaneFunction, "into")],
-    "scatter": [(Gradients, "add")],
+    "scatter": [(Gradients, "add"), (function, "gradients_of")],
     "packing": [(Renderer, "prepare")],
     BACKWARD: [(torch.Tensor, "backward")],
     "warnings": [(JumpWatch, "look")],
