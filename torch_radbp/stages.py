@@ -11,20 +11,23 @@ import warnings
 from collections.abc import Callable
 from copy import copy
 
+from torch.utils._pytree import tree_leaves
+
 from torch_radbp.adjoint.sweep import bounce_adjoint
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.path import bounce, sample_camera
 from torch_radbp.vec import rows
-from torch_radbp.wavefront import Stages, brightened
+from torch_radbp.wavefront import Stages, appearance_met, brightened, shines
 
-EAGER = Stages(sample_camera, bounce, bounce_adjoint, rows, brightened)
+EAGER = Stages(sample_camera, bounce, bounce_adjoint, appearance_met, shines, rows, brightened)
 
 
 @functools.cache
 def compiled() -> Stages:
     """The stages as fused loops; one set for the whole process."""
     return Stages(CompiledStage(sample_camera, "camera"), CompiledStage(bounce, "scene", "proposal", "arrival"),
-                  CompiledStage(bounce_adjoint, "scene", "arrival", "adj_L", "memo"), CompiledStage(rows, "record"),
+                  CompiledStage(bounce_adjoint, "scene", "arrival", "adj_L", "memo"),
+                  CompiledStage(appearance_met, "scene"), CompiledStage(shines, "scene"), CompiledStage(rows, "record"),
                   CompiledStage(brightened, "L", "beta"))
 
 
@@ -50,7 +53,19 @@ class CompiledStage:
         try:
             return self.fused(*arguments)
         except UnknownOperation as error:
-            if not self.refused:
-                warnings.warn(f"{self.stage.__name__} runs eagerly, which is slower: {error}", RuntimeWarning, stacklevel=2)
-                self.refused = True
-            return self.stage(*arguments)
+            return self.eagerly(error, arguments)
+
+    def into(self, results, *arguments) -> None:
+        """Writes what a call would return into the tensors of `results`."""
+        try:
+            self.fused.into(results, *arguments)
+        except UnknownOperation as error:
+            for target, found in zip(tree_leaves(results), tree_leaves(self.eagerly(error, arguments))):
+                target.copy_(found)
+
+    def eagerly(self, error: UnknownOperation, arguments: tuple):
+        """What the stage returns in plain torch; says once why."""
+        if not self.refused:
+            warnings.warn(f"{self.stage.__name__} runs eagerly, which is slower: {error}", RuntimeWarning, stacklevel=3)
+            self.refused = True
+        return self.stage(*arguments)

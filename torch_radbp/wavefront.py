@@ -12,13 +12,16 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.utils._pytree import tree_leaves
 
+from torch_radbp.jit.order import chosen, partition, put
 from torch_radbp.lookup import lookup
 from torch_radbp.path import Arrival, PathState, Position, Settings, Vertex
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.sampling.sampler import depth_counter
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.camera_hit import camera_hit
+from torch_radbp.scene.differentiated import any_differentiated
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.part import part_of
 from torch_radbp.scene.tensors import SceneTensors
@@ -34,6 +37,9 @@ class Queue(NamedTuple):
     appearance: int | None  # of what they meet, a number of `Layout.appearances`; None: only what is emitted counts
     first: int
     last: int  # the place after its last lane
+
+
+NOTHING = Queue(None, 0, 0)  # of no lanes
 
 
 class Step(NamedTuple):
@@ -57,6 +63,8 @@ class Stages(NamedTuple):
     sample_camera: Callable
     bounce: Callable
     bounce_adjoint: Callable
+    appearance_met: Callable
+    shines: Callable
     rows: Callable
     brightened: Callable
 
@@ -132,7 +140,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     """
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
-        step = Step(hit, *queued(integrand.proposal, state.ray, hit, integrand.is_last(depth)), hit.prim, hit.prim)
+        step = Step(hit, *queued(integrand, state.ray, hit, integrand.is_last(depth)), hit.prim, hit.prim)
         vertex = bounce_queues(integrand, state, depth, step)
         connects = integrand.settings.nee and not integrand.is_last(depth)
         visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
@@ -145,40 +153,87 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     """The vertices of all lanes, each queue by the functions of its appearance."""
     settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
     arrival, at = Arrival(state, step.hit, step.front), integrand.at(depth)
-    parts = [(integrand.part(queue), step.order[queue.first:queue.last]) for queue in step.queues]
-    return joined([part.bounce(part.scene, part.proposal, arrival, lanes, at, settings) for part, lanes in parts])
+
+    def arguments(queue: Queue) -> tuple:
+        part = integrand.part(queue)
+        return part.scene, part.proposal, arrival, step.order[queue.first:queue.last], at, settings
+
+    bounces = [integrand.part(queue).bounce for queue in step.queues]
+    if len(bounces) == 1 or not hasattr(bounces[0], "into"):
+        return joined([bounce(*arguments(queue)) for bounce, queue in zip(bounces, step.queues)])
+    vertices = room_for_vertices(state, len(step.order))
+    for bounce, queue in zip(bounces, step.queues):
+        bounce.into(rows_between(vertices, queue.first, queue.last), *arguments(queue))
+    return vertices
 
 
-def queued(scene: SceneTensors, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
+def room_for_vertices(state: PathState, lanes: int) -> Vertex:
+    """Vertices to write into."""
+    def room(part):
+        return part.new_empty(lanes) if isinstance(part, Tensor) else type(part)(*map(room, part))
+
+    def number() -> Tensor:
+        return state.pdf.new_empty(lanes)
+
+    Le, Ld, F = (Vec3(number(), number(), number()) for _ in range(3))
+    return Vertex(Le, Ld, F, room(state.ray), number(), room(state), number().new_empty(lanes, dtype=torch.bool))
+
+
+def rows_between(record, first: int, last: int):
+    """The rows from `first` to before `last` of every tensor of a record, in nested tuples; None stays None."""
+    if record is None or isinstance(record, Tensor):
+        return None if record is None else record[first:last]
+    return type(record)(*(rows_between(part, first, last) for part in record))
+
+
+def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
     """`Step.front`, `Step.order` and `Step.queues` of rays that met `hit`.
 
     Args:
-        scene: detached.
         ray, hit: (N,).
         last: whether only what is emitted counts.
     """
-    layout, met, prim = scene.layout, hit.prim >= 0, hit.prim.clamp_min(0)
+    layout, scene = integrand.proposal.layout, integrand.part(NOTHING).proposal
     if last:
-        shines = met & (lookup(scene.triangles.emitter, prim) >= 0)
-        shines = shines | ~met if layout.surround else shines
-        order = shines.nonzero().squeeze(1).to(torch.int32)
+        order = chosen(integrand.stages.shines(scene, hit))
         return None, order, (Queue(None, 0, len(order)),)
     nothing = len(layout.appearances)
     if nothing == 1 and not layout.surround:
-        order = met.nonzero().squeeze(1).to(torch.int32)
+        order = chosen(hit.prim >= 0)
         return None, order, (Queue(0, 0, len(order)),)
-    row, front = lookup(scene.triangles.material, prim), None
-    if layout.sides_differ:
-        front = is_in_front(scene, ray, hit)
-        row = row + (~front).to(row.dtype) * scene.materials.count
-    number = torch.where(met, lookup(scene.materials.appearance, row), nothing)
-    order = number.to(torch.int8 if nothing < 127 else torch.int32).sort(stable=True).indices.to(torch.int32)
+    number, front = integrand.stages.appearance_met(scene, ray, hit, torch.tensor(nothing, dtype=torch.int32),
+                                                    layout.sides_differ)
+    order, counts = partition(number, nothing + 1)
     queues, first = [], 0
-    for appearance, count in enumerate(torch.bincount(number, minlength=nothing + 1).tolist()):
+    for appearance, count in enumerate(counts):
         if count and (appearance < nothing or layout.surround):
             queues.append(Queue(appearance if appearance < nothing else None, first, first + count))
             first += count
-    return front, order[:first], tuple(queues) or (Queue(None, 0, 0),)
+    return front, order[:first], tuple(queues) or (NOTHING,)
+
+
+def appearance_met(scene: SceneTensors, ray: Ray, hit: Hit, nothing: Tensor, sides_differ: bool
+                   ) -> tuple[Tensor, Tensor | None]:
+    """The number of the appearance that each ray meets, (N,) int32, and `Step.front`.
+
+    Args:
+        scene: detached; any part of it.
+        ray, hit: (N,).
+        nothing: () int32, the number where there is none.
+        sides_differ: whether the two sides of a surface may have different ones.
+    """
+    row, front = lookup(scene.triangles.material, hit.prim.clamp_min(0)), None
+    if sides_differ:
+        front = is_in_front(scene, ray, hit)
+        row = row + (~front).to(row.dtype) * scene.materials.count
+    return torch.where(hit.prim >= 0, lookup(scene.materials.appearance, row), nothing), front
+
+
+def shines(scene: SceneTensors, hit: Hit) -> Tensor:
+    """(N,) bool: rays meet a light, on a surface or around the scene; `scene`: any part."""
+    met = hit.prim >= 0
+    lit = met & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0)
+    return lit | ~met if scene.layout.surround else lit
 
 
 def joined(parts: list):
@@ -197,8 +252,8 @@ def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
 
 
 def surviving(step: Step) -> Tensor:
-    """Places in `Step.order` of the lanes that go on, int64."""
-    return step.survives.nonzero().squeeze(1)
+    """Places in `Step.order` of the lanes that go on, int32."""
+    return chosen(step.survives)
 
 
 class Bounce(NamedTuple):
@@ -241,7 +296,7 @@ def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathStat
         if visit is not None:
             visit(depth, state, step)
         lane = vertex.next.lane
-        put(L, lane.long(), integrand.stages.brightened(L, state.beta, step.order, lane, vertex.Le, vertex.Ld, step.visible))
+        put_rows(L, lane, integrand.stages.brightened(L, state.beta, step.order, lane, vertex.Le, vertex.Ld, step.visible))
     return L
 
 
@@ -258,13 +313,14 @@ def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: V
     return rows(L, lane) + rows(beta, order) * (Le + masked(visible, Ld))
 
 
-def put(record, place: Tensor, entries) -> None:
-    """Overwrites the entries at `place`, which tells no row twice, of every tensor of a record, in nested tuples."""
-    if isinstance(record, Tensor):
-        record.index_copy_(0, place, entries)
-    elif record is not None:
-        for old, new in zip(record, entries):
-            put(old, place, new)
+def put_rows(record, place: Tensor, entries) -> None:
+    """Overwrites the entries at `place`, (N,) int32 without repetition, of every tensor of a record in nested tuples."""
+    targets, found = ([leaf for leaf in tree_leaves(part) if leaf is not None] for part in (record, entries))
+    if any_differentiated(found):
+        for target, new in zip(targets, found):
+            target.index_copy_(0, place.long(), new)
+    else:
+        put(targets, place, found)
 
 
 def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:

@@ -37,7 +37,7 @@ from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Ray, Vec3, rows
-from torch_radbp.wavefront import Integrand, Queue, Step, knowing, put, survivors, take_step
+from torch_radbp.wavefront import Integrand, Queue, Step, knowing, put_rows, survivors, take_step
 
 
 class PathRecord(NamedTuple):
@@ -236,7 +236,7 @@ class Sweep:
                 found += [Contribution(leaf, row, adjoint) for row, adj_p in zip(above.triangle.rows, above.triangle.adj_p)
                           for leaf, adjoint in zip(self.of_positions, adj_p)]
             self.gradients.add(found)
-            put(self.memo, rows(state.lane, lanes).long(), above)
+            put_rows(self.memo, rows(state.lane, lanes), above)
 
 
 def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:

@@ -74,4 +74,4 @@ def spread(hit: Hit | None, alive: Tensor, like: Tensor) -> Hit | None:
         return None
     zero = torch.zeros_like(like)
     miss = Hit(torch.full_like(like, -1, dtype=hit.prim.dtype), zero, zero, zero)
-    return Hit(*(old.index_copy(0, alive, new) for old, new in zip(miss, hit)))
+    return Hit(*(old.index_copy(0, alive.long(), new) for old, new in zip(miss, hit)))

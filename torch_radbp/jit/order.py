@@ -123,8 +123,8 @@ class Code:
     """The machine code of the loops."""
 
     def __init__(self) -> None:
-        texts = [PARTITION.format(scalar=f"i{bits}", wide="add i64 %number, 0" if bits == 64 else f"zext i{bits} %number to i64")
-                 + PUT.format(scalar=f"i{bits}") for bits in BITS]
+        wide = {bits: f"zext i{bits} %number to i64" for bits in BITS} | {64: "add i64 %number, 0"}
+        texts = [(PARTITION + PUT).format(scalar=f"i{bits}", wide=wide[bits]) for bits in BITS]
         module = self.module = MachineCode("\n".join([CHOOSE, *texts]), entry="choose")
 
         def function(name: str, arguments: str):
