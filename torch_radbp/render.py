@@ -52,6 +52,7 @@ STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call
 LANES = {True: 1 << 18, False: 1 << 16}  # of a chunk if the user does not say, compiled and eager; the fastest powers of 2
+LEAST_LANES = 1 << 12  # of such a chunk: below, a second thread costs more in Python than it takes over
 
 
 class Renderer(nn.Module):
@@ -215,7 +216,7 @@ class Renderer(nn.Module):
         workers = torch.get_num_threads() if device.type == "cpu" else 1
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
         lanes = len(indices) * width * height * spp
-        lanes = self.chunk or min(LANES[self.compile_stages or workers == 1], -(-lanes // workers))
+        lanes = self.chunk or min(LANES[self.compile_stages or workers == 1], max(LEAST_LANES, -(-lanes // workers)))
         parameters = {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad}
         keeps = parameters and torch.is_grad_enabled() and seed_grad is None and self.memory_budget is None
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,

@@ -85,3 +85,10 @@ def test_image_and_gradients_do_not_depend_on_the_number_of_threads(name, adjoin
         assert relative_error(image, alone) < ROUNDING
         for gradient, wanted in zip(gradients, expected):
             assert relative_error(gradient, wanted) < ROUNDING
+
+
+def test_a_small_image_is_not_dealt_out():
+    """A second thread would spend more on its share of Python than it takes over."""
+    renderer = rb.Renderer(CASES["cornell"].scene(), spp=1, max_depth=2)
+    assert len(with_threads(4, lambda: renderer.prepare(0, None, None, None)).chunks) == 1
+    assert len(with_threads(4, lambda: renderer.prepare(0, None, 1000, None)).chunks) >= 4
