@@ -19,7 +19,7 @@ from torch import Tensor
 from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.boundary.shadow import shadows_in_view
 from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
-from torch_radbp.plugin import Plugin, Sensor, Shape
+from torch_radbp.plugin import Plugin, Sensor, Shape, Texture
 from torch_radbp.raycast.known import same
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
@@ -144,7 +144,7 @@ class JumpWatch:
         turning: dict[str, bool] = {}  # names of parameters; True: all these surfaces are ideal mirrors or glass
         for bsdf in one_sided(scene.bsdfs()):
             if followed(bsdf.kind(), sampling):
-                turning |= {f"{scene.name_of(bsdf)}.{bsdf.textures()[slot].place[1]}": not bsdf.kind().smooth
+                turning |= {texture_name(scene, bsdf.textures()[slot]): not bsdf.kind().smooth
                             for slot in turning_values(bsdf.kind(), sampling)
                             if asks_for_derivatives(bsdf.textures()[slot].texels())}
         for shape in scene.shapes:
@@ -223,6 +223,12 @@ def lights_of(rendering: Rendering) -> Iterator[Light]:
             # The normals of a closed surface add up to zero, but for rounding.
             axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
             yield Light(*shape.emitter.kind().source(middle, axis), shape, moving(scene, shape, MOVE_SHAPES))
+
+
+def texture_name(scene: Scene, texture: Texture) -> str:
+    """The name of a texture in the scene, or of the parameter that it stands for."""
+    owner, attribute = getattr(texture, "place", (texture, ""))
+    return f"{scene.name_of(owner)}.{attribute}".rstrip(".")
 
 
 def listed(names: Iterable[str]) -> str:

@@ -31,6 +31,8 @@ from torch import Tensor
 
 from torch_radbp.vec import Vec3
 
+SMALLEST_LEVEL = 1e-12  # squared length of a direction's horizontal part
+
 Values = tuple[Vec3, ...]
 
 
@@ -123,6 +125,14 @@ class DeltaKind(Kind):
     @abstractmethod
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
         """Weight of the chosen lobe, not divided by the choice's probability; attached."""
+
+
+def on_horizon_unless(usable: Tensor, w: Vec3) -> Vec3:
+    """`w` where `usable` (N,) bool, else the direction on the horizon with its azimuth, for which every kind is black."""
+    fine, level = usable.to(w.z.dtype), w.x * w.x + w.y * w.y
+    upright = (level < SMALLEST_LEVEL).to(w.z.dtype)  # has no azimuth
+    scale = fine + (1.0 - fine) * (1.0 - upright) * torch.rsqrt(level.clamp_min(SMALLEST_LEVEL))
+    return Vec3(w.x * scale + (1.0 - fine) * upright, w.y * scale, w.z * fine)
 
 
 def chance_of_lobe(chance: Tensor, fixed_lobes: bool) -> Tensor:

@@ -10,11 +10,11 @@ from torch import Tensor
 
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Values, above, chance_of_lobe, side_of
+from torch_radbp.bsdf.kind import Choice, Values, above, chance_of_lobe, on_horizon_unless, side_of
 from torch_radbp.bsdf.microfacet import ROUGHNESS, MicrofacetKind, half_vector, make_rough
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import Texture, register
-from torch_radbp.vec import TINY, Vec3, dot
+from torch_radbp.vec import Vec3, dot
 
 
 class Microgeometry(NamedTuple):
@@ -100,7 +100,7 @@ class RoughDielectricKind(MicrofacetKind):
         _, cos_t = dielectric_reflectance(cos_i, eta)
         along = blend(choice, torch.ones_like(eta), 1.0 / eta)
         wo = m * (along * cos_i + blend(choice, cos_i, -cos_t)) - wi * along
-        return on_its_side(wo, 1.0 - 2.0 * choice.lobe) * side
+        return on_horizon_unless(wo.z * (1.0 - 2.0 * choice.lobe) > 0, wo) * side
 
 
 def apart_from_one(eta: Tensor) -> Tensor:
@@ -109,14 +109,6 @@ def apart_from_one(eta: Tensor) -> Tensor:
     gap = eta.detach() - 1.0
     moved = torch.copysign(gap.abs().clamp_min(least), gap)
     return eta + (moved - gap)
-
-
-def on_its_side(w: Vec3, side: Tensor) -> Vec3:
-    """`w` where its z has the sign of `side`, else the direction on the horizon with its azimuth."""
-    fine = (w.z * side > 0).to(w.z.dtype)
-    level = (w.x * w.x + w.y * w.y).clamp_min(TINY)
-    scale = fine + (1.0 - fine) * torch.rsqrt(level)
-    return Vec3(w.x * scale, w.y * scale, w.z * fine)
 
 
 @register("bsdf", "roughdielectric")

@@ -2,7 +2,104 @@
 
 from __future__ import annotations
 
-from torch_radbp.plugin import BSDF, register
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.kind import Choice, Kind, Values, side_of
+from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.vec import Vec3, where
+
+
+@dataclass(frozen=True)
+class TwoSidedKind(Kind):
+    """Values: those of the kind in front, and those of the kind behind if there is another.
+
+    Inside other materials only: a surface whose material is two-sided itself has a row of the material table for each side,
+    and its lanes meet one kind.
+    """
+
+    front: Kind
+    back: Kind | None
+
+    @property
+    def sides(self) -> tuple[Kind, ...]:
+        """The kind in front, and the one behind if it is another."""
+        return (self.front,) if self.back is None else (self.front, self.back)
+
+    @property
+    def delta(self) -> bool:
+        return any(side.delta for side in self.sides)
+
+    @property
+    def smooth(self) -> bool:
+        return any(side.smooth for side in self.sides)
+
+    @property
+    def discrete(self) -> bool:
+        return any(side.discrete for side in self.sides)
+
+    @property
+    def oriented(self) -> bool:
+        return any(side.oriented for side in self.sides)
+
+    @property
+    def jumps(self) -> bool:
+        return any(side.jumps for side in self.sides)
+
+    @property
+    def slots(self) -> int:
+        return sum(side.slots for side in self.sides)
+
+    @property
+    def steering(self) -> tuple[int, ...]:
+        return self.numbers([side.steering for side in self.sides])
+
+    @property
+    def bending(self) -> tuple[int, ...]:
+        return self.numbers([side.bending for side in self.sides])
+
+    def numbers(self, own: list[tuple[int, ...]]) -> tuple[int, ...]:
+        """The numbers of values that the sides number by themselves."""
+        return *own[0], *(self.front.slots + number for numbers in own[1:] for number in numbers)
+
+    def parts(self, values: Values) -> tuple[Values, ...]:
+        """The values of each side."""
+        return (values,) if self.back is None else (values[:self.front.slots], values[self.front.slots:])
+
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
+        side = side_of(wi)
+        found = [kind.eval_pdf(own, mirrored(wi, side), mirrored(wo, side), fixed_lobes)
+                 for kind, own in zip(self.sides, self.parts(values))]
+        front = side > 0
+        return where(front, found[0][0], found[-1][0]), torch.where(front, found[0][1], found[-1][1])
+
+    def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> Choice:
+        side = side_of(wi)
+        parts = tuple(kind.choose(own, mirrored(wi, side), choice, u, v)
+                      for kind, own in zip(self.sides, self.parts(values)))
+        front, delta = side > 0, [part.is_delta(kind) for kind, part in zip(self.sides, parts)]
+        return Choice(torch.where(front, parts[0].lobe, parts[-1].lobe),
+                      torch.where(front, parts[0].probability, parts[-1].probability),
+                      torch.where(front, delta[0], delta[-1]), parts)
+
+    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+        side = side_of(wi)
+        found = [kind.sample(own, mirrored(wi, side), part, u, v)
+                 for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]
+        return mirrored(where(side > 0, found[0], found[-1]), side)
+
+    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+        side, none = side_of(wi), Vec3.full(wi.z, 0.0)
+        found = [kind.specular(own, mirrored(wi, side), part) if kind.delta else none
+                 for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]
+        return where(side > 0, found[0], found[-1])
+
+
+def mirrored(w: Vec3, side: Tensor) -> Vec3:
+    """`w` if `side` is 1, mirrored at the surface if it is -1."""
+    return Vec3(w.x, w.y, w.z * side)
 
 
 @register("bsdf", "twosided")
@@ -32,3 +129,12 @@ class TwoSided(BSDF):
     def sides(self) -> tuple[BSDF, BSDF]:
         """The BSDF in front and the one behind."""
         return self.brdf[0], self.brdf[-1]
+
+    def kind(self) -> Kind:
+        """The scattering functions of both sides together, for a material that holds this one."""
+        front, back = self.sides()
+        return TwoSidedKind(front.kind(), None if back is front else back.kind())
+
+    def textures(self) -> tuple[Texture, ...]:
+        """What those functions take, in order."""
+        return tuple(texture for side in self.brdf for texture in side.textures())
