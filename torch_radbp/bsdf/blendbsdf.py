@@ -1,0 +1,157 @@
+"""Two materials in one place, in proportions that may vary over the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.kind import Choice, Kind, Values, chance_of_lobe, on_horizon_unless
+from torch_radbp.bsdf.number import NumberOf
+from torch_radbp.domain import FRACTION, Domain
+from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.texture.rgb import as_texture
+from torch_radbp.vec import Vec3, where
+
+LEAST_CHANCE = 0.02  # of either material: one of weight zero is still sampled, and the weight has its derivative
+LARGEST_NUMBER = 1.0 - 2.0**-24
+
+
+@dataclass(frozen=True)
+class BlendKind(Kind):
+    """Values: weight (a scalar, of the second kind), those of the first kind, those of the second.
+
+    The lobe that is chosen is the number of a kind; its own choice is among the parts.
+    """
+
+    first: Kind
+    second: Kind
+
+    @property
+    def delta(self) -> bool:
+        return self.first.delta or self.second.delta
+
+    @property
+    def smooth(self) -> bool:
+        return self.first.smooth or self.second.smooth
+
+    @property
+    def discrete(self) -> bool:
+        return True
+
+    @property
+    def oriented(self) -> bool:
+        return self.first.oriented or self.second.oriented
+
+    @property
+    def transmits(self) -> bool:
+        return self.first.transmits or self.second.transmits
+
+    @property
+    def jumps(self) -> bool:
+        return self.first.jumps or self.second.jumps
+
+    @property
+    def slots(self) -> int:
+        return 1 + self.first.slots + self.second.slots
+
+    @property
+    def steering(self) -> tuple[int, ...]:
+        return self.numbers(self.first.steering, self.second.steering)
+
+    @property
+    def bending(self) -> tuple[int, ...]:
+        return self.numbers(self.first.bending, self.second.bending)
+
+    def numbers(self, of_first: tuple[int, ...], of_second: tuple[int, ...]) -> tuple[int, ...]:
+        """The numbers of values that the two kinds number by themselves."""
+        return *(1 + k for k in of_first), *(1 + self.first.slots + k for k in of_second)
+
+    def parts(self, values: Values) -> tuple[Values, Values]:
+        """The values of the first and of the second kind."""
+        end = 1 + self.first.slots
+        return values[1:end], values[end:]
+
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
+        weight, (of_first, of_second) = values[0].x, self.parts(values)
+        chance = chance_of_lobe(chance_of_second(weight), fixed_lobes)
+        first, first_pdf = self.first.eval_pdf(of_first, wi, wo, fixed_lobes)
+        second, second_pdf = self.second.eval_pdf(of_second, wi, wo, fixed_lobes)
+        return first * (1.0 - weight) + second * weight, first_pdf * (1.0 - chance) + second_pdf * chance
+
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+        chance = chance_of_second(values[0].x.detach())
+        rest = ((choice - chance) / (1.0 - chance)).clamp(0.0, LARGEST_NUMBER), (choice / chance).clamp_max(LARGEST_NUMBER)
+        first, second = (kind.choose(part, wi, number, u, v)
+                         for kind, part, number in zip((self.first, self.second), self.parts(values), rest))
+        picked = choice < chance
+        probability = torch.where(picked, chance * second.probability, (1.0 - chance) * first.probability)
+        delta = torch.where(picked, second.is_delta(self.second), first.is_delta(self.first))
+        return Choice(picked.to(chance.dtype), probability, delta, (first, second))
+
+    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+        first, second = (own_sample(kind, part, wi, own, u, v)
+                         for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
+        return where(choice.lobe > 0, second, first)
+
+    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+        weight, none = values[0].x, Vec3.full(wi.z, 0.0)
+        first, second = (kind.specular(part, wi, own) if kind.delta else none
+                         for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
+        return where(choice.lobe > 0, second * weight, first * (1.0 - weight))
+
+
+def own_sample(kind: Kind, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    """The sample of one kind of several; on the horizon if it cannot be used, or another kind would take it for its own."""
+    wo = kind.sample(values, wi, choice, u, v)
+    if not kind.smooth:
+        return wo
+    return on_horizon_unless((kind.pdf(values, wi, wo).detach() > 0) | choice.is_delta(kind), wo)
+
+
+def chance_of_second(weight: Tensor) -> Tensor:
+    """The probability with which the second kind is sampled: its weight, within `LEAST_CHANCE` of 0 and 1."""
+    return weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)
+
+
+@register("bsdf", "blendbsdf")
+class BlendBSDF(BSDF):
+    """A mixture of two materials, each of any kind: `bsdf_0` where the weight is 0, `bsdf_1` where it is 1.
+
+    Parameters: `weight`, a texture in [0, 1]. Derivatives: with respect to its texels, and to the parameters of both
+    materials. Each is sampled with the probability of its weight, but at least 0.02, so that derivatives are right where
+    the weight is 0 or 1.
+
+    Args:
+        weight: of the second material. Of a constant colour the mean is used, of a colour bitmap the luminance.
+        bsdf: the two materials, in order.
+
+    Raises:
+        ValueError: unless there are two materials, or if a weight is out of range.
+    """
+
+    def __init__(self, *, weight: Texture | float, bsdf: list[BSDF]):
+        super().__init__()
+        if len(bsdf) != 2:
+            raise ValueError(f"blendbsdf takes two BSDFs, got {[part.type for part in bsdf]}")
+        self.weight = as_texture(self, "weight", weight)
+        self.weight_number = (NumberOf(self, "weight"),)  # a tuple, so that it is no submodule
+        for number, part in enumerate(bsdf):
+            self.add_module(f"bsdf_{number}", part)
+
+    def domains(self) -> dict[str, Domain]:
+        return {"weight": FRACTION}
+
+    @property
+    def bsdf(self) -> list[BSDF]:
+        """The nested BSDFs, in order."""
+        return [self.bsdf_0, self.bsdf_1]
+
+    def kind(self) -> Kind:
+        """The scattering functions."""
+        return BlendKind(self.bsdf_0.kind(), self.bsdf_1.kind())
+
+    def textures(self) -> tuple[Texture, ...]:
+        """What the functions take, in order."""
+        return *self.weight_number, *self.bsdf_0.textures(), *self.bsdf_1.textures()
