@@ -110,6 +110,25 @@ for _name in ("beckmann", "ggx"):
     }
 MATERIALS["rough nonlinear plastic"] = {"type": "roughplastic", "alpha": 0.2, "int_ior": 1.9, "nonlinear": True,
                                         "diffuse_reflectance": [0.8, 0.5, 0.1]}
+_plastic, _green = MATERIALS["plastic"], {"type": "diffuse", "reflectance": [0.2, 0.8, 0.3]}
+MATERIALS |= {
+    "null": {"type": "null"},
+    "blend": {"type": "blendbsdf", "weight": 0.3, "bsdf": [_green, MATERIALS["metal ggx"]]},
+    "blend of mixed": {"type": "blendbsdf", "weight": 0.6, "bsdf": [_plastic, MATERIALS["conductor"]]},
+    "nested blend": {"type": "blendbsdf", "weight": 0.7, "bsdf": [
+        MATERIALS["glass ggx"], {"type": "blendbsdf", "weight": 0.4, "bsdf": [MATERIALS["dielectric"], _plastic]}]},
+    "blend of deltas": {"type": "blendbsdf", "weight": 0.6, "bsdf": [MATERIALS["dielectric"], MATERIALS["conductor"]]},
+    "mask": {"type": "mask", "opacity": 0.7, "nested_bsdf": MATERIALS["metal ggx"]},
+    "leaf": {"type": "mask", "opacity": 0.6, "nested_bsdf": {"type": "twosided", "brdf": [_green]}},
+    "two faces": {"type": "blendbsdf", "weight": 0.5, "bsdf": [
+        {"type": "twosided", "brdf": [_plastic, _green]}, MATERIALS["glass ggx"]]},
+    "bumps": {"type": "normalmap", "normalmap": [0.6, 0.4, 0.9], "nested_bsdf": MATERIALS["rough plastic ggx"]},
+    "brushed bumps": {"type": "normalmap", "normalmap": [0.6, 0.55, 0.9], "nested_bsdf": MATERIALS["brushed metal ggx"],
+                      "use_shadowing_function": False},
+    "mirror with bumps": {"type": "normalmap", "normalmap": [0.55, 0.6, 0.9], "nested_bsdf": MATERIALS["conductor"],
+                          "flip_invalid_normals": False},
+    "glass with bumps": {"type": "normalmap", "normalmap": [0.55, 0.6, 0.9], "nested_bsdf": MATERIALS["glass ggx"]},
+}
 
 
 def kind_of(name: str) -> Kind:
@@ -124,4 +143,6 @@ IDEAL = [name for name in DELTA if name not in SMOOTH]
 MIXED = [name for name in DELTA if name in SMOOTH]
 TRANSMITTING = [name for name, kind in KINDS.items() if kind.transmits]
 ROUGH = [name for name in SMOOTH if name != "diffuse"]
+NESTED = [name for name, description in MATERIALS.items() if "bsdf" in description or "nested_bsdf" in description]
+SIMPLE = [name for name in MATERIALS if name not in NESTED]
 GLASS = [name for name in ROUGH if MATERIALS[name]["type"] == "roughdielectric"]

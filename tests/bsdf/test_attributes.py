@@ -8,12 +8,17 @@ import torch
 import torch_radbp as rb
 from tests.bsdf.lanes import MATERIALS, as_dict, material
 from tests.io.documents import scene_dict
+from torch_radbp.bsdf.blendbsdf import BlendBSDF
 from torch_radbp.bsdf.conductor import Conductor
 from torch_radbp.bsdf.dielectric import Dielectric
+from torch_radbp.bsdf.mask import Mask
+from torch_radbp.bsdf.normalmap import NormalMap
+from torch_radbp.bsdf.null import Null
 from torch_radbp.bsdf.plastic import Plastic
 from torch_radbp.bsdf.roughconductor import RoughConductor
 from torch_radbp.bsdf.roughdielectric import RoughDielectric
 from torch_radbp.bsdf.roughplastic import RoughPlastic
+from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.scene.pack import BankBuilder
 from torch_radbp.texture.bitmap import Bitmap, texture_bank
 
@@ -36,6 +41,16 @@ BAD = {
     "bright base": (Plastic, {"diffuse_reflectance": 1.5}, r"diffuse_reflectance must be in \[0, 1\], got 1.5"),
     "shifted a bit": (Plastic, {"nonlinear": 1}, "nonlinear must be True or False, got 1"),
     "hidden normals of plastic": (RoughPlastic, {"sample_visible": False}, "sample_visible must be true"),
+    "one in a blend": (BlendBSDF, {"weight": 0.5, "bsdf": [Plastic()]}, r"blendbsdf takes two BSDFs, got \['plastic'\]"),
+    "three in a blend": (BlendBSDF, {"weight": 0.5, "bsdf": [Plastic()] * 3}, "blendbsdf takes two BSDFs, got"),
+    "too much of a blend": (BlendBSDF, {"weight": 1.5, "bsdf": [Plastic()] * 2}, r"weight must be in \[0, 1\], got 1.5"),
+    "too opaque": (Mask, {"opacity": -0.5, "nested_bsdf": Plastic()}, r"opacity must be in \[0, 1\], got -0.5"),
+    "number for a truth": (NormalMap, {"normalmap": 0.5, "nested_bsdf": Plastic(), "flip_invalid_normals": 1},
+                           "flip_invalid_normals must be True or False, got 1"),
+    "both sides of holes": (TwoSided, {"brdf": [Mask(nested_bsdf=Plastic())]}, "only reflect, got 'mask'"),
+    "both sides of nothing": (TwoSided, {"brdf": [Null()]}, "only reflect, got 'null'"),
+    "both sides of glass": (TwoSided, {"brdf": [BlendBSDF(weight=0.5, bsdf=[Plastic(), Dielectric()])]},
+                            "only reflect, got 'blendbsdf'"),
     "negative roughness": (RoughConductor, {"alpha": -0.1}, "alpha must be at least 0, got -0.1"),
 }
 
@@ -62,6 +77,10 @@ def test_defaults_are_those_of_mitsuba():
     assert figures(RoughPlastic()) == {**coat, "alpha": 0.1}
     assert not Plastic().nonlinear and not RoughPlastic().nonlinear and RoughPlastic().distribution == "beckmann"
     assert RoughConductor().distribution == RoughDielectric().distribution == "beckmann"
+    assert figures(Mask(nested_bsdf=Conductor())) == {
+        "opacity.value": 0.5, **{f"nested_bsdf.{name}": value for name, value in mirror.items()}}
+    bumps = NormalMap(normalmap=1.0, nested_bsdf=Conductor())
+    assert bumps.flip_invalid_normals and bumps.use_shadowing_function
     assert not any(p.requires_grad for bsdf in (Dielectric(), RoughConductor()) for p in bsdf.parameters())
 
 
@@ -79,7 +98,7 @@ def options(value):
         return tuple(map(options, value)) if isinstance(value[0], dict) else None
     if not isinstance(value, dict):
         return None
-    names = ("type", "distribution", "nonlinear")
+    names = ("type", "distribution", "nonlinear", "flip_invalid_normals", "use_shadowing_function")
     return ("alpha_u" in value, *(value.get(name) for name in names),
             *(options(value[name]) for name in sorted(value) if options(value[name]) is not None))
 

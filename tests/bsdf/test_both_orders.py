@@ -38,10 +38,13 @@ def slots(name: str, what: str) -> list[int]:
     own = [getattr(texture, "place", (bsdf, ""))[1] for texture in bsdf.textures()]
     if what == "eta":
         return [k for k, texture in enumerate(bsdf.textures()) if own[k] == "eta" or texture is getattr(bsdf, "eta", None)]
-    return [k for k, attribute in enumerate(own) if attribute.startswith("alpha")]
+    return [k for k, attribute in enumerate(own) if attribute.startswith(what)]
 
 
-CASES = [(name, what) for name in ROUGH for what in ("roughness", "eta", "wi") if what == "wi" or slots(name, what)]
+WHAT = ("alpha", "eta", "weight", "opacity", "wi")
+# Three lobes are more than `lobes` tells apart; and without shadowing the BSDF jumps where attached directions slide.
+CASES = [(name, what) for name in ROUGH if name not in ("blend of mixed", "nested blend", "two faces", "brushed bumps")
+         for what in WHAT if what == "wi" or slots(name, what)]
 
 
 class Setting(NamedTuple):
@@ -107,7 +110,7 @@ def integral(name: str, what: str, theta: float, z: float, random) -> float:
 @pytest.mark.parametrize("z", [0.8, -0.85])
 @pytest.mark.parametrize("name, what", CASES)
 def test_both_orders_agree_with_differences(name, what, z):
-    if z < 0 and not KINDS[name].transmits:
+    if z < 0 and (name == "mask" or not KINDS[name].transmits):
         pytest.skip("black from behind")
     random = numbers(COUNT)
     expected = (integral(name, what, STEP, z, random) - integral(name, what, -STEP, z, random)) / (2 * STEP)

@@ -87,7 +87,7 @@ def test_sampled_directions_at_normal_and_grazing_incidence(name, z):
                   setting.wi)
 
 
-@pytest.mark.parametrize("name", DELTA)
+@pytest.mark.parametrize("name", [name for name in DELTA if name != "null"])
 def test_specular_weights(name):
     setting = Setting(name)
     setting.check(lambda values, wi: setting.kind.specular(values, wi, setting.choice), setting.wi)

@@ -1,14 +1,16 @@
-"""Materials that hold others: sums of what they hold, whatever the weight."""
+"""Materials that hold others: sums of what they hold, whatever the weight; and normals that are turned."""
 
 import itertools
 
 import pytest
 import torch
 
-from tests.bsdf.lanes import MATERIALS, Numbers, direction, material, numbers, sampled, values_of
+import torch_radbp as rb
+from tests.bsdf.lanes import MATERIALS, Numbers, direction, directions, material, numbers, sampled, values_of
 from tests.bsdf.test_both_orders import light
 from tests.bsdf.test_finite import assert_finite
-from torch_radbp.vec import Vec3
+from tests.scenes import load, rectangle, rgb, sensor
+from torch_radbp.vec import Vec3, where
 
 COUNT = 80_000
 DIFFUSE = {"type": "diffuse", "reflectance": [0.2, 0.8, 0.3]}
@@ -16,11 +18,13 @@ HOLDERS = {
     "blend of diffuse and mirror": {"type": "blendbsdf", "bsdf": [DIFFUSE, MATERIALS["conductor"]]},
     "blend of glass and plastic": {"type": "blendbsdf", "bsdf": [MATERIALS["glass ggx"], MATERIALS["plastic"]]},
     "blend of plastics": {"type": "blendbsdf", "bsdf": [MATERIALS["plastic"], MATERIALS["rough plastic beckmann"]]},
+    "mask": {"type": "mask", "nested_bsdf": MATERIALS["metal ggx"]},
 }
 
 
 def holder(name: str, weight: float):
-    return material(HOLDERS[name] | {"weight": weight})
+    description = HOLDERS[name]
+    return material(description | {"weight" if description["type"] == "blendbsdf" else "opacity": weight})
 
 
 def reflected(kind, values, wi: Vec3, random: Numbers) -> torch.Tensor:
@@ -58,10 +62,15 @@ def test_the_derivative_by_the_weight_is_the_difference_of_the_parts(name, weigh
     assert abs(estimate.mean() - mixed) < 4.5 * sum(part.var() / COUNT for part in (*ends, estimate.detach())).sqrt()
 
 
+NORMALS = [(0.5, 0.5, 1.0), (0.5, 0.5, 0.5), (1.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0), (0.0, 1.0, 0.2),
+           (1.0, 1.0, 1.0)]
 COSINES = (1.0, 0.6, 1e-3, 1e-7, 0.0, -1e-7, -0.5, -1.0)
 EXTREMES = {
     **{f"{name}, {weight}": lambda name=name, weight=weight: holder(name, weight)
        for name in HOLDERS for weight in (0.0, 0.5, 1.0)},
+    **{f"{name} {n}": lambda name=name, n=n: material({"type": "normalmap", "normalmap": list(n),
+                                                      "nested_bsdf": MATERIALS[name]})
+       for name in ("rough plastic ggx", "conductor", "glass beckmann", "brushed metal ggx") for n in NORMALS},
 }
 
 
@@ -89,3 +98,37 @@ def test_values_and_derivatives_stay_finite(name, dtype):
             assert_finite("evaluation at the sample", result, values, wi)
         if kind.delta:
             assert_finite("specular", kind.specular(values, wi, choice), values, wi)
+
+
+def test_a_normal_map_that_turns_nothing_changes_nothing():
+    nested = material(MATERIALS["brushed metal ggx"])
+    bumps = material({"type": "normalmap", "normalmap": [0.5, 0.5, 1.0], "nested_bsdf": MATERIALS["brushed metal ggx"]})
+    wi, wo = directions(1000, 1), directions(1000, 2)
+    results = [bsdf.kind().eval_pdf(values_of(bsdf, wi.z), wi, wo) for bsdf in (nested, bumps)]
+    torch.testing.assert_close(results[0][0].stack(), results[1][0].stack(), rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(results[0][1], results[1][1], rtol=1e-9, atol=1e-12)
+
+
+def test_a_two_sided_material_inside_of_another_is_mirrored_from_behind():
+    both = material({"type": "twosided", "brdf": [MATERIALS["plastic"], DIFFUSE]})
+    wi, wo = directions(1000, 1), directions(1000, 2)
+    found = both.kind().eval_pdf(values_of(both, wi.z), wi, wo)
+    flipped = [w._replace(z=-w.z) for w in (wi, wo)]
+    sides = [side.kind().eval_pdf(values_of(side, wi.z), *ws) for side, ws in zip(both.brdf, ((wi, wo), flipped))]
+    front = wi.z > 0
+    assert torch.equal(found[0].stack(), where(front, sides[0][0], sides[1][0]).stack()) and (found[1] > 0).any()
+    assert torch.equal(found[1], torch.where(front, sides[0][1], sides[1][1]))
+
+
+@pytest.mark.parametrize("opacity", [0.0, 0.3, 1.0])
+def test_what_lies_behind_a_mask_is_seen_by_the_part_that_it_lets_through(opacity):
+    """A black sheet before a lamp: the image is (1 - opacity) times the lamp, and the derivative minus the lamp."""
+    scene = load(torch.float64, sensor=sensor(2), lamp=rectangle((0, 0, -1), 9.0, emitter={
+        "type": "area", "radiance": rgb(2.0, 3.0, 4.0)}), sheet=rectangle((0, 0, 0), 9.0, bsdf={
+            "type": "mask", "opacity": opacity, "black": {"type": "diffuse", "reflectance": 0.0}}))
+    parameter = scene.get_parameter("sheet.bsdf.opacity.value").requires_grad_()
+    image = rb.render(scene, spp=4000, max_depth=2, seed=1)
+    expected = torch.tensor([2.0, 3.0, 4.0], dtype=torch.float64)
+    torch.testing.assert_close(image.mean((0, 2, 3)), (1 - opacity) * expected, rtol=0.03, atol=1e-12)
+    gradient, = torch.autograd.grad(image.mean((0, 2, 3)).sum(), parameter)
+    torch.testing.assert_close(gradient, -expected.sum(), rtol=0.12, atol=0)

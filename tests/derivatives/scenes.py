@@ -33,6 +33,12 @@ def bitmap(height: int = 2, width: int = 3, factor: float = 1.0, seed: int = 1, 
     return {"type": "bitmap", "data": factor * texels(height, width, seed), "raw": True, "to_uv": to_uv} | attributes
 
 
+def bumps() -> dict[str, Any]:
+    """A normal map of gentle slopes."""
+    flat = torch.tensor([0.5, 0.5, 1.0], dtype=torch.float64)
+    return bitmap(data=flat + 0.15 * (texels(2, 3, 6) - 0.5))
+
+
 def printed(**attributes: Any) -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": bitmap(**attributes)}
 
@@ -170,6 +176,13 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "nonlinear plastic": metal(type="plastic", nonlinear=True, **PLASTIC),
     "rough plastic beckmann": metal(type="roughplastic", distribution="beckmann", alpha=0.3, **PLASTIC),
     "rough plastic ggx": metal(type="roughplastic", distribution="ggx", alpha=0.3, nonlinear=True, **PLASTIC),
+    "blend": glass(type="blendbsdf", weight=bitmap(), bsdf_0={"type": "roughconductor", "alpha": 0.3, **ROUGH_METAL},
+                   bsdf_1={"type": "plastic", **PLASTIC}),
+    "blend of deltas": glass(type="blendbsdf", weight=0.4, bsdf_0={"type": "dielectric", **TINTED},
+                             bsdf_1={"type": "conductor", **METAL}),
+    "mask": glass(type="mask", opacity=bitmap(), leaf={"type": "twosided", "both": diffuse(0.8, 0.3, 0.1)}),
+    "normal map": metal(type="normalmap", normalmap=bumps(), nested={"type": "roughplastic", "alpha": 0.4, **PLASTIC}),
+    "mirror with a normal map": glass(type="normalmap", normalmap=bumps(), nested={"type": "conductor", **METAL}),
     "dielectric": glass(type="dielectric", **TINTED),
     "rough glass beckmann": glass(type="roughdielectric", distribution="beckmann", alpha=0.3, **ROUGH_GLASS),
     "rough glass ggx": glass(type="roughdielectric", distribution="ggx", alpha=0.3, **ROUGH_GLASS),

@@ -1,0 +1,45 @@
+"""A material with holes."""
+
+from __future__ import annotations
+
+from torch_radbp.bsdf.blendbsdf import BlendKind
+from torch_radbp.bsdf.kind import Kind
+from torch_radbp.bsdf.null import NullKind
+from torch_radbp.bsdf.number import NumberOf
+from torch_radbp.domain import FRACTION, Domain
+from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.texture.rgb import as_texture
+
+
+@register("bsdf", "mask")
+class Mask(BSDF):
+    """A material that lets a part of the light pass straight through: a blend with `null`.
+
+    Parameters: `opacity`, a texture in [0, 1]. Derivatives: with respect to its texels, and to the parameters of the
+    material; right where the opacity is 0 or 1, too, see `BlendBSDF`. That light behind is not found by next-event
+    estimation: see `Null`.
+
+    Args:
+        nested_bsdf: the material.
+        opacity: 0 lets all light pass, 1 none. Of a constant colour the mean is used, of a colour bitmap the luminance.
+
+    Raises:
+        ValueError: if an opacity is out of range.
+    """
+
+    def __init__(self, *, nested_bsdf: BSDF, opacity: Texture | float = 0.5):
+        super().__init__()
+        self.opacity = as_texture(self, "opacity", opacity)
+        self.opacity_number = (NumberOf(self, "opacity"),)  # a tuple, so that it is no submodule
+        self.nested_bsdf = nested_bsdf
+
+    def domains(self) -> dict[str, Domain]:
+        return {"opacity": FRACTION}
+
+    def kind(self) -> Kind:
+        """The scattering functions."""
+        return BlendKind(NullKind(), self.nested_bsdf.kind())
+
+    def textures(self) -> tuple[Texture, ...]:
+        """What the functions take, in order."""
+        return *self.opacity_number, *self.nested_bsdf.textures()

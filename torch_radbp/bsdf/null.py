@@ -1,0 +1,49 @@
+"""A surface that is not there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from torch import Tensor
+
+from torch_radbp.bsdf.kind import Choice, DeltaKind, Values
+from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.vec import Vec3
+
+
+@dataclass(frozen=True)
+class NullKind(DeltaKind):
+    """Takes no values."""
+
+    transmits: ClassVar[bool] = True
+
+    @property
+    def slots(self) -> int:
+        return 0
+
+    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+        return -wi
+
+    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+        return Vec3.full(wi.z, 1.0)
+
+
+@register("bsdf", "null")
+class Null(BSDF):
+    """Lets all light pass straight through. It has no parameters.
+
+    As in Mitsuba's path tracer, passing is a bounce that counts towards `max_depth`, and next-event estimation does not
+    look through: light behind it is found by paths that pass and happen to meet it.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def kind(self) -> NullKind:
+        """The scattering functions."""
+        return NullKind()
+
+    def textures(self) -> tuple[Texture, ...]:
+        """What the functions take: nothing."""
+        return ()
