@@ -44,7 +44,7 @@ def crowd(material: dict[str, Any], dtype: torch.dtype, view: np.ndarray | None 
                  "bsdf": own},
         "disk": {"type": "disk", "to_world": translate((0.4, 1.3, -0.7)) @ rotate((1, 1, 0), 20) @ scale((0.4, 0.4, 0.4)),
                  "bsdf": {"type": "twosided", "front": own}
-                 if "dielectric" not in material["type"] else diffuse(0.4, 0.3, 0.2)},
+                 if not any(name in material["type"] for name in ("electric", "mask", "null")) else diffuse(0.4, 0.3, 0.2)},
         "floor": rectangle((0, -0.1, 0), 2, (1, 0.02, 0.01), -89, bsdf={"type": "diffuse", "reflectance": picture(3, 4, 1)}),
         "lamp": rectangle((0.3, 2.1, -0.5), 0.4, (1, 0.1, 0), 100,
                           emitter={"type": "area", "radiance": picture(2, 3, 2)}),
@@ -99,6 +99,21 @@ def materials() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
             found[f"roughdielectric {distribution} {alpha} {eta}"] = of(rough | {"alpha": 0.1}, alpha__value=alpha, eta=eta)
         found[f"roughdielectric {distribution} brushed"] = of(rough | {"alpha_u": 0.1, "alpha_v": 0.1}, alpha_u__value=1.0,
                                                               alpha_v__value=0.0)
+        rough = {"type": "roughplastic", "distribution": distribution}
+        for alpha, eta in ((0.0, 1.5), (1e-3, 0.66), (1.0, 3.0), (0.1, 1.0), (0.0, 1.0), (1e-3, 1 + 1e-7)):
+            found[f"roughplastic {distribution} {alpha} {eta}"] = of(rough, alpha=alpha, eta=eta)
+    for eta in (0.66, 1.0, 1 + 1e-7, 3.0):
+        found[f"plastic {eta}"] = of({"type": "plastic", "nonlinear": True}, eta=eta)
+    found["plastic black"] = of({"type": "plastic"}, diffuse_reflectance__value=0.0, specular_reflectance__value=0.0)
+    found["roughplastic black"] = of({"type": "roughplastic"}, diffuse_reflectance__value=0.0,
+                                     specular_reflectance__value=0.0)
+    for weight in (0.0, 1.0):
+        found[f"blendbsdf {weight}"] = of({"type": "blendbsdf", "weight": 0.5, "metal": {"type": "conductor"},
+                                           "plastic": {"type": "plastic"}}, weight__value=weight)
+        found[f"mask {weight}"] = of({"type": "mask", "leaf": {"type": "roughplastic"}}, opacity__value=weight)
+        found[f"normalmap {weight}"] = of({"type": "normalmap", "normalmap": rgb(0.5, 0.5, 1.0), "nested": {
+            "type": "roughconductor"}}, normalmap__value=weight)
+    found["null"] = of({"type": "null"})
     return found
 
 
