@@ -263,10 +263,12 @@ class ShadingFrame:
         n: the normal.
         along: direction of the first tangent, before it is made orthogonal to the normal. Where it is zero or parallel to
             the normal, or if it is None, the tangents are those of `Frame.of`.
+        side: (N,) -1 where `n` has been turned round, else 1: of a frame with `along` only the normal turns, and both
+            tangents stay. None: nowhere.
     """
 
-    def __init__(self, n: Vec3, along: Vec3 | None = None):
-        self.n, self.along = n, along
+    def __init__(self, n: Vec3, along: Vec3 | None = None, side: Tensor | None = None):
+        self.n, self.along, self.side = n, along, side
         self.tangents: Frame | None = None
 
     @property
@@ -280,6 +282,8 @@ class ShadingFrame:
     def whole(self) -> Frame:
         if self.tangents is None:
             self.tangents = Frame.of(self.n) if self.along is None else Frame.along(self.n, self.along)
+            if self.along is not None and self.side is not None:
+                self.tangents = self.tangents._replace(t=self.tangents.t * self.side)
         return self.tangents
 
     def to_local(self, v: Vec3) -> LocalVec3:

@@ -132,3 +132,14 @@ def test_what_lies_behind_a_mask_is_seen_by_the_part_that_it_lets_through(opacit
     torch.testing.assert_close(image.mean((0, 2, 3)), (1 - opacity) * expected, rtol=0.03, atol=1e-12)
     gradient, = torch.autograd.grad(image.mean((0, 2, 3)).sum(), parameter)
     torch.testing.assert_close(gradient, -expected.sum(), rtol=0.12, atol=0)
+
+
+def test_a_two_sided_normal_map_is_mirrored_from_behind():
+    """As in Mitsuba: x and y of the map stay where they are on the surface, only z turns to the viewer."""
+    bumps = {"type": "normalmap", "normalmap": rgb(0.7, 0.8, 0.9), "nested": {"type": "roughconductor", "alpha": 0.4}}
+    images = [rb.render(load(torch.float64, sensor=sensor(1, (0.3, 0.4, 3.5 * side), fov=0.01), plate=rectangle(
+        (0, 0, 0), bsdf={"type": "twosided", "both": bumps}), lamp={
+            "type": "point", "position": [0.5, 1.5, 2.0 * side], "intensity": rgb(5, 5, 5)}), spp=1, max_depth=2, seed=0)
+        for side in (1, -1)]
+    assert images[0].min() > 0.1
+    torch.testing.assert_close(*images, rtol=1e-3, atol=0)

@@ -87,7 +87,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     uv = None
     if layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv):
         uv = interpolated(at_corners(vertices.uv, rows), hit.u, hit.v)
-    material, along = None, None
+    material, along, side = None, None, None
     if appearance is not None:
         material = lookup(triangles.material, prim)
         along = lookup(triangles.along, prim) if appearance.kind.oriented else None
@@ -95,7 +95,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
             material = material + (~front).to(material.dtype) * scene.materials.count
             side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
             shading, shading_cosine = shading * side, shading_cosine * side
-    frame = ShadingFrame(shading, along)
+    frame = ShadingFrame(shading, along, side)
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
     return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, uv, t, cosine,
                               lookup(triangles.clearance, prim))
