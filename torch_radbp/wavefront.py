@@ -201,8 +201,8 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor
     if nothing == 1 and not layout.surround:
         order = chosen(hit.prim >= 0)
         return None, order, (Queue(0, 0, len(order)),)
-    number, front = integrand.stages.appearance_met(scene, ray, hit, torch.tensor(nothing, dtype=torch.int32),
-                                                    layout.sides_differ)
+    absent = hit.prim.new_tensor(nothing)
+    number, front = integrand.stages.appearance_met(scene, ray, hit, absent, layout.sides_differ)
     order, counts = partition(number, nothing + 1)
     queues, first = [], 0
     for appearance, count in enumerate(counts):

@@ -104,7 +104,7 @@ def test_a_scene_without_light_sensor_or_with_two_skies():
         load(sky=light, shape=shape)
     with pytest.raises(rb.SceneError, match="no emitter, so that every image is black"):
         load(sensor=view, shape=shape)
-    with pytest.raises(rb.SceneError, match="more than one constant or envmap emitter .*: add up their radiances in one"):
+    with pytest.raises(rb.SceneError, match="more than one emitter that surrounds it .*: add up their radiances in one"):
         load(sensor=view, shape=shape, sky=light, more={"type": "constant", "radiance": 2.0})
 
 

@@ -100,4 +100,4 @@ def zeros(rows: int, columns: int, dtype: torch.dtype, device: torch.device) -> 
     """Zeros whose memory, on the CPU, is not taken before it is touched."""
     if device.type != "cpu":
         return torch.zeros(rows, columns, dtype=dtype, device=device)
-    return torch.from_numpy(np.zeros((rows, columns), dtype=torch.empty(0, dtype=dtype).numpy().dtype))
+    return torch.from_numpy(np.zeros((rows, columns), dtype=torch.empty(0, dtype=dtype, device=device).numpy().dtype))

@@ -79,7 +79,7 @@ class Builder:
 
     def constant(self, number: bool | int | float, dtype: torch.dtype) -> Value:
         """A number that is known now, rounded to `dtype`."""
-        return self.value("constant", (), dtype, NUMBER, torch.tensor(number, dtype=dtype).item())
+        return self.value("constant", (), dtype, NUMBER, torch.tensor(number, dtype=dtype, device="cpu").item())
 
     def cast(self, value: Value, dtype: torch.dtype) -> Value:
         """The value in another dtype, as `Tensor.to` converts it."""

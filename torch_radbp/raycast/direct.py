@@ -94,9 +94,9 @@ def mesh_in_units(vertices: Tensor, faces: Tensor, dtype: torch.dtype) -> tuple[
     corners, names = torch.unique(vertices.to(dtype), dim=0, return_inverse=True)
     extent = float((corners.amax(dim=0) - corners.amin(dim=0)).max())
     exponent = math.frexp(extent)[1] if extent > 0 else 0
-    scale = torch.tensor(2.0 ** max(-120, min(120, -exponent)), dtype=dtype)
+    scale = corners.new_tensor(2.0 ** max(-120, min(120, -exponent)))
     triangles = names[faces.long()].to(torch.int32).contiguous()
-    return corners * scale, triangles, torch.tensor(len(corners)), torch.tensor(len(faces)), scale
+    return corners * scale, triangles, names.new_tensor(len(corners)), names.new_tensor(len(faces)), scale
 
 
 def addresses(tensors: Iterable[Tensor]) -> array:
