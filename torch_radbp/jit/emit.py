@@ -136,6 +136,8 @@ class Emitter:
             return self.line(f"xor {types['T']} {names[0]}, {self.everywhere(SCALARS[working], literal(-1, working))}")
         if operation == "abs" and working in INTEGERS:
             return self.call(f"llvm.abs.{self.suffix(SUFFIXES[working])}", working, names, ", i1 false")
+        if operation in ("div", "rem") and working == torch.int32 and value.arguments[1].operation != "constant":
+            return self.divided(*names, remainder=operation == "rem")
         table = FLOATING if working not in INTEGERS else INTEGER | (BOOLEAN if working == torch.bool else {})
         if operation in table:
             return self.line(table[operation].format(*names, **types))
@@ -151,6 +153,20 @@ class Emitter:
         parameters = ", ".join([kind] * len(names)) + (", i1" if more else "")
         self.declared[function] = f"declare {kind} @{function}({parameters})"
         return self.line(f"call {kind} @{function}({', '.join(f'{kind} {name}' for name in names)}{more})")
+
+    def divided(self, a: str, b: str, remainder: bool) -> str:
+        """The quotient of int32, truncated, or the remainder: by float64, where it is exact, since vectors divide no integers.
+
+        The quotient differs from the next integer by at least 1 / b, far more than float64 rounds off.
+        """
+        whole, wide = self.vector("i32"), self.vector("double")
+        left, right = (self.line(f"sitofp {whole} {name} to {wide}") for name in (a, b))
+        quotient = self.line(f"fdiv {wide} {left}, {right}")
+        quotient = self.line(f"freeze {whole} " + self.line(f"fptosi {wide} {quotient} to {whole}"))
+        if not remainder:
+            return quotient
+        product = self.line(f"mul {whole} {quotient}, {b}")
+        return self.line(f"sub {whole} {a}, {product}")
 
     def lane_by_lane(self, function: str, names: list[str]) -> str:
         """Calls of a function of the C library, one a lane."""
