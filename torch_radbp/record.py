@@ -1,4 +1,4 @@
-"""Records, that is nested tuples, named or not, and lists: their leaves in order, and the same record with other leaves.
+"""Records, that is nested tuples, named or not, lists and dicts: their leaves in order, and the same with other leaves.
 
 Leaves are counted as `torch.utils._pytree` counts them (None is one, an empty tuple has none), which takes five times as
 long: it looks each type up in a registry, and a small rendering spent a fifth of its time there.
@@ -11,7 +11,7 @@ from typing import Any
 
 
 def leaves_of(record: Any) -> list:
-    """Whatever is no tuple or list in a record, in order."""
+    """Whatever is no tuple, list or dict in a record, in order."""
     leaves: list = []
     collect(record, leaves)
     return leaves
@@ -21,6 +21,9 @@ def collect(record: Any, leaves: list) -> None:
     """Adds the leaves of a record to a list."""
     if isinstance(record, (tuple, list)):
         for part in record:
+            collect(part, leaves)
+    elif isinstance(record, dict):
+        for part in record.values():
             collect(part, leaves)
     else:
         leaves.append(record)
@@ -33,6 +36,8 @@ def with_leaves(record: Any, leaves: Iterable) -> Any:
 
 def rebuilt(record: Any, leaves: Iterator) -> Any:
     """As `with_leaves`, of a part of the record."""
+    if isinstance(record, dict):
+        return {key: rebuilt(part, leaves) for key, part in record.items()}
     if not isinstance(record, (tuple, list)):
         return next(leaves)
     parts = [rebuilt(part, leaves) for part in record]

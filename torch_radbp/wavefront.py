@@ -7,17 +7,18 @@ The loop is the same forwards, where `trace` sums the image, and wherever a back
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_leaves
 
 from torch_radbp.jit.order import chosen, partition, put
 from torch_radbp.lookup import lookup
 from torch_radbp.path import Arrival, PathState, Position, Settings, Vertex
 from torch_radbp.raycast.protocol import Hit, RayCaster
+from torch_radbp.record import leaves_of
 from torch_radbp.sampling.sampler import depth_counter
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.camera_hit import camera_hit
@@ -113,10 +114,7 @@ class Integrand(NamedTuple):
     def at(self, depth: int) -> Position:
         """The position on the path as tensors."""
         like = self.scene.lights.choice.pmf
-        roulette = depth + 1 >= self.rr_depth
-        return Position(depth_counter(depth, like.device),
-                        like.new_tensor(SURVIVE_AT_LEAST if roulette else 1.0),
-                        like.new_tensor(SURVIVE_AT_MOST if roulette else 1.0))
+        return position(depth, depth + 1 >= self.rr_depth, like.dtype, like.device)
 
     def settings_at(self, depth: int) -> Settings:
         """The settings with what is special at the first bounce."""
@@ -129,6 +127,14 @@ class Integrand(NamedTuple):
     def appearance(self, queue: Queue) -> Appearance | None:
         """The appearance that the lanes of a queue meet."""
         return None if queue.appearance is None else self.scene.layout.appearances[queue.appearance]
+
+
+@functools.lru_cache(maxsize=4096)
+def position(depth: int, roulette: bool, dtype: torch.dtype, device: torch.device) -> Position:
+    """The position of the bounce at `depth`, with roulette or without it."""
+    least, most = (SURVIVE_AT_LEAST, SURVIVE_AT_MOST) if roulette else (1.0, 1.0)
+    return Position(depth_counter(depth, device), torch.tensor(least, dtype=dtype, device=device),
+                    torch.tensor(most, dtype=dtype, device=device))
 
 
 def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
@@ -315,7 +321,7 @@ def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: V
 
 def put_rows(record, place: Tensor, entries) -> None:
     """Overwrites the entries at `place`, (N,) int32 without repetition, of every tensor of a record in nested tuples."""
-    targets, found = ([leaf for leaf in tree_leaves(part) if leaf is not None] for part in (record, entries))
+    targets, found = ([leaf for leaf in leaves_of(part) if leaf is not None] for part in (record, entries))
     if any_differentiated(found):
         for target, new in zip(targets, found):
             target.index_copy_(0, place.long(), new)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from torch_radbp.adjoint.finite import (
     CheckedSweep,
@@ -215,11 +214,9 @@ class RenderFunction(torch.autograd.Function):
         casts_again = call.retrace or not call.adjoint.keep_hits
         ctx.integrand = integrand if casts_again else integrand._replace(caster=None)
         # Saved as tensors, so that autograd frees them after the backward pass and refuses a second one.
-        ctx.recorded, ctx.structure = tree_flatten(records)
-        saved = [position for position, item in enumerate(ctx.recorded) if isinstance(item, Tensor)]
-        ctx.save_for_backward(*leaves, *(ctx.recorded[position] for position in saved))
-        for position in saved:
-            ctx.recorded[position] = SAVED
+        recorded = leaves_of(records)
+        ctx.save_for_backward(*leaves, *(item for item in recorded if isinstance(item, Tensor)))
+        ctx.records = with_leaves(records, (SAVED if isinstance(item, Tensor) else item for item in recorded))
         return images
 
     @staticmethod
@@ -228,7 +225,7 @@ class RenderFunction(torch.autograd.Function):
     def backward(ctx, grad_images: Tensor):
         call, integrand = ctx.call, ctx.integrand
         saved = iter(ctx.saved_tensors[len(ctx.needs_input_grad) - 1:])
-        records = tree_unflatten([next(saved) if item is SAVED else item for item in ctx.recorded], ctx.structure)
+        records = with_leaves(ctx.records, (next(saved) if item is SAVED else item for item in leaves_of(ctx.records)))
         asked = iter(ctx.needs_input_grad[1:])
         wanted = tuple(attached and next(asked) for attached in ctx.scene_leaves)
         wanted_of_cameras = [tuple(attached and next(asked) for attached in leaves) for leaves in ctx.camera_leaves]

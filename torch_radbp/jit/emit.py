@@ -155,7 +155,7 @@ class Emitter:
         return self.line(f"call {kind} @{function}({', '.join(f'{kind} {name}' for name in names)}{more})")
 
     def divided(self, a: str, b: str, remainder: bool) -> str:
-        """The quotient of int32, truncated, or the remainder: by float64, where it is exact, since vectors divide no integers.
+        """The quotient of int32, truncated, or the remainder: by way of float64, since vectors divide no integers; exact.
 
         The quotient differs from the next integer by at least 1 / b, far more than float64 rounds off.
         """
