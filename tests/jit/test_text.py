@@ -53,3 +53,11 @@ def test_the_compiler_imports_nothing_of_rendering():
             "print([name for name in sys.modules if name.startswith('torch_radbp.') and '.jit' not in name])")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_tracing_imports_no_other_compiler():
+    code = ("import sys, torch; from torch_radbp.jit import LaneFunction; "
+            "LaneFunction(lambda x, k: (x.exp() * 2).clamp(0, 1) + torch.div(k, 3, rounding_mode='floor'))("
+            "torch.rand(9), torch.arange(9)); print('torch._dynamo' in sys.modules)")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

@@ -83,6 +83,11 @@ def quotient(tracer, result: Tensor, a, b, *, rounding_mode: str | None = None, 
     return tracer.select(differs_in_sign(tracer, rest, b, dtype), tracer.apply("sub", dtype, whole, 1), whole)
 
 
+@handles("reciprocal", "rsqrt")
+def inverse(tracer, result: Tensor, x, *, name: str) -> Value:
+    return tracer.apply("div", result.dtype, 1, tracer.apply("sqrt", result.dtype, x) if name == "rsqrt" else x)
+
+
 @handles("remainder", "fmod")
 def remainder(tracer, result: Tensor, a, b, *, name: str) -> Value:
     rest = tracer.apply("rem", result.dtype, a, b)  # has the sign of `a`
@@ -179,8 +184,6 @@ def search(tracer, result: Tensor, table: Tensor, x: Tensor, *, right: bool = Fa
 # -- Formulas of other operations ------------------------------------------------------------------------------------------
 
 DECOMPOSED |= {
-    "reciprocal": lambda x: torch.ones_like(x) / x,  # 1.0 / x would come back here
-    "rsqrt": lambda x: torch.ones_like(x) / torch.sqrt(x),
     "square": lambda x: x * x,
     "isnan": lambda x: x != x,
     "isinf": lambda x: x.abs() == math.inf,

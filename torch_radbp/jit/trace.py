@@ -1,7 +1,8 @@
 """From a function in plain torch to a program: the function runs once on tensors without contents.
 
 The tensors are on torch's `meta` device. A dispatch mode sees every basic operation that torch comes down to, those of
-`torch.autograd.grad` inside of the function included, lets torch work out the result's dtype, and notes the operation.
+`torch.autograd.grad` inside of the function included, and notes it. The result's dtype follows from a rule of `inference.py`,
+or torch works it out.
 Nothing that is not a tensor is looked at: it is a constant of the program.
 """
 
@@ -14,6 +15,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from torch_radbp.jit.graph import NUMBER, TABLE, Builder, Program, Value, program
+from torch_radbp.jit.inference import INFERRED
 from torch_radbp.jit.operations import DECOMPOSED, HANDLERS
 from torch_radbp.jit.refusal import refusal
 
@@ -42,6 +44,11 @@ def trace(function: Callable[..., Sequence[Tensor | None]], dtypes: Sequence[tor
     return program(outputs)
 
 
+def stand_in(dtype: torch.dtype, shape: Sequence[int]) -> Tensor:
+    """A tensor of shape () or (N,) without contents."""
+    return torch.empty_strided(shape, (1,) * len(shape), dtype=dtype, device="meta")
+
+
 class TableStandIn(Tensor):
     """A table while a function is traced: it has no length, since the tables of later calls may have another."""
 
@@ -64,7 +71,7 @@ class Tracer(TorchDispatchMode):
 
     def argument(self, place: int, dtype: torch.dtype, kind: str) -> Tensor:
         """A tensor that stands for the argument number `place`."""
-        tensor = torch.empty(() if kind == NUMBER else (SIZE,), dtype=dtype, device="meta")
+        tensor = stand_in(dtype, () if kind == NUMBER else (SIZE,))
         tensor = tensor.as_subclass(TableStandIn) if kind == TABLE else tensor
         return self.note(tensor, self.builder.value("input", (), dtype, kind, place))
 
@@ -100,8 +107,10 @@ class Tracer(TorchDispatchMode):
             if answer is NotImplemented:
                 raise refusal(f"torch.{name} ({func})")
             return self.note(args[0], self.operand(answer, args[0].dtype)) if in_place else answer
-        result = func(*args, **kwargs)
-        if result.dim() > 1 or (result.dim() == 1 and len(result) != SIZE):
+        infer = None if in_place else INFERRED.get(name)
+        outcome = infer(*args, **kwargs) if infer else None
+        result = func(*args, **kwargs) if outcome is None else stand_in(*outcome)
+        if result.shape not in ((), (SIZE,)):
             raise refusal(f"torch.{name} makes a tensor of shape {tuple(result.shape)} of lanes")
         return self.note(result, self.operand(HANDLERS[name](self, result, *args, name=name, **kwargs), result.dtype))
 
