@@ -29,9 +29,9 @@ class Tap:
         self.table = table
         self.reads: list[Read] = []
 
-    def read(self, index: Tensor, known: Tensor | None = None, found: Tensor | None = None) -> Tensor:
-        """The entries at `index`, which are not gathered again if they are `known`; `found`: see `Read`."""
-        leaf = (gather(self.table, index) if known is None else known).detach().requires_grad_()
+    def read(self, index: Tensor, found: Tensor | None = None) -> Tensor:
+        """The entries at `index`; `found`: see `Read`."""
+        leaf = gather(self.table, index).detach().requires_grad_()
         self.reads.append(Read(index, leaf, found))
         return leaf
 

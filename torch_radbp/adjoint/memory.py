@@ -26,7 +26,7 @@ STATE = (10, 12)  # `PathState`: ray, throughput, density; key and lane
 STEP = (3, 11)  # `Step`: barycentrics and distance; triangle, side, order, visibility and survival
 RADIANCE = (3, 0)  # a `Vec3`
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
-TRIANGLE = {False: (0, 0), True: (18, 12)}  # `MetTriangle`, if there is any
+CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
 
 # Resident memory is more than what torch holds: by this factor, and by so many numbers a lane. See
 # `python -m benchmarks.memory`.
@@ -135,7 +135,7 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
             if action.depth not in depths:
                 replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE)
                 most = max(most, replayed)
-    held = size(RADIANCE) + size(MEMO[work.moving]) + size(TRIANGLE[work.triangles]) + size(STATE)
+    held = size(RADIANCE) + size(MEMO[work.moving]) + size(CORNERS[work.triangles]) + size(STATE)
     share = COMPILED if work.compiled else 1.0
     busy = max(WASTE * (share * sweep.per_lane + held), WASTE * share * bounce.per_lane) + spare
     working = together * (busy * max(fractions) + most) + work.workers * sweep.fixed

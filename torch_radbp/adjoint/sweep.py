@@ -50,14 +50,6 @@ class PathRecord(NamedTuple):
     bounces: int
 
 
-class MetTriangle(NamedTuple):
-    """The triangle that ray_{k+1} meets, as the bounce below has read it, (N,) each."""
-
-    rows: tuple[Tensor, Tensor, Tensor]  # int32, its vertices
-    p: Corners  # their positions, detached
-    adj_p: Corners  # dloss/dp so far
-
-
 class Memo(NamedTuple):
     """The results of the bounce below, (N,) each; zeros where there was none."""
 
@@ -65,7 +57,7 @@ class Memo(NamedTuple):
     adj_ray: Ray | None = None  # dloss/dray_{k+1}; None if rays do not carry derivatives
     adj_pdf: Tensor | None = None  # the same of the density with which the ray was picked
     hit: Hit | None = None  # what the ray meets; triangle -1: nothing
-    triangle: MetTriangle | None = None  # None unless it carries derivatives for two bounces
+    adj_corners: Corners | None = None  # dloss/dp so far of that triangle's vertices; None unless two bounces contribute
 
 
 class TableAdjoint(NamedTuple):
@@ -100,10 +92,10 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
     if settings.moving:
         ray, pdf = tree_map(as_leaf, (state.ray, state.pdf))
         state, inputs = state._replace(ray=ray, pdf=pdf), (*ray.o, *ray.d, pdf)
-    if memo.triangle is not None:
-        met = corner_rows(scene, hit)
-        here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, met))
-        there = None if scene.appearance is None else read_again(attached.triangles.vertices.p, memo.triangle)
+    if memo.adj_corners is not None:
+        here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit)))
+        if scene.appearance is not None:
+            there = read_again(attached.triangles.vertices.p, corner_rows(scene, memo.hit), memo.adj_corners)
         inputs = (*inputs, *(coordinate for corner in here for coordinate in corner))
     with torch.enable_grad():
         local = local_map(attached, scene, Arrival(state, hit, front), verdict, memo.hit, at, settings, here, there)
@@ -117,9 +109,8 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
     found = [zeros_unless(next(adjoints), leaf) for leaf in inputs]
     if settings.moving:
         above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], hit)
-    if memo.triangle is not None:
-        adj_here = tuple(Vec3(*found[first:first + 3]) for first in (7, 10, 13))
-        above = above._replace(triangle=MetTriangle(met, tree_map(Tensor.detach, here), adj_here))
+    if memo.adj_corners is not None:
+        above = above._replace(adj_corners=tuple(Vec3(*found[first:first + 3]) for first in (7, 10, 13)))
     return above, [table_adjoints(tap, adjoints) for tap in taps]
 
 
@@ -128,10 +119,10 @@ def as_leaf(tensor: Tensor) -> Tensor:
     return tensor.clone().requires_grad_()
 
 
-def read_again(positions: Vec3, triangle: MetTriangle) -> Corners:
-    """The corners that the bounce below has read, from tapped `positions`."""
-    return tuple(Vec3(*(tap.read(row, value, found) for tap, value, found in zip(positions, p, adj_p)))
-                 for row, p, adj_p in zip(*triangle))
+def read_again(positions: Vec3, corners: tuple[Tensor, Tensor, Tensor], adj_corners: Corners) -> Corners:
+    """The vertices `corners` from tapped positions, with a part of their adjoints that the bounce below has found."""
+    return tuple(Vec3(*(tap.read(row, found) for tap, found in zip(positions, adj_p)))
+                 for row, adj_p in zip(corners, adj_corners))
 
 
 def vector_jacobian_product(outputs: list[Tensor], inputs: list[Tensor], adjoints: list[Tensor]) -> tuple:
@@ -232,9 +223,10 @@ class Sweep:
             above, tables = adjoint.of_bounce(adjoint.scene, adjoint.wanted, arrival, lanes, verdict, self.adj_L, self.memo,
                                               at, settings)
             found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
-            if depth == 0 and above.triangle is not None:  # no bounce aims at what the camera sees
-                found += [Contribution(leaf, row, adjoint) for row, adj_p in zip(above.triangle.rows, above.triangle.adj_p)
-                          for leaf, adjoint in zip(self.of_positions, adj_p)]
+            if depth == 0 and above.adj_corners is not None:  # no bounce aims at what the camera sees
+                corners = corner_rows(integrand.scene, above.hit)
+                found += [Contribution(leaf, row, part) for row, adj_p in zip(corners, above.adj_corners)
+                          for leaf, part in zip(self.of_positions, adj_p)]
             self.gradients.add(found)
             put_rows(self.memo, rows(state.lane, lanes), above)
 
@@ -254,5 +246,4 @@ def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:
     memo = Memo(Vec3.buffer(like), Ray(Vec3.buffer(like), Vec3.buffer(like)), torch.zeros_like(like), miss)
     if not twice:
         return memo
-    p, adj_p = (tuple(Vec3.buffer(like) for _ in range(3)) for _ in range(2))
-    return memo._replace(triangle=MetTriangle(tuple(nothing.clone() for _ in range(3)), p, adj_p))
+    return memo._replace(adj_corners=tuple(Vec3.buffer(like) for _ in range(3)))
