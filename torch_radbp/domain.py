@@ -14,6 +14,7 @@ from torch import Tensor
 
 LARGEST_AMOUNT = 1e18  # beyond it, squares overflow in float32
 LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
+LEEWAY = 0.02  # how far a value may leave its range, as finite differences do, such as those of `check_gradient`
 FLATTEST = 1e-6  # least volume of a pose's axes, relative to a box with the same edges; rounding of float32 alone makes 1e-7
 SMALLEST_VOLUME = 1e-30  # least volume of a pose's axes; areas of smaller objects underflow in float32
 

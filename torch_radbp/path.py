@@ -22,6 +22,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.lookup import lookup
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import (
@@ -48,7 +49,8 @@ from torch_radbp.scene.light import (
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.vec import Ray, Vec3, max_component, rows
+from torch_radbp.texture.reader import Given
+from torch_radbp.vec import Ray, Vec2, Vec3, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)
@@ -142,8 +144,37 @@ def start_path(ray: Ray, key: LaneKey) -> PathState:
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane)
 
 
+class Place(NamedTuple):
+    """Where lanes need a value that is given to the functions of a bounce."""
+
+    row: Tensor  # (M,) int32, of which texture of its reader
+    at: Vec2 | Vec3  # (M,) what it is a function of
+
+
+def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor) -> tuple[Place, ...]:
+    """The places of the values to be given, one for each texture that is read outside; detached. Args as for `bounce`."""
+    return places_of(scene, rows(arrival, lanes), Settings())
+
+
+def places_of(scene: SceneTensors, arrival: Arrival, settings: Settings) -> tuple[Place, ...]:
+    """The same of lanes as they are; attached to the scene, and to the ray if it is moving."""
+    if scene.appearance is None or not scene.appearance.outside:
+        return ()
+    si = surface_met(scene, arrival, settings)
+    return tuple(Place(lookup(slot, si.material), reader.place(si.p, si.uv))
+                 for reader, slot in zip(scene.appearance.readers, scene.materials.slots) if reader.outside)
+
+
+def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings, here: Corners | None = None) -> SurfaceInteraction:
+    """The surface that rays meet. The point slides where the ray was not left to chance, or is followed."""
+    slides = None
+    if settings.moving:
+        slides = torch.isinf(arrival.state.pdf) | (settings.sampling == "attached")
+    return surface_interaction(scene, arrival.state.ray, arrival.hit, slides, here, arrival.front)
+
+
 def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
-           settings: Settings) -> Vertex:
+           settings: Settings, given: tuple[Given, ...]) -> Vertex:
     """One step of the recursion L_k = E_k + F_k L_{k+1}: what happens at the vertex, and where the path goes from there.
 
     Args:
@@ -153,12 +184,13 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
         lanes: (M,) int32, those of them that are computed, in this order.
         at: the depth of this bounce.
         settings: the integrand.
+        given: (M,) the values of textures that are read outside.
 
     Returns:
         The M vertices. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
     """
     state, hit, front = rows(arrival, lanes)
-    local = scattering(scene, proposal, Arrival(state, hit, front), at, settings)
+    local = scattering(scene, proposal, Arrival(state, hit, front), at, settings, given)
 
     # Aim the shadow ray at the light sample.
     zero = torch.zeros_like(state.pdf)
@@ -174,14 +206,11 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
-               here: Corners | None = None) -> Scattering:
+               given: tuple[Given, ...], here: Corners | None = None) -> Scattering:
     """The vertex without its outgoing ray, of lanes as they are. Args as for `bounce` and `surface_interaction`."""
-    # Find the surface that the ray meets. The point slides where the ray was not left to chance, or is followed.
-    state, hit, front = arrival
-    slides = None
-    if settings.moving:
-        slides = torch.isinf(state.pdf) | (settings.sampling == "attached")
-    si = surface_interaction(scene, state.ray, hit, slides, here, front)
+    # Find the surface that the ray meets.
+    state = arrival.state
+    si = surface_met(scene, arrival, settings, here)
 
     # Add the light that comes from there, weighted against the chance that next-event estimation finds it.
     zero = torch.zeros_like(state.pdf)
@@ -198,7 +227,7 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
         return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
 
     # Look up the material.
-    material = material_at(scene, si)
+    material = material_at(scene, si, given)
 
     # Connect to a point on a light.
     key = bounce_key(state.key, at.counter)

@@ -120,6 +120,11 @@ class Plugin(nn.Module):
 
 class Texture(Plugin):
     category = "texture"
+    tabulated = True  # its values are those of a table, `texels`
+
+    def sources(self) -> tuple[Tensor, ...]:
+        """All tensors that its values are computed from, attached."""
+        return (self.texels(),)
 
 
 class BSDF(Plugin):

@@ -15,11 +15,11 @@ from torch.utils._pytree import tree_leaves
 
 from torch_radbp.adjoint.sweep import bounce_adjoint
 from torch_radbp.jit import LaneFunction, UnknownOperation
-from torch_radbp.path import bounce, sample_camera
+from torch_radbp.path import bounce, places, sample_camera
 from torch_radbp.vec import rows
 from torch_radbp.wavefront import Stages, appearance_met, brightened, shines
 
-EAGER = Stages(sample_camera, bounce, bounce_adjoint, appearance_met, shines, rows, brightened)
+EAGER = Stages(sample_camera, bounce, bounce_adjoint, places, appearance_met, shines, rows, brightened)
 
 
 @functools.cache
@@ -27,7 +27,8 @@ def compiled() -> Stages:
     """The stages as fused loops; one set for the whole process."""
     return Stages(CompiledStage(sample_camera, "camera"), CompiledStage(bounce, "scene", "proposal", "arrival"),
                   CompiledStage(bounce_adjoint, "scene", "arrival", "adj_L", "memo"),
-                  CompiledStage(appearance_met, "scene"), CompiledStage(shines, "scene"), CompiledStage(rows, "record"),
+                  CompiledStage(places, "scene", "arrival"), CompiledStage(appearance_met, "scene"),
+                  CompiledStage(shines, "scene"), CompiledStage(rows, "record"),
                   CompiledStage(brightened, "L", "beta"))
 
 

@@ -32,6 +32,10 @@ class Vec2(NamedTuple):
     def __mul__(self, scale: Tensor | float) -> Vec2:
         return Vec2(self.x * scale, self.y * scale)
 
+    def stack(self, dim: int = -1) -> Tensor:
+        """The components as one tensor, (..., 2) by default."""
+        return torch.stack(tuple(self), dim)
+
     @staticmethod
     def of(tensor: Tensor) -> Vec2:
         """Splits the last axis of a (..., 2) tensor."""

@@ -14,9 +14,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.given import given_values
 from torch_radbp.jit.order import chosen, partition, put
 from torch_radbp.lookup import lookup
-from torch_radbp.path import Arrival, PathState, Position, Settings, Vertex
+from torch_radbp.path import Arrival, PathState, Place, Position, Settings, Vertex
 from torch_radbp.raycast.protocol import Hit, RayCaster
 from torch_radbp.record import leaves_of
 from torch_radbp.sampling.sampler import depth_counter
@@ -64,6 +65,7 @@ class Stages(NamedTuple):
     sample_camera: Callable
     bounce: Callable
     bounce_adjoint: Callable
+    places: Callable
     appearance_met: Callable
     shines: Callable
     rows: Callable
@@ -110,6 +112,13 @@ class Integrand(NamedTuple):
             scene, proposal = (part_of(tensors, self.appearance(queue)) for tensors in (self.scene, self.proposal))
             self.parts[queue.appearance] = Part(scene, proposal, knowing(self.stages.bounce, scene, proposal))
         return self.parts[queue.appearance]
+
+    def places(self, queue: Queue, arrival: Arrival, lanes: Tensor) -> tuple[Place, ...]:
+        """The places of the values to be given to a queue; see `path.places`."""
+        appearance = self.appearance(queue)
+        if appearance is None or not appearance.outside:
+            return ()
+        return self.stages.places(self.part(queue).proposal, arrival, lanes)
 
     def at(self, depth: int) -> Position:
         """The position on the path as tensors."""
@@ -161,8 +170,9 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     arrival, at = Arrival(state, step.hit, step.front), integrand.at(depth)
 
     def arguments(queue: Queue) -> tuple:
-        part = integrand.part(queue)
-        return part.scene, part.proposal, arrival, step.order[queue.first:queue.last], at, settings
+        part, lanes = integrand.part(queue), step.order[queue.first:queue.last]
+        given = given_values(integrand.scene, integrand.appearance(queue), integrand.places(queue, arrival, lanes))
+        return part.scene, part.proposal, arrival, lanes, at, settings, given
 
     bounces = [integrand.part(queue).bounce for queue in step.queues]
     if len(bounces) == 1 or not hasattr(bounces[0], "into"):

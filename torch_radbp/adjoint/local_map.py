@@ -12,6 +12,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.departure import attached_departure
 from torch_radbp.scene.interaction import Corners
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.reader import Given
 from torch_radbp.vec import Ray, Vec3, masked
 
 
@@ -32,17 +33,18 @@ class Verdict(NamedTuple):
 
 
 def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, verdict: Verdict, following: Hit | None,
-              at: Position, settings: Settings, here: Corners | None = None, there: Corners | None = None) -> LocalMap:
+              at: Position, settings: Settings, given: tuple[Given, ...], here: Corners | None = None,
+              there: Corners | None = None) -> LocalMap:
     """From parameters, and from the ray if it is moving, to E_k and F_k, and to the next ray.
 
     Args:
-        scene, proposal, at, settings: as for `bounce`.
+        scene, proposal, at, settings, given: as for `bounce`.
         arrival: the lanes, as they are.
         verdict: what was decided.
         following: what the next ray meets, triangle -1 where it meets nothing or there is none.
         here, there: the corners of the triangles that the ray meets and that the next ray does; None: as the scene has them.
     """
-    local = scattering(scene, proposal, arrival, at, settings, here)
+    local = scattering(scene, proposal, arrival, at, settings, given, here)
     E = local.Le + masked(verdict.visible, local.Ld)
     if local.sample is None:
         return LocalMap(E, E.map(torch.zeros_like), None, None)

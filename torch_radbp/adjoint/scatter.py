@@ -33,7 +33,7 @@ class Gradients:
     """The gradients of some tables, as far as one worker has found them.
 
     Args:
-        tables: (K,) each, or () for a number.
+        tables: (K,) each, or () for a number; of any shape if only whole gradients are added.
     """
 
     def __init__(self, tables: Sequence[Tensor]):

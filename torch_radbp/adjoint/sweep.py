@@ -28,6 +28,7 @@ from torch import Tensor
 from torch.utils._pytree import tree_map
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.adjoint.outside import OutsideValues
 from torch_radbp.adjoint.scatter import Contribution, Gradients
 from torch_radbp.lookup import Tap, tapped
 from torch_radbp.path import Arrival, PathState, Position, Settings
@@ -36,6 +37,7 @@ from torch_radbp.record import with_leaves
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.reader import Given
 from torch_radbp.vec import Ray, Vec3, rows
 from torch_radbp.wavefront import Integrand, Queue, Step, knowing, put_rows, survivors, take_step
 
@@ -68,7 +70,8 @@ class TableAdjoint(NamedTuple):
 
 
 def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, verdict: Verdict,
-                   adj_L: Vec3, memo: Memo, at: Position, settings: Settings) -> tuple[Memo, list[list[TableAdjoint]]]:
+                   adj_L: Vec3, memo: Memo, at: Position, settings: Settings, given: tuple[Given, ...]
+                   ) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
     """The local vector-Jacobian product of one bounce.
 
     Args:
@@ -78,10 +81,11 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
         verdict: what was decided for these lanes.
         adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
         memo: of all lanes of the chunk.
-        at, settings: as in the forward pass.
+        at, settings, given: as in the forward pass.
 
     Returns:
-        The memo for the bounce above, of these lanes, and for each wanted leaf what its reads add to its gradient.
+        The memo for the bounce above, of these lanes, for each wanted leaf what its reads add to its gradient, and the
+        adjoints of the values that were given.
     """
     state, hit, front = rows(arrival, lanes)
     memo = rows(memo, state.lane)
@@ -97,21 +101,24 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
         if scene.appearance is not None:
             there = read_again(attached.triangles.vertices.p, corner_rows(scene, memo.hit), memo.adj_corners)
         inputs = (*inputs, *(coordinate for corner in here for coordinate in corner))
+    given = tuple(texture._replace(value=texture.value.map(as_leaf)) for texture in given)
+    values = [channel for texture in given for channel in texture.value]
     with torch.enable_grad():
-        local = local_map(attached, scene, Arrival(state, hit, front), verdict, memo.hit, at, settings, here, there)
+        local = local_map(attached, scene, Arrival(state, hit, front), verdict, memo.hit, at, settings, given, here, there)
         outputs, adjoints = [*local.E, *local.F], [*adj_L, *(adj_L * memo.L)]
         if local.ray is not None:
             outputs += [*local.ray.o, *local.ray.d, local.pdf]
             adjoints += [*memo.adj_ray.o, *memo.adj_ray.d, memo.adj_pdf]
         reads = [read.leaf for tap in taps for read in tap.reads]
-        adjoints = iter(vector_jacobian_product(outputs, [*inputs, *reads], adjoints))
+        adjoints = iter(vector_jacobian_product(outputs, [*inputs, *values, *reads], adjoints))
     above = Memo((local.E + local.F * memo.L).detach())
     found = [zeros_unless(next(adjoints), leaf) for leaf in inputs]
+    adj_given = tuple(Vec3(*(zeros_unless(next(adjoints), leaf) for leaf in texture.value)) for texture in given)
     if settings.moving:
         above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], hit)
     if memo.adj_corners is not None:
         above = above._replace(adj_corners=tuple(Vec3(*found[first:first + 3]) for first in (7, 10, 13)))
-    return above, [table_adjoints(tap, adjoints) for tap in taps]
+    return above, [table_adjoints(tap, adjoints) for tap in taps], adj_given
 
 
 def as_leaf(tensor: Tensor) -> Tensor:
@@ -181,7 +188,8 @@ class Sweep:
         counted = itertools.count()
         self.leaves = [next(counted) if want else None for want in wanted]
         self.adjoints: dict[int | None, Adjoint] = {}
-        positions = with_leaves(integrand.scene, self.leaves).triangles.vertices.p
+        self.numbered = with_leaves(integrand.scene, self.leaves)
+        positions = self.numbered.triangles.vertices.p
         twice = self.moving and integrand.settings.sampling != "attached" and positions.x is not None
         self.of_positions = list(positions) if twice else []  # leaves
         self.memo = empty_memo(adj_L.x, self.moving, twice)
@@ -220,8 +228,10 @@ class Sweep:
         for queue in step.queues:
             here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue)
             lanes, verdict = step.order[here], Verdict(step.visible[here], step.survives[here])
-            above, tables = adjoint.of_bounce(adjoint.scene, adjoint.wanted, arrival, lanes, verdict, self.adj_L, self.memo,
-                                              at, settings)
+            outside = OutsideValues(integrand, self.numbered, queue, integrand.places(queue, arrival, lanes), self.moving)
+            above, tables, adj_given = adjoint.of_bounce(adjoint.scene, adjoint.wanted, arrival, lanes, verdict, self.adj_L,
+                                                         self.memo, at, settings, outside.given)
+            outside.add_adjoint(adj_given, self.gradients)
             found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
             if depth == 0 and above.adj_corners is not None:  # no bounce aims at what the camera sees
                 corners = corner_rows(integrand.scene, above.hit)

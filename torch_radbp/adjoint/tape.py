@@ -9,7 +9,8 @@ from torch import Tensor
 from torch.utils._pytree import tree_map, tree_map_only
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
-from torch_radbp.path import Arrival, PathState
+from torch_radbp.given import given_values
+from torch_radbp.path import Arrival, PathState, places_of
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.vec import Vec3, rows
 from torch_radbp.wavefront import Integrand, Queue, add_at, first_hit, joined, surviving, take_step, trace
@@ -45,8 +46,9 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
         for queue in step.queues:
             here, then, decided, there = (slice_of(record, queue) for record in (arrival, arrival.state, verdict, following))
             part = integrand.part(queue)
-            local = local_map(part.scene, part.proposal, here, decided, there, integrand.at(depth),
-                              integrand.settings_at(depth))
+            settings = integrand.settings_at(depth)
+            given = given_values(integrand.scene, integrand.appearance(queue), places_of(part.scene, here, settings))
+            local = local_map(part.scene, part.proposal, here, decided, there, integrand.at(depth), settings, given)
             add_at(L, then.lane, then.beta * local.E)
             ahead.append(then if local.ray is None else
                          PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane))

@@ -146,7 +146,7 @@ class JumpWatch:
             if followed(bsdf.kind(), sampling):
                 turning |= {texture_name(scene, bsdf.textures()[slot]): not bsdf.kind().smooth
                             for slot in turning_values(bsdf.kind(), sampling)
-                            if asks_for_derivatives(bsdf.textures()[slot].texels())}
+                            if any(map(asks_for_derivatives, bsdf.textures()[slot].sources()))}
         for shape in scene.shapes:
             delta = [bsdf.kind().delta for bsdf in one_sided([shape.bsdf]) if followed(bsdf.kind(), sampling)]
             turning |= {name: all(delta) for name in moving(scene, shape, ("vertex_normals",)) if delta}

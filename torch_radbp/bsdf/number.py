@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from torch import Tensor
 
 from torch_radbp.plugin import BSDF, Plugin, Texture
 from torch_radbp.texture.bitmap import reader_of
+from torch_radbp.texture.neural import ModuleFunction
 from torch_radbp.texture.reader import Reader
 from torch_radbp.texture.rgb import RGB
 
@@ -47,9 +50,17 @@ class NumberOf(Texture):
         """(H, W, 3) the numbers, in all three channels; attached."""
         return self.texture.scalars()[..., None].expand(-1, -1, 3)
 
+    def sources(self) -> tuple[Tensor, ...]:
+        """All tensors that the numbers are computed from, attached."""
+        return self.texture.sources()
+
     def reader(self) -> Reader:
         """How lanes read it: as they read that texture."""
         return reader_of(self.texture)
+
+    def function(self) -> ModuleFunction:
+        """The numbers as a function of the place, if that texture is no table."""
+        return replace(self.texture.function(), as_number=True)
 
     def __getattr__(self, name: str):
         if name in ("to_uv", "wrap_mode", "filter_type"):

@@ -80,10 +80,10 @@ class _Writer:
         return root
 
     def check(self, name: str, module: nn.Module) -> bool:
-        """True for a plugin, for which there is an element."""
-        if not isinstance(module, Plugin):
+        """True for a registered plugin, for which there is an element."""
+        if not isinstance(module, Plugin) or not module.type:
             raise SceneError(f"{name}: a {type(module).__name__} cannot be written as XML, only Mitsuba's plugins can; "
-                             "save it with torch.save or safetensors, or put a bitmap in its place")
+                             "save its `state_dict()` with torch.save or safetensors, or put a bitmap in its place")
         return True
 
     def plugin_element(self, plugin: Plugin, name: str) -> ElementTree.Element:

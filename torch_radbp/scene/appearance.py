@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from torch_radbp.bsdf.kind import Kind
-from torch_radbp.texture.reader import Reader
+from torch_radbp.texture.reader import OutsideReader, Reader
 
 
 class Appearance(NamedTuple):
@@ -21,3 +21,8 @@ class Appearance(NamedTuple):
     def needs_uv(self) -> bool:
         """True if a value depends on the surface coordinates."""
         return any(reader.needs_uv for reader in self.readers)
+
+    @property
+    def outside(self) -> tuple[OutsideReader, ...]:
+        """The readers of those values that are given to the functions of a bounce."""
+        return tuple(reader for reader in self.readers if reader.outside)

@@ -11,6 +11,7 @@ from torch_radbp.bsdf.kind import Choice, Kind, Values
 from torch_radbp.lookup import lookup
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.reader import Given
 from torch_radbp.vec import Vec3, where
 
 LEAST_DENSITY = 1e-15  # of a direction that can be drawn; the square of its reciprocal is finite in float32
@@ -34,15 +35,22 @@ class BSDFSample(NamedTuple):
     pdf: Tensor  # density over solid angle; infinite for ideal specular scattering; 0: the path ends
 
 
-def material_at(scene: SceneTensors, si: SurfaceInteraction) -> Material:
+def material_at(scene: SceneTensors, si: SurfaceInteraction, given: tuple[Given, ...]) -> Material:
     """Reads the textures of the material at a surface point, on the side that the ray meets.
 
-    `scene` is the part that these lanes read.
+    Args:
+        scene: the part that these lanes read.
+        si: the surface point.
+        given: the values of the textures that are read outside, in order.
     """
     readers, appearance = scene.layout.readers, scene.appearance
-    return Material(appearance.kind, tuple(
-        reader.read(scene.textures[readers.index(reader)], lookup(slot, si.material), si.uv)
-        for reader, slot in zip(appearance.readers, scene.materials.slots)))
+    values, of_others = [], iter(given)
+    for reader, slot in zip(appearance.readers, scene.materials.slots):
+        if reader.outside:
+            values.append(next(of_others).at(reader.place(si.p, si.uv)))
+        else:
+            values.append(reader.read(scene.textures[readers.index(reader)], lookup(slot, si.material), si.uv))
+    return Material(appearance.kind, tuple(values))
 
 
 def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:

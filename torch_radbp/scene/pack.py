@@ -66,8 +66,8 @@ def pack(scene: Scene, kept: Kept | None = None) -> SceneTensors:
     radiated = {id(emitter): emitter.radiated() for emitter in scene.emitters}
     textures = {name: 0 if texture is None else radiance.add(texture) for name, texture in radiated.items()}
     layout = Layout(
-        bending=any(differentiated(bsdf.textures()[slot].texels()) for bsdf in one_sided(bsdfs)
-                    for slot in bsdf.kind().bending),
+        bending=any(differentiated(source) for bsdf in one_sided(bsdfs) for slot in bsdf.kind().bending
+                    for source in bsdf.textures()[slot].sources()),
         shading_normals=any(shape.surface.normals is not None for shape in placed),
         back_sides=bool(materials.turned.any()), sides_differ=sides_differ(materials), appearances=appearances,
         readers=readers, radiance_bitmaps=radiance.has_bitmaps, lights=kinds_of(scene.emitters))
@@ -131,7 +131,9 @@ def material_tables(kept: Kept, bsdfs: list[BSDF], dtype: torch.dtype, device: t
         column([appearances.index(look) for look in looks]),
         tuple(column([own[k] if k < len(own) else 0 for own in slots]) for k in range(max(map(len, slots), default=0))),
         column([False] * len(bsdfs) + two_sided, torch.bool), column(len(bsdfs)))
-    banks = tuple(kept(bank_of, reader, twins(kept, reader, of_reader[reader].values()), dtype, device)
+    # A module that is read outside is taken as it is: only it knows what its values depend on.
+    banks = tuple(reader.bank(list(of_reader[reader].values()), dtype, device) if reader.outside else
+                  kept(bank_of, reader, twins(kept, reader, of_reader[reader].values()), dtype, device)
                   for reader in readers)
     return Materials(table, appearances, readers, banks)
 

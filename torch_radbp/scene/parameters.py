@@ -11,14 +11,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.domain import LARGEST_COORDINATE, Domain
+from torch_radbp.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
 from torch_radbp.scene.differentiated import differentiated, primal
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.scene import Scene
+from torch_radbp.texture.neural import Use
 
 DTYPES = (torch.float32, torch.float64)
-LEEWAY = 0.02  # how far a value may leave its range, as finite differences do, such as those of `check_gradient`
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
 OUTSIDE = "; keep it inside, with .clamp_() after each step or with a parametrisation"
 
@@ -50,6 +50,8 @@ def held_values(scene: Scene) -> dict[str, Held]:
             if not isinstance(texture, Texture):
                 continue
             prefix = names[id(texture)]
+            if not texture.tabulated:
+                continue
             if not texture.domains():
                 found.setdefault(prefix, Held(texture.texels(), [])).domains.append(domain)
             for own in texture.domains():
@@ -63,8 +65,20 @@ def held_values(scene: Scene) -> dict[str, Held]:
     return found
 
 
+def note_uses(scene: Scene) -> None:
+    """Tells textures that are no tables by what name and in which domains their values will be checked."""
+    uses: dict[int, tuple[Texture, list[Domain]]] = {}
+    for plugin in scene.modules():
+        for attribute, domain in plugin.domains().items() if isinstance(plugin, Plugin) else ():
+            texture = getattr(plugin, attribute, None)
+            if isinstance(texture, Texture) and not texture.tabulated:
+                uses.setdefault(id(texture), (texture, []))[1].append(domain)
+    for texture, domains in uses.values():
+        texture.use = Use(scene.name_of(texture), tuple(dict.fromkeys(domains)))
+
+
 def check_parameters(scene: Scene, kept: Kept) -> None:
-    """Checks the current parameters of a scene.
+    """Checks the current parameters of a scene. The values of modules are checked where they are computed.
 
     Args:
         scene: as it is now.
@@ -74,6 +88,7 @@ def check_parameters(scene: Scene, kept: Kept) -> None:
         ValueError: naming the first that has a wrong shape, is not finite, is out of range, or is not a valid pose.
         TypeError: if dtypes or devices are mixed, or the dtype is not supported.
     """
+    note_uses(scene)
     with torch.no_grad():
         found = held_values(scene)
         check_types(scene, found)

@@ -37,7 +37,8 @@ def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) 
     readers = () if appearance is None else appearance.readers
     return scene._replace(
         triangles=triangles, materials=scene.materials._replace(slots=scene.materials.slots[:len(readers)]),
-        textures=tuple(scene.textures[layout.readers.index(reader)] for reader in dict.fromkeys(readers)))
+        textures=tuple(() if reader.outside else scene.textures[layout.readers.index(reader)]
+                       for reader in dict.fromkeys(readers)))
 
 
 def layout_of_part(layout: Layout, appearance: Appearance | None) -> Layout:

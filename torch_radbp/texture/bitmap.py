@@ -12,7 +12,7 @@ from torch import Tensor
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
 from torch_radbp.texture.bank import TextureBank, sample_texture
-from torch_radbp.texture.reader import Reader
+from torch_radbp.texture.reader import Reader, TableReader
 from torch_radbp.vec import Vec2, Vec3
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
@@ -50,7 +50,7 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
 
 
 @dataclass(frozen=True)
-class BitmapReader(Reader):
+class BitmapReader(TableReader):
     """Reads images. Bank: `TextureBank`."""
 
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:

@@ -1,11 +1,15 @@
-"""The interface between textures and the tracer: how lanes read a value."""
+"""The interface between textures and the tracer: how lanes read a value.
+
+Most textures are tables, which the functions of a bounce read. A module is not: its values are computed before the functions
+of a bounce run, for the lanes that need them, and are given to these functions.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,11 +22,17 @@ from torch_radbp.vec import Vec2, Vec3
 class Reader(ABC):
     """Reads the textures of one kind, which lie together in a `bank`: a record of tensors, or None."""
 
-    needs_uv: ClassVar[bool] = True  # `read` takes surface coordinates
+    needs_uv: ClassVar[bool] = True  # values depend on surface coordinates
+    outside: ClassVar[bool] = False  # they are computed outside of the functions of a bounce, by an `OutsideReader`
 
     @abstractmethod
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> Any:
         """The tables of some textures, attached to their parameters."""
+
+
+@dataclass(frozen=True)
+class TableReader(Reader):
+    """Reads tables, as a part of the functions of a bounce."""
 
     @abstractmethod
     def read(self, bank: Any, row: Tensor, uv: Vec2 | None) -> Vec3:
@@ -33,3 +43,28 @@ class Reader(ABC):
             row: (N,) int32, which of the textures each lane reads.
             uv: (N,) surface coordinates; None unless `needs_uv`.
         """
+
+
+@dataclass(frozen=True)
+class OutsideReader(Reader):
+    """Computes values before the functions of a bounce, on all lanes of a queue at once."""
+
+    outside: ClassVar[bool] = True
+
+    @abstractmethod
+    def place(self, p: Vec3, uv: Vec2 | None) -> Vec2 | Vec3:
+        """What the values are a function of, from the position and the coordinates of a surface point."""
+
+
+class Given(NamedTuple):
+    """The values of a texture that is read outside, (N,) each."""
+
+    value: Vec3  # attached to the texture's parameters, if derivatives are recorded
+    slopes: tuple[Vec3, ...] = ()  # its derivative by each coordinate of the place, detached; empty: the place does not move
+
+    def at(self, place: Vec2 | Vec3) -> Vec3:
+        """The value, attached to the place as well."""
+        value = self.value
+        for slope, coordinate in zip(self.slopes, place):
+            value = value + slope * (coordinate - coordinate.detach())
+        return value

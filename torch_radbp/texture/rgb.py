@@ -7,17 +7,18 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torch_radbp.domain import Domain
 from torch_radbp.lookup import lookup
-from torch_radbp.plugin import Plugin, Texture, finite, register
-from torch_radbp.texture.reader import Reader
+from torch_radbp.plugin import BSDF, Plugin, Texture, finite, register
+from torch_radbp.texture.neural import NeuralTexture
+from torch_radbp.texture.reader import TableReader
 from torch_radbp.vec import Vec2, Vec3
 
 
 @dataclass(frozen=True)
-class ColourReader(Reader):
+class ColourReader(TableReader):
     """Reads constant colours. Bank: (R,) linear RGB."""
 
     needs_uv: ClassVar[bool] = False
@@ -65,15 +66,21 @@ class RGB(Texture):
         return self.value.mean().reshape(1, 1)
 
 
-def as_texture(owner: Plugin, name: str, value: Texture | Tensor | float) -> Texture:
-    """The texture for the attribute `name` of a plugin, from a texture, one number or three.
+def as_texture(owner: Plugin, name: str, value: Texture | nn.Module | Tensor | float) -> Texture:
+    """The texture for the attribute `name` of a plugin, from a texture, a module, one number or three.
 
     Raises:
-        TypeError: if the value is of another type.
+        TypeError: if the value is of another type, or a module where only tables can stand.
         ValueError: if a texel is not in the attribute's domain.
     """
     if isinstance(value, (str, bytes, dict)):
         raise TypeError(f"{name} must be a number, three numbers or a texture, got {value!r}")
+    if isinstance(value, nn.Module) and not isinstance(value, Texture):
+        value = NeuralTexture(value)
     texture = value if isinstance(value, Texture) else RGB(value=value)
-    owner.domains()[name].check(name, texture.texels())
+    if texture.tabulated:
+        owner.domains()[name].check(name, texture.texels())
+    elif not isinstance(owner, BSDF):
+        raise TypeError(f"{name} of {type(owner).__name__} must be a colour or a bitmap, got a {type(texture).__name__}: a "
+                        f"module can stand in the place of every texture of a material, and of no other so far")
     return texture

@@ -1,0 +1,27 @@
+"""Values that are computed outside of the functions of a bounce, and given to them: those of modules."""
+
+from __future__ import annotations
+
+from torch_radbp.path import Place
+from torch_radbp.scene.appearance import Appearance
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.reader import Given
+from torch_radbp.vec import Vec3
+
+
+def given_values(scene: SceneTensors, appearance: Appearance | None, places: tuple[Place, ...]) -> tuple[Given, ...]:
+    """The values of the textures that are read outside, as autograd records them if it does.
+
+    Args:
+        scene: the whole scene; attached or detached.
+        appearance: of the lanes.
+        places: one for each of these textures, attached or detached.
+    """
+    return tuple(Given(Vec3.of(bank.values(place.row, place.at.stack()))) for bank, place in
+                 zip(banks_outside(scene, appearance), places))
+
+
+def banks_outside(scene: SceneTensors, appearance: Appearance | None) -> list:
+    """The banks of the textures that are read outside, in the order of an appearance; of any record in the place of a scene."""
+    readers = () if appearance is None else appearance.outside
+    return [scene.textures[scene.layout.readers.index(reader)] for reader in readers]

@@ -1,0 +1,180 @@
+"""Any module as a texture: a network from surface coordinates, or from positions, to values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torch_radbp.domain import LEEWAY, Domain
+from torch_radbp.plugin import Plugin, Texture, nearest
+from torch_radbp.texture.bitmap import LUMINANCE
+from torch_radbp.texture.reader import OutsideReader
+from torch_radbp.vec import Vec2, Vec3
+
+PLACES = {"uv": 2, "position": 3}  # with the number of coordinates
+OUTSIDE = "; let it end with a function onto that range, such as nn.Sigmoid()"
+
+
+class Use(NamedTuple):
+    """What is made of a texture in a scene."""
+
+    name: str  # of the texture, in the scene
+    domains: tuple[Domain, ...]  # that its values must be in
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleFunction:
+    """The values of a module as a function of its parameters and of places."""
+
+    module: nn.Module
+    use: Use
+    as_number: bool = False  # values are read as numbers: the luminance if there are three channels, as in Mitsuba
+
+    def __call__(self, parameters: Sequence[Tensor], place: Tensor) -> Tensor:
+        """(N, 3) values, attached.
+
+        Args:
+            parameters: instead of those of the module, in their order.
+            place: (N, 2) or (N, 3).
+
+        Raises:
+            TypeError: if the module returns no tensor, or one of another dtype or device.
+            ValueError: if it returns a wrong shape, or a value is not finite or not in its domain.
+        """
+        standing_in = dict(zip(map(id, self.module.parameters()), parameters))
+        values = with_parameters(self.module, standing_in, {})(place)
+        self.check(values, place)
+        if self.as_number and values.shape[1] == 3:
+            values = (values * values.new_tensor(LUMINANCE)).sum(1, keepdim=True)
+        return values.expand(-1, 3)
+
+    def check(self, values: Tensor, place: Tensor) -> None:
+        """Raises as a call does."""
+        lanes, name = len(place), f"the texture {self.use.name!r}"
+        if not isinstance(values, Tensor):
+            raise TypeError(f"the module of {name} must return a tensor, got {type(values).__name__}")
+        if tuple(values.shape) not in ((lanes, 1), (lanes, 3)):
+            raise ValueError(f"the module of {name} must return shape ({lanes}, 1) or ({lanes}, 3) for places of shape "
+                             f"{tuple(place.shape)}, got {tuple(values.shape)}")
+        if (values.dtype, values.device) != (place.dtype, place.device):
+            raise TypeError(f"the module of {name} must return {place.dtype} on {place.device}, as the scene is, got "
+                            f"{values.dtype} on {values.device}")
+        least, greatest = torch.stack(values.detach().aminmax()).tolist()
+        for domain in self.use.domains:
+            domain.check_range(name, values, least, greatest, LEEWAY, OUTSIDE if abs(greatest - least) < torch.inf else "")
+
+
+class ModuleBank(NamedTuple):
+    """Some modules, with the tensors that they are differentiated with respect to."""
+
+    functions: tuple[ModuleFunction, ...]
+    parameters: tuple[tuple[Tensor, ...], ...]  # of each; attached
+
+    def values(self, row: Tensor, place: Tensor) -> Tensor:
+        """(N, 3) values, attached. Each module runs on its own lanes.
+
+        Args:
+            row: (N,) int32, which of the modules gives each lane its value.
+            place: (N, 2) or (N, 3).
+        """
+        if len(place) == 0:
+            return place.new_zeros(0, 3)
+        if len(self.functions) == 1:
+            return self.functions[0](self.parameters[0], place)
+        lanes = [(row == number).nonzero().squeeze(1) for number in range(len(self.functions))]
+        parts = [function(parameters, place[own]) for function, parameters, own in
+                 zip(self.functions, self.parameters, lanes) if len(own)]
+        return torch.cat(parts)[torch.argsort(torch.cat(lanes))]
+
+
+@dataclass(frozen=True)
+class ModuleReader(OutsideReader):
+    """Reads modules. Bank: `ModuleBank`.
+
+    Args:
+        of: see `NeuralTexture`.
+    """
+
+    of: str
+
+    @property
+    def needs_uv(self) -> bool:
+        return self.of == "uv"
+
+    def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> ModuleBank:
+        functions = tuple(texture.function() for texture in textures)
+        # Copies, so that an optimiser's step between a rendering and its backward pass changes nothing.
+        return ModuleBank(functions, tuple(tuple(parameter.clone() for parameter in function.module.parameters())
+                                           for function in functions))
+
+    def place(self, p: Vec3, uv: Vec2 | None) -> Vec2 | Vec3:
+        return uv if self.of == "uv" else p
+
+
+class NeuralTexture(Texture):
+    """The values of a module at each surface point, in the place of any texture of a material.
+
+    Parameters: those of the module, as `module.NAME`; they keep their `requires_grad`. Derivatives: with respect to them,
+    and through the place to whatever moves it.
+
+    The module is called on the lanes that meet the material, bounce by bounce, and again in the backward pass, so that its
+    memory is bounded by the chunk. Rows of what it returns must depend on the same rows of what it gets and on nothing else:
+    no batch statistics, and no chance, such as dropout in training mode. Its buffers are not copied: leave them alone between
+    a rendering and its backward pass. Values outside of the attribute's range are an error.
+
+    Args:
+        module: from (N, 2) or (N, 3) to (N, 1) or (N, 3), of the scene's dtype; the scene's `.to()` converts it, too.
+        of: "uv", surface coordinates, or "position", world space.
+
+    Raises:
+        TypeError: unless `module` is an `nn.Module`, and a plain one: not the result of `torch.compile` or `torch.jit`.
+        ValueError: for an unknown `of`.
+    """
+
+    tabulated = False
+
+    def __init__(self, module: nn.Module, of: str = "uv"):
+        super().__init__()
+        if not isinstance(module, nn.Module) or isinstance(module, Plugin):
+            raise TypeError(f"module must be an nn.Module from (N, 2) or (N, 3) to values, got {type(module).__name__}")
+        for part in module.modules():
+            if isinstance(part, torch.jit.ScriptModule) or hasattr(part, "_orig_mod"):
+                raise TypeError(f"module must be plain torch, got {type(part).__name__}: give what torch.compile or torch.jit "
+                                f"was given; the gradient of its parameters would be lost")
+        if of not in PLACES:
+            raise ValueError(f"of={of!r} is not known; {nearest(str(of), PLACES)}")
+        self.module, self.of = module, of
+        self.use = Use("", ())
+
+    def sources(self) -> tuple[Tensor, ...]:
+        """The parameters of the module."""
+        return tuple(self.module.parameters())
+
+    def reader(self) -> ModuleReader:
+        """How lanes read it."""
+        return ModuleReader(self.of)
+
+    def function(self) -> ModuleFunction:
+        """The values as a function of the place."""
+        return ModuleFunction(self.module, self.use)
+
+
+def with_parameters(module: nn.Module, parameters: dict[int, Tensor], known: dict[int, nn.Module]) -> nn.Module:
+    """A shallow copy of a module with other parameters, which other threads do not see.
+
+    Args:
+        module: left as it is.
+        parameters: by the ids of those that they replace.
+        known: copies so far, by the ids of their originals; filled in.
+    """
+    if id(module) not in known:
+        copy = known[id(module)] = type(module).__new__(type(module))
+        vars(copy).update(vars(module))
+        vars(copy)["_parameters"] = {name: parameters.get(id(own), own) for name, own in module._parameters.items()}
+        vars(copy)["_modules"] = {name: None if child is None else with_parameters(child, parameters, known)
+                                  for name, child in module._modules.items()}
+    return known[id(module)]
