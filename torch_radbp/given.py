@@ -22,6 +22,9 @@ def given_values(scene: SceneTensors, appearance: Appearance | None, places: tup
 
 
 def banks_outside(scene: SceneTensors, appearance: Appearance | None) -> list:
-    """The banks of the textures that are read outside, in the order of an appearance; of any record in the place of a scene."""
+    """The banks of the textures that are read outside, in the order of an appearance.
+
+    `scene` may be any record of a scene's structure.
+    """
     readers = () if appearance is None else appearance.outside
     return [scene.textures[scene.layout.readers.index(reader)] for reader in readers]

@@ -165,7 +165,8 @@ def places_of(scene: SceneTensors, arrival: Arrival, settings: Settings) -> tupl
                  for reader, slot in zip(scene.appearance.readers, scene.materials.slots) if reader.outside)
 
 
-def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings, here: Corners | None = None) -> SurfaceInteraction:
+def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
+                here: Corners | None = None) -> SurfaceInteraction:
     """The surface that rays meet. The point slides where the ray was not left to chance, or is followed."""
     slides = None
     if settings.moving:

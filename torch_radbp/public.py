@@ -14,6 +14,6 @@ from torch_radbp.render import Renderer, render
 from torch_radbp.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
 
-__all__ = ["GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "QuadraticAdjoint", "Renderer",
-           "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint", "check_gradient", "jvp", "load",
+__all__ = ["GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "QuadraticAdjoint",
+           "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint", "check_gradient", "jvp", "load",
            "load_dict", "look_at", "render", "save", "save_image", "se3"]

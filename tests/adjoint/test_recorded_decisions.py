@@ -44,7 +44,7 @@ def test_the_derivative_is_that_of_the_recorded_survivors():
     for decided in (step, flipped):
         arrival, verdict = rows(Arrival(state, decided.hit, None), step.order), Verdict(decided.visible, decided.survives)
         local = local_map(part.scene, part.proposal, arrival, verdict, None, integrand.at(depth),
-                          integrand.settings_at(depth))
+                          integrand.settings_at(depth), ())
         weight = torch.stack(tuple(local.F))
         assert (weight[:, ~decided.survives] == 0).all() and torch.isfinite(weight).all()
         assert (weight[:, decided.survives] > 0).any(0).float().mean() > 0.9

@@ -122,9 +122,9 @@ class NeuralTexture(Texture):
     and through the place to whatever moves it.
 
     The module is called on the lanes that meet the material, bounce by bounce, and again in the backward pass, so that its
-    memory is bounded by the chunk. Rows of what it returns must depend on the same rows of what it gets and on nothing else:
-    no batch statistics, and no chance, such as dropout in training mode. Its buffers are not copied: leave them alone between
-    a rendering and its backward pass. Values outside of the attribute's range are an error.
+    memory is bounded by the chunk. A row of what it returns must depend on the same row of what it gets and on nothing else:
+    no batch statistics, and no chance, such as dropout in training mode. Its buffers are not copied: leave them alone
+    between a rendering and its backward pass. Values outside of the attribute's range are an error.
 
     Args:
         module: from (N, 2) or (N, 3) to (N, 1) or (N, 3), of the scene's dtype; the scene's `.to()` converts it, too.
@@ -143,8 +143,8 @@ class NeuralTexture(Texture):
             raise TypeError(f"module must be an nn.Module from (N, 2) or (N, 3) to values, got {type(module).__name__}")
         for part in module.modules():
             if isinstance(part, torch.jit.ScriptModule) or hasattr(part, "_orig_mod"):
-                raise TypeError(f"module must be plain torch, got {type(part).__name__}: give what torch.compile or torch.jit "
-                                f"was given; the gradient of its parameters would be lost")
+                raise TypeError(f"module must be plain torch, got {type(part).__name__}: give what torch.compile or "
+                                f"torch.jit was given; the gradient of its parameters would be lost")
         if of not in PLACES:
             raise ValueError(f"of={of!r} is not known; {nearest(str(of), PLACES)}")
         self.module, self.of = module, of
