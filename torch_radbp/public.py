@@ -15,5 +15,5 @@ from torch_radbp.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
 
 __all__ = ["GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "QuadraticAdjoint",
-           "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint", "check_gradient", "jvp", "load",
-           "load_dict", "look_at", "render", "save", "save_image", "se3"]
+           "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint", "check_gradient",
+           "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "se3"]
