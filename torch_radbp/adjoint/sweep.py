@@ -156,8 +156,9 @@ def table_adjoints(tap: Tap, adjoints: Iterator[Tensor | None]) -> list[TableAdj
     found = []
     for read in tap.reads:
         adjoint = next(adjoints)
-        if adjoint is not None:
-            found.append(TableAdjoint(read.index, adjoint if read.found is None else adjoint + read.found))
+        parts = [part for part in (adjoint, read.found) if part is not None]
+        if parts:
+            found.append(TableAdjoint(read.index, sum(parts[1:], parts[0])))
     return found
 
 
