@@ -42,7 +42,7 @@ class CompiledStage:
 
     def __init__(self, stage: Callable, *tables: str):
         self.stage, self.fused = stage, LaneFunction(stage, tables)
-        self.refused = False
+        self.told: list[str] = []  # why it could not be compiled, once said; one list for all copies
 
     def knowing(self, *arguments) -> CompiledStage:
         """The same stage, for calls that begin with these very arguments."""
@@ -66,7 +66,7 @@ class CompiledStage:
 
     def eagerly(self, error: UnknownOperation, arguments: tuple):
         """What the stage returns in plain torch; says once why."""
-        if not self.refused:
+        if not self.told:
+            self.told.append(str(error))
             warnings.warn(f"{self.stage.__name__} runs eagerly, which is slower: {error}", RuntimeWarning, stacklevel=3)
-            self.refused = True
         return self.stage(*arguments)

@@ -28,7 +28,7 @@ class MemoizedAdjoint:
 
     Args:
         stride: an integer >= 1, "sqrt" or "log".
-        keep_hits: remember what each ray met (22 bytes a lane and bounce), so that the backward pass casts no ray. False
+        keep_hits: remember what each ray met (23 bytes a lane and bounce), so that the backward pass casts no ray. False
             bounds the memory strictly by the states above, at the price of casting rays again.
 
     Raises:
