@@ -112,14 +112,18 @@ def test_functions_of_integers_wrap_around_as_in_torch(name, dtype, width):
     check(INTEGER[name], *pairs(dtype), width=width)
 
 
+@pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("dtype", INTEGERS, ids=str)
 @pytest.mark.parametrize("name", ["floor", "trunc", "remainder", "fmod"])
-def test_division_of_integers(name, dtype):
+def test_division_of_integers(name, dtype, width):
     a, b = pairs(dtype)
+    large = torch.iinfo(dtype).max - torch.arange(50, dtype=dtype)
+    a, b = torch.cat([a, large, -large]), torch.cat([b, large.flip(0) // 3, large])
     defined = (b != 0) & ~((b == -1) & (a == torch.iinfo(dtype).min))
     a, b = a[defined], b[defined]
     functions = {"remainder": torch.remainder, "fmod": torch.fmod}
-    check(lambda x, y: functions[name](x, y) if name in functions else torch.div(x, y, rounding_mode=name), a, b)
+    check(lambda x, y: functions[name](x, y) if name in functions else torch.div(x, y, rounding_mode=name), a, b,
+          width=width)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -156,6 +160,17 @@ def test_tables_are_read_at_indices(dtype, at, width):
     index = torch.randint(len(table), (1003,), generator=torch.Generator().manual_seed(2)).to(at)
     check(lambda table, i: table.index_select(0, i), table, index, width=width, tables=("table",))
     check(lambda table, i: table[i], table, index, width=width, tables=("table",))
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("at", INTEGERS, ids=str)
+def test_tables_of_bools_may_begin_and_end_at_any_byte(at, width):
+    whole = torch.rand(77, generator=torch.Generator().manual_seed(4)) < 0.5
+    function = LaneFunction(lambda table, i: table.index_select(0, i), tables=("table",), width=width)
+    for first in range(5):
+        table = whole[first:70 + first]
+        index = torch.arange(70, dtype=at).flip(0)
+        assert_same(function(table, index), table.index_select(0, index))
 
 
 @pytest.mark.parametrize("width", WIDTHS)

@@ -61,3 +61,9 @@ def test_tracing_imports_no_other_compiler():
             "torch.rand(9), torch.arange(9)); print('torch._dynamo' in sys.modules)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_what_is_the_same_for_all_lanes_is_computed_once():
+    program = trace(lambda x, scale: [x * (scale * scale)], [torch.float32] * 2, [LANES, NUMBER])
+    before, loop = emit(program, 8).split("define internal void @lanes(")[1].split("\nloop:\n")
+    assert before.count("fmul") == 1 and loop.count("fmul") == 1

@@ -8,50 +8,37 @@ same results twice. Fewer than W lanes are computed in copies that are a full bl
 pointers; behind those of the inputs stand their lengths. `lanes_of_job` calls it for parts of a `team.Job` until none is
 left, and may run on several threads at once.
 
-Every operation is one line of a table; the types stand in it as {T} (vector) and {W}. Of the liberties that compilers take
-with floating point only the fusing of a product and a sum is allowed: infinities, NaN and signs of zeros are as in torch.
+What is computed from numbers alone stands before the loop. No processor gathers bytes: of a table of bools the aligned words
+are read that the entries lie in. Nor does one divide vectors of integers: int32 are divided as float64, which is exact.
+
+Nearly every operation is one line of a table of `instructions.py`. Of the liberties that compilers take with floating point
+only the fusing of a product and a sum is allowed: infinities, NaN and signs of zeros are as in torch.
 
 Reference: LLVM Language Reference Manual.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 
 import torch
 
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE, Program, Value
+from torch_radbp.jit.instructions import (
+    BOOLEAN,
+    FLOATING,
+    INTEGER,
+    INTEGERS,
+    INTRINSICS,
+    LIBRARY,
+    SCALARS,
+    SUFFIXES,
+    alignment,
+    literal,
+    memory,
+    scalar_suffix,
+)
 from torch_radbp.jit.loops import SEARCH, TAKE_PARTS, few_lanes
-
-SCALARS = {torch.float32: "float", torch.float64: "double", torch.int32: "i32", torch.int64: "i64", torch.bool: "i1"}
-SUFFIXES = {torch.float32: "f32", torch.float64: "f64", torch.int32: "i32", torch.int64: "i64", torch.bool: "i1"}
-INTEGERS = (torch.bool, torch.int32, torch.int64)
-
-FLOATING = {
-    "neg": "fneg {T} {0}", "add": "fadd contract {T} {0}, {1}", "sub": "fsub contract {T} {0}, {1}",
-    "mul": "fmul contract {T} {0}, {1}", "div": "fdiv {T} {0}, {1}", "rem": "frem {T} {0}, {1}",
-    "eq": "fcmp oeq {T} {0}, {1}", "ne": "fcmp une {T} {0}, {1}", "lt": "fcmp olt {T} {0}, {1}",
-    "le": "fcmp ole {T} {0}, {1}", "gt": "fcmp ogt {T} {0}, {1}", "ge": "fcmp oge {T} {0}, {1}",
-}
-INTEGER = {
-    "neg": "sub {T} zeroinitializer, {0}", "add": "add {T} {0}, {1}", "sub": "sub {T} {0}, {1}", "mul": "mul {T} {0}, {1}",
-    "div": "sdiv {T} {0}, {1}", "rem": "srem {T} {0}, {1}", "and": "and {T} {0}, {1}", "or": "or {T} {0}, {1}",
-    "xor": "xor {T} {0}, {1}", "shl": "shl {T} {0}, {1}", "ashr": "ashr {T} {0}, {1}",
-    "eq": "icmp eq {T} {0}, {1}", "ne": "icmp ne {T} {0}, {1}", "lt": "icmp slt {T} {0}, {1}",
-    "le": "icmp sle {T} {0}, {1}", "gt": "icmp sgt {T} {0}, {1}", "ge": "icmp sge {T} {0}, {1}",
-}
-# Of bools, true is 1, so that their order is that of unsigned numbers.
-BOOLEAN = {"lt": "icmp ult {T} {0}, {1}", "le": "icmp ule {T} {0}, {1}", "gt": "icmp ugt {T} {0}, {1}",
-           "ge": "icmp uge {T} {0}, {1}"}
-# LLVM's functions of vectors; those of the last two rows become calls of the C library, lane by lane.
-INTRINSICS = {
-    "abs": "fabs", "floor": "floor", "ceil": "ceil", "trunc": "trunc", "round": "roundeven", "sqrt": "sqrt",
-    "copysign": "copysign",
-    **{name: name for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "exp2", "log",
-                               "log2", "log10", "pow", "atan2")},
-}
-LIBRARY = ("expm1", "log1p", "erf", "erfc", "hypot")  # of the C library, without an intrinsic of LLVM
 
 
 class Emitter:
@@ -61,6 +48,7 @@ class Emitter:
         self.program, self.width = program, width
         self.entry: list[str] = []  # before the loop
         self.body: list[str] = []
+        self.here = self.body  # where the value that is emitted now is computed
         self.declared: dict[str, str] = {}
         self.names: dict[Value, str] = {}
 
@@ -70,7 +58,9 @@ class Emitter:
             self.entry += [f"%place{number} = getelementptr ptr, ptr %inputs, i64 {number}",
                            f"%in{number} = load ptr, ptr %place{number}, align 8"]
         for value in self.program.values:
+            self.here = self.entry if value.kind == NUMBER else self.body
             self.names[value] = self.emit(value)
+        self.here = self.body
         for number, value in enumerate(value for value in self.program.outputs if value is not None):
             self.store(number, value)
         inputs = [alignment(value.dtype) if value.kind == LANES else 0 for value in self.program.inputs]
@@ -106,7 +96,7 @@ class Emitter:
 
     def line(self, text: str, lines: list[str] | None = None) -> str:
         """Adds an instruction and returns the name of its result."""
-        lines = self.body if lines is None else lines
+        lines = self.here if lines is None else lines
         name = f"%{'e' if lines is self.entry else 'b'}{len(lines)}"
         lines.append(f"{name} = {text}")
         return name
@@ -132,6 +122,8 @@ class Emitter:
             return self.cast(names[0], working, dtype)
         if operation == "bitcast":
             return self.line(f"bitcast {types['T']} {names[0]} to {self.vector(SCALARS[dtype])}")
+        if operation in ("div", "rem") and working == torch.int32 and self.width > 1:
+            return self.division(operation, names)
         if operation == "not":
             return self.line(f"xor {types['T']} {names[0]}, {self.everywhere(SCALARS[working], literal(-1, working))}")
         if operation == "abs" and working in INTEGERS:
@@ -167,6 +159,16 @@ class Emitter:
             return quotient
         product = self.line(f"mul {whole} {quotient}, {b}")
         return self.line(f"sub {whole} {a}, {product}")
+
+    def division(self, operation: str, names: list[str]) -> str:
+        """The quotient of int32, truncated, or the remainder; some integer where the divisor is zero."""
+        integers, floats = self.vector("i32"), self.vector("double")
+        a, b = (self.line(f"sitofp {integers} {name} to {floats}") for name in names)
+        quotient = self.line(f"fdiv {floats} {a}, {b}")
+        whole = self.line(f"freeze {integers} " + self.line(f"fptosi {floats} {quotient} to {integers}"))
+        if operation == "div":
+            return whole
+        return self.line(f"sub {integers} {names[0]}, " + self.line(f"mul {integers} {whole}, {names[1]}"))
 
     def lane_by_lane(self, function: str, names: list[str]) -> str:
         """Calls of a function of the C library, one a lane."""
@@ -204,15 +206,14 @@ class Emitter:
         if value.kind == TABLE:
             return pointer
         if value.kind == NUMBER:
-            lines, kind = self.entry, memory(value.dtype)
-            loaded = self.line(f"load {kind}, ptr {pointer}, align 1", lines)
+            loaded = self.line(f"load {memory(value.dtype)}, ptr {pointer}, align 1")
             if value.dtype == torch.bool:
-                loaded = self.line(f"trunc i8 {loaded} to i1", lines)
+                loaded = self.line(f"trunc i8 {loaded} to i1")
             if self.width == 1:
                 return loaded
             vector = self.vector(scalar)
-            first = self.line(f"insertelement {vector} poison, {scalar} {loaded}, i32 0", lines)
-            return self.line(f"shufflevector {vector} {first}, {vector} poison, <{self.width} x i32> zeroinitializer", lines)
+            first = self.line(f"insertelement {vector} poison, {scalar} {loaded}, i32 0")
+            return self.line(f"shufflevector {vector} {first}, {vector} poison, <{self.width} x i32> zeroinitializer")
         kind = self.vector(memory(value.dtype))
         place = self.line(f"getelementptr {memory(value.dtype)}, ptr {pointer}, i64 %i")
         loaded = self.line(f"load {kind}, ptr {place}, align {alignment(value.dtype)}")
@@ -221,19 +222,42 @@ class Emitter:
     def gather(self, value: Value) -> str:
         """Entries of a table: base and 32-bit index, which is one instruction where there is one."""
         table, index = value.arguments
-        scalar, at = memory(table.dtype), SCALARS[index.dtype]
-        kind = self.vector(scalar)
         if self.width == 1:
-            place = self.line(f"getelementptr {scalar}, ptr {self.names[table]}, {at} {self.names[index]}")
+            scalar = memory(table.dtype)
+            place = self.line(f"getelementptr {scalar}, ptr {self.names[table]}, {SCALARS[index.dtype]} {self.names[index]}")
             entry = self.line(f"load {scalar}, ptr {place}, align {alignment(table.dtype)}")
-        else:
-            pointers = self.vector("ptr")
-            places = self.line(f"getelementptr {scalar}, ptr {self.names[table]}, {self.vector(at)} {self.names[index]}")
-            function = f"llvm.masked.gather.{self.suffix(scalar_suffix(scalar))}.{self.suffix('p0')}"
-            self.declared[function] = f"declare {kind} @{function}({pointers}, i32, {self.vector('i1')}, {kind})"
-            entry = self.line(f"call {kind} @{function}({pointers} {places}, i32 {alignment(table.dtype)}, "
-                              f"{self.vector('i1')} {self.everywhere('i1', 'true')}, {kind} poison)")
-        return self.line(f"trunc {kind} {entry} to {self.vector('i1')}") if table.dtype == torch.bool else entry
+            return self.line(f"trunc i8 {entry} to i1") if table.dtype == torch.bool else entry
+        if table.dtype == torch.bool:
+            return self.gather_bits(self.names[table], self.names[index], SCALARS[index.dtype])
+        return self.gather_words(SCALARS[table.dtype], self.names[table], self.names[index], SCALARS[index.dtype])
+
+    def gather_words(self, scalar: str, table: str, index: str, index_scalar: str) -> str:
+        """Entries of a table of 4 or 8 bytes each."""
+        kind, pointers, flags = self.vector(scalar), self.vector("ptr"), self.vector("i1")
+        places = self.line(f"getelementptr {scalar}, ptr {table}, {self.vector(index_scalar)} {index}")
+        function = f"llvm.masked.gather.{self.suffix(scalar_suffix(scalar))}.{self.suffix('p0')}"
+        self.declared[function] = f"declare {kind} @{function}({pointers}, i32, {flags}, {kind})"
+        size = 8 if scalar in ("double", "i64") else 4
+        return self.line(f"call {kind} @{function}({pointers} {places}, i32 {size}, {flags} "
+                         f"{self.everywhere('i1', 'true')}, {kind} poison)")
+
+    def gather_bits(self, table: str, index: str, scalar: str) -> str:
+        """Entries of a table of bools, a byte each, from the aligned words that they lie in; these never cross a page."""
+        kind, words = self.vector(scalar), self.vector("i32")
+        address = self.line(f"ptrtoint ptr {table} to i64", self.entry)
+        before = self.line(f"and i64 {address}, 3", self.entry)  # bytes in the first word that are not of the table
+        start = self.line(f"getelementptr i8, ptr {table}, i64 " + self.line(f"sub i64 0, {before}", self.entry), self.entry)
+        shift = before if scalar == "i64" else self.line(f"trunc i64 {before} to i32", self.entry)
+        first = self.line(f"insertelement {kind} poison, {scalar} {shift}, i32 0", self.entry)
+        shift = self.line(f"shufflevector {kind} {first}, {kind} poison, <{self.width} x i32> zeroinitializer", self.entry)
+        byte = self.line(f"add {kind} {index}, {shift}")
+        at = self.line(f"lshr {kind} {byte}, {self.everywhere(scalar, '2')}")
+        word = self.gather_words("i32", start, at, scalar)
+        in_word = self.line(f"and {kind} {byte}, {self.everywhere(scalar, '3')}")
+        if scalar == "i64":
+            in_word = self.line(f"trunc {kind} {in_word} to {words}")
+        bits = self.line(f"shl {words} {in_word}, {self.everywhere('i32', '3')}")
+        return self.line(f"trunc {words} " + self.line(f"lshr {words} {word}, {bits}") + f" to {self.vector('i1')}")
 
     def search(self, value: Value) -> str:
         """The number of entries of a sorted table that are at most the lane's number, by bisection."""
@@ -282,25 +306,3 @@ def emit(program: Program, width: int) -> str:
 
 def indented(lines: list[str]) -> Iterator[str]:
     return (f"  {line}" for line in lines)
-
-
-def memory(dtype: torch.dtype) -> str:
-    """The type of an element in memory: a bool is a byte."""
-    return "i8" if dtype == torch.bool else SCALARS[dtype]
-
-
-def scalar_suffix(scalar: str) -> str:
-    return {"float": "f32", "double": "f64"}.get(scalar, scalar)
-
-
-def alignment(dtype: torch.dtype) -> int:
-    return 1 if dtype == torch.bool else dtype.itemsize
-
-
-def literal(number: bool | int | float, dtype: torch.dtype) -> str:
-    """A constant of LLVM: floats by the bits of the double that equals them."""
-    if dtype == torch.bool:
-        return "true" if number else "false"
-    if dtype in INTEGERS:
-        return str(int(number))
-    return f"0x{struct.unpack('<Q', struct.pack('<d', number))[0]:016X}"
