@@ -1,9 +1,8 @@
 """From a function in plain torch to a program: the function runs once on tensors without contents.
 
 The tensors are on torch's `meta` device. A dispatch mode sees every basic operation that torch comes down to, those of
-`torch.autograd.grad` inside of the function included, and notes it. The result's dtype follows from a rule of `inference.py`,
-or torch works it out.
-Nothing that is not a tensor is looked at: it is a constant of the program.
+`torch.autograd.grad` inside of the function included, and notes it. The result's dtype follows from a rule of
+`inference.py`, or torch works it out. Nothing that is not a tensor is looked at: it is a constant of the program.
 """
 
 from __future__ import annotations
