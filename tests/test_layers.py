@@ -18,7 +18,7 @@ TRAINING = PACKAGE.parent / "training"
 LAYERS = [
     {"domain", "entry", "vec", "lookup", "plugin", "pose", "record", "jit"}, {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film"}, {"scene"},
-    {"raycast"}, {"path"}, {"given"}, {"wavefront"}, {"adjoint"}, {"boundary"}, {"stages"}, {"render"}, {"jvp"},
+    {"raycast"}, {"path", "queues"}, {"given"}, {"wavefront"}, {"adjoint"}, {"boundary"}, {"stages"}, {"render"}, {"jvp"},
     {"check"}, {"public"}, {"training"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}

@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+import torch
+from torch import Tensor
+
 
 def leaves_of(record: Any) -> list:
     """Whatever is no tuple, list or dict in a record, in order."""
@@ -42,3 +45,19 @@ def rebuilt(record: Any, leaves: Iterator) -> Any:
         return next(leaves)
     parts = [rebuilt(part, leaves) for part in record]
     return record._make(parts) if hasattr(record, "_fields") else type(record)(parts)
+
+
+def rows_between(record, first: int, last: int):
+    """The rows from `first` to before `last` of every tensor of a record, in nested tuples; None stays None."""
+    if record is None or isinstance(record, Tensor):
+        return None if record is None else record[first:last]
+    return type(record)(*(rows_between(part, first, last) for part in record))
+
+
+def joined(parts: list):
+    """Records of the same structure, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    if isinstance(parts[0], Tensor):
+        return torch.cat(parts)
+    return None if parts[0] is None else type(parts[0])(*(joined(list(column)) for column in zip(*parts)))

@@ -16,8 +16,9 @@ from torch.utils._pytree import tree_leaves
 from torch_radbp.adjoint.sweep import bounce_adjoint
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.path import bounce, places, sample_camera
+from torch_radbp.queues import appearance_met, shines
 from torch_radbp.vec import rows
-from torch_radbp.wavefront import Stages, appearance_met, brightened, shines
+from torch_radbp.wavefront import Stages, brightened
 
 EAGER = Stages(sample_camera, bounce, bounce_adjoint, places, appearance_met, shines, rows, brightened)
 

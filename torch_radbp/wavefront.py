@@ -15,33 +15,21 @@ import torch
 from torch import Tensor
 
 from torch_radbp.given import given_values
-from torch_radbp.jit.order import chosen, partition, put
-from torch_radbp.lookup import lookup
+from torch_radbp.jit.order import chosen, put
 from torch_radbp.path import Arrival, PathState, Place, Position, Settings, Vertex
+from torch_radbp.queues import NOTHING, Queue, queues_by
 from torch_radbp.raycast.protocol import Hit, RayCaster
-from torch_radbp.record import leaves_of
+from torch_radbp.record import joined, leaves_of, rows_between
 from torch_radbp.sampling.sampler import depth_counter
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.differentiated import any_differentiated
-from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.part import part_of
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3, masked, rows
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
-
-
-class Queue(NamedTuple):
-    """Lanes that go through the same functions: a part of `Step.order`."""
-
-    appearance: int | None  # of what they meet, a number of `Layout.appearances`; None: only what is emitted counts
-    first: int
-    last: int  # the place after its last lane
-
-
-NOTHING = Queue(None, 0, 0)  # of no lanes
 
 
 class Step(NamedTuple):
@@ -155,7 +143,8 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     """
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
-        step = Step(hit, *queued(integrand, state.ray, hit, integrand.is_last(depth)), hit.prim, hit.prim)
+        undecided = hit.prim.new_empty(0, dtype=torch.bool)
+        step = Step(hit, *queued(integrand, state.ray, hit, integrand.is_last(depth)), undecided, undecided)
         vertex = bounce_queues(integrand, state, depth, step)
         connects = integrand.settings.nee and not integrand.is_last(depth)
         visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
@@ -195,13 +184,6 @@ def room_for_vertices(state: PathState, lanes: int) -> Vertex:
     return Vertex(Le, Ld, F, room(state.ray), number(), room(state), number().new_empty(lanes, dtype=torch.bool))
 
 
-def rows_between(record, first: int, last: int):
-    """The rows from `first` to before `last` of every tensor of a record, in nested tuples; None stays None."""
-    if record is None or isinstance(record, Tensor):
-        return None if record is None else record[first:last]
-    return type(record)(*(rows_between(part, first, last) for part in record))
-
-
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
     """`Step.front`, `Step.order` and `Step.queues` of rays that met `hit`.
 
@@ -219,46 +201,7 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor
         return None, order, (Queue(0, 0, len(order)),)
     absent = hit.prim.new_tensor(nothing)
     number, front = integrand.stages.appearance_met(scene, ray, hit, absent, layout.sides_differ)
-    order, counts = partition(number, nothing + 1)
-    queues, first = [], 0
-    for appearance, count in enumerate(counts):
-        if count and (appearance < nothing or layout.surround):
-            queues.append(Queue(appearance if appearance < nothing else None, first, first + count))
-            first += count
-    return front, order[:first], tuple(queues) or (NOTHING,)
-
-
-def appearance_met(scene: SceneTensors, ray: Ray, hit: Hit, nothing: Tensor, sides_differ: bool
-                   ) -> tuple[Tensor, Tensor | None]:
-    """The number of the appearance that each ray meets, (N,) int32, and `Step.front`.
-
-    Args:
-        scene: detached; any part of it.
-        ray, hit: (N,).
-        nothing: () int32, the number where there is none.
-        sides_differ: whether the two sides of a surface may have different ones.
-    """
-    row, front = lookup(scene.triangles.material, hit.prim.clamp_min(0)), None
-    if sides_differ:
-        front = is_in_front(scene, ray, hit)
-        row = row + (~front).to(row.dtype) * scene.materials.count
-    return torch.where(hit.prim >= 0, lookup(scene.materials.appearance, row), nothing), front
-
-
-def shines(scene: SceneTensors, hit: Hit) -> Tensor:
-    """(N,) bool: rays meet a light, on a surface or around the scene; `scene`: any part."""
-    met = hit.prim >= 0
-    lit = met & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0)
-    return lit | ~met if scene.layout.surround else lit
-
-
-def joined(parts: list):
-    """Records of the same structure, one after the other."""
-    if len(parts) == 1:
-        return parts[0]
-    if isinstance(parts[0], Tensor):
-        return torch.cat(parts)
-    return None if parts[0] is None else type(parts[0])(*(joined(list(column)) for column in zip(*parts)))
+    return front, *queues_by(number, nothing, layout.surround is not None)
 
 
 def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:

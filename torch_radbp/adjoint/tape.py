@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_map, tree_map_only
+from torch.utils._pytree import tree_map
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.given import given_values
 from torch_radbp.path import Arrival, PathState, places_of
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.record import joined, rows_between
 from torch_radbp.vec import Vec3, rows
-from torch_radbp.wavefront import Integrand, Queue, add_at, first_hit, joined, surviving, take_step, trace
+from torch_radbp.wavefront import Integrand, add_at, first_hit, surviving, take_step, trace
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,9 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
         arrival, verdict = rows(Arrival(state, step.hit, step.front), step.order), Verdict(step.visible, step.survives)
         ahead = []
         for queue in step.queues:
-            here, then, decided, there = (slice_of(record, queue) for record in (arrival, arrival.state, verdict, following))
+            here, decided, there = (rows_between(record, queue.first, queue.last)
+                                    for record in (arrival, verdict, following))
+            then = here.state
             part = integrand.part(queue)
             settings = integrand.settings_at(depth)
             given = given_values(integrand.scene, integrand.appearance(queue), places_of(part.scene, here, settings))
@@ -54,11 +57,6 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
                          PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane))
         state, depth = rows(joined(ahead), alive), depth + 1
     return L
-
-
-def slice_of(record, queue: Queue):
-    """The lanes of a queue, of every tensor of a record."""
-    return tree_map_only(Tensor, lambda tensor: tensor[queue.first:queue.last], record)
 
 
 def detached(state: PathState) -> PathState:
