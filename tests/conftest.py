@@ -1,5 +1,7 @@
 """What tests of every part use: fixtures, the option `--slow`, and what is said at the end of a run."""
 
+from importlib import import_module
+
 import pytest
 import torch
 
@@ -27,6 +29,20 @@ def threads(request):
     torch.set_num_threads(request.param)
     yield request.param
     torch.set_num_threads(before)
+
+
+@pytest.fixture(params=[False, True], ids=["eager", "compiled"])
+def compiled(request) -> bool:
+    """`compile` of the renderers of a test that holds for both."""
+    return request.param
+
+
+@pytest.fixture
+def fresh_stages(monkeypatch):
+    """The stages that compiled renderings run during the test; nothing is compiled before."""
+    stages = import_module("torch_radbp.stages").compiled.__wrapped__()
+    monkeypatch.setattr(import_module("torch_radbp.render"), "compiled", lambda: stages)
+    return stages
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -74,8 +74,9 @@ class Renderer(nn.Module):
         chunk: lanes (paths) traced together; None picks.
         memory_budget: bytes, or a string such as "2GiB" or "2GB": picks chunk and, unless `adjoint` is given, the stride, so
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
-        compile: fuse the functions of a bounce into loops of vector instructions, once per kind of scene and process, in
-            seconds. On the CPU; `TapeAdjoint` and forward mode run eagerly all the same.
+        compile: fuse the functions of a bounce into loops of vector instructions, once a process for each kind of material
+            and dtype, in seconds. On the CPU; elsewhere, with `TapeAdjoint` and in forward mode rendering is eager all the
+            same. False: the eager reference, in plain torch.
         caster: "embree", "direct" or "brute"; None picks by device and number of triangles.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
@@ -95,7 +96,7 @@ class Renderer(nn.Module):
 
     def __init__(self, scene: Scene, spp: int | None = None, max_depth: int | None = None, rr_depth: int | None = None,
                  hide_emitters: bool | None = None, adjoint=None, sampling: str = "hybrid", nee: bool = True,
-                 chunk: int | None = None, memory_budget: str | int | None = None, compile: bool = False,
+                 chunk: int | None = None, memory_budget: str | int | None = None, compile: bool = True,
                  caster: str | None = None):
         super().__init__()
         if not isinstance(scene, Scene):
@@ -216,11 +217,12 @@ class Renderer(nn.Module):
         workers = torch.get_num_threads() if device.type == "cpu" else 1
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
         lanes = len(indices) * width * height * spp
-        lanes = self.chunk or min(LANES[self.compile_stages or workers == 1], max(LEAST_LANES, -(-lanes // workers)))
+        fused = self.runs_compiled()
+        lanes = self.chunk or min(LANES[fused or workers == 1], max(LEAST_LANES, -(-lanes // workers)))
         parameters = {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad}
         keeps = parameters and torch.is_grad_enabled() and seed_grad is None and self.memory_budget is None
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
-                           self.adjoint if keeps else None, self.compile_stages))
+                           self.adjoint if keeps else None, fused))
         kept = Kept(self.kept)
         scene = pack(self.scene, kept)
         caster = self.caster_of(scene)
@@ -233,8 +235,7 @@ class Renderer(nn.Module):
                       clips=kept(reaches_beyond, scene.triangles.vertices.p, camera))
                  for index, camera, sampler in zip(indices, cameras, samplers)]
         self.kept = kept.close()
-        # What autograd is to record runs eagerly: a compiled bounce records nothing.
-        stages = compiled() if self.compile_stages and not isinstance(self.adjoint, TapeAdjoint) else EAGER
+        stages = compiled() if fused else EAGER
         settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,
                             sampling=self.sampling if moving else "detached")
 
@@ -250,6 +251,12 @@ class Renderer(nn.Module):
         return call._replace(adjoint=plan.adjoint, chunks=plan_chunks(views, spp, plan.chunk),
                              retrace=call.retrace or plan.retrace)
 
+    def runs_compiled(self) -> bool:
+        """True if a call would run fused loops: those are for the CPU, and autograd, backward or forward, records nothing
+        of them."""
+        return (self.compile_stages and self.scene.device.type == "cpu" and not isinstance(self.adjoint, TapeAdjoint)
+                and not has_tangents(list(self.scene.parameters())))
+
     @entry
     def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None) -> MemoryPlan:
         """Chunk and strategy that a call would use, and the bytes that it is predicted to need with its backward pass."""
@@ -264,7 +271,8 @@ class Renderer(nn.Module):
         moving = integrand.settings.moving
         triangles = moving and self.sampling != "attached" and any_differentiated(call.scene.triangles.vertices.p)
         work = Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
-                        self.compile_stages, call.workers, moving, triangles, self.working_set(call, integrand, triangles))
+                        call.stages is not EAGER, call.workers, moving, triangles,
+                        self.working_set(call, integrand, triangles))
         if self.memory_budget is None:
             return predict(work, chunk, call.adjoint, call.retrace)
         return plan_memory(self.memory_budget, work, chunk, self.adjoint if self.adjoint_is_chosen else None)

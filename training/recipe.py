@@ -152,7 +152,7 @@ class Render(Table):
     sampling: str = "hybrid"
     chunk: Count | None = None
     memory_budget: Annotated[Whole64 | str, AfterValidator(_check_budget)] | None = None  # bytes, "2GiB" or "2GB"
-    compile: Switch = False
+    compile: Switch = True  # False: in plain torch, slower; nothing is compiled
     caster: str | None = None
     seed: Whole = Field(0, ge=0)
     # Independent samples for the backward pass: unbiased gradients of non-linear losses, at the price of a second

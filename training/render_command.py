@@ -35,8 +35,8 @@ def render(
     sensor: Annotated[list[str] | None, typer.Option(help=r"Name of a sensor; may be repeated.  \[default: all]")] = None,
     chunk: Annotated[int | None, typer.Option(help="Paths traced at a time; less needs less memory.")] = None,
     compile: Annotated[
-        bool, typer.Option("--compile", help="Compile first: seconds once, then faster. For many samples.")
-    ] = False,
+        bool, typer.Option("--compile/--eager", help="Fused loops, or plain torch: slower, but nothing to compile.")
+    ] = True,
     define: Define = None,
     debug: Debug = False,
 ) -> None:

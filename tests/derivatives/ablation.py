@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from unittest.mock import patch
 
 import torch
 
 from torch_radbp.scene import departure, light
+from torch_radbp.stages import EAGER
 from torch_radbp.vec import Vec3
 
 WITHOUT = {"nothing": (), "the area Jacobian": ("Jacobian",), "re-attached directions": ("directions",),
@@ -36,5 +38,6 @@ def without(*parts: str) -> Iterator[None]:
         return aim._replace(d=Vec3(*aim.d).detach() if "directions" in parts else aim.d,
                             pdf=aim.pdf.detach() if "Jacobian" in parts else aim.pdf)
 
-    with patch.object(departure, "glued_direction", poorer_direction), patch.object(light, "aim_at_area", poorer_aim):
+    with (patch.object(departure, "glued_direction", poorer_direction), patch.object(light, "aim_at_area", poorer_aim),
+          patch.object(import_module("torch_radbp.render"), "compiled", lambda: EAGER)):  # compiled code knows only itself
         yield

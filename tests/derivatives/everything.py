@@ -11,7 +11,7 @@ from tests.derivatives.scenes import SCENES, SUBJECT, beam, bitmap, camera, floo
 from tests.scenes import load, rgb
 
 MATERIALS = ("diffuse", "conductor", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
-             "brushed glass beckmann", "plastic", "rough plastic ggx")
+             "brushed glass beckmann", "plastic", "rough plastic ggx", "blend", "mask", "normal map")
 SHAPES = ("rectangle", "disk", "sphere", "cube", "mesh", "obj", "ply")
 LIGHTS = ("directional", "point", "projector", "spot")
 
@@ -23,7 +23,7 @@ def objects(name: str) -> dict[str, Any]:
 
 def place(number: int) -> tuple[float, float, float]:
     """On a grid in front of the camera."""
-    return 0.9 * (number % 3 - 1), 0.8 * (number // 3 - 1), -0.23 * number
+    return 0.7 * (number % 4 - 1.5), 0.8 * (number // 4 - 1), -0.1 * number
 
 
 def materials() -> dict[str, Any]:
@@ -32,14 +32,14 @@ def materials() -> dict[str, Any]:
     for number, name in enumerate(MATERIALS):
         material = f"{SUBJECT}_{name.replace(' ', '_')}"
         found[material] = objects(name)[SUBJECT]
-        found[f"box_{number}"] = turned(place(number), 20 + 7 * number, 30 - 5 * number, 10, size=0.42, type="cube",
+        found[f"box_{number}"] = turned(place(number), 20 + 7 * number, 30 - 5 * number, 10, size=0.4, type="cube",
                                         bsdf={"type": "ref", "id": material})
     both = {"type": "ref", "id": f"{SUBJECT}_twosided"}
     return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_sky": sky(), "floor": floor(), **found,
             f"{SUBJECT}_lamp": lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)}),
             f"{SUBJECT}_twosided": objects("twosided")[SUBJECT],
-            "sheet": turned((0.9, 0.8, -0.4), 20, 30, 10, size=0.4, type="rectangle", bsdf=both),
-            "reversed": turned((0.1, 0.9, -0.6), 15, 200, 10, size=0.4, type="rectangle", bsdf=both)}
+            "sheet": turned((0.45, 0.4, 0.2), 20, 30, 10, size=0.2, type="rectangle", bsdf=both),
+            "reversed": turned((-0.45, 0.4, 0.2), 15, 200, 10, size=0.2, type="rectangle", bsdf=both)}
 
 
 def shapes() -> dict[str, Any]:

@@ -85,17 +85,20 @@ def value_is_fine_and_derivative_is_not(x: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("settings", [
-    {}, {"sampling": "attached"}, {"adjoint": rb.MemoizedAdjoint("log", keep_hits=False)}, {"adjoint": rb.ReplayAdjoint()},
-    {"adjoint": rb.QuadraticAdjoint()}, {"chunk": 5}], ids=str)
-def test_a_gradient_that_is_not_finite_is_traced_to_parameter_plugin_bounce_and_count(settings, monkeypatch):
+    {"compile": True}, {"sampling": "attached"}, {"adjoint": rb.MemoizedAdjoint("log", keep_hits=False)},
+    {"adjoint": rb.ReplayAdjoint()}, {"adjoint": rb.QuadraticAdjoint()}, {"chunk": 5}], ids=str)
+def test_a_gradient_that_is_not_finite_is_traced_to_parameter_plugin_bounce_and_count(settings, monkeypatch, fresh_stages):
+    settings = {"spp": 2, "max_depth": 4, "compile": False} | settings
     scene = mirror_scene()
     for name in ("metal.alpha_u.value", "metal.alpha_v.value", "wall.bsdf.reflectance.value"):
         scene.get_parameter(name).requires_grad_()
-    image = rb.Renderer(scene, spp=2, max_depth=4, **settings)(seed=2)
+    image = rb.Renderer(scene, **settings)(seed=2)
     image.sum().backward()
     assert all(torch.isfinite(p.grad).all() for p in scene.parameters() if p.grad is not None)
     spoil(monkeypatch, value_is_fine_and_derivative_is_not)
-    image = rb.Renderer(scene, spp=2, max_depth=4, **settings)(seed=2)
+    for stage in fresh_stages:
+        stage.fused.compiled.clear()
+    image = rb.Renderer(scene, **settings)(seed=2)
     with pytest.raises(rb.NonFiniteError) as caught:
         image.sum().backward()
     message = str(caught.value)
@@ -103,7 +106,7 @@ def test_a_gradient_that_is_not_finite_is_traced_to_parameter_plugin_bounce_and_
     assert "paths, on the roughconductor `metal`" in message and "first at bounce 2, in " in message, message
 
 
-def test_a_parametrised_parameter_has_its_own_name(monkeypatch):
+def test_a_parametrised_parameter_has_its_own_name(monkeypatch, fresh_stages):
     scene = mirror_scene()
     scene.get_parameter("metal.alpha_u.value").requires_grad_()
     torch.nn.utils.parametrize.register_parametrization(scene.metal.alpha_u, "value", torch.nn.Softplus(), unsafe=True)
@@ -113,7 +116,7 @@ def test_a_parametrised_parameter_has_its_own_name(monkeypatch):
 
 
 @pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(), rb.TapeAdjoint()], ids=str)
-def test_an_image_that_is_not_finite_is_traced_to_plugin_bounce_and_count(adjoint, monkeypatch):
+def test_an_image_that_is_not_finite_is_traced_to_plugin_bounce_and_count(adjoint, monkeypatch, fresh_stages):
     spoil(monkeypatch, lambda x: float("nan"))
     message = (r"the image is NaN or infinite in \d+ of 27 values: first at bounce 2, in \d+ of \d+ paths, on the "
                r"roughconductor `metal`; keep the parameters within bounds")

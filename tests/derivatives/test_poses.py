@@ -11,7 +11,7 @@ from tests.derivatives.scenes import build
 from tests.gradients import cotangent, image_and_gradients, relative_error
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-SETTINGS = {"spp": 2, "max_depth": 3}
+SETTINGS = {"spp": 2, "max_depth": 3, "compile": False}  # each scene is like no other
 MOVES = {
     "vertices": ("mesh", "subject", "vertex_positions"), "normals": ("mesh", "subject", "vertex_normals"),
     "texture coordinates": ("mesh", "subject", "vertex_texcoords"), "shape's pose": ("disk", "subject", "to_world"),

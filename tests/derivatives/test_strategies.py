@@ -16,7 +16,8 @@ from tests.gradients import cotangent, image_and_gradients, relative_error
 
 ORACLE, TRANSPOSED = 1e-10, 1e-9
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}
+# Eager, as most scenes here are like no other and would be compiled for a single test.
+SETTINGS = {"spp": 4, "max_depth": 4, "rr_depth": 2, "compile": False}
 SAMPLINGS = ("detached", "hybrid", "attached")
 STRATEGIES = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(3), rb.MemoizedAdjoint("sqrt"),
               rb.MemoizedAdjoint("log"), rb.MemoizedAdjoint(2, keep_hits=False), rb.ReplayAdjoint(), rb.QuadraticAdjoint())
@@ -38,9 +39,9 @@ def test_the_scenes_have_everything():
     assert not missing, missing
 
 
-@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("sampling, compiled", [*((sampling, False) for sampling in SAMPLINGS), ("hybrid", True)])
 @pytest.mark.parametrize("name", EVERYTHING)
-def test_every_strategy_gives_the_gradient_of_the_tape(name, sampling):
+def test_every_strategy_gives_the_gradient_of_the_tape(name, sampling, compiled):
     def scene():
         return build_everything(name)
 
@@ -50,7 +51,7 @@ def test_every_strategy_gives_the_gradient_of_the_tape(name, sampling):
     for parameter, gradient in zip(names, expected):
         assert torch.isfinite(gradient).all() and gradient.abs().max() > 0, parameter
     for adjoint in STRATEGIES:
-        found, gradients = gradients_of(scene, names, sampling=sampling, adjoint=adjoint)
+        found, gradients = gradients_of(scene, names, sampling=sampling, adjoint=adjoint, compile=compiled)
         assert relative_error(found, image) < 1e-12, adjoint
         assert_same([f"{adjoint}: {parameter}" for parameter in names], gradients, expected, ORACLE)
 

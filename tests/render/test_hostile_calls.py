@@ -365,7 +365,6 @@ MODES = {
     "a pickle": lambda ours: gradient(pickle.loads(pickle.dumps(ours))),
     "evaluation": lambda ours: gradient(ours.eval()),
     "shared memory": lambda ours: gradient(ours.share_memory()),
-    "all parameters": lambda ours: gradient(ours.requires_grad_()),
 }
 
 
@@ -373,3 +372,9 @@ MODES = {
 @pytest.mark.parametrize("mode", MODES.values(), ids=MODES)
 def test_gradients_are_the_same_under(mode):
     assert torch.equal(mode(renderer()), gradient(renderer()))
+
+
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+def test_the_gradient_by_one_parameter_is_the_same_beside_those_of_all_others():
+    """To rounding in float32: a function that is compiled for more derivatives adds up in another order."""
+    assert torch.allclose(gradient(renderer().requires_grad_()), gradient(renderer()), rtol=1e-5)

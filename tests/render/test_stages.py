@@ -4,7 +4,6 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import load, rectangle, rgb, sensor
-from torch_radbp.stages import compiled
 
 DIFFUSE = {"type": "diffuse", "reflectance": rgb(0.2, 0.5, 0.7)}
 METAL = {"type": "roughconductor", "alpha": 0.2}
@@ -22,18 +21,18 @@ def render(**materials) -> None:
     rb.Renderer(scene, spp=4, max_depth=4, compile=True)().sum().backward()
 
 
-def functions() -> tuple[int, ...]:
+def functions(stages) -> tuple[int, ...]:
     """How many functions each stage was compiled to so far."""
-    return tuple(len(stage.fused.compiled) for stage in compiled())
+    return tuple(len(stage.fused.compiled) for stage in stages)
 
 
-def test_a_second_scene_of_known_appearances_compiles_nothing_and_a_new_one_only_itself():
+def test_a_second_scene_of_known_appearances_compiles_nothing_and_a_new_one_only_itself(fresh_stages):
     render(a=DIFFUSE, b=METAL)
-    first = functions()
+    first = functions(fresh_stages)
     render(floor=METAL, wall=DIFFUSE, third=METAL)
-    assert functions() == first
+    assert functions(fresh_stages) == first
     render(a=DIFFUSE, b=METAL, c=PICTURE)
-    names = compiled()._fields
-    new = {name: now - before for name, now, before in zip(names, functions(), first)}
+    names = fresh_stages._fields
+    new = {name: now - before for name, now, before in zip(names, functions(fresh_stages), first)}
     assert new.pop("bounce") == 1 and new.pop("bounce_adjoint") == 1
     assert not any(new.values()), new

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import groupby
 from typing import NamedTuple
 
 import torch
@@ -74,8 +75,9 @@ class RenderCall(NamedTuple):
 
 
 def plan_chunks(views: list[View], spp: int, lanes: int) -> list[Chunk]:
-    """Blocks of at most `lanes` lanes that cover all pixels and samples: whole pixels if they fit."""
-    samples = min(spp, lanes)
+    """Blocks of at most `lanes` lanes that cover all pixels and samples: whole pixels if they fit, else so many samples of
+    one as `sums_in_pairs` sums alike in blocks and at once."""
+    samples = spp if spp <= lanes else 1 << lanes.bit_length() - 1
     pixels = max(1, lanes // samples)
     return [Chunk(sensor, first_pixel, min(pixels, view.width * view.height - first_pixel), first_sample,
                   min(samples, spp - first_sample))
@@ -147,7 +149,19 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
 
 def pixel_sums(chunk: Chunk, L: Vec3) -> Tensor:
     """(3, pixels) the sums over the lanes of each pixel of a chunk."""
-    return torch.stack([component.reshape(chunk.pixels, chunk.samples).sum(1) for component in L])
+    return sums_in_pairs(torch.stack([component.reshape(chunk.pixels, chunk.samples) for component in L]))
+
+
+def sums_in_pairs(terms: Tensor) -> Tensor:
+    """Sums over the last dimension: of neighbours, of neighbouring pairs, of pairs of pairs, ...
+
+    So that images do not depend on chunks: the same blocks are summed in the same order in all of them.
+    """
+    while terms.shape[-1] > 1:
+        even, odd = terms[..., ::2], terms[..., 1::2]
+        both = odd.shape[-1]
+        terms = even + odd if both == even.shape[-1] else torch.cat([even[..., :both] + odd, even[..., both:]], -1)
+    return terms.squeeze(-1)
 
 
 def render_images(call: RenderCall, integrand: Integrand, record: bool,
@@ -166,8 +180,9 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
 
     shares = in_turns(len(call.chunks), call.workers, trace_share)
     traced = [shares[index % len(shares)][index // len(shares)] for index in range(len(call.chunks))]
-    for chunk, (sums, _) in zip(call.chunks, traced):
-        images[chunk.sensor][:, chunk.first_pixel:chunk.first_pixel + chunk.pixels] += sums / call.spp
+    for (sensor, first_pixel), chunks in groupby(zip(call.chunks, traced), lambda part: part[0][:2]):
+        sums = sums_in_pairs(torch.stack([sums for _, (sums, _) in chunks], -1))
+        images[sensor][:, first_pixel:first_pixel + sums.shape[1]] = sums / call.spp
     records = [path_record for _, path_record in traced] if record else []
     # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
     images = torch.stack([image.reshape(3, view.height, view.width) for image in images])

@@ -1,0 +1,60 @@
+"""Compiled images are the same to the last bit for any chunks and any number of threads; gradients to rounding.
+
+A lane computes the same whichever lanes are beside it, and a pixel is summed in an order of its own. Gradients are summed in
+the order of the chunks, in float64.
+"""
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.derivatives.everything import EVERYTHING, build_everything
+from tests.gradients import assert_informative, image_and_gradients
+from tests.scenes import cornell
+
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
+SETTINGS = {"spp": 5, "max_depth": 4, "rr_depth": 2}
+DIVISIONS = [(61, 1), (61, 2), (97, 3), (20, 2)]  # lanes of a chunk, threads
+DIVIDED_PIXELS = [(1, 1), (2, 2), (3, 1), (4, 2)]
+ROUNDING = 1e-12
+
+
+@pytest.fixture
+def with_threads():
+    """Sets torch's number of threads for the rest of the test."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("name", EVERYTHING)
+def test_images_of_all_appearances_have_the_same_bits_and_gradients_agree(name, with_threads):
+    def rendered(**settings):
+        scene = build_everything(name)
+        for view in scene.sensors:
+            view.film.width = view.film.height = view.film.crop_width = view.film.crop_height = 6
+        names = [parameter for parameter, _ in scene.named_parameters()]
+        return names, *image_and_gradients(scene, names, compile=True, **SETTINGS | settings)
+
+    with_threads(1)
+    names, image, gradients = rendered()
+    assert_informative(image, [])
+    for chunk, threads in DIVISIONS:
+        with_threads(threads)
+        _, found, parts = rendered(chunk=chunk)
+        assert torch.equal(found, image), (chunk, threads)
+        for parameter, gradient, wanted in zip(names, parts, gradients):
+            largest = max(1e-9, float(wanted.abs().max()))  # below, it is rounding
+            assert (gradient - wanted).abs().max() <= ROUNDING * largest, (parameter, chunk, threads)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_a_pixel_whose_samples_are_in_several_chunks_has_the_same_bits(dtype, with_threads):
+    def image(**settings):
+        return rb.render(cornell(dtype, 3), compile=True, **SETTINGS | settings)
+
+    with_threads(1)
+    expected = image()
+    for chunk, threads in DIVIDED_PIXELS:
+        with_threads(threads)
+        assert torch.equal(image(chunk=chunk), expected), (chunk, threads)
