@@ -5,7 +5,6 @@ chunks. Each strategy runs in a process of its own: a small pass first, which lo
 of resident memory during one forward and backward pass, over what was resident before, and what the renderer predicts
 beside it. `checkpoint per bounce` is plain autograd over `torch.utils.checkpoint` at every bounce, which is what torch
 offers without this project. The last column is the relative difference of the gradient to the first strategy's.
-``--working-set`` prints instead how many numbers per lane one bounce holds at its worst moment, for the prediction.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import time
 from pathlib import Path
 
 import torch
-from torch.utils._pytree import tree_flatten, tree_map_only
 from torch.utils.checkpoint import checkpoint
 
 import torch_radbp as rb
@@ -26,8 +24,7 @@ from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
 from torch_radbp.adjoint.function import pixel_sums, start_paths
-from torch_radbp.adjoint.sweep import empty_memo
-from torch_radbp.vec import Vec3, masked
+from torch_radbp.vec import Vec3, masked, rows
 from torch_radbp.wavefront import add_at, survivors, take_step
 
 CHECKPOINT = "checkpoint per bounce"
@@ -53,15 +50,15 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
 
     def one_bounce(state, depth):
         vertex, step = take_step(integrand, state, depth)
-        return state.beta * (vertex.Le + masked(step.visible, vertex.Ld)), survivors(vertex.next, step)
+        found = rows(state.beta, step.order) * (vertex.Le + masked(step.visible, vertex.Ld))
+        return vertex.next.lane, found, survivors(integrand, vertex.next, step)
 
     for chunk in call.chunks:
         state, depth = start_paths(call, chunk, view.sample_keys[0]), 0
         L = Vec3.buffer(state.beta.x)
         while depth < integrand.max_depth and len(state.lane):
-            lane = state.lane
-            contribution, state = checkpoint(one_bounce, state, depth, use_reentrant=False)
-            add_at(L, lane, contribution)
+            lane, found, state = checkpoint(one_bounce, state, depth, use_reentrant=False)
+            add_at(L, lane, found)
             depth += 1
         images[0][:, chunk.first_pixel:chunk.first_pixel + chunk.pixels] += pixel_sums(chunk, L) / call.spp
     return images[0].reshape(1, 3, view.height, view.width)
@@ -137,45 +134,6 @@ def report(results: list[dict], options: argparse.Namespace) -> str:
     return "\n".join(lines)
 
 
-def peak_of_allocations(function) -> int:
-    """Greatest number of bytes that torch holds during a call, over those before it."""
-    from torch.profiler import ProfilerActivity, profile
-
-    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
-        function()
-    held = peak = 0
-    for event in profiler.profiler.kineto_results.events():
-        if event.name() == "[memory]":
-            held += event.nbytes()
-            peak = max(peak, held)
-    return peak
-
-
-def working_set(options: argparse.Namespace) -> str:
-    """Numbers per lane, at the worst moment, of one bounce and of its adjoint."""
-    scene = cornell_box(Setting(options.resolution, options.spp, options.depth))
-    renderer = scene.renderer(options.compile, chunk=options.resolution**2 * options.spp)
-    call = renderer.prepare(0, None, options.spp, None)
-    detached = tree_map_only(torch.Tensor, torch.Tensor.detach, call.scene)
-    wanted = tuple(isinstance(leaf, torch.Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
-    integrand = call.make_integrand(detached)
-    with torch.no_grad():
-        state = start_paths(call, call.chunks[0], call.views[0].sample_keys[0])
-        _, step = take_step(integrand, state, 0)
-    adjoint, memo = Vec3.full(state.pdf, 1.0), empty_memo(state.pdf, integrand.settings.moving, twice=False)
-    lanes = len(state.lane)
-
-    def backward():
-        call.adjoint_of_bounce(detached, wanted, state, step, adjoint, memo, integrand.at(0), integrand.settings_at(0))
-
-    with torch.no_grad():
-        for _ in range(2 if options.compile else 1):
-            take_step(integrand, state, 0, step), backward()
-        forward_peak = peak_of_allocations(lambda: take_step(integrand, state, 0, step)) / lanes / 4
-        backward_peak = peak_of_allocations(backward) / lanes / 4
-    return f"float32 numbers a lane at the worst moment: bounce {forward_peak:.0f}, its adjoint {backward_peak:.0f}"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--resolution", type=int, default=256)
@@ -186,12 +144,9 @@ def main() -> None:
     parser.add_argument("--compile", action="store_true")
     parser.add_argument("--strategies", nargs="+", choices=STRATEGIES, default=list(STRATEGIES))
     parser.add_argument("--json", help="also write the figures to this file")
-    parser.add_argument("--working-set", action="store_true", help="print numbers per lane of one bounce instead")
     parser.add_argument("--only", choices=STRATEGIES, help="measure one strategy in this process and print JSON")
     options = parser.parse_args()
-    if options.working_set:
-        print(working_set(options))
-    elif options.only:
+    if options.only:
         print(json.dumps(measure(options.only, options)))
     else:
         results = [in_own_process(name, options) for name in options.strategies]
