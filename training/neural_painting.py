@@ -2,8 +2,8 @@
 
     python -m torch_radbp.training.neural_painting --steps 150 --out painting.png
 
-The picture that it writes shows, from left to right, the room before, the target, the room with the network, and below them
-the painting and the network on their own.
+The picture that it writes shows, from left to right, the room before, the target and the room with the network; below them
+the painting, the network and the difference of the two.
 """
 
 import argparse
@@ -80,10 +80,9 @@ def main() -> None:
         scene.painting.bsdf.reflectance = rb.NeuralTexture(Painting())
         before = rb.render(scene, spp=64, max_depth=5, compile=True)[0]
     rooms = torch.cat([before, read_image(ROOM / "target.exr").movedim(-1, 0), after], 2)
-    pictures = torch.cat([truth, texels(network, len(truth))], 1).movedim(-1, 0)
-    pictures = pictures.repeat_interleave(2, 1).repeat_interleave(2, 2)
-    below = nn.functional.pad(pictures, (0, rooms.shape[2] - pictures.shape[2]))
-    rb.save_image(arguments.out, torch.cat([rooms, below], 1))
+    found = texels(network, len(truth))
+    pictures = torch.cat([truth, found, (found - truth).abs()], 1).movedim(-1, 0)
+    rb.save_image(arguments.out, torch.cat([rooms, pictures.repeat_interleave(2, 1).repeat_interleave(2, 2)], 1))
 
 
 if __name__ == "__main__":

@@ -38,12 +38,19 @@ def rough_glass() -> rb.Scene:
                           {"type": "roughdielectric", "alpha": 0.2, "int_ior": 1.5}, {"type": "conductor", "material": "Ag"})
 
 
+def network() -> rb.Scene:
+    layers = torch.nn.Linear(2, 64), torch.nn.ReLU(), torch.nn.Linear(64, 64), torch.nn.ReLU(), torch.nn.Linear(64, 3)
+    return material_scene({"type": "diffuse", "reflectance": torch.nn.Sequential(*layers, torch.nn.Sigmoid())},
+                          {"type": "dielectric", "int_ior": 1.5}, {"type": "roughconductor", "alpha": 0.2, "material": "Au"})
+
+
 CASES = {
     "colours of a diffuse room": (lambda: cornell(torch.float32, 24), ["white.reflectance.value"]),
     "a diffuse room in float64": (lambda: cornell(torch.float64, 24), ["red.reflectance.value"]),
     "vertices in a diffuse room": (lambda: cornell(torch.float32, 24), ["box.vertex_positions"]),
     "a bitmap beside glass and metal": (glass_and_metal, ["floor.bsdf.reflectance.data", "block.bsdf.alpha.value"]),
     "an environment map and vertices": (glass_and_metal, ["sky.data", "block.vertex_positions"]),
+    "a network beside glass and metal": (network, ["floor.bsdf.reflectance.module.0.weight"]),
     "roughness of glass": (rough_glass, ["ball.bsdf.alpha.value"]),
 }
 

@@ -121,7 +121,7 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     chunk = min(chunk, lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
-    bounce, sweep, tape = work.working_set
+    bounce, sweep, tape, outside = work.working_set
     spare = SPARE * dtype.itemsize
     if isinstance(adjoint, TapeAdjoint):
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
@@ -137,7 +137,8 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
                 most = max(most, replayed)
     held = size(RADIANCE) + size(MEMO[work.moving]) + size(CORNERS[work.triangles]) + size(STATE)
     share = COMPILED if work.compiled else 1.0
-    busy = max(WASTE * (share * sweep.per_lane + held), WASTE * share * bounce.per_lane) + spare
+    swept = share * (sweep.per_lane - outside.per_lane) + outside.per_lane
+    busy = max(WASTE * (swept + held), WASTE * share * bounce.per_lane) + spare
     working = together * (busy * max(fractions) + most) + work.workers * sweep.fixed
     kept = int((together if retrace else lanes) * per_lane)
     return MemoryPlan(chunk, adjoint, retrace, kept, int(working))

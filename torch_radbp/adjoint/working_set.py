@@ -17,12 +17,13 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map_only
 from torch.utils.weak import WeakIdKeyDictionary
 
+from torch_radbp.adjoint.outside import OutsideValues
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.path import PathState
+from torch_radbp.path import Arrival, PathState
 from torch_radbp.vec import Vec3
-from torch_radbp.wavefront import Integrand, take_step
+from torch_radbp.wavefront import Integrand, Step, take_step
 
 LANES = (1024, 3072)  # of the two measurements
 
@@ -34,12 +35,16 @@ class Growth(NamedTuple):
     fixed: float
 
 
+NOTHING = Growth(0.0, 0.0)
+
+
 class WorkingSet(NamedTuple):
     """Bytes that are alive at the worst moment, beside those of what goes in."""
 
     bounce: Growth
     adjoint: Growth
     tape: Growth | None  # that autograd keeps of whole paths; None if nothing is recorded
+    outside: Growth = NOTHING  # the part of the adjoint that modules need, whether the rest is compiled or not
 
 
 class AllocatedBytes(TorchDispatchMode):
@@ -93,16 +98,32 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
             take_step(integrand, state, 0)
         return allocated.peak
 
+    def sweep_of(state: PathState, step: Step) -> tuple[Gradients, Sweep]:
+        record = PathRecord(lambda: state, None, {}, {0: step}, 1)
+        gradients = Gradients([leaf for leaf, want in zip(tree_flatten(integrand.scene)[0], wanted) if want])
+        return gradients, Sweep(integrand, record, Vec3.full(state.pdf, 1.0), wanted, gradients)
+
     def of_adjoint(lanes: int) -> float:
         state = start(lanes)
         with torch.no_grad():
             _, step = take_step(integrand, state, 0)
-            record = PathRecord(lambda: state, None, {}, {0: step}, 1)
-            gradients = Gradients([leaf for leaf, want in zip(tree_flatten(integrand.scene)[0], wanted) if want])
-            sweep = Sweep(integrand, record, Vec3.full(state.pdf, 1.0), wanted, gradients)
+            _, sweep = sweep_of(state, step)
             with AllocatedBytes() as allocated:
                 sweep.adjoint(state, 0)
         return allocated.peak
+
+    def of_outside(lanes: int) -> float:
+        state, peak = start(lanes), 0.0
+        with torch.no_grad():
+            _, step = take_step(integrand, state, 0)
+            gradients, sweep = sweep_of(state, step)
+            for queue in step.queues:
+                places = integrand.places(queue, Arrival(state, step.hit, step.front), step.order[queue.first:queue.last])
+                with AllocatedBytes() as allocated:
+                    outside = OutsideValues(integrand, sweep.numbered, queue, places, integrand.settings.moving)
+                    outside.add_adjoint(tuple(given.value for given in outside.given), gradients)
+                peak = max(peak, allocated.peak)
+        return peak
 
     def of_tape(lanes: int) -> float:
         state = start(lanes)
@@ -112,4 +133,5 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         del recorded
         return alive
 
-    return WorkingSet(growth(of_bounce), growth(of_adjoint), None if attached is None else growth(of_tape))
+    return WorkingSet(growth(of_bounce), growth(of_adjoint), None if attached is None else growth(of_tape),
+                      growth(of_outside) if any(look.outside for look in integrand.scene.layout.appearances) else NOTHING)
