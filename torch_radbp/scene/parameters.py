@@ -67,8 +67,10 @@ def held_values(scene: Scene) -> dict[str, Held]:
 
 def note_uses(scene: Scene) -> None:
     """Tells textures that are no tables by what name and in which domains their values will be checked."""
-    uses: dict[int, tuple[Texture, list[Domain]]] = {}
-    for plugin in scene.modules():
+    modules, uses = list(scene.modules()), {}
+    if all(module.tabulated for module in modules if isinstance(module, Texture)):
+        return
+    for plugin in modules:
         for attribute, domain in plugin.domains().items() if isinstance(plugin, Plugin) else ():
             texture = getattr(plugin, attribute, None)
             if isinstance(texture, Texture) and not texture.tabulated:
