@@ -18,7 +18,10 @@ from tests.gradients import (
     relative_error,
 )
 from tests.scenes import load, rectangle, rgb, sensor
-from tests.texture.networks import mlp, room, textured
+from tests.texture.networks import LAMP, mlp, room, textured
+from torch_radbp.io.attribute_values import options
+from torch_radbp.io.transform import scale
+from torch_radbp.plugin import REGISTRY, Texture, attributes
 from torch_radbp.stages import compiled
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
@@ -212,6 +215,36 @@ def test_another_module_compiles_nothing():
     first = functions()
     channels, width = 1, 7
     assert functions() == first
+
+
+WHITE = {"type": "diffuse", "reflectance": 0.8}
+OTHERS = {"blendbsdf": {"first": WHITE, "second": {"type": "roughconductor", "material": "Au", "alpha": 0.3}},
+          "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE}}
+PARTNERS = {"alpha_u": {"alpha_v": 0.3}, "alpha_v": {"alpha_u": 0.3},
+            "k": {"eta": 0.2}}  # by itself, with an index of 0, it turns the phase and reflects all
+SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name, attribute in attributes(cls).items()
+         if Texture in options(attribute.annotation)]
+
+
+@pytest.mark.parametrize("kind, name", SLOTS)
+def test_a_module_can_stand_in_every_slot_of_every_material(kind, name):
+    """On a ball in a room, with the gradient of the tape."""
+    outputs = 1 if "alpha" in name or name in ("weight", "opacity") else 3
+
+    def scene():
+        bsdf = {"type": kind, name: rb.NeuralTexture(mlp(3, outputs, 5), of="position")} | OTHERS.get(kind, {})
+        bsdf |= PARTNERS.get(name, {})
+        ball = {"type": "sphere", "to_world": scale((0.6, 0.6, 0.6)), "bsdf": bsdf}
+        return load(sensor=sensor(6), ball=ball, sky=SKY, lamp=rectangle((0, 0, 4), axis=(0, 1, 0), angle=180, emitter=LAMP),
+                    floor=rectangle((0, -0.6, 0), 3.0, angle=-90, bsdf=WHITE))
+
+    names = weights(scene())
+    reference, expected = image_and_gradients(scene(), names, adjoint=rb.TapeAdjoint(), **SETTINGS)
+    assert_informative(reference, expected)
+    image, gradients = image_and_gradients(scene(), names, **SETTINGS)
+    assert relative_error(image, reference) < TOLERANCE
+    for gradient, wanted in zip(gradients, expected):
+        assert relative_error(gradient, wanted) < TOLERANCE
 
 
 @pytest.mark.parametrize("returned, error, message", [
