@@ -6,7 +6,6 @@ bounces, chunks, iterations and scenes that contain the same share one compiled 
 
 from __future__ import annotations
 
-import functools
 import warnings
 from collections.abc import Callable
 from copy import copy
@@ -15,6 +14,7 @@ from torch.utils._pytree import tree_leaves
 
 from torch_radbp.adjoint.sweep import bounce_adjoint
 from torch_radbp.jit import LaneFunction, UnknownOperation
+from torch_radbp.jit.machine import made_once
 from torch_radbp.path import bounce, places, sample_camera
 from torch_radbp.queues import appearance_met, shines
 from torch_radbp.vec import rows
@@ -23,7 +23,7 @@ from torch_radbp.wavefront import Stages, brightened
 EAGER = Stages(sample_camera, bounce, bounce_adjoint, places, appearance_met, shines, rows, brightened)
 
 
-@functools.cache
+@made_once
 def compiled() -> Stages:
     """The stages as fused loops; one set for the whole process."""
     return Stages(CompiledStage(sample_camera, "camera"), CompiledStage(bounce, "scene", "proposal", "arrival"),

@@ -1,8 +1,11 @@
 """Queues of lanes and entries in their places, against torch's own functions."""
 
+from pathlib import Path
+
 import pytest
 import torch
 
+import torch_radbp
 from torch_radbp.jit.order import chosen, partition, put
 
 COUNTS = [0, 1, 15, 17, 100_003]
@@ -53,3 +56,11 @@ def test_entries_of_another_dtype_or_number_are_refused():
     for entry in (torch.zeros(2, dtype=torch.float64), torch.zeros(3)):
         with pytest.raises(ValueError, match="2 entries of torch.float32"):
             put([torch.zeros(4)], place, [entry])
+
+
+def test_no_machine_code_is_kept_where_a_second_thread_could_free_it():
+    """As `functools.cache` may: see `made_once`."""
+    files = [path for path in Path(torch_radbp.__file__).parent.rglob("*.py") if "MachineCode" in path.read_text()]
+    assert len(files) > 4
+    wrong = [str(path) for path in files if path.name != "machine.py" and "functools.cache" in path.read_text()]
+    assert not wrong, wrong

@@ -6,14 +6,13 @@ They run on the calling thread, and their order is that of the lanes.
 from __future__ import annotations
 
 import ctypes
-import functools
 from array import array
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode
+from torch_radbp.jit.machine import MachineCode, made_once
 
 PARTITION = """\
 define void @partition_{scalar}(ptr %numbers, i64 %lanes, ptr %starts, ptr %order) {{
@@ -137,7 +136,7 @@ class Code:
         self.put = {bits // 8: function(f"put_i{bits}", "pnpn") for bits in BITS}
 
 
-code = functools.cache(Code)
+code = made_once(Code)
 
 
 def chosen(flags: Tensor) -> Tensor:
