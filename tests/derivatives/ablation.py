@@ -13,7 +13,8 @@ from unittest.mock import patch
 
 import torch
 
-from torch_radbp.scene import departure, light
+from torch_radbp.emitter.area import AreaKind
+from torch_radbp.scene import departure
 from torch_radbp.stages import EAGER
 from torch_radbp.vec import Vec3
 
@@ -26,7 +27,7 @@ SCENES = ("wall behind the camera", "plane before a wall", "plane under a soft l
 @contextmanager
 def without(*parts: str) -> Iterator[None]:
     """Within it, derivatives lack `parts`: "Jacobian", "directions"."""
-    glued_direction, aim_at_area = departure.glued_direction, light.aim_at_area
+    glued_direction, aim_at_area = departure.glued_direction, AreaKind.aim
 
     def poorer_direction(there, o, d, hit, glued):
         direction, change = glued_direction(there, o, d, hit, glued)
@@ -38,6 +39,6 @@ def without(*parts: str) -> Iterator[None]:
         return aim._replace(d=Vec3(*aim.d).detach() if "directions" in parts else aim.d,
                             pdf=aim.pdf.detach() if "Jacobian" in parts else aim.pdf)
 
-    with (patch.object(departure, "glued_direction", poorer_direction), patch.object(light, "aim_at_area", poorer_aim),
+    with (patch.object(departure, "glued_direction", poorer_direction), patch.object(AreaKind, "aim", poorer_aim),
           patch.object(import_module("torch_radbp.render"), "compiled", lambda: EAGER)):  # compiled code knows only itself
         yield

@@ -22,7 +22,12 @@ def objects(name: str) -> dict[str, Any]:
 
 
 def place(number: int) -> tuple[float, float, float]:
-    """On a grid in front of the camera."""
+    """On a grid of 3 columns in front of the camera."""
+    return 0.9 * (number % 3 - 1), 0.8 * (number // 3 - 1), -0.23 * number
+
+
+def place_of_box(number: int) -> tuple[float, float, float]:
+    """On a grid of 4 columns in front of the camera."""
     return 0.7 * (number % 4 - 1.5), 0.8 * (number // 4 - 1), -0.1 * number
 
 
@@ -32,7 +37,7 @@ def materials() -> dict[str, Any]:
     for number, name in enumerate(MATERIALS):
         material = f"{SUBJECT}_{name.replace(' ', '_')}"
         found[material] = objects(name)[SUBJECT]
-        found[f"box_{number}"] = turned(place(number), 20 + 7 * number, 30 - 5 * number, 10, size=0.4, type="cube",
+        found[f"box_{number}"] = turned(place_of_box(number), 20 + 7 * number, 30 - 5 * number, 10, size=0.4, type="cube",
                                         bsdf={"type": "ref", "id": material})
     both = {"type": "ref", "id": f"{SUBJECT}_twosided"}
     return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_sky": sky(), "floor": floor(), **found,

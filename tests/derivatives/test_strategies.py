@@ -17,7 +17,8 @@ from tests.gradients import cotangent, image_and_gradients, relative_error
 ORACLE, TRANSPOSED = 1e-10, 1e-9
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 # Eager, as most scenes here are like no other and would be compiled for a single test.
-SETTINGS = {"spp": 4, "max_depth": 4, "rr_depth": 2, "compile": False}
+SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2, "compile": False}
+SPP = {"materials": 4, "shapes": 2}  # by which paths find every parameter
 SAMPLINGS = ("detached", "hybrid", "attached")
 STRATEGIES = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(3), rb.MemoizedAdjoint("sqrt"),
               rb.MemoizedAdjoint("log"), rb.MemoizedAdjoint(2, keep_hits=False), rb.ReplayAdjoint(), rb.QuadraticAdjoint())
@@ -46,12 +47,12 @@ def test_every_strategy_gives_the_gradient_of_the_tape(name, sampling, compiled)
         return build_everything(name)
 
     names = subjects(scene())
-    image, expected = gradients_of(scene, names, sampling=sampling, adjoint=rb.TapeAdjoint())
+    image, expected = gradients_of(scene, names, spp=SPP[name], sampling=sampling, adjoint=rb.TapeAdjoint())
     assert torch.isfinite(image).all() and image.max() > 0
     for parameter, gradient in zip(names, expected):
         assert torch.isfinite(gradient).all() and gradient.abs().max() > 0, parameter
     for adjoint in STRATEGIES:
-        found, gradients = gradients_of(scene, names, sampling=sampling, adjoint=adjoint, compile=compiled)
+        found, gradients = gradients_of(scene, names, spp=SPP[name], sampling=sampling, adjoint=adjoint, compile=compiled)
         assert relative_error(found, image) < 1e-12, adjoint
         assert_same([f"{adjoint}: {parameter}" for parameter in names], gradients, expected, ORACLE)
 
@@ -64,10 +65,11 @@ def test_forward_is_the_transpose_of_backward(name, sampling):
     generator = torch.Generator().manual_seed(6)
     tangents = {parameter: torch.randn(scene.get_parameter(parameter).shape, generator=generator, dtype=torch.float64)
                 for parameter in names}
-    derivative = rb.jvp(scene, tangents, seed=6, sampling=sampling, **SETTINGS)
+    derivative = rb.jvp(scene, tangents, seed=6, sampling=sampling, **SETTINGS | {"spp": SPP[name]})
     assert torch.isfinite(derivative).all() and derivative.abs().max() > 0
     for w in (torch.ones_like(derivative), derivative, cotangent(derivative)):
-        _, gradients = gradients_of(lambda: build_everything(name), names, seed=6, sampling=sampling, adj_image=w)
+        _, gradients = gradients_of(lambda: build_everything(name), names, seed=6, spp=SPP[name], sampling=sampling,
+                                    adj_image=w)
         terms = torch.stack([(tangents[parameter] * gradient).sum() for parameter, gradient in zip(names, gradients)])
         assert abs(terms.sum() - (w * derivative).sum()) < TRANSPOSED * terms.abs().sum()
         # A term that one of the two leaves out is seen.
