@@ -14,7 +14,7 @@ from tests.derivatives.pairs import examined, registered
 from tests.derivatives.scenes import SCENES, build, camera, subjects
 from tests.gradients import cotangent, image_and_gradients, relative_error
 
-ORACLE, TRANSPOSED = 1e-10, 1e-9
+ORACLE, TRANSPOSED = 1e-10, 1e-12
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 # Eager, as most scenes here are like no other and would be compiled for a single test.
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2, "compile": False}
