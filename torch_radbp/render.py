@@ -18,6 +18,7 @@ from torch_radbp.adjoint.function import (
     RenderCall,
     View,
     detached,
+    differentiable,
     pilot_paths,
     plan_chunks,
     render_images,
@@ -25,7 +26,7 @@ from torch_radbp.adjoint.function import (
 )
 from torch_radbp.adjoint.memory import MemoryPlan, Workload, parse_budget, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.adjoint.working_set import WorkingSet, measured
+from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.entry import entry
 from torch_radbp.path import Settings
@@ -284,7 +285,9 @@ class Renderer(nn.Module):
         case = (call.scene.layout, call.scene.dtype, integrand.settings, integrand.max_depth, wanted, triangles, taped)
         if case not in self.working_sets:
             attached = call.make_integrand(call.scene).with_stages(EAGER) if taped else None
-            self.working_sets[case] = measured(integrand, attached, partial(pilot_paths, call), wanted)
+            tables = tables_of(differentiable(call.scene), list(call.parameters.values()))
+            found = measured(integrand, attached, partial(pilot_paths, call), wanted)
+            self.working_sets[case] = found._replace(tables=tables)
         return self.working_sets[case]
 
     def caster_of(self, scene: SceneTensors) -> RayCaster:

@@ -121,7 +121,7 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     chunk = min(chunk, lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
-    bounce, sweep, tape, outside = work.working_set
+    bounce, sweep, tape, outside, tables = work.working_set
     spare = SPARE * dtype.itemsize
     if isinstance(adjoint, TapeAdjoint):
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
@@ -139,7 +139,8 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     share = COMPILED if work.compiled else 1.0
     swept = share * (sweep.per_lane - outside.per_lane) + outside.per_lane
     busy = max(WASTE * (swept + held), WASTE * share * bounce.per_lane) + spare
-    working = together * (busy * max(fractions) + most) + work.workers * sweep.fixed
+    working = max(together * (busy * max(fractions) + most) + work.workers * sweep.fixed, WASTE * tables.packing)
+    working += work.workers * tables.totals
     kept = int((together if retrace else lanes) * per_lane)
     return MemoryPlan(chunk, adjoint, retrace, kept, int(working))
 

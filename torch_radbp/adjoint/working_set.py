@@ -8,7 +8,7 @@ allocates is counted. The difference between the two is what grows with the lane
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -38,6 +38,13 @@ class Growth(NamedTuple):
 NOTHING = Growth(0.0, 0.0)
 
 
+class Tables(NamedTuple):
+    """Bytes that the gradients of tables need, however many the lanes are."""
+
+    totals: float = 0.0  # of each worker, while bounces are differentiated
+    packing: float = 0.0  # afterwards, at the worst moment of what autograd does with them
+
+
 class WorkingSet(NamedTuple):
     """Bytes that are alive at the worst moment, beside those of what goes in."""
 
@@ -45,6 +52,7 @@ class WorkingSet(NamedTuple):
     adjoint: Growth
     tape: Growth | None  # that autograd keeps of whole paths; None if nothing is recorded
     outside: Growth = NOTHING  # the part of the adjoint that modules need, whether the rest is compiled or not
+    tables: Tables = Tables()
 
 
 class AllocatedBytes(TorchDispatchMode):
@@ -80,6 +88,16 @@ def growth(measure: Callable[[int], float]) -> Growth:
     few, many = (measure(lanes) for lanes in LANES)
     per_lane = max(0.0, (many - few) / (LANES[1] - LANES[0]))
     return Growth(per_lane, max(0.0, few - per_lane * LANES[0]))
+
+
+def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> Tables:
+    """What the gradients of `leaves` need, which are attached to `parameters`."""
+    if not leaves:
+        return Tables()
+    with torch.enable_grad(), AllocatedBytes() as allocated:
+        gradients = [torch.zeros_like(leaf) for leaf in leaves]
+        torch.autograd.grad(leaves, parameters, gradients, retain_graph=True, allow_unused=True)
+    return Tables(sum(torch.float64.itemsize * leaf.numel() for leaf in leaves), allocated.peak)
 
 
 def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[int], PathState],
