@@ -29,7 +29,7 @@ from torch_radbp.scene.tensors import SceneTensors
 # that the second one detaches, only the tables from which lights are chosen.
 PROPOSAL = "make_integrand"
 CHOICES = frozenset({"choose", "chance_of_lobe", PROPOSAL})
-DEEPEST_CALL = 14  # frames between such a function and what it detaches
+DEEPEST_CALL = 40  # frames between such a function and what it detaches
 
 
 class Decisions(TorchFunctionMode):

@@ -96,8 +96,8 @@ def test_chunks_do_not_matter(name, sampling):
         return build_everything(name)
 
     names = subjects(scene())
-    image, expected = gradients_of(scene, names, sampling=sampling)
-    found, gradients = gradients_of(scene, names, sampling=sampling, chunk=300)
+    image, expected = gradients_of(scene, names, spp=SPP[name], sampling=sampling)
+    found, gradients = gradients_of(scene, names, spp=SPP[name], sampling=sampling, chunk=300)
     assert relative_error(found, image) < 1e-14
     assert_same(names, gradients, expected, 1e-11)
 

@@ -78,11 +78,21 @@ def test_forward_is_the_transpose_of_backward_under_an_emitter(kind):
 
 @pytest.mark.parametrize("kind", MATERIALS)
 def test_forward_is_the_transpose_of_backward_on_a_material(kind):
+    def described(material):
+        """A dict of a scene: nested materials are children with names of their own."""
+        found = {}
+        for key, value in material.items():
+            if isinstance(value, list) and isinstance(value[0], dict):
+                found |= {f"{key}_{number}": described(part) for number, part in enumerate(value)}
+            elif isinstance(value, list) and len(value) == 3:
+                found[key] = rgb(*value)
+            else:
+                found[key] = described(value) if isinstance(value, dict) else value
+        return found
+
     def build():
-        material = {key: value if isinstance(value, (int, float, str)) else rgb(*value)
-                    for key, value in MATERIALS[kind].items()}
         return load(sensor=sensor(8, (0, 0.5, 3.5), (0, 0, 0), 45),
-                    ball={"type": "sphere", "radius": 0.7, "bsdf": material},
+                    ball={"type": "sphere", "radius": 0.7, "bsdf": described(MATERIALS[kind])},
                     floor=rectangle((0, -0.7, 0), 2.0, angle=-90),
                     sky={"type": "envmap", "bitmap": texels(5, 7, 2)})
 

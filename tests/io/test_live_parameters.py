@@ -105,7 +105,9 @@ def test_a_parameter_becomes_that_of_the_scene_and_gets_the_gradient(value, obje
     assert parameter.grad.isfinite().all() and parameter.grad.abs().max() > 0
     plain = scene(**objects(value.clone()))
     assert not plain.get_parameter(name).requires_grad
-    assert torch.equal(rb.render(plain, spp=2, max_depth=3), rb.render(loaded, spp=2, max_depth=3))
+    # Eager: loops that are compiled for other tables (here for normals that are not dropped) round differently.
+    images = [rb.render(each, spp=2, max_depth=3, compile=False) for each in (plain, loaded)]
+    assert torch.equal(*images)
 
 
 def test_a_frozen_parameter_stays_frozen_and_is_shared():
