@@ -459,7 +459,7 @@ FILES = {
     "cut off": (scene_text("")[:-9], ["line 3", "not well-formed XML"]),
     "doctype": ("<!DOCTYPE scene>" + scene_text(""), ["line 1", "not allowed"]),
     "no sensor": (scene_text(LAMP, complete=False), ["line 1: <scene>", "no sensor", "perspective"]),
-    "no emitter": (scene_text(SENSOR, complete=False), ["line 1: <scene>", "no emitter", "area, constant,", "envmap, point"]),
+    "no emitter": (scene_text(SENSOR, complete=False), ["line 1: <scene>", "no emitter", "constant,", "envmap, point"]),
 }
 
 
