@@ -1,7 +1,8 @@
-"""No stage holds a tensor of the wrong device: the stages are traced for arguments of another device, and stay there.
+"""No stage holds a tensor of the wrong device: the stages are traced for arguments on CUDA, and stay there.
 
-Tensors on `meta` have a device, a shape and a dtype, and no values. They stand for any device that is not the host: fake
-tensors of CUDA would do, but torch without CUDA cannot take derivatives of them.
+The arguments lie on `meta`, without values, and say that they are on CUDA. torch's own fake tensors do not do: a torch
+without CUDA makes them, but its autograd refuses them ("Cannot access accelerator device when none is available"). These
+are of `meta` for autograd and of CUDA for whoever asks: a stage cannot tell the difference.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from importlib import import_module
 import pytest
 import torch
 from torch import Tensor
+from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import torch_radbp as rb
@@ -21,7 +23,24 @@ from torch_radbp.jit.structure import flatten
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.stages import EAGER
 
-ELSEWHERE = "meta"
+CUDA = torch.device("cuda", 0)
+ANSWERS = {Tensor.is_cuda.__get__: lambda tensor: tensor.is_meta, Tensor.is_meta.__get__: lambda tensor: False,
+           Tensor.device.__get__: lambda tensor: CUDA if tensor.is_meta else tensor.device}
+
+
+def names_cuda(argument) -> bool:
+    """True for CUDA as the functions of torch take it."""
+    return isinstance(argument, (torch.device, str)) and str(argument).startswith("cuda")
+
+
+class SaysCuda(TorchFunctionMode):
+    """Tensors on `meta` say that they are on CUDA, and what is to be made on CUDA is made there."""
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):
+        if function in ANSWERS:
+            return ANSWERS[function](*args)
+        here = {"device": "meta"} if names_cuda((kwargs or {}).get("device")) else {}
+        return function(*["meta" if names_cuda(argument) else argument for argument in args], **(kwargs or {}) | here)
 
 
 class Elsewhere(TorchDispatchMode):
@@ -30,16 +49,16 @@ class Elsewhere(TorchDispatchMode):
     def __torch_dispatch__(self, function, types, args=(), kwargs=None):
         result = function(*args, **kwargs or {})
         for tensor in leaves_of((args, list((kwargs or {}).values()), result)):
-            if isinstance(tensor, Tensor) and tensor.device.type != ELSEWHERE:
-                raise AssertionError(f"{function}: a tensor on {tensor.device} where all are elsewhere")
+            if isinstance(tensor, Tensor) and not tensor.is_meta:
+                raise AssertionError(f"{function}: a tensor on {tensor.device} where all are on CUDA")
         return result
 
 
-def trace_elsewhere(stage, arguments: tuple) -> list[Tensor]:
-    """The tensors that a stage returns for arguments that are moved to another device, without their values."""
-    moved = [torch.empty_like(leaf, device=ELSEWHERE) if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(arguments)]
-    with torch.no_grad(), Elsewhere():
-        return [leaf for leaf in leaves_of(stage(*with_leaves(arguments, moved))) if isinstance(leaf, Tensor)]
+def trace_on_cuda(stage, arguments: tuple) -> set[torch.device]:
+    """The devices of what a stage returns for arguments that are moved to CUDA, without their values."""
+    moved = [torch.empty_like(leaf, device="meta") if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(arguments)]
+    with torch.no_grad(), SaysCuda(), Elsewhere():
+        return {leaf.device for leaf in leaves_of(stage(*with_leaves(arguments, moved))) if isinstance(leaf, Tensor)}
 
 
 @pytest.fixture
@@ -73,7 +92,7 @@ def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling, cal
     assert {appearance for part in appearances for appearance in part} == set(rb.scene.pack.pack(scene).layout.appearances)
     for name, cases in calls.items():
         for arguments in cases.values():
-            assert {tensor.device.type for tensor in trace_elsewhere(getattr(EAGER, name), arguments)} <= {ELSEWHERE}
+            assert trace_on_cuda(getattr(EAGER, name), arguments) <= {CUDA}
 
 
 CONSTANT = torch.tensor(0.5)
@@ -82,12 +101,28 @@ BAD = {
     "lanes": lambda x: torch.zeros(len(x)) + 1,
     "a constant of the module": lambda x: x * CONSTANT,
     "a copy": lambda x: x.cpu(),
+    "a copy on CUDA only": lambda x: x.cpu() if x.is_cuda else x,
+    "lanes on CUDA only": lambda x: torch.zeros(len(x)) if x.device.type == "cuda" else x,
 }
+GOOD = {
+    "an operation": lambda x: x.sin(),
+    "lanes": lambda x: torch.arange(len(x), device=x.device) + torch.zeros(len(x), device="cuda") + x.new_zeros(len(x)),
+    "a copy": lambda x: x.to(x.device) + x.to("cuda:0", torch.float64),
+    "a derivative": lambda x: derivative(x.clone().requires_grad_()),
+}
+
+
+def derivative(x: Tensor) -> Tensor:
+    with torch.enable_grad():
+        return torch.autograd.grad(x.square(), x, torch.ones_like(x))[0]
 
 
 @pytest.mark.parametrize("stage", BAD.values(), ids=BAD)
 def test_a_stage_that_makes_or_reads_a_tensor_of_the_host_is_found(stage):
-    arguments = (torch.ones(8),)
-    assert [tensor.device.type for tensor in trace_elsewhere(lambda x: x.sin(), arguments)] == [ELSEWHERE]
     with pytest.raises((AssertionError, NotImplementedError)):
-        trace_elsewhere(stage, arguments)
+        trace_on_cuda(stage, (torch.ones(8),))
+
+
+@pytest.mark.parametrize("stage", GOOD.values(), ids=GOOD)
+def test_a_stage_that_stays_on_its_device_passes(stage):
+    assert trace_on_cuda(stage, (torch.ones(8),)) == {CUDA}
