@@ -7,133 +7,106 @@ from __future__ import annotations
 
 import ctypes
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.machine import MachineCode, made_once
 
-PARTITION = """\
-define void @partition_{scalar}(ptr %numbers, i64 %lanes, ptr %starts, ptr %order) {{
+# The body may begin with values that are carried from turn to turn.
+LOOP = """\
+define {result} @{name}({arguments}, i64 %count) {{
 entry:
-  %some = icmp sgt i64 %lanes, 0
-  br i1 %some, label %lane, label %done
-lane:
-  %i = phi i64 [ 0, %entry ], [ %next, %lane ]
-  %number_at = getelementptr {scalar}, ptr %numbers, i64 %i
-  %number = load {scalar}, ptr %number_at
-  %queue = {wide}
-  %start_at = getelementptr i64, ptr %starts, i64 %queue
-  %start = load i64, ptr %start_at, align 8
-  %place = getelementptr i32, ptr %order, i64 %start
-  %lane32 = trunc i64 %i to i32
-  store i32 %lane32, ptr %place, align 4
-  %after = add i64 %start, 1
-  store i64 %after, ptr %start_at, align 8
+  %some = icmp sgt i64 %count, 0
+  br i1 %some, label %turn, label %done
+turn:
+  %i = phi i64 [ 0, %entry ], [ %next, %turn ]
+{body}
   %next = add i64 %i, 1
-  %more = icmp slt i64 %next, %lanes
-  br i1 %more, label %lane, label %done
+  %more = icmp slt i64 %next, %count
+  br i1 %more, label %turn, label %done
 done:
-  ret void
-}}
-define void @count_{scalar}(ptr %numbers, i64 %lanes, ptr %counts, ptr %unused) {{
-entry:
-  %some = icmp sgt i64 %lanes, 0
-  br i1 %some, label %lane, label %done
-lane:
-  %i = phi i64 [ 0, %entry ], [ %next, %lane ]
-  %number_at = getelementptr {scalar}, ptr %numbers, i64 %i
-  %number = load {scalar}, ptr %number_at
-  %queue = {wide}
-  %count_at = getelementptr i64, ptr %counts, i64 %queue
-  %count = load i64, ptr %count_at, align 8
-  %after = add i64 %count, 1
-  store i64 %after, ptr %count_at, align 8
-  %next = add i64 %i, 1
-  %more = icmp slt i64 %next, %lanes
-  br i1 %more, label %lane, label %done
-done:
-  ret void
+{end}
 }}
 """
+# A counter for each queue: begun at 0, it ends at the number of lanes; begun where the queue begins, it is each lane's place.
+COUNT = """\
+  %number_at = getelementptr {scalar}, ptr %numbers, i64 %i
+  %number = load {scalar}, ptr %number_at
+  %queue = {wide}
+  %place_at = getelementptr i64, ptr %places, i64 %queue
+  %place = load i64, ptr %place_at, align 8
+  %after = add i64 %place, 1
+  store i64 %after, ptr %place_at, align 8"""
+STORE_LANE = """\
+  %lane_at = getelementptr i32, ptr %order, i64 %place
+  %lane = trunc i64 %i to i32
+  store i32 %lane, ptr %lane_at, align 4"""
 # Without a branch: a lane that is not chosen is overwritten by the next.
-CHOOSE = """\
-define i64 @choose(ptr %flags, i64 %lanes, ptr %order) {
-entry:
-  %some = icmp sgt i64 %lanes, 0
-  br i1 %some, label %lane, label %done
-lane:
-  %i = phi i64 [ 0, %entry ], [ %next, %lane ]
-  %k = phi i64 [ 0, %entry ], [ %after, %lane ]
-  %place = getelementptr i32, ptr %order, i64 %k
-  %lane32 = trunc i64 %i to i32
-  store i32 %lane32, ptr %place, align 4
+CHOOSE = f"""\
+  %place = phi i64 [ 0, %entry ], [ %after, %turn ]
+{STORE_LANE}
   %flag_at = getelementptr i8, ptr %flags, i64 %i
   %flag = load i8, ptr %flag_at, align 1
   %one = zext i8 %flag to i64
-  %after = add i64 %k, %one
-  %next = add i64 %i, 1
-  %more = icmp slt i64 %next, %lanes
-  br i1 %more, label %lane, label %done
-done:
-  %count = phi i64 [ 0, %entry ], [ %after, %lane ]
-  ret i64 %count
-}
-"""
-# Words of a job: where the entries lie, and where they go.
+  %after = add i64 %place, %one"""
+CHOSEN = """\
+  %number = phi i64 [ 0, %entry ], [ %after, %turn ]
+  ret i64 %number"""
 PUT = """\
-define void @put_{scalar}(ptr %places, i64 %lanes, ptr %jobs, i64 %count) {{
-entry:
-  %some = icmp sgt i64 %lanes, 0
-  br i1 %some, label %job, label %done
-job:
-  %k = phi i64 [ 0, %entry ], [ %k_next, %jobs_left ]
-  %words = shl i64 %k, 1
-  %from_at = getelementptr ptr, ptr %jobs, i64 %words
-  %from = load ptr, ptr %from_at, align 8
-  %to_at = getelementptr ptr, ptr %from_at, i64 1
-  %to = load ptr, ptr %to_at, align 8
-  br label %lane
-lane:
-  %i = phi i64 [ 0, %job ], [ %next, %lane ]
   %place_at = getelementptr i32, ptr %places, i64 %i
   %place32 = load i32, ptr %place_at, align 4
   %place = sext i32 %place32 to i64
   %entry_at = getelementptr {scalar}, ptr %from, i64 %i
   %entry_value = load {scalar}, ptr %entry_at
   %target = getelementptr {scalar}, ptr %to, i64 %place
-  store {scalar} %entry_value, ptr %target
-  %next = add i64 %i, 1
-  %more = icmp slt i64 %next, %lanes
-  br i1 %more, label %lane, label %jobs_left
-jobs_left:
-  %k_next = add i64 %k, 1
-  %again = icmp slt i64 %k_next, %count
-  br i1 %again, label %job, label %done
-done:
-  ret void
-}}
-"""
+  store {scalar} %entry_value, ptr %target"""
+# Words of a job: where the entries lie, and where they go.
+PUT_ALL = """\
+  %words = shl i64 %i, 1
+  %from_at = getelementptr ptr, ptr %jobs, i64 %words
+  %from = load ptr, ptr %from_at, align 8
+  %to_at = getelementptr ptr, ptr %from_at, i64 1
+  %to = load ptr, ptr %to_at, align 8
+  call void @put_{scalar}(ptr %places, ptr %from, ptr %to, i64 %lanes)"""
 BITS = (8, 32, 64)  # of an element
 
 
+def loop(name: str, arguments: str, body: str, result: str = "void", end: str = "  ret void") -> str:
+    """The text of a function that runs `body` for each `%i` below its last argument, `%count`."""
+    return LOOP.format(name=name, arguments=arguments, body=body, result=result, end=end)
+
+
+def text() -> str:
+    """The module: how lanes are counted, partitioned and put into places, for each size of an element, and are chosen."""
+    functions = [loop("choose", "ptr %flags, ptr %order", CHOOSE, "i64", CHOSEN)]
+    for bits in BITS:
+        scalar = f"i{bits}"
+        count = COUNT.format(scalar=scalar, wide="add i64 %number, 0" if bits == 64 else f"zext {scalar} %number to i64")
+        functions += [
+            loop(f"count_{scalar}", "ptr %numbers, ptr %places", count),
+            loop(f"partition_{scalar}", "ptr %numbers, ptr %places, ptr %order", f"{count}\n{STORE_LANE}"),
+            loop(f"put_{scalar}", "ptr %places, ptr %from, ptr %to", PUT.format(scalar=scalar)),
+            loop(f"put_all_{scalar}", "ptr %places, i64 %lanes, ptr %jobs", PUT_ALL.format(scalar=scalar)),
+        ]
+    return "\n".join(functions)
+
+
 class Code:
-    """The machine code of the loops."""
+    """The machine code of `text`: functions by the bytes of an element."""
 
     def __init__(self) -> None:
-        wide = {bits: f"zext i{bits} %number to i64" for bits in BITS} | {64: "add i64 %number, 0"}
-        texts = [(PARTITION + PUT).format(scalar=f"i{bits}", wide=wide[bits]) for bits in BITS]
-        module = self.module = MachineCode("\n".join([CHOOSE, *texts]), entry="choose")
+        self.module = MachineCode(text(), entry="choose")
+        self.choose = self.function("choose", "ppn", ctypes.c_int64)
+        self.count, self.partition, self.put_all = (
+            {bits // 8: self.function(f"{name}_i{bits}", arguments) for bits in BITS}
+            for name, arguments in (("count", "ppn"), ("partition", "pppn"), ("put_all", "pnpn")))
 
-        def function(name: str, arguments: str):
-            kinds = {"p": ctypes.c_void_p, "n": ctypes.c_int64}
-            return ctypes.CFUNCTYPE(None, *(kinds[letter] for letter in arguments))(module.address_of(name))
-
-        self.choose = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p)(module.address)
-        self.count = {bits // 8: function(f"count_i{bits}", "pnpp") for bits in BITS}
-        self.partition = {bits // 8: function(f"partition_i{bits}", "pnpp") for bits in BITS}
-        self.put = {bits // 8: function(f"put_i{bits}", "pnpn") for bits in BITS}
+    def function(self, name: str, arguments: str, result: type | None = None) -> Callable:
+        """A function of the module; of each of its arguments whether it is a pointer (p) or a number (n)."""
+        kinds = {"p": ctypes.c_void_p, "n": ctypes.c_int64}
+        return ctypes.CFUNCTYPE(result, *(kinds[letter] for letter in arguments))(self.module.address_of(name))
 
 
 code = made_once(Code)
@@ -145,7 +118,7 @@ def chosen(flags: Tensor) -> Tensor:
         return flags.nonzero().squeeze(1).to(torch.int32)
     flags = flags.contiguous()
     order = flags.new_empty(flags.numel(), dtype=torch.int32)
-    return order[:code().choose(flags.data_ptr(), flags.numel(), order.data_ptr())]
+    return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
 
 
 def partition(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
@@ -164,12 +137,12 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
     order = number.new_empty(lanes, dtype=torch.int32)
     counts = array("q", bytes(8 * queues))
     address = counts.buffer_info()[0]
-    code().count[size](number.data_ptr(), lanes, address, None)
+    code().count[size](number.data_ptr(), address, lanes)
     found, first = counts.tolist(), 0
     for queue, count in enumerate(found):
         counts[queue] = first
         first += count
-    code().partition[size](number.data_ptr(), lanes, address, order.data_ptr())
+    code().partition[size](number.data_ptr(), address, order.data_ptr(), lanes)
     return order, found
 
 
@@ -199,4 +172,4 @@ def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> 
         for target, entry in zip(targets, entries):
             if target.element_size() == size:
                 jobs.extend((entry.data_ptr(), target.data_ptr()))
-        code().put[size](place.data_ptr(), lanes, jobs.buffer_info()[0], len(jobs) // 2)
+        code().put_all[size](place.data_ptr(), lanes, jobs.buffer_info()[0], len(jobs) // 2)
