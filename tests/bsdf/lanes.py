@@ -92,6 +92,9 @@ MATERIALS = {
     "dielectric": {"type": "dielectric", "int_ior": 1.5, "specular_reflectance": [0.9, 0.5, 0.7],
                    "specular_transmittance": [0.4, 0.9, 0.6]},
     "thin": {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.33},
+    "pane": {"type": "thindielectric", "int_ior": 1.5, "specular_reflectance": [0.9, 0.5, 0.7],
+             "specular_transmittance": [0.4, 0.9, 0.6]},
+    "pane of air": {"type": "thindielectric", "int_ior": 1.0, "ext_ior": 1.33},
     "plastic": {"type": "plastic", "diffuse_reflectance": [0.2, 0.5, 0.9], "specular_reflectance": [0.9, 0.6, 0.8]},
     "nonlinear plastic": {"type": "plastic", "int_ior": 1.9, "diffuse_reflectance": [0.8, 0.5, 0.1], "nonlinear": True},
 }

@@ -18,6 +18,7 @@ from torch_radbp.bsdf.plastic import Plastic
 from torch_radbp.bsdf.roughconductor import RoughConductor
 from torch_radbp.bsdf.roughdielectric import RoughDielectric
 from torch_radbp.bsdf.roughplastic import RoughPlastic
+from torch_radbp.bsdf.thindielectric import ThinDielectric
 from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.scene.pack import BankBuilder
 from torch_radbp.texture.bitmap import Bitmap, texture_bank
@@ -70,7 +71,7 @@ def test_defaults_are_those_of_mitsuba():
     assert figures(Conductor()) == mirror
     assert figures(RoughConductor()) == {"alpha.value": 0.1, **mirror}
     glass = {"eta": 1.50418, "specular_reflectance.value": 1.0, "specular_transmittance.value": 1.0}
-    assert figures(Dielectric()) == glass
+    assert figures(Dielectric()) == figures(ThinDielectric()) == glass
     assert figures(RoughDielectric()) == {"alpha.value": 0.1, **glass}
     coat = {"eta": 1.48959, "diffuse_reflectance.value": 0.5, "specular_reflectance.value": 1.0}
     assert figures(Plastic()) == coat

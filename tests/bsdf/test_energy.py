@@ -67,7 +67,7 @@ def energy(description: dict, z: float) -> torch.Tensor:
     if kind.delta:
         weight = where(choice.is_delta(kind), kind.specular(values, wi, choice) / choice.probability, weight)
     assert torch.equal(weight.x, weight.y)
-    if description["type"].endswith("dielectric"):  # radiance to power
+    if description["type"] in ("dielectric", "roughdielectric"):  # radiance to power
         weight = weight * torch.where(wi.z * wo.z < 0, squared_index(values, wo) / squared_index(values, wi), 1.0)
     return weight.x.detach()
 
@@ -85,7 +85,7 @@ def test_no_energy_is_made(name, z):
     else:
         # Sampling visible normals, each sample's weight is the shadowing of wo: at most 1.
         assert (power <= 1 + RATIONAL).all()
-    if description["type"] in ("diffuse", "conductor", "dielectric", "null"):
+    if description["type"] in ("diffuse", "conductor", "dielectric", "thindielectric", "null"):
         torch.testing.assert_close(power, torch.ones_like(power), rtol=1e-12, atol=0)
     assert power.mean() > 0.5
 

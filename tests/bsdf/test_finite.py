@@ -14,6 +14,7 @@ from torch_radbp.bsdf.plastic import PlasticKind
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.bsdf.roughdielectric import RoughDielectricKind
 from torch_radbp.bsdf.roughplastic import RoughPlasticKind, coat_of
+from torch_radbp.bsdf.thindielectric import ThinDielectricKind
 from torch_radbp.vec import Vec3
 
 ALPHA = (0.0, 1e-4, 1e-3, 0.1, 1.0)
@@ -26,6 +27,7 @@ ACROSS = (math.cos(0.9), math.sin(0.9))  # azimuth of wi
 
 KINDS = {
     "diffuse": DiffuseKind(), "conductor": ConductorKind(), "dielectric": DielectricKind(),
+    "pane": ThinDielectricKind(),
     **{f"{'brushed ' * a}{name} {d}": kind(d, a) for d in ("beckmann", "ggx") for a in (False, True)
        for name, kind in (("metal", RoughConductorKind), ("glass", RoughDielectricKind))},
     **{f"{'nonlinear ' * n}plastic": PlasticKind(nonlinear=n) for n in (False, True)},

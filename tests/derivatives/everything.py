@@ -10,7 +10,7 @@ import torch_radbp as rb
 from tests.derivatives.scenes import SCENES, SUBJECT, beam, bitmap, camera, floor, lamp, parallel, sky, turned
 from tests.scenes import load, rgb
 
-MATERIALS = ("diffuse", "conductor", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
+MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
              "brushed glass beckmann", "plastic", "rough plastic ggx", "blend", "mask", "normal map")
 SHAPES = ("rectangle", "disk", "sphere", "cube", "mesh", "obj", "ply")
 LIGHTS = ("directional", "point", "projector", "spot")
@@ -28,7 +28,7 @@ def place(number: int) -> tuple[float, float, float]:
 
 def place_of_box(number: int) -> tuple[float, float, float]:
     """On a grid of 4 columns in front of the camera."""
-    return 0.7 * (number % 4 - 1.5), 0.8 * (number // 4 - 1), -0.1 * number
+    return 0.7 * (number % 4 - 1.5), 0.6 * (number // 4 - 1.5), -0.1 * number
 
 
 def materials() -> dict[str, Any]:
@@ -40,7 +40,7 @@ def materials() -> dict[str, Any]:
         found[f"box_{number}"] = turned(place_of_box(number), 20 + 7 * number, 30 - 5 * number, 10, size=0.4, type="cube",
                                         bsdf={"type": "ref", "id": material})
     both = {"type": "ref", "id": f"{SUBJECT}_twosided"}
-    return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_sky": sky(), "floor": floor(), **found,
+    return {f"{SUBJECT}_sensor": camera(16, 40), f"{SUBJECT}_sky": sky(), "floor": floor(), **found,
             f"{SUBJECT}_lamp": lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)}),
             f"{SUBJECT}_twosided": objects("twosided")[SUBJECT],
             "sheet": turned((0.45, 0.4, 0.2), 20, 30, 10, size=0.2, type="rectangle", bsdf=both),

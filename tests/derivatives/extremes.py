@@ -87,6 +87,7 @@ def materials() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
     found["conductor black"] = of(metal, specular_reflectance__value=0.0)
     for eta in (0.3, 1 - 1e-7, 1.0, 1 + 1e-7, 3.0):
         found[f"dielectric {eta}"] = of(GLASS, eta=eta)
+        found[f"thindielectric {eta}"] = of({"type": "thindielectric"}, eta=eta)
     found["dielectric black"] = of(GLASS, specular_reflectance__value=0.0, specular_transmittance__value=0.0)
     for distribution in ("beckmann", "ggx"):
         rough = {"type": "roughconductor", "distribution": distribution, "material": "Au"}

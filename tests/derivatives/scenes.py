@@ -184,6 +184,7 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "normal map": metal(type="normalmap", normalmap=bumps(), nested={"type": "roughplastic", "alpha": 0.4, **PLASTIC}),
     "mirror with a normal map": glass(type="normalmap", normalmap=bumps(), nested={"type": "conductor", **METAL}),
     "dielectric": glass(type="dielectric", **TINTED),
+    "pane": glass(type="thindielectric", **TINTED),
     "rough glass beckmann": glass(type="roughdielectric", distribution="beckmann", alpha=0.3, **ROUGH_GLASS),
     "rough glass ggx": glass(type="roughdielectric", distribution="ggx", alpha=0.3, **ROUGH_GLASS),
     "brushed glass beckmann": glass(type="roughdielectric", distribution="beckmann", **BRUSHED, **ROUGH_GLASS),

@@ -27,7 +27,7 @@ PROJECTIONS = 2  # random sums of all pixels, of which the derivative is taken
 STEP, ABSOLUTE, RELATIVE = 1e-6, 1e-8, 1e-6
 SMALLEST = 1e-4  # of the greatest derivative by a parameter; the sums have size 1
 # Scenes in which hybrid sampling is not detached sampling.
-DELTA = ("conductor", "dielectric", "plastic", "blend", "blend of deltas", "mirror with a normal map")
+DELTA = ("conductor", "dielectric", "pane", "plastic", "blend", "blend of deltas", "mirror with a normal map")
 CASES = [(name, sampling) for name in SCENES for sampling in ("attached", "detached", "hybrid")
          if sampling != "hybrid" or name in DELTA]
 
