@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import AMOUNT, Domain
-from torch_radbp.emitter.attributes import weight
-from torch_radbp.emitter.kind import NEAREST, Aim, EmittingTriangles, Light, Pick, ShadowSource, SurfaceKind
+from torch_radbp.emitter.kind import NEAREST, Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind
+from torch_radbp.emitter.surface import SurfaceLight
 from torch_radbp.lookup import lookup
-from torch_radbp.plugin import Texture, register
+from torch_radbp.plugin import register
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import square_to_uniform_triangle
-from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3, dot, interpolated
 
 SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
@@ -57,22 +55,11 @@ class AreaKind(SurfaceKind):
 
 
 @register("emitter", "area")
-class Area(Light):
+class Area(SurfaceLight):
     """Emits `radiance` (W / (m^2 sr)) from the front side of the shape that carries it.
 
     Parameters: `radiance`, a texture. Derivatives: with respect to its texels.
     """
 
-    def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
-        super().__init__()
-        self.radiance = as_texture(self, "radiance", radiance)
-        self.sampling_weight = weight(sampling_weight)
-
-    def domains(self) -> dict[str, Domain]:
-        return {"radiance": AMOUNT}
-
     def kind(self) -> AreaKind:
         return AreaKind()
-
-    def radiated(self) -> Texture:
-        return self.radiance

@@ -8,12 +8,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import AMOUNT, Domain
-from torch_radbp.emitter.attributes import weight
-from torch_radbp.emitter.kind import Aim, EmittingTriangles, Light, Pick, ShadowSource, SurfaceKind
+from torch_radbp.emitter.kind import Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind
+from torch_radbp.emitter.surface import SurfaceLight
 from torch_radbp.lookup import lookup
-from torch_radbp.plugin import Texture, register
-from torch_radbp.texture.rgb import as_texture
+from torch_radbp.plugin import register
 from torch_radbp.vec import Ray, Vec3, crossing, dot, interpolated
 
 
@@ -47,7 +45,7 @@ class DirectionalAreaKind(SurfaceKind):
 
 
 @register("emitter", "directionalarea")
-class DirectionalArea(Light):
+class DirectionalArea(SurfaceLight):
     """Emits a beam along the normal from the front side of the flat shape that carries it.
 
     A surface across the beam receives the irradiance `radiance` (W / m^2) at any distance. The shape itself looks black.
@@ -58,16 +56,5 @@ class DirectionalArea(Light):
     of the edge of the beam, where the light is discontinuous.
     """
 
-    def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
-        super().__init__()
-        self.radiance = as_texture(self, "radiance", radiance)
-        self.sampling_weight = weight(sampling_weight)
-
-    def domains(self) -> dict[str, Domain]:
-        return {"radiance": AMOUNT}
-
     def kind(self) -> DirectionalAreaKind:
         return DirectionalAreaKind()
-
-    def radiated(self) -> Texture:
-        return self.radiance

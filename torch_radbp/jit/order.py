@@ -30,7 +30,7 @@ done:
 {end}
 }}
 """
-# A counter for each queue: begun at 0, it ends at the number of lanes; begun where the queue begins, it is each lane's place.
+# A counter of each queue: begun at 0, it ends at the number of lanes; begun where the queue begins, it is each lane's place.
 COUNT = """\
   %number_at = getelementptr {scalar}, ptr %numbers, i64 %i
   %number = load {scalar}, ptr %number_at

@@ -1,0 +1,29 @@
+"""Light from a surface: what the emitters that a shape carries have in common."""
+
+from __future__ import annotations
+
+from torch_radbp.domain import AMOUNT, Domain
+from torch_radbp.emitter.attributes import weight
+from torch_radbp.emitter.kind import Light
+from torch_radbp.plugin import Texture
+from torch_radbp.texture.rgb import as_texture
+
+
+class SurfaceLight(Light):
+    """Emits `radiance`, a texture on the shape that carries it; the kind says where to, and in which unit.
+
+    Args:
+        radiance: of the light.
+        sampling_weight: relative to that of other emitters; 0: next-event estimation never picks it.
+    """
+
+    def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
+        super().__init__()
+        self.radiance = as_texture(self, "radiance", radiance)
+        self.sampling_weight = weight(sampling_weight)
+
+    def domains(self) -> dict[str, Domain]:
+        return {"radiance": AMOUNT}
+
+    def radiated(self) -> Texture:
+        return self.radiance
