@@ -1,17 +1,15 @@
-"""`Renderer` and `render`: the public entry. Checks what it is given, plans chunks, calls the tracer."""
+"""`Renderer` and `render`: the public entry. Packs the scene, plans chunks, calls the tracer."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 from torch.utils._pytree import tree_flatten
 
-from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
+from torch_radbp.adjoint import MemoizedAdjoint, TapeAdjoint
 from torch_radbp.adjoint.cost import Request, check_cost
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
 from torch_radbp.adjoint.function import (
@@ -24,32 +22,36 @@ from torch_radbp.adjoint.function import (
     render_images,
     render_with_derivative,
 )
-from torch_radbp.adjoint.memory import MemoryPlan, Workload, parse_budget, plan_memory, predict, reaching
+from torch_radbp.adjoint.memory import MemoryPlan, Workload, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.entry import entry
 from torch_radbp.path import Settings
-from torch_radbp.plugin import Sensor, boolean, integer, nearest
+from torch_radbp.plugin import Sensor
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.known import KnownCaster, Mesh
 from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.scene import Scene
 from torch_radbp.scene.differentiated import any_differentiated, primal
-from torch_radbp.scene.integrator import depths
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.settings import (
+    SensorChoice,
+    check_settings,
+    checked_scene,
+    checked_seed,
+    samples_per_pixel,
+    sensor_indices,
+    size_of_films,
+)
 from torch_radbp.stages import EAGER, compiled
 from torch_radbp.vec import Vec3
 from torch_radbp.wavefront import Integrand
 
-SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
-
-SAMPLINGS = ("hybrid", "detached", "attached")
-STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call
 LANES = {True: 1 << 18, False: 1 << 16}  # of a chunk if the user does not say, compiled and eager; the fastest powers of 2
@@ -100,11 +102,7 @@ class Renderer(nn.Module):
                  chunk: int | None = None, memory_budget: str | int | None = None, compile: bool = True,
                  caster: str | None = None):
         super().__init__()
-        if not isinstance(scene, Scene):
-            raise TypeError(f"scene must be a torch_radbp.Scene (from load or load_dict), got {type(scene).__name__}")
-        if not scene.shapes:
-            raise ValueError("the scene has no shape to render: add a rectangle, cube, sphere, disk, obj, ply or mesh")
-        self.scene = scene
+        self.scene = checked_scene(scene)
         defaults = scene.integrator
         self.chosen_spp, self.chunk, self.memory_budget = spp, chunk, memory_budget
         self.max_depth = defaults.max_depth if max_depth is None else max_depth
@@ -117,49 +115,16 @@ class Renderer(nn.Module):
         self.kept = Kept()
         self.jump_watch = JumpWatch()
         self.working_sets: dict[tuple, WorkingSet] = {}
-        self.check_settings()
-
-    def check_settings(self) -> None:
-        """Checks the settings as they are now: they may have been assigned since.
-
-        Raises:
-            ValueError: for a value that makes no sense.
-            TypeError: for an adjoint that is none.
-        """
-        self.chosen_spp = None if self.chosen_spp is None else integer("spp", self.chosen_spp, 1)
-        self.max_depth, self.rr_depth = depths(self.max_depth, self.rr_depth)
-        self.hide_emitters = boolean("hide_emitters", self.hide_emitters)
-        self.nee, self.compile_stages = boolean("nee", self.nee), boolean("compile", self.compile_stages)
-        self.chunk = None if self.chunk is None else integer("chunk", self.chunk, 1)
-        self.memory_budget = None if self.memory_budget is None else parse_budget(self.memory_budget)
-        if not isinstance(self.adjoint, STRATEGIES):
-            raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {self.adjoint!r}")
-        if self.sampling not in SAMPLINGS:
-            raise ValueError(f"sampling={self.sampling!r} is not known; {nearest(str(self.sampling), SAMPLINGS)}")
+        check_settings(self)
 
     @property
     def spp(self) -> int:
         """Samples per pixel of a call that renders all sensors and does not say how many."""
-        return self.samples(self.scene.sensors, None)
+        return samples_per_pixel(self.chosen_spp, self.scene.sensors)
 
     @spp.setter
     def spp(self, value: int | None) -> None:
         self.chosen_spp = value
-
-    def samples(self, sensors: Sequence[Sensor], spp: int | None) -> int:
-        """Samples per pixel of a call: `spp`, or the renderer's own, or what the samplers of the sensors say.
-
-        Raises:
-            ValueError: if it is no integer of at least 1, or nothing is chosen and the samplers disagree.
-        """
-        spp = self.chosen_spp if spp is None else spp
-        if spp is not None:
-            return integer("spp", spp, 1)
-        counts = {sensor.sampler.sample_count for sensor in sensors}
-        if len(counts) > 1:
-            raise ValueError(f"the sensors of one call must have samplers of one sample_count, got {sorted(counts)}; give "
-                             f"spp, or render them in separate calls")
-        return counts.pop()
 
     @entry
     def forward(self, seed: int = 0, sensors: SensorChoice = None, spp: int | None = None,
@@ -202,18 +167,14 @@ class Renderer(nn.Module):
 
     def prepare(self, seed: int, sensors: SensorChoice, spp: int | None, seed_grad: int | None) -> RenderCall:
         """The scene packed, rays ready to be cast, chunks planned."""
-        self.check_settings()
+        check_settings(self)  # they may have been assigned since
         check_names(self)
         available, indices = self.scene.sensors, sensor_indices(self.scene, sensors)
-        spp = self.samples([available[index] for index in indices], spp)
+        seen = [available[index] for index in indices]
+        spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seed = checked_seed("seed", seed)
         seeds = (seed, seed if seed_grad is None else checked_seed("seed_grad", seed_grad))
-        films = [available[index].film for index in indices]
-        sizes = {(film.crop_width, film.crop_height) for film in films}
-        if len(sizes) > 1:
-            raise ValueError(f"the sensors of one call must have films of one size, got {sorted(sizes)}; "
-                             f"render them in separate calls")
-        (width, height), = sizes
+        width, height = size_of_films(seen)
         device = self.scene.device
         workers = torch.get_num_threads() if device.type == "cpu" else 1
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
@@ -227,15 +188,10 @@ class Renderer(nn.Module):
         kept = Kept(self.kept)
         scene = pack(self.scene, kept)
         caster = self.caster_of(scene)
-        cameras = [kept(camera_of, kept.twin(id(available[index]), available[index])) for index in indices]
-        moving = self.sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
-            self.sampling == "hybrid" and scene.layout.bending)
-        samplers = [available[index].sampler for index in indices]
-        views = [View(camera, width, height,
-                      tuple(sample_key(s + sampler.seed, index, sampler.low_discrepancy, scene.device) for s in seeds),
-                      clips=kept(reaches_beyond, scene.triangles.vertices.p, camera))
-                 for index, camera, sampler in zip(indices, cameras, samplers)]
+        views = [view_of(sensor, index, seeds, scene, kept) for index, sensor in zip(indices, seen)]
         self.kept = kept.close()
+        moving = self.sampling == "attached" or any_differentiated((scene.triangles, [view.camera for view in views])) or (
+            self.sampling == "hybrid" and scene.layout.bending)
         stages = compiled() if fused else EAGER
         settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,
                             sampling=self.sampling if moving else "detached")
@@ -310,6 +266,14 @@ class Renderer(nn.Module):
         return None if self.known_caster is None else self.known_caster.caster
 
 
+def view_of(sensor: Sensor, index: int, seeds: tuple[int, int], scene: SceneTensors, kept: Kept) -> View:
+    """What a sensor, number `index` of the scene's, sees in a call with these seeds, forwards and backwards."""
+    sampler, film = sensor.sampler, sensor.film
+    camera = kept(camera_of, kept.twin(id(sensor), sensor))
+    keys = tuple(sample_key(seed + sampler.seed, index, sampler.low_discrepancy, scene.device) for seed in seeds)
+    return View(camera, film.crop_width, film.crop_height, keys, kept(reaches_beyond, scene.triangles.vertices.p, camera))
+
+
 def camera_of(sensor: Sensor) -> Camera:
     """The camera of a sensor, attached."""
     return sensor.tensors()
@@ -318,36 +282,6 @@ def camera_of(sensor: Sensor) -> Camera:
 def reaches_beyond(vertices: Vec3, camera: Camera) -> bool:
     """True if any of some vertices, (V,), lies beyond the far plane of a camera."""
     return bool(detached(camera).beyond_far_plane(vertices.detach()).any())
-
-
-def checked_seed(name: str, value: int) -> int:
-    """`value` as an int of 64 bits: more would not tell one seed from another.
-
-    Raises:
-        ValueError: if it is no integer, or needs more bits.
-    """
-    seed = integer(name, value)
-    if not -(1 << 63) <= seed < 1 << 64:
-        raise ValueError(f"{name} must be from -2**63 to 2**64 - 1, got {seed}")
-    return seed
-
-
-def sensor_indices(scene: Scene, sensors: SensorChoice) -> list[int]:
-    """The indices of sensors that are chosen by index or name, one or several; None: all.
-
-    Raises:
-        ValueError: if there is no such sensor, or none is chosen.
-    """
-    names = [name for name, child in scene.named_children() if isinstance(child, Sensor)]
-    wanted = range(len(names)) if sensors is None else [sensors] if np.ndim(sensors) == 0 else sensors
-    indices = []
-    for sensor in wanted:
-        if isinstance(sensor, str) and sensor not in names:
-            raise ValueError(f"the scene has no sensor {sensor!r}; {nearest(sensor, names)}")
-        indices.append(names.index(sensor) if isinstance(sensor, str) else integer("sensors: an index", sensor))
-    if not indices or any(not 0 <= index < len(names) for index in indices):
-        raise ValueError(f"sensors must be indices from 0 to {len(names) - 1}, got {sensors}")
-    return indices
 
 
 @entry

@@ -1,0 +1,110 @@
+"""What a renderer and its calls are told, checked: settings, samples per pixel, seeds, sensors and their films."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from torch import nn
+
+from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
+from torch_radbp.adjoint.memory import parse_budget
+from torch_radbp.plugin import Sensor, boolean, integer, nearest
+from torch_radbp.scene import Scene
+from torch_radbp.scene.integrator import depths
+
+SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
+
+SAMPLINGS = ("hybrid", "detached", "attached")
+STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
+
+
+def checked_scene(scene: Scene) -> Scene:
+    """`scene`, if it can be rendered.
+
+    Raises:
+        TypeError: if it is no scene.
+        ValueError: if it has no shape.
+    """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene must be a torch_radbp.Scene (from load or load_dict), got {type(scene).__name__}")
+    if not scene.shapes:
+        raise ValueError("the scene has no shape to render: add a rectangle, cube, sphere, disk, obj, ply or mesh")
+    return scene
+
+
+def check_settings(renderer: nn.Module) -> None:
+    """Checks the settings of a renderer as they are now, and brings each to the type in which it is used.
+
+    Raises:
+        ValueError: for a value that makes no sense.
+        TypeError: for an adjoint that is none.
+    """
+    renderer.chosen_spp = None if renderer.chosen_spp is None else integer("spp", renderer.chosen_spp, 1)
+    renderer.max_depth, renderer.rr_depth = depths(renderer.max_depth, renderer.rr_depth)
+    renderer.hide_emitters = boolean("hide_emitters", renderer.hide_emitters)
+    renderer.nee, renderer.compile_stages = boolean("nee", renderer.nee), boolean("compile", renderer.compile_stages)
+    renderer.chunk = None if renderer.chunk is None else integer("chunk", renderer.chunk, 1)
+    renderer.memory_budget = None if renderer.memory_budget is None else parse_budget(renderer.memory_budget)
+    if not isinstance(renderer.adjoint, STRATEGIES):
+        raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {renderer.adjoint!r}")
+    if renderer.sampling not in SAMPLINGS:
+        raise ValueError(f"sampling={renderer.sampling!r} is not known; {nearest(str(renderer.sampling), SAMPLINGS)}")
+
+
+def samples_per_pixel(spp: int | None, sensors: Sequence[Sensor]) -> int:
+    """`spp`, or what the samplers of the sensors say.
+
+    Raises:
+        ValueError: if it is no integer of at least 1, or nothing is chosen and the samplers disagree.
+    """
+    if spp is not None:
+        return integer("spp", spp, 1)
+    counts = {sensor.sampler.sample_count for sensor in sensors}
+    if len(counts) > 1:
+        raise ValueError(f"the sensors of one call must have samplers of one sample_count, got {sorted(counts)}; give "
+                         f"spp, or render them in separate calls")
+    return counts.pop()
+
+
+def size_of_films(sensors: Sequence[Sensor]) -> tuple[int, int]:
+    """Width and height of the crop windows of the sensors' films.
+
+    Raises:
+        ValueError: if they differ.
+    """
+    sizes = {(sensor.film.crop_width, sensor.film.crop_height) for sensor in sensors}
+    if len(sizes) > 1:
+        raise ValueError(f"the sensors of one call must have films of one size, got {sorted(sizes)}; "
+                         f"render them in separate calls")
+    return sizes.pop()
+
+
+def checked_seed(name: str, value: int) -> int:
+    """`value` as an int of 64 bits: more would not tell one seed from another.
+
+    Raises:
+        ValueError: if it is no integer, or needs more bits.
+    """
+    seed = integer(name, value)
+    if not -(1 << 63) <= seed < 1 << 64:
+        raise ValueError(f"{name} must be from -2**63 to 2**64 - 1, got {seed}")
+    return seed
+
+
+def sensor_indices(scene: Scene, sensors: SensorChoice) -> list[int]:
+    """The indices of sensors that are chosen by index or name, one or several; None: all.
+
+    Raises:
+        ValueError: if there is no such sensor, or none is chosen.
+    """
+    names = [name for name, child in scene.named_children() if isinstance(child, Sensor)]
+    wanted = range(len(names)) if sensors is None else [sensors] if np.ndim(sensors) == 0 else sensors
+    indices = []
+    for sensor in wanted:
+        if isinstance(sensor, str) and sensor not in names:
+            raise ValueError(f"the scene has no sensor {sensor!r}; {nearest(sensor, names)}")
+        indices.append(names.index(sensor) if isinstance(sensor, str) else integer("sensors: an index", sensor))
+    if not indices or any(not 0 <= index < len(names) for index in indices):
+        raise ValueError(f"sensors must be indices from 0 to {len(names) - 1}, got {sensors}")
+    return indices
