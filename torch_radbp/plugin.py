@@ -121,6 +121,7 @@ class Plugin(nn.Module):
 class Texture(Plugin):
     category = "texture"
     tabulated = True  # its values are those of a table, `texels`
+    entries: str | None = None  # the parameter whose entries these values are; None: they are computed
 
     def sources(self) -> tuple[Tensor, ...]:
         """All tensors that its values are computed from, attached."""

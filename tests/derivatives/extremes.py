@@ -78,6 +78,20 @@ def of(material: dict[str, Any], **values: Any) -> Callable[[torch.dtype], rb.Sc
     return lambda dtype: put(crowd(material, dtype), **{f"material__{name}": value for name, value in values.items()})
 
 
+def spectra(share: float) -> Callable[[torch.dtype], rb.Scene]:
+    """The crowd with all textures that are no image, at the ends of their ranges."""
+    dark = {"type": "regular", "wavelength_min": 400.0, "wavelength_max": 700.0, "values": [share] * 3}
+    light = {"type": "irregular", "wavelengths": [300.0, 555.0, 900.0], "values": [1 - share] * 3}
+    metal = {"type": "conductor", "eta": {"type": "rawconstant", "value": 1.0 + share},
+             "k": {"type": "srgb", "color": share}, "specular_reflectance": {"type": "uniform", "value": 1.0 - share}}
+    glow = {"type": "blackbody", "temperature": 100.0 if share else 1e6}
+    return lambda dtype: crowd(
+        {"type": "plastic", "diffuse_reflectance": dark, "specular_reflectance": light}, dtype,
+        metal=metal, mirror=rectangle((0.8, 0.6, -0.4), 0.6, (0.2, 1, 0.1), 15, bsdf={"type": "ref", "id": "metal"}),
+        point={"type": "point", "position": [0.4, 1.9, 1.2], "intensity": glow},
+        sun={"type": "directional", "direction": [0.3, -1, -0.4], "irradiance": {"type": "d65", "scale": share}})
+
+
 def materials() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
     """By name, every material at the ends of the range of its parameters."""
     found = {f"diffuse {value}": of(diffuse(0.5, 0.5, 0.5), reflectance__value=value) for value in (0.0, 1.0)}
@@ -115,6 +129,7 @@ def materials() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
         found[f"normalmap {weight}"] = of({"type": "normalmap", "normalmap": rgb(0.5, 0.5, 1.0), "nested": {
             "type": "roughconductor"}}, normalmap__value=weight)
     found["null"] = of({"type": "null"})
+    found |= {f"spectra {value}": spectra(value) for value in (0.0, 1.0)}
     return found
 
 

@@ -154,6 +154,8 @@ TINTED = {"int_ior": 1.5, "specular_reflectance": rgb(0.9, 0.5, 0.7), "specular_
 ROUGH_GLASS = {"int_ior": 1.5, "specular_reflectance": 0.7, "specular_transmittance": 0.8}
 PLASTIC = {"int_ior": 1.6, "diffuse_reflectance": rgb(0.3, 0.5, 0.7), "specular_reflectance": rgb(0.9, 0.5, 0.7)}
 BRUSHED = {"alpha_u": 0.25, "alpha_v": 0.5}
+REGULAR = {"type": "regular", "wavelength_min": 390.0, "wavelength_max": 720.0, "values": [0.2, 0.5, 0.4, 0.7]}
+IRREGULAR = {"type": "irregular", "wavelengths": [380.0, 470, 520, 710], "values": [0.6, 0.3, 0.5, 0.4]}
 
 SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "rectangle": shape(**plane(bsdf=printed())),
@@ -168,6 +170,12 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "ply": lambda: shape(type="ply", filename=mesh_file("ply"), bsdf=printed()),
     "diffuse": metal(type="diffuse", reflectance=bitmap(filter_type="nearest")),
     "conductor": metal(type="conductor", **METAL),
+    "spectra": metal(type="roughplastic", distribution="ggx", alpha=0.3, diffuse_reflectance=REGULAR, specular_reflectance=IRREGULAR),
+    "metal by spectra": metal(type="conductor", eta=REGULAR, k=IRREGULAR),
+    "named constants": metal(type="conductor", eta={"type": "d65", "color": [0.2, 0.9, 1.1], "scale": 1.1},
+                             k={"type": "srgb", "color": [3.9, 2.4, 2.2], "unbounded": True},
+                             specular_reflectance={"type": "uniform", "value": 0.7}),
+    "raw constant": metal(type="diffuse", reflectance={"type": "rawconstant", "value": [0.7, 0.4, 0.6]}),
     "rough metal beckmann": metal(type="roughconductor", distribution="beckmann", alpha=0.3, **ROUGH_METAL),
     "rough metal ggx": metal(type="roughconductor", distribution="ggx", alpha=0.3, **ROUGH_METAL),
     "brushed metal beckmann": metal(type="roughconductor", distribution="beckmann", **BRUSHED, **ROUGH_METAL),
@@ -202,6 +210,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "constant": light(type="constant", radiance=rgb(0.6, 0.9, 1.4)),
     "directional": light(type="directional", direction=[-0.3, -1.0, -0.9], irradiance=rgb(2.8, 2.7, 2.4)),
     "envmap": light(**sky()),
+    "glowing body": light(type="point", position=[0.7, 0.9, 1.9], intensity={"type": "blackbody", "temperature": 2000.0}),
+    "light by a spectrum": light(type="point", position=[0.7, 0.9, 1.9], intensity=IRREGULAR | {"values": [3, 9, 6, 9]}),
     "point": light(type="point", position=[0.7, 0.9, 1.9], intensity=rgb(9, 8, 7)),
     "projector": light(type="projector", to_world=AIMED, irradiance=bitmap(factor=2.0), scale=2.0, fov=80.0),
     "spot": light(type="spot", to_world=AIMED, intensity=rgb(9, 8, 7), cutoff_angle=58.0, beam_width=4.0,

@@ -66,12 +66,45 @@ XML = {
         ["line 3: <rgb", "three linear RGB numbers"],
     ),
     "wavelengths": (
-        diffuse('<spectrum name="reflectance" value="400:0.1, 700:0.2"/>'),
-        ["<spectrum", "linear RGB", "<rgb"],
+        diffuse('<spectrum name="reflectance" value="400:0.1, 700:0.2:3"/>'),
+        ["line 3: <spectrum", "pairs of a wavelength and a value", "'700:0.2:3'"],
     ),
-    "spectrum from a file": (
+    "order of wavelengths": (
+        diffuse('<spectrum name="reflectance" value="700:0.1, 400:0.2"/>'),
+        ["line 3: <spectrum", "wavelengths of a spectrum must increase, got 700 and then 400"],
+    ),
+    "one wavelength": (
+        diffuse('<spectrum name="reflectance" value="700:0.1"/>'),
+        ["line 3: <spectrum", "at least two wavelengths, got 1"],
+    ),
+    "spectrum from a file that is not there": (
         diffuse('<spectrum name="reflectance" filename="a.spd"/>'),
-        ["from files are not supported", "<rgb"],
+        ["line 3: <spectrum", "filename 'a.spd' not found; looked in"],
+    ),
+    "spectrum from another file": (
+        diffuse('<spectrum name="reflectance" filename="empty.obj"/>'),
+        ["line 3: <spectrum", "empty.obj: unknown kind of spectrum '.obj'; supported: .spd"],
+    ),
+    "glow of a surface": (
+        diffuse('<spectrum type="blackbody" name="reflectance"><float name="temperature" value="5000"/></spectrum>'),
+        ['<bsdf type="diffuse"', "a blackbody is light and can stand in an emitter only"],
+    ),
+    "attribute of a spectrum": (
+        diffuse('<spectrum type="blackbody" name="reflectance"><float name="temprature" value="5000"/></spectrum>'),
+        ["blackbody has no attribute 'temprature'; did you mean 'temperature'? known: temperature, wavelength_max, wave"],
+    ),
+    "regular spectrum without a range": (
+        diffuse('<spectrum type="regular" name="reflectance"><string name="values" value="0.1, 0.2"/></spectrum>'),
+        ["needs either wavelength_min, wavelength_max and values, or value"],
+    ),
+    "text in a spectrum": (
+        diffuse('<spectrum type="irregular" name="reflectance"><string name="values" value="0.1, a"/>'
+                '<string name="wavelengths" value="400, 500"/></spectrum>'),
+        ["values must be made of numbers, could not convert string to float: 'a'"],
+    ),
+    "daylight on a texture": (
+        diffuse('<spectrum type="d65" name="reflectance"><texture type="bitmap" name="color"/></spectrum>'),
+        ["d65 does not take an object called 'color'; 'color' is a plain value"],
     ),
     "string for an integer": (
         '<sensor type="perspective"><film type="hdrfilm">\n<string name="width" value="abc"/></film></sensor>',
@@ -288,7 +321,7 @@ DICTS = {
     "unknown attribute": (scene_dict(ball={"type": "sphere", "radios": 1}), ["ball.radios", "did you mean 'radius'"]),
     "nested value": (
         scene_dict(light={"type": "disk", "emitter": {"type": "area", "radiance": "bright"}}),
-        ["light.emitter.radiance", "a number, three numbers or a texture", "'bright'"],
+        ["light.emitter.radiance", "a number, three numbers, a spectrum or a texture", "'bright'"],
     ),
     "nested range": (
         scene_dict(light={"type": "disk", "emitter": {"type": "area", "radiance": -1.0}}),
@@ -354,8 +387,8 @@ DICTS = {
         ["white.reflectance", "type and value, got type, values"],
     ),
     "wavelengths": (
-        scene_dict(white={"type": "diffuse", "reflectance": {"type": "spectrum", "value": [(400, 0.1), (700, 0.2)]}}),
-        ["white.reflectance", "wavelengths are not supported"],
+        scene_dict(white={"type": "diffuse", "reflectance": {"type": "spectrum", "value": [(400, 0.1, 700)]}}),
+        ["white.reflectance", "a number, three numbers, a spectrum or a texture"],
     ),
     "bitmap values": (
         scene_dict(white={"type": "diffuse", "reflectance": {"type": "bitmap", "data": np.full((2, 2, 3), np.nan)}}),

@@ -35,6 +35,8 @@ def test_xml_becomes_the_dict_vocabulary(tmp_path):
     ('<rgb name="v" value="0.5"/>', {"type": "rgb", "value": [0.5, 0.5, 0.5]}),
     ('<spectrum name="v" value="0.5"/>', {"type": "spectrum", "value": 0.5}),
     ('<spectrum name="v" value="1, 2, 3"/>', {"type": "rgb", "value": [1, 2, 3]}),
+    ('<spectrum name="v" value="400:.1, 700:2e-1"/>', {"type": "spectrum", "value": [(400, 0.1), (700, 0.2)]}),
+    ('<spectrum name="v" filename="a.spd"/>', {"type": "spectrum", "filename": "a.spd"}),
     ('<point name="v" x="1" y="2" z="3"/>', [1, 2, 3]),
     ('<vector name="v" value="1, 2, 3"/>', [1, 2, 3]),
     ('<point name="v" value="4"/>', [4, 4, 4]),

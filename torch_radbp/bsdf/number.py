@@ -8,12 +8,12 @@ from torch import Tensor
 
 from torch_radbp.plugin import BSDF, Plugin, Texture
 from torch_radbp.texture.bitmap import reader_of
+from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.neural import ModuleFunction
 from torch_radbp.texture.reader import Reader
-from torch_radbp.texture.rgb import RGB
 
 
-class OwnNumber(RGB):
+class OwnNumber(Colour):
     """The 0-dim parameter `name` of `owner` as a constant texture.
 
     The parameter stays registered with its owner, under the owner's name for it; this texture has none of its own.
@@ -23,8 +23,7 @@ class OwnNumber(RGB):
         Plugin.__init__(self)
         self.place = (owner, name)  # a tuple, so that the owner is no submodule
 
-    @property
-    def value(self) -> Tensor:
+    def colour(self) -> Tensor:
         """(), attached."""
         owner, name = self.place
         return getattr(owner, name)
@@ -68,7 +67,7 @@ class NumberOf(Texture):
         return super().__getattr__(name)
 
 
-class ComputedNumbers(RGB):
+class ComputedNumbers(Colour):
     """Three of the numbers that a method of `owner` computes from its parameters, as a constant texture.
 
     Args:
@@ -81,8 +80,7 @@ class ComputedNumbers(RGB):
         Plugin.__init__(self)
         self.place, self.first = (owner, method), first  # a tuple, so that the owner is no submodule
 
-    @property
-    def value(self) -> Tensor:
+    def colour(self) -> Tensor:
         """(3,), attached."""
         owner, method = self.place
         return getattr(owner, method)()[self.first:self.first + 3]

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from torch_radbp.domain import NUMBER
 from torch_radbp.plugin import Emitter, Texture
-from torch_radbp.texture.rgb import RGB, as_texture
+from torch_radbp.texture.colour import Colour
+from torch_radbp.texture.rgb import as_texture
 
 FACTOR = NUMBER._replace(low=0.0)
 
@@ -40,7 +41,7 @@ class Scaled:
 
     def __init__(self, texture: Texture, factor: Tensor):
         self.texture, self.factor = texture, factor
-        self.has_coordinates = not isinstance(texture, RGB)
+        self.has_coordinates = not isinstance(texture, Colour)
         self.wrap_mode = getattr(texture, "wrap_mode", "repeat")
         self.filter_type = getattr(texture, "filter_type", "nearest")
         self.to_uv = getattr(texture, "to_uv", None)
@@ -69,6 +70,6 @@ def colour(emitter: Emitter, name: str, value: Texture | Tensor | float) -> Text
         ValueError: if it is an image, or negative.
     """
     texture = as_texture(emitter, name, value)
-    if not isinstance(texture, RGB):
+    if not isinstance(texture, Colour):
         raise ValueError(f"{name} of a {emitter.type} emitter must be one number or an rgb, got a {texture.type}")
     return texture

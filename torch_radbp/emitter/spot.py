@@ -93,7 +93,7 @@ class Spot(Light):
         return SpotKind()
 
     def radiated(self) -> Texture | Scaled:
-        return self.intensity if self.texture is None else Scaled(self.texture, self.intensity.value)
+        return self.intensity if self.texture is None else Scaled(self.texture, self.intensity.colour())
 
     def row(self) -> SpotTable:
         """The pose and the cone, attached.

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.plugin import Filename, Matrix4, Plugin, Point3, Texture, no_gradient
+from torch_radbp.texture.spectrum import Samples
 
 LARGEST_INTEGER = 2**31 - 1
 
@@ -162,6 +163,16 @@ def _colour(name: str, value: Any) -> float | list[float]:
     return _finite(name, array.squeeze()).tolist()
 
 
+def _colour_or_spectrum(name: str, value: Any) -> float | list[float] | Samples:
+    return value if isinstance(value, Samples) else _colour(name, value)
+
+
+def _samples(name: str, value: Any) -> Samples:
+    if not isinstance(value, Samples):
+        raise TypeError
+    return value
+
+
 def _matrix(name: str, value: Any) -> Tensor:
     array = _array(getattr(value, "matrix", value))
     if array.shape == (3, 3):  # of the plane, as Mitsuba's to_uv
@@ -189,6 +200,7 @@ RULES: dict[Any, tuple[str, Callable[[str, Any], Any]]] = {
     Filename: ("a file name", _string),
     Point3: ("three numbers", _triple),
     Matrix4: ("a 4 x 4 matrix", _matrix),
-    Texture: ("a number, three numbers or a texture", _colour),
+    Texture: ("a number, three numbers, a spectrum or a texture", _colour_or_spectrum),
+    Samples: ("a spectrum of wavelengths and values", _samples),
     Tensor: ("an array of numbers", _tensor),
 }

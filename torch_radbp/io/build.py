@@ -10,12 +10,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from torch import nn
+from torch import Tensor, nn
 
 from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories, shown, with_article
+from torch_radbp.io.spd import read_spectrum
 from torch_radbp.io.xml_scene import XMLObject, find_file
 from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, Texture, attributes, nearest, no_gradient
 from torch_radbp.scene.scene import Scene
+from torch_radbp.texture.observer import LINEAR_SRGB_OF_XYZ
+from torch_radbp.texture.spectrum import Samples
 
 MAX_DEPTH = 100  # of objects in objects, references followed
 MAX_OBJECTS = 100_000
@@ -24,8 +27,8 @@ TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "sensor", "integrator")
 COLOURS = ("rgb", "spectrum")
 
 # A spectrum of constant power is not neutral in linear sRGB: Mitsuba 3.9 gives this colour to <spectrum value="1"/> of
-# an emitter in its RGB modes, and to no other use of a spectrum (measured with mi.traverse).
-EQUAL_ENERGY = (1.204793930, 0.948291004, 0.908916056)
+# an emitter in its RGB modes, and to no other use of a constant spectrum.
+EQUAL_ENERGY = tuple(map(sum, LINEAR_SRGB_OF_XYZ))
 
 
 def build_scene(description: dict[str, Any], base_dir: str | os.PathLike | None = None) -> Scene:
@@ -221,18 +224,27 @@ class _Builder:
         annotation = attributes(cls)[key].annotation
         try:
             if _is_colour(value):
-                value = colour_value(key, value, of_emitter=cls.category == "emitter")
+                value = self.colour(key, value, node, cls)
             converted = convert(key, value, annotation)
-        except (ValueError, TypeError) as error:
+            is_file = Filename in options(annotation) and converted is not None
+            return self.file(key, converted, node) if is_file else converted
+        except (ValueError, TypeError, OSError) as error:
             raise self.error((*path, key), node, str(error), key) from error
-        if Filename not in options(annotation) or converted is None:
-            return converted
+
+    def file(self, key: str, name: str, node: dict[str, Any]) -> str:
+        """The path of a file that the object `node` names."""
         folders = node.folders if isinstance(node, XMLObject) else [self.base_dir]
-        found = find_file(converted, folders)
+        found = find_file(name, folders)
         if found is None:
             looked = ", ".join(str(folder.resolve()) for folder in folders)
-            raise self.error((*path, key), node, f"{key} {shown(converted)} not found; looked in {looked}", key)
+            raise ValueError(f"{key} {shown(name)} not found; looked in {looked}")
         return str(found)
+
+    def colour(self, key: str, value: dict[str, Any], node: dict[str, Any], cls: type[Plugin]) -> Any:
+        """One number, three, or a spectrum over wavelengths, for the attribute `key` of the object `node`."""
+        if value["type"] == "spectrum" and set(value) == {"type", "filename"}:
+            return read_spectrum(self.file("filename", convert("filename", value["filename"], str), node))
+        return colour_value(key, value, of_emitter=cls.category == "emitter")
 
     def place(self, path: tuple[str, ...], node: Any, key: str | None = None) -> str:
         """The place of an object in its source, for people: the line of the XML file, or the path of keys in the dict."""
@@ -268,22 +280,33 @@ def _is_colour(value: Any) -> bool:
     return isinstance(value, dict) and value.get("type") in COLOURS
 
 
-def colour_value(name: str, node: dict[str, Any], of_emitter: bool) -> float | list[float] | nn.Parameter:
-    """One number or three (linear RGB) of {"type": "rgb" or "spectrum", "value": ...}; an rgb always has three.
+def colour_value(name: str, node: dict[str, Any], of_emitter: bool) -> float | list[float] | Samples | nn.Parameter:
+    """The value of {"type": "rgb" or "spectrum", "value": ...}: three numbers of an rgb, of a spectrum what it has.
 
     Raises:
-        ValueError: on other entries, and on spectra given by wavelengths.
+        ValueError: on other entries, and on wavelengths that do not increase.
     """
+    is_spectrum = node["type"] == "spectrum"
     if set(node) != {"type", "value"}:
-        raise ValueError(f"{name}: a {node['type']} has the entries type and value, got {', '.join(map(str, node))}")
-    try:
-        value = convert(name, node["value"], Texture)
-    except TypeError as error:
-        raise ValueError(f"{error}; spectra over wavelengths are not supported, rendering is in linear RGB") from error
-    if isinstance(value, nn.Parameter) and node["type"] == "spectrum" and of_emitter:
+        files = ", or type and filename" if is_spectrum else ""
+        raise ValueError(f"{name}: a {node['type']} has the entries type and value{files}, got {', '.join(map(str, node))}")
+    pairs = _pairs(node["value"]) if is_spectrum else None
+    if pairs is not None:
+        return Samples(*map(tuple, pairs.T.tolist())).check()
+    value = convert(name, node["value"], Texture)
+    if isinstance(value, nn.Parameter) and is_spectrum and of_emitter:
         raise no_gradient(name)
     if isinstance(value, (list, nn.Parameter)):
         return value
-    if node["type"] == "rgb":
+    if not is_spectrum:
         return [value] * 3
     return [value * weight for weight in EQUAL_ENERGY] if of_emitter else value
+
+
+def _pairs(value: Any) -> Tensor | None:
+    """(N, 2) wavelengths and values; None if these are something else."""
+    try:
+        array = convert("value", value, Tensor)
+    except TypeError:
+        return None
+    return array if array.ndim == 2 and array.shape[1] == 2 else None

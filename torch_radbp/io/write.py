@@ -22,6 +22,7 @@ from torch_radbp.io.ply import write_ply
 from torch_radbp.plugin import REGISTRY, Filename, Matrix4, Plugin, Point3, SceneError, attributes
 from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.surface import transform_normals, transform_points
+from torch_radbp.texture.rgb import RGB
 
 VERSION = "3.0.0"
 ORDER = ("texture", "bsdf", "sensor", "emitter", "shape")  # so that what is referred to comes first
@@ -90,6 +91,11 @@ class _Writer:
         """One plugin, called `name` in the scene, with the attributes that differ from their defaults."""
         if hasattr(plugin, "vertex_positions") and not _is_as_constructed(plugin):
             return self.mesh_element(plugin, name)
+        if isinstance(plugin, RGB):
+            element = ElementTree.Element("texture", type="rawconstant")
+            kind = "float" if plugin.value.ndim == 0 else "vector"
+            ElementTree.SubElement(element, kind, name="value", value=_numbers(plugin.value, name))
+            return element
         element = ElementTree.Element(plugin.category, type=plugin.type)
         for attribute in attributes(type(plugin)):
             if attribute == "data" and hasattr(plugin, "data"):
@@ -205,7 +211,8 @@ def _value_element(name: str, value: Any, annotation: Any, place: str) -> Elemen
     if float in kinds:
         return ElementTree.Element("float", name=name, value=_numbers(value, place))
     if str in kinds:
-        return ElementTree.Element("string", name=name, value=_text(value))
+        text = _numbers(value, place) if isinstance(value, Tensor) else _text(value)
+        return ElementTree.Element("string", name=name, value=text)
     raise SceneError(f"{place}: a {type(value).__name__} cannot be written as XML")
 
 

@@ -85,11 +85,16 @@ def _rgb(element: Element) -> dict[str, Any]:
 
 
 def _spectrum(element: Element) -> dict[str, Any]:
-    if ":" in element.attributes["value"]:
-        raise element.fail("wavelength:value lists are not supported, rendering is in linear RGB; "
-                           "write <rgb value=\"r, g, b\"/> or a single number")
-    values = numbers(element, "value", (1, 3))
-    return {"type": "spectrum", "value": values[0]} if len(values) == 1 else {"type": "rgb", "value": values}
+    text = element.attributes["value"]
+    if ":" not in text:
+        values = numbers(element, "value", (1, 3))
+        return {"type": "spectrum", "value": values[0]} if len(values) == 1 else {"type": "rgb", "value": values}
+    pairs = [pair.split(":") for pair in text.replace(",", " ").split()]
+    wrong = next((pair for pair in pairs if len(pair) != 2 or not all(map(NUMBER.fullmatch, pair))), None)
+    if wrong is not None:
+        raise element.fail(f"value must be one number, or pairs of a wavelength and a value such as \"400:0.1, 700:0.2\", "
+                           f"got {abridged(':'.join(wrong))!r} in {abridged(text)!r}")
+    return {"type": "spectrum", "value": [(float(wavelength), float(value)) for wavelength, value in pairs]}
 
 
 SCALARS: dict[str, Callable[[Element], Any]] = {
@@ -113,7 +118,8 @@ def property_value(element: Element) -> Any:
     if element.tag in ("point", "vector"):
         return vector(element, extra=("name",))
     if element.tag == "spectrum" and "filename" in element.attributes:
-        raise element.fail("spectra from files are not supported; write <rgb value=\"r, g, b\"/> or a single number")
+        check_attributes(element, ("name", "filename"))
+        return {"type": "spectrum", "filename": element.attributes["filename"]}
     check_attributes(element, ("name", "value"))
     return SCALARS[element.tag](element)
 

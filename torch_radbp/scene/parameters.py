@@ -34,7 +34,7 @@ def held_values(scene: Scene) -> dict[str, Held]:
     """By name, everything in a scene that has a domain, and every other parameter.
 
     The result of a parametrisation has the name of the parameter that it replaces. The values of a texture must be in the
-    domains of all attributes for which it is used; a texture without parameters of its own is evaluated.
+    domains of all attributes for which it is used; a texture that computes them is evaluated.
     """
     names = {id(module): name for name, module in scene.named_modules() if isinstance(module, Plugin)}
     plugins = [(names[id(module)], module) for module in scene.modules() if isinstance(module, Plugin)]
@@ -52,13 +52,14 @@ def held_values(scene: Scene) -> dict[str, Held]:
             prefix = names[id(texture)]
             if not texture.tabulated:
                 continue
-            if not texture.domains():
+            if texture.entries is None:
                 found.setdefault(prefix, Held(texture.texels(), [])).domains.append(domain)
-            for own in texture.domains():
-                if f"{prefix}.{own}" not in found:
-                    raise AttributeError(f"parameter '{prefix}.{own}' is missing, got {getattr(texture, own, None)!r}; "
-                                         f"give it a tensor, or load the scene again")
-                found[f"{prefix}.{own}"].domains.append(domain)
+                continue
+            own = f"{prefix}.{texture.entries}"
+            if own not in found:
+                raise AttributeError(f"parameter '{own}' is missing, got {getattr(texture, texture.entries, None)!r}; "
+                                     f"give it a tensor, or load the scene again")
+            found[own].domains.append(domain)
     known = {id(held.value) for held in found.values()}
     found.update({name: Held(value, [Domain()]) for name, value in scene.named_parameters()
                   if id(value) not in known and value.numel()})

@@ -1,3 +1,13 @@
 """Textures: functions from surface coordinates to linear RGB."""
 
-from torch_radbp.texture import bitmap, rgb  # noqa: F401 (registers the plugins)
+from torch_radbp.texture import (  # noqa: F401 (registers the plugins)
+    bitmap,
+    blackbody,
+    d65,
+    irregular,
+    rawconstant,
+    regular,
+    rgb,
+    srgb,
+    uniform,
+)

@@ -106,6 +106,8 @@ class Bitmap(Texture):
         ValueError: on unknown modes, a wrong shape, or values that are not finite.
     """
 
+    entries = "data"
+
     def __init__(self, *, filename: Filename | None = None, data: Tensor | None = None, bitmap: Tensor | None = None,
                  filter_type: str = "bilinear", wrap_mode: str = "repeat", raw: bool = False, to_uv: Matrix4 | None = None):
         super().__init__()

@@ -1,0 +1,49 @@
+"""Textures that have one colour everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torch_radbp.lookup import lookup
+from torch_radbp.plugin import Texture
+from torch_radbp.texture.reader import TableReader
+from torch_radbp.vec import Vec2, Vec3
+
+
+@dataclass(frozen=True)
+class ColourReader(TableReader):
+    """Reads constant colours. Bank: (R,) linear RGB."""
+
+    needs_uv: ClassVar[bool] = False
+
+    def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> Vec3:
+        colours = [texture.texels().reshape(3) for texture in textures]
+        return Vec3.of(torch.stack(colours).to(dtype=dtype, device=device))
+
+    def read(self, bank: Vec3, row: Tensor, uv: Vec2 | None) -> Vec3:
+        return lookup(bank, row)
+
+
+class Colour(Texture):
+    """Base of the textures that have one colour everywhere."""
+
+    def colour(self) -> Tensor:
+        """(3,) linear RGB, or () for grey; attached."""
+        raise TypeError(f"{type(self).__name__} does not define its colour")
+
+    def reader(self) -> ColourReader:
+        """How lanes read it."""
+        return ColourReader()
+
+    def texels(self) -> Tensor:
+        """(1, 1, 3) linear RGB, attached."""
+        return self.colour().expand(3).reshape(1, 1, 3)
+
+    def scalars(self) -> Tensor:
+        """The value as a number, (1, 1): the mean of the channels, as in Mitsuba; attached."""
+        return self.colour().mean().reshape(1, 1)

@@ -1,0 +1,33 @@
+"""A constant colour by the name of Mitsuba's plugin for it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.domain import FRACTION
+from torch_radbp.plugin import finite, register
+from torch_radbp.texture.rgb import RGB
+
+
+@register("texture", "srgb")
+class SRGB(RGB):
+    """The same linear RGB value everywhere, what <rgb> becomes in Mitsuba.
+
+    Parameters: `value`, () or (3,). Derivatives: with respect to it.
+
+    Args:
+        color: one number or three, linear RGB.
+        unbounded: values above 1 are allowed.
+
+    Raises:
+        ValueError: if a value is above 1 and not allowed.
+    """
+
+    def __init__(self, *, color: Tensor | float, unbounded: bool = False):
+        value = finite("color", color).to(torch.get_default_dtype())
+        if not unbounded:
+            FRACTION.check("color", value)
+        super().__init__(value=value)
+
+    color, unbounded = None, False  # resolved into `value`
