@@ -123,6 +123,10 @@ class BlendBSDF(BSDF):
     materials. Each is sampled with the probability of its weight, but at least 0.02, so that derivatives are right where
     the weight is 0 or 1.
 
+    What a blend scatters is exactly the mixture of what its materials scatter, ideal reflection and refraction included.
+    Mitsuba 3.9.1 differs: where one material is smooth and the other reflects or refracts ideally, its image is darker than
+    the mixture of its own images (diffuse and a mirror: 0.95).
+
     Args:
         weight: of the second material. Of a constant colour the mean is used, of a colour bitmap the luminance.
         bsdf: the two materials, in order.
