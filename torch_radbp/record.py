@@ -12,39 +12,36 @@ from typing import Any
 import torch
 from torch import Tensor
 
+NESTED = (tuple, list, dict)
+
 
 def leaves_of(record: Any) -> list:
     """Whatever is no tuple, list or dict in a record, in order."""
     leaves: list = []
-    collect(record, leaves)
+    collect((record,), leaves)
     return leaves
 
 
-def collect(record: Any, leaves: list) -> None:
+def collect(record: tuple | list | dict, leaves: list) -> None:
     """Adds the leaves of a record to a list."""
-    if isinstance(record, (tuple, list)):
-        for part in record:
+    for part in record.values() if isinstance(record, dict) else record:
+        if isinstance(part, NESTED):
             collect(part, leaves)
-    elif isinstance(record, dict):
-        for part in record.values():
-            collect(part, leaves)
-    else:
-        leaves.append(record)
+        else:
+            leaves.append(part)
 
 
 def with_leaves(record: Any, leaves: Iterable) -> Any:
     """A record of the same structure with other leaves, given in order."""
-    return rebuilt(record, iter(leaves))
+    return rebuilt((record,), iter(leaves))[0]
 
 
-def rebuilt(record: Any, leaves: Iterator) -> Any:
-    """As `with_leaves`, of a part of the record."""
+def rebuilt(record: tuple | list | dict, leaves: Iterator) -> tuple | list | dict:
+    """As `with_leaves`, of a part of the record that has parts itself."""
     if isinstance(record, dict):
-        return {key: rebuilt(part, leaves) for key, part in record.items()}
-    if not isinstance(record, (tuple, list)):
-        return next(leaves)
-    parts = [rebuilt(part, leaves) for part in record]
-    return record._make(parts) if hasattr(record, "_fields") else type(record)(parts)
+        return dict(zip(record, rebuilt(tuple(record.values()), leaves)))
+    parts = [rebuilt(part, leaves) if isinstance(part, NESTED) else next(leaves) for part in record]
+    return parts if isinstance(record, list) else tuple.__new__(type(record), parts)
 
 
 def rows_between(record, first: int, last: int):

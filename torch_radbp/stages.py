@@ -10,13 +10,12 @@ import warnings
 from collections.abc import Callable
 from copy import copy
 
-from torch.utils._pytree import tree_leaves
-
 from torch_radbp.adjoint.sweep import bounce_adjoint
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.jit.machine import made_once
 from torch_radbp.path import bounce, places, sample_camera
 from torch_radbp.queues import appearance_met, shines
+from torch_radbp.record import leaves_of
 from torch_radbp.vec import rows
 from torch_radbp.wavefront import Stages, brightened
 
@@ -57,13 +56,14 @@ class CompiledStage:
         except UnknownOperation as error:
             return self.eagerly(error, arguments)
 
-    def into(self, results, *arguments) -> None:
-        """Writes what a call would return into the tensors of `results`."""
+    def into(self, results, first: int, *arguments) -> None:
+        """Writes what a call would return into the tensors of `results`, from the entry `first` on."""
         try:
-            self.fused.into(results, *arguments)
+            self.fused.into(results, first, *arguments)
         except UnknownOperation as error:
-            for target, found in zip(tree_leaves(results), tree_leaves(self.eagerly(error, arguments))):
-                target.copy_(found)
+            for target, found in zip(leaves_of(results), leaves_of(self.eagerly(error, arguments))):
+                if found is not None:
+                    target[first:first + len(found)] = found
 
     def eagerly(self, error: UnknownOperation, arguments: tuple):
         """What the stage returns in plain torch; says once why."""

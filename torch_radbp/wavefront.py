@@ -19,7 +19,7 @@ from torch_radbp.jit.order import chosen, put
 from torch_radbp.path import Arrival, PathState, Place, Position, Settings, Vertex
 from torch_radbp.queues import NOTHING, Queue, queues_by
 from torch_radbp.raycast.protocol import Hit, RayCaster
-from torch_radbp.record import joined, leaves_of, rows_between
+from torch_radbp.record import joined, leaves_of
 from torch_radbp.sampling.sampler import depth_counter
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.camera_hit import camera_hit
@@ -168,7 +168,7 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
         return joined([bounce(*arguments(queue)) for bounce, queue in zip(bounces, step.queues)])
     vertices = room_for_vertices(state, len(step.order))
     for bounce, queue in zip(bounces, step.queues):
-        bounce.into(rows_between(vertices, queue.first, queue.last), *arguments(queue))
+        bounce.into(vertices, queue.first, *arguments(queue))
     return vertices
 
 

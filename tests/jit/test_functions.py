@@ -218,10 +218,10 @@ def test_several_calls_fill_parts_of_one_buffer(lanes):
     x, index = torch.randn(lanes + 20), torch.randint(7, (lanes + 20,), dtype=torch.int32)
     buffers = [torch.full((lanes + 20,), 9, dtype=dtype)
                for dtype in (torch.float32, torch.float32, torch.int32, torch.float32, torch.bool, torch.float32)]
-    for part in (slice(first, first + lanes), slice(first + lanes, lanes + 20), slice(0, first)):
-        p, a, b, c, d, e = [buffer[part] for buffer in buffers]
-        given = (Point(p, None), [a, b, c], d, e)
-        assert fused.into(given, x[part], index[part]) is given
+    p, a, b, c, d, e = buffers
+    given = (Point(p, None), [a, b, c], d, e)
+    for begin, end in ((first, first + lanes), (first + lanes, lanes + 20), (0, first)):
+        assert fused.into(given, begin, x[begin:end], index[begin:end]) is given
     (p, _), others, *rest = function(x, index)
     assert all(torch.equal(found, expected) for found, expected in zip(buffers, [p, *others, *rest]))
     assert len(fused.compiled) == 1
@@ -231,7 +231,7 @@ def test_a_part_that_is_written_leaves_its_neighbours_alone():
     fused = LaneFunction(lambda x: x + 1)
     for lanes in (1, 3, 15, 16, 17, 33):
         buffer = torch.zeros(60)
-        fused.into(buffer[5:5 + lanes], torch.ones(lanes))
+        fused.into(buffer, 5, torch.ones(lanes))
         assert torch.equal(buffer.nonzero().squeeze(1), torch.arange(5, 5 + lanes))
 
 
@@ -247,13 +247,13 @@ def test_contiguous_parts_are_read_where_they_lie():
 def test_results_that_do_not_fit_are_errors():
     fused, x = LaneFunction(lambda x: (x, [x + 1])), torch.rand(20)
     with pytest.raises(ValueError, match="returns float32 of 1 dimensions where .* float64 of 1"):
-        fused.into((torch.empty(20), [torch.empty(20, dtype=torch.float64)]), x)
+        fused.into((torch.empty(20), [torch.empty(20, dtype=torch.float64)]), 0, x)
     with pytest.raises(ValueError, match="returns tuple of 2 where it is to write into tuple of 1"):
-        fused.into((torch.empty(20),), x)
-    with pytest.raises(ValueError, match="contiguous tensors of 20 lanes on the CPU, got one of 20 with stride 2"):
-        fused.into((torch.empty(20), [torch.empty(40)[::2]]), x)
-    with pytest.raises(ValueError, match="tensors of 20 lanes on the CPU, got one of 19"):
-        fused.into((torch.empty(20), [torch.empty(19)]), x)
+        fused.into((torch.empty(20),), 0, x)
+    with pytest.raises(ValueError, match="contiguous tensors of at least 20 entries on the CPU, got one of 20 with stride 2"):
+        fused.into((torch.empty(20), [torch.empty(40)[::2]]), 0, x)
+    with pytest.raises(ValueError, match="tensors of at least 23 entries on the CPU, got one of 22"):
+        fused.into((torch.empty(23), [torch.empty(22)]), 3, x)
 
 
 def test_arguments_that_come_in_every_call_are_taken_apart_once():
@@ -270,12 +270,12 @@ def test_arguments_that_come_in_every_call_are_taken_apart_once():
     fused, watched = LaneFunction(function, tables=("colours",)), Watched(colours)
     index, x, scale = torch.arange(7, dtype=torch.int32), torch.rand(7), 3
     known = fused.knowing(watched, scale)
-    expected, first = function(colours, scale, index, x), len(taken)
+    expected = function(colours, scale, index, x)
     torch.testing.assert_close(known(watched, scale, index, x), expected)
     while_compiling = len(taken)
     for _ in range(3):
         torch.testing.assert_close(known(watched, scale, index, x), expected)
-    assert first == 1 and len(taken) == while_compiling
+    assert len(taken) == while_compiling
     # With other arguments, and asked in the plain way, it does the same; all is compiled once.
     torch.testing.assert_close(fused(watched, scale, index, x), expected)
     other = Watched((colours[1], colours[0]))
@@ -283,6 +283,32 @@ def test_arguments_that_come_in_every_call_are_taken_apart_once():
     assert len(fused.compiled) == 1
     with pytest.raises(ValueError, match="7 and of 6 lanes"):
         known(watched, scale, index, x[:6])
+
+
+class Pose(NamedTuple):
+    x: object
+    y: object
+
+
+@pytest.mark.parametrize("first, second", [
+    (Point(1.0, 2), Pose(1.0, 2)), (Point(1.0, 2), Point(1.0, 2.0)), (Point(1.0, 2), Point(1.0, True)), ([1], (1,)), ((1,), (1, 1)),
+    ("a", "b"), (None, 0), (Point(torch.tensor(3.0), None), Point(None, torch.tensor(3.0))),
+    (torch.tensor(3.0), torch.tensor(3.0, dtype=torch.float64)), (torch.tensor(3), 3), (torch.tensor(3.0), torch.full((4,), 3.0)),
+], ids=str)
+def test_arguments_of_another_structure_than_the_last_are_told_apart(first, second):
+    fused, seen = LaneFunction(lambda what, x: seen.append(type(what)) or x * 2), []
+    for turn in range(3):
+        for what in (first, second):
+            assert torch.equal(fused(what, torch.ones(4)), torch.full((4,), 2.0))
+    assert seen == [type(first), type(second)] and len(fused.compiled) == 2
+
+
+def test_a_parameter_and_a_tensor_are_the_same_to_a_function():
+    fused, x = LaneFunction(lambda x, scale: x * scale), torch.rand(5)
+    with torch.no_grad():
+        for scale in (torch.tensor(2.0), torch.nn.Parameter(torch.tensor(2.0)), torch.tensor(2.0)):
+            assert torch.equal(fused(x, scale), 2 * x)
+    assert len(fused.compiled) == 1
 
 
 def test_tables_that_share_their_memory_are_read_once():

@@ -22,16 +22,16 @@ from torch._C._functorch import (
 )
 from torch._functorch.pyfunctorch import temporarily_clear_interpreter_stack
 from torch.autograd import forward_ad
-from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint.function import RenderCall, render_images
 from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.record import leaves_of
 from torch_radbp.scene.differentiated import tangent_of
 
 
 def has_tangents(record) -> bool:
     """True if any tensor of a record is a dual tensor."""
-    return any(tangent_of(leaf) is not None for leaf in tree_flatten(record)[0] if isinstance(leaf, Tensor))
+    return any(tangent_of(leaf) is not None for leaf in leaves_of(record) if isinstance(leaf, Tensor))
 
 
 def render_tangents(call: RenderCall) -> Tensor:
@@ -40,7 +40,7 @@ def render_tangents(call: RenderCall) -> Tensor:
     Raises:
         RuntimeError: if a leaf also requires a gradient, which would be missing.
     """
-    leaves = tree_flatten((call.scene, [view.camera for view in call.views]))[0]
+    leaves = leaves_of((call.scene, [view.camera for view in call.views]))
     if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves if isinstance(leaf, Tensor)):
         raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")

@@ -29,6 +29,7 @@ from torch_radbp.raycast import RayCaster
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
+from torch_radbp.scene.differentiated import any_differentiated, differentiated
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3
@@ -113,8 +114,11 @@ def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integr
 
 
 def detached(tensors):
-    """A record of tensors without derivatives."""
-    return with_leaves(tensors, (leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(tensors)))
+    """A record of tensors without derivatives; the same one if it has none."""
+    if not any_differentiated(tensors):
+        return tensors
+    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) and differentiated(leaf) else leaf
+                                 for leaf in leaves_of(tensors)])
 
 
 def differentiable(tensors) -> list[Tensor]:

@@ -188,9 +188,8 @@ class Sweep:
         self.integrand, self.record, self.adj_L = integrand, record, adj_L
         self.gradients = gradients
         counted = itertools.count()
-        self.leaves = [next(counted) if want else None for want in wanted]
         self.adjoints: dict[int | None, Adjoint] = {}
-        self.numbered = with_leaves(integrand.scene, self.leaves)
+        self.numbered = with_leaves(integrand.scene, [next(counted) if want else None for want in wanted])
         positions = self.numbered.triangles.vertices.p
         twice = self.moving and integrand.settings.sampling != "attached" and positions.x is not None
         self.of_positions = list(positions) if twice else []  # leaves
@@ -200,7 +199,7 @@ class Sweep:
         """What the lanes of a queue are differentiated with; made once."""
         if queue.appearance not in self.adjoints:
             part, appearance = self.integrand.part(queue).proposal, self.integrand.appearance(queue)
-            leaves = leaves_of_part(self.leaves, self.integrand.scene, appearance, None)
+            leaves = leaves_of_part(self.numbered, self.integrand.scene.layout, appearance, None)
             wanted = tuple(leaf is not None for leaf in leaves)
             self.adjoints[queue.appearance] = Adjoint(part, wanted, [leaf for leaf in leaves if leaf is not None],
                                                       knowing(self.integrand.stages.bounce_adjoint, part, wanted))

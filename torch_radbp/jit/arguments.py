@@ -1,23 +1,101 @@
-"""The arguments of a call, taken apart: tensors with their kinds, and the structure that a function is compiled for."""
+"""The arguments of a call, taken apart: tensors with their kinds, and the structure that a function is compiled for.
+
+Calls with few lanes come by the hundred. So arguments of a structure that has been met are taken apart by a function that is
+written for it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE
-from torch_radbp.jit.structure import flatten
+from torch_radbp.jit.structure import flatten, unpacker
+
+RECENT = 16  # structures that are looked through
+
+
+class Form:
+    """The structure of one argument.
+
+    Args:
+        argument: one that has it.
+        leaves: the tensors of the argument.
+        structure: as `flatten` tells it.
+        number: by which the structure is told from others of the same parameter.
+        table: whether tensors of shape (N,) are tables.
+    """
+
+    __slots__ = ("structure", "number", "unpack", "types", "dtypes", "dimensions", "kinds", "lanes")
+
+    def __init__(self, argument: Any, leaves: Sequence[Tensor], structure: tuple, number: int, table: bool):
+        self.structure, self.number, self.unpack = structure, number, unpacker(argument)
+        self.types, self.dtypes = list(map(type, leaves)), [leaf.dtype for leaf in leaves]
+        self.dimensions = [leaf.dim() for leaf in leaves]
+        self.kinds = [NUMBER if dimensions == 0 else TABLE if table else LANES for dimensions in self.dimensions]
+        self.lanes = [place for place, kind in enumerate(self.kinds) if kind == LANES]
+
+    def tensors(self, argument: Any) -> Sequence[Tensor] | None:
+        """The tensors of an argument, or None if it has another structure."""
+        leaves = self.unpack(argument)
+        same = (leaves is not None and list(map(type, leaves)) == self.types
+                and [leaf.dtype for leaf in leaves] == self.dtypes and [leaf.dim() for leaf in leaves] == self.dimensions)
+        return leaves if same else None
+
+
+class Parameter:
+    """A parameter of a function, and the structures that its arguments have had.
+
+    Args:
+        function: its name, for errors.
+        table: whether tensors of shape (N,) in it are tables.
+    """
+
+    def __init__(self, function: str, table: bool):
+        self.function, self.table = function, table
+        self.forms: dict[tuple, Form] = {}  # by structure and types of the tensors
+        self.numbers: dict[tuple, int] = {}  # by structure
+        self.recent: tuple[Form, ...] = ()  # the last first
+
+    def take_apart(self, argument: Any) -> tuple[Form, Sequence[Tensor]]:
+        """The structure of an argument, and its tensors.
+
+        Raises:
+            ValueError: if a tensor has neither shape () nor (N,).
+        """
+        for form in self.recent:
+            leaves = form.tensors(argument)
+            if leaves is not None:
+                if form is not self.recent[0]:
+                    self.remember(form)
+                return form, leaves
+        leaves, items = [], []
+        flatten(argument, leaves, items)
+        for leaf in leaves:
+            if leaf.dim() > 1:
+                raise ValueError(f"{self.function} takes tensors of shape () and (N,), got {tuple(leaf.shape)}")
+        structure, types = tuple(items), tuple(map(type, leaves))
+        form = self.forms.get((structure, types))
+        if form is None:
+            number = self.numbers.setdefault(structure, len(self.numbers))
+            form = self.forms[structure, types] = Form(argument, leaves, structure, number, self.table)
+        self.remember(form)
+        return form, leaves
+
+    def remember(self, form: Form) -> None:
+        """Notes that a structure is the last that was met."""
+        self.recent = (form, *(other for other in self.recent if other is not form))[:RECENT]
 
 
 class Arguments:
     """The arguments of one call, or the first of them.
 
     Args:
-        name: of the function, for errors.
+        parameters: of the function, those that the arguments belong to.
         arguments: nested tuples and lists of tensors, and of anything hashable.
-        in_tables: of each argument, whether tensors of shape (N,) in it are tables.
         known: the arguments that stand before these, taken apart before.
 
     Raises:
@@ -25,52 +103,59 @@ class Arguments:
         RuntimeError: if tensors require grad while gradients are recorded.
     """
 
-    __slots__ = ("given", "structures", "leaves", "kinds", "firsts", "places", "lanes")
+    __slots__ = ("given", "numbers", "leaves", "kinds", "read", "pointers", "sizes", "lanes", "shared")
 
-    def __init__(self, name: str, arguments: Sequence, in_tables: Sequence[bool], known: Arguments | None = None):
-        self.given = tuple(arguments) if known is None else (*known.given, *arguments)
-        self.structures: list[tuple] = [] if known is None else known.structures.copy()
-        self.leaves: list[Tensor] = [] if known is None else known.leaves.copy()
-        self.kinds: list[str] = [] if known is None else known.kinds.copy()
-        self.firsts: list[int] = [] if known is None else known.firsts.copy()  # where the same tensor is given first
-        self.places: dict[object, int] = {} if known is None else known.places.copy()  # of what is given first
-        self.lanes: int | None = None if known is None else known.lanes
-        for argument, table in zip(arguments, in_tables):
-            leaves: list[Tensor] = []
-            key: list = []
-            flatten(argument, leaves, key)
-            self.structures.append(tuple(key))
-            self.add(name, leaves, table)
+    def __init__(self, parameters: Sequence[Parameter], arguments: Sequence, known: Arguments | None = None):
+        self.given, self.numbers, self.lanes = tuple(arguments), [], None if known is None else known.lanes
+        self.leaves: Sequence[Tensor] = []
+        self.kinds: list[str] = []
+        lanes: list[int] = []  # places of the tensors with an entry for each
+        for parameter, argument in zip(parameters, arguments):
+            form, own = parameter.take_apart(argument)
+            lanes += [len(self.leaves) + place for place in form.lanes]
+            self.leaves += own
+            self.kinds += form.kinds
+            self.numbers.append(form.number)
+        self.check(parameters)
+        self.read = self.leaves  # whose memory is read
+        if not all([leaf.is_contiguous() for leaf in self.leaves]):
+            self.read = [leaf.contiguous() for leaf in self.leaves]
+        self.pointers, self.sizes = [leaf.data_ptr() for leaf in self.read], [leaf.numel() for leaf in self.leaves]
+        for place in lanes:
+            self.lanes = self.sizes[place] if self.lanes is None else self.lanes
+            if self.sizes[place] != self.lanes:
+                raise ValueError(f"{parameters[0].function} got tensors of {self.lanes} and of {self.sizes[place]} lanes")
+        distinct = len(set(self.pointers)) == len(self.pointers) and (
+            known is None or set(self.pointers).isdisjoint(known.pointers))
+        if known is not None:
+            self.given, self.numbers = (*known.given, *self.given), known.numbers + self.numbers
+            self.leaves, self.kinds, self.read = known.leaves + self.leaves, known.kinds + self.kinds, known.read + self.read
+            self.pointers, self.sizes = known.pointers + self.pointers, known.sizes + self.sizes
+        self.shared = self.sharing() if not distinct else () if known is None else known.shared
 
-    def add(self, name: str, leaves: list[Tensor], table: bool) -> None:
-        """Notes the tensors of one argument."""
-        recording = torch.is_grad_enabled()
-        for place, leaf in enumerate(leaves, len(self.leaves)):
-            dimensions = leaf.dim()
-            if recording and leaf.requires_grad:
-                raise RuntimeError(f"{name} is compiled and records no derivative: call it under torch.no_grad(), or "
-                                   "with detached tensors")
-            if dimensions > 1:
-                raise ValueError(f"{name} takes tensors of shape () and (N,), got {tuple(leaf.shape)}")
-            if not leaf.is_cpu:
-                raise ValueError(f"{name} is compiled for the CPU, got a tensor on {leaf.device}")
-            identity: object = id(leaf)
-            if dimensions == 0:
-                kind = NUMBER
-            elif table:
-                kind = TABLE
-                if leaf.is_contiguous() and (length := leaf.numel()):
-                    identity = (leaf.data_ptr(), length, leaf.dtype)  # tables that share their memory are one
-            else:
-                kind, length = LANES, leaf.numel()
-                self.lanes = length if self.lanes is None else self.lanes
-                if self.lanes != length:
-                    raise ValueError(f"{name} got tensors of {self.lanes} and of {length} lanes")
-            self.kinds.append(kind)
-            self.firsts.append(self.places.setdefault(identity, place))
-        self.leaves += leaves
+    def check(self, parameters: Sequence[Parameter]) -> None:
+        """Raises the errors of single tensors."""
+        if torch.is_grad_enabled() and any([leaf.requires_grad for leaf in self.leaves]):
+            raise RuntimeError(f"{parameters[0].function} is compiled and records no derivative: call it under "
+                               "torch.no_grad(), or with detached tensors")
+        if not all([leaf.is_cpu for leaf in self.leaves]):
+            elsewhere = next(leaf.device for leaf in self.leaves if not leaf.is_cpu)
+            raise ValueError(f"{parameters[0].function} is compiled for the CPU, got a tensor on {elsewhere}")
+
+    def sharing(self) -> tuple[tuple[int, int], ...]:
+        """The places of tensors that are the same as one before, each with the place of the first."""
+        firsts: dict[tuple, int] = {}
+        dtypes = [leaf.dtype for leaf in self.leaves]
+        found = [(place, firsts.setdefault(one, place) if one[1] else place)
+                 for place, one in enumerate(zip(self.pointers, self.sizes, self.kinds, dtypes))]
+        return tuple((place, first) for place, first in found if first != place)
+
+    @property
+    def firsts(self) -> list[int]:
+        """Of each tensor, the place of the first that is the same."""
+        return [dict(self.shared).get(place, place) for place in range(len(self.leaves))]
 
     @property
     def key(self) -> tuple:
         """Equal of arguments that one compiled function serves."""
-        return (*self.structures, *self.firsts)
+        return (*self.numbers, *self.shared)

@@ -6,13 +6,13 @@ import inspect
 import operator
 import threading
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
-from typing import Any, NamedTuple
+from typing import Any
 
 from torch import Tensor
 
-from torch_radbp.jit.arguments import Arguments
+from torch_radbp.jit.arguments import Arguments, Parameter
 from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.machine import MachineCode, host_width
@@ -22,15 +22,30 @@ from torch_radbp.jit.team import run_lanes
 from torch_radbp.jit.trace import trace
 
 
-class Compiled(NamedTuple):
-    """A function for arguments of one structure."""
+class Compiled:
+    """A function for arguments of one structure.
 
-    program: Program
-    code: MachineCode
-    inputs: tuple[int, ...]  # which tensors of the arguments the loop reads
-    results: tuple[int, ...]  # of each tensor that is returned: the output number k, or ~k: the argument number k as it is
-    structure: tuple  # of what is returned, as `flatten` tells it
-    assemble: Callable[[list[Tensor]], Any]  # the results in their tuples
+    Args:
+        program: what is computed; each of its outputs once.
+        code: the loop over lanes.
+        results: of each tensor that is returned: the output number k, or ~k: the argument number k as it is.
+        structure: of what is returned, as `flatten` tells it.
+        assemble: puts the results into their tuples.
+    """
+
+    def __init__(self, program: Program, code: MachineCode, results: tuple[int, ...], structure: tuple,
+                 assemble: Callable[[list[Tensor]], Any]):
+        self.program, self.code, self.results, self.structure, self.assemble = program, code, results, structure, assemble
+        self.inputs = [value.static for value in program.inputs]  # which tensors of the arguments the loop reads
+        self.dtypes = [value.dtype for value in program.outputs]
+        self.firsts = [results.index(k) for k in range(len(program.outputs))]  # the first result that each output is
+        self.others = [place for place, k in enumerate(results) if k < 0 or self.firsts[k] != place]
+
+    def run(self, given: Arguments, outputs: list[int]) -> None:
+        """Runs the loop over all lanes, on all of torch's threads; it writes to the addresses `outputs`."""
+        if given.lanes and outputs:
+            inputs = [given.pointers[place] for place in self.inputs] + [given.sizes[place] for place in self.inputs]
+            run_lanes(self.code.address, given.lanes, array("q", inputs), array("q", outputs))
 
 
 class LaneFunction:
@@ -65,9 +80,9 @@ class LaneFunction:
         unknown = sorted(set(tables) - set(names))
         if unknown:
             raise ValueError(f"{self.name} has no parameters {unknown}; it has {names}")
-        self.in_tables = [name in tables for name in names]
+        self.parameters = [Parameter(self.name, name in tables) for name in names]
+        self.target = Parameter(self.name, table=True)  # of `into`
         self.compiled: dict[tuple, Compiled | str] = {}  # by structure of the arguments; or why it cannot be
-        self.structures: dict[tuple, tuple] = {}  # of known arguments
         self.known: Arguments | None = None
 
     def knowing(self, *arguments) -> LaneFunction:
@@ -76,50 +91,48 @@ class LaneFunction:
         It keeps them alive. With others it does what this one does; what is compiled serves both.
         """
         other = copy(self)
-        other.known = Arguments(self.name, arguments, self.in_tables)
-        other.known.leaves = [leaf.contiguous() for leaf in other.known.leaves]
-        # The very same objects, which are quickly found to be equal.
-        other.known.structures = [self.structures.setdefault(key, key) for key in other.known.structures]
+        other.known = Arguments(self.parameters, arguments)
         return other
 
     def __call__(self, *arguments):
         compiled, given = self.prepared(arguments)
-        any_tensor = given.leaves[0]
-        outputs = [any_tensor.new_empty(given.lanes, dtype=value.dtype) for value in compiled.program.outputs]
-        compute(compiled, given, outputs)
+        new_empty, lanes = given.leaves[0].new_empty, given.lanes
+        outputs = [new_empty(lanes, dtype=dtype) for dtype in compiled.dtypes]
+        compiled.run(given, [tensor.data_ptr() for tensor in outputs])
         return compiled.assemble([outputs[k] if k >= 0 else given.leaves[~k] for k in compiled.results])
 
-    def into(self, results, *arguments):
+    def into(self, results, first: int, *arguments):
         """Writes what a call would return into `results`, and returns them.
 
         Args:
-            results: tensors in the tuples and lists that a call returns, contiguous: parts of larger tensors may be, so that
-                several calls fill one buffer. No two may overlap, nor any with an argument.
+            results: contiguous tensors in the tuples and lists that a call returns. No two may overlap, nor any with an
+                argument.
+            first: the entry at which to begin, so that several calls fill one buffer.
             arguments: of the call.
 
         Raises:
-            ValueError: if `results` are not what the call would return, or not contiguous; the rest as for a call.
+            ValueError: if `results` are not what the call would return, not contiguous, or too short; the rest as for a
+                call.
         """
         compiled, given = self.prepared(arguments)
-        tensors = self.checked_results(results, compiled, given.lanes)
-        outputs: dict[int, Tensor] = {}
-        for k, tensor in zip(compiled.results, tensors):
-            outputs.setdefault(k, tensor)
-        compute(compiled, given, [outputs[k] for k in range(len(compiled.program.outputs))])
-        for k, tensor in zip(compiled.results, tensors):
-            source = outputs[k] if k >= 0 else given.leaves[~k]
-            if source is not tensor:
-                tensor.copy_(source)
+        tensors = self.checked_results(results, compiled, first + given.lanes)
+        compiled.run(given, [tensors[place].data_ptr() + first * tensors[place].itemsize for place in compiled.firsts])
+        for place in compiled.others:
+            k = compiled.results[place]
+            source = tensors[compiled.firsts[k]].narrow(0, first, given.lanes) if k >= 0 else given.leaves[~k]
+            tensors[place].narrow(0, first, given.lanes).copy_(source)
         return results
 
     def prepared(self, arguments: tuple) -> tuple[Compiled, Arguments]:
         """The arguments taken apart, and the function compiled for such."""
-        if len(arguments) != len(self.in_tables):
-            raise TypeError(f"{self.name} takes {len(self.in_tables)} arguments by position, got {len(arguments)}")
-        known, skipped = self.known, 0
+        if len(arguments) != len(self.parameters):
+            raise TypeError(f"{self.name} takes {len(self.parameters)} arguments by position, got {len(arguments)}")
+        known = self.known
         if known is not None and all(map(operator.is_, known.given, arguments)):
             skipped = len(known.given)
-        given = Arguments(self.name, arguments[skipped:], self.in_tables[skipped:], known if skipped else None)
+            given = Arguments(self.parameters[skipped:], arguments[skipped:], known)
+        else:
+            given = Arguments(self.parameters, arguments)
         if given.lanes is None:
             raise ValueError(f"{self.name} got no tensor with an entry per lane")
         key = given.key
@@ -132,18 +145,18 @@ class LaneFunction:
             raise UnknownOperation(compiled)
         return compiled, given
 
-    def checked_results(self, results, compiled: Compiled, lanes: int) -> list[Tensor]:
+    def checked_results(self, results, compiled: Compiled, entries: int) -> Sequence[Tensor]:
         """The tensors of `results`; errors as `into` says."""
-        leaves: list[Tensor] = []
-        key: list = []
-        flatten(results, leaves, key)
-        if tuple(key) != compiled.structure:
-            returned, found = difference(compiled.structure, key)
-            raise ValueError(f"{self.name} returns {returned} where it is to write into {found}")
+        form, leaves = self.target.take_apart(results)
+        if form.structure is not compiled.structure:
+            if form.structure != compiled.structure:
+                returned, found = difference(compiled.structure, form.structure)
+                raise ValueError(f"{self.name} returns {returned} where it is to write into {found}")
+            compiled.structure = form.structure  # the very same object, which is quickly compared
         for leaf in leaves:
-            if len(leaf) != lanes or not leaf.is_contiguous() or leaf.device.type != "cpu":
-                raise ValueError(f"{self.name} writes into contiguous tensors of {lanes} lanes on the CPU, got one of "
-                                 f"{len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
+            if leaf.numel() < entries or not leaf.is_contiguous() or not leaf.is_cpu:
+                raise ValueError(f"{self.name} writes into contiguous tensors of at least {entries} entries on the CPU, got "
+                                 f"one of {len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
         return leaves
 
     def compile(self, given: Arguments) -> Compiled | str:
@@ -168,15 +181,5 @@ class LaneFunction:
         outputs = tuple(dict.fromkeys(value for value, whole in zip(program.outputs, passed) if not whole))
         results = tuple(~value.static if whole else outputs.index(value) for value, whole in zip(program.outputs, passed))
         program = program._replace(outputs=outputs)
-        return Compiled(program, MachineCode(emit(program, self.width or host_width())),
-                        tuple(value.static for value in program.inputs), results, of_lanes(structure), assemble)
-
-
-def compute(compiled: Compiled, given: Arguments, outputs: list[Tensor]) -> None:
-    """Runs the loop over all lanes, on all of torch's threads; `outputs` are written into."""
-    if given.lanes and outputs:
-        inputs = [given.leaves[place] for place in compiled.inputs]
-        inputs = [tensor if tensor.is_contiguous() else tensor.contiguous() for tensor in inputs]
-        pointers = array("q", [tensor.data_ptr() for tensor in inputs])
-        pointers.extend([tensor.numel() for tensor in inputs])
-        run_lanes(compiled.code.address, given.lanes, pointers, array("q", [tensor.data_ptr() for tensor in outputs]))
+        return Compiled(program, MachineCode(emit(program, self.width or host_width())), results, of_lanes(structure),
+                        assemble)

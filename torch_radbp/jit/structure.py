@@ -60,14 +60,66 @@ def replaced(part: Any, next_leaf: Callable[[], Tensor]) -> Any:
     return part
 
 
+class Source:
+    """The text of a function that is made to measure, and what it names."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.names: dict[str, Any] = {"new": tuple.__new__}
+
+    def name(self, thing: Any) -> str:
+        """A name that stands for a thing."""
+        name = f"c{len(self.names)}"
+        self.names[name] = thing
+        return name
+
+    def function(self, argument: str, result: str) -> Callable:
+        """The function that runs the lines and returns an expression."""
+        text = "\n    ".join([f"def made({argument}):", *self.lines, f"return {result}"])
+        exec(text, self.names)
+        return self.names["made"]
+
+
+def unpacker(part: Any) -> Callable[[Any], tuple | None]:
+    """A function that gives what stands in the places of the tensors of `part`, in order, in nested tuples and lists of the
+    same types and lengths with equal constants; or None for others.
+
+    It is written out for this structure, since small renderings spend most of their time on taking arguments apart.
+    """
+    source, leaves = Source(), []
+
+    def lay(part: Any, name: str) -> None:
+        if isinstance(part, Tensor):
+            leaves.append(name)
+            return
+        kind = source.name(type(part))
+        if not isinstance(part, (tuple, list)):
+            constant = source.name(part)
+            source.lines.append(f"if {name} is not {constant} and (type({name}) is not {kind} or {name} != {constant}): "
+                                "return None")
+            return
+        source.lines.append(f"if type({name}) is not {kind} or len({name}) != {len(part)}: return None")
+        items = [f"{name}_{number}" for number in range(len(part))]
+        if items:
+            source.lines.append(f"{', '.join(items)}, = {name}")
+        for item, inner in zip(part, items):
+            lay(item, inner)
+
+    lay(part, "p")
+    return source.function("p", f"({''.join(leaf + ', ' for leaf in leaves)})")
+
+
 def assembler(part: Any, leaves: list[Tensor]) -> Callable[[list[Tensor]], Any]:
     """Collects the tensors of nested tuples and lists, and returns the function that puts others in their places."""
-    if isinstance(part, Tensor):
-        place = len(leaves)
-        leaves.append(part)
-        return lambda results: results[place]
-    if not isinstance(part, (tuple, list)):
-        return lambda results: part
-    items = [assembler(item, leaves) for item in part]
-    make = part._make if hasattr(part, "_fields") else type(part)
-    return lambda results: make([item(results) for item in items])
+    source = Source()
+
+    def expression(part: Any) -> str:
+        if isinstance(part, Tensor):
+            leaves.append(part)
+            return f"r[{len(leaves) - 1}]"
+        if not isinstance(part, (tuple, list)):
+            return source.name(part)
+        items = "".join(expression(item) + ", " for item in part)
+        return f"[{items}]" if isinstance(part, list) else f"new({source.name(type(part))}, ({items}))"
+
+    return source.function("r", expression(part))

@@ -10,6 +10,8 @@ from torch_radbp.record import leaves_of
 
 def tangent_of(tensor: Tensor) -> Tensor | None:
     """The tangent of a dual tensor, None if it has none."""
+    if forward_ad._current_level < 0:  # there are no dual tensors
+        return None
     return forward_ad.unpack_dual(tensor).tangent if tensor.is_floating_point() else None
 
 

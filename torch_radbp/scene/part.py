@@ -6,7 +6,7 @@ else they contain.
 
 from __future__ import annotations
 
-from torch_radbp.record import leaves_of, with_leaves
+from torch_radbp.record import leaves_of
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import Layout, SceneTensors
 
@@ -16,15 +16,18 @@ def part_of(scene: SceneTensors, appearance: Appearance | None) -> SceneTensors:
     return reduced(scene, scene.layout, appearance)._replace(layout=layout_of_part(scene.layout, appearance))
 
 
-def leaves_of_part(leaves: list, scene: SceneTensors, appearance: Appearance | None, nothing) -> list:
-    """Things that belong to the leaves of a scene (counted as `leaves_of` does), for the leaves of its part.
+def leaves_of_part(belonging: SceneTensors, layout: Layout, appearance: Appearance | None, nothing) -> list:
+    """What belongs to the leaves of the part of a scene, as `leaves_of` counts them.
 
     Args:
+        belonging: the record of the whole scene, with things that belong to its leaves in their places.
+        layout: of the scene.
+        appearance: of the part.
         nothing: what leaves that are no tables get.
     """
-    record = reduced(with_leaves(scene, leaves), scene.layout, appearance)
-    layout = [nothing for _ in leaves_of(layout_of_part(scene.layout, appearance))]
-    return leaves_of(record._replace(layout=tuple(layout)))
+    record = reduced(belonging, layout, appearance)
+    nothings = [nothing for _ in leaves_of(layout_of_part(layout, appearance))]
+    return leaves_of(record._replace(layout=tuple(nothings)))
 
 
 def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) -> SceneTensors:
