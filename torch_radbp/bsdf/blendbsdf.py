@@ -124,8 +124,8 @@ class BlendBSDF(BSDF):
     the weight is 0 or 1.
 
     What a blend scatters is exactly the mixture of what its materials scatter, ideal reflection and refraction included.
-    Mitsuba 3.9.1 differs: where one material is smooth and the other reflects or refracts ideally, its image is darker than
-    the mixture of its own images (diffuse and a mirror: 0.95).
+    Mitsuba 3.9.1 differs: where one material is smooth and the other reflects or refracts ideally, its image is some percent
+    darker than the mixture of its own images.
 
     Args:
         weight: of the second material. Of a constant colour the mean is used, of a colour bitmap the luminance.
