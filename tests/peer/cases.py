@@ -6,10 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from .layered_scenes import blends, masks, normal_maps, plastics, rough_plastics
 from .material_scenes import brushed, brushed_turned, coloured_roughness, glass, mirrors, polished, rough_glass, rough_metals
 from .scene_files import Case, Folder, bitmap, diffuse, picture, scene_xml, shape, size
 from .scenes import (
     SKY,
+    beams,
     bitmaps,
     cornell_box,
     envmap,
@@ -101,6 +103,7 @@ CASES = {
     "envmap_compensated": Case(envmap_compensated),
     "spots": Case(spots),
     "projector": Case(projector),
+    "beams": Case(beams, spp=384, peer_integrator="ptracer", peer_spp=3000),
     "every_light": Case(every_light),
     "mirrors": Case(mirrors),
     "glass": Case(glass),
@@ -110,6 +113,11 @@ CASES = {
     "brushed": Case(brushed),
     "brushed_turned": Case(brushed_turned),
     "polished": Case(polished),
+    "plastics": Case(plastics),
+    "rough_plastics": Case(rough_plastics),
+    "blends": Case(blends),
+    "masks": Case(masks),
+    "normal_maps": Case(normal_maps),
     **{f"camera_{name}": Case(poster(name), peer_spp=256, peer_batches=32, thin=1 if camera.rfilter == BOX else 5)
        for name, camera in CAMERAS.items()},
 }

@@ -240,6 +240,26 @@ def spots(folder: Folder) -> Path:
   </emitter>""", '<integer name="max_depth" value="3"/>'))
 
 
+def beams(folder: Folder) -> Path:
+    """Panels that shine along their normals, plain and with an image, on flat surfaces.
+
+    Mitsuba's side uses its particle tracer: its path tracers never meet this light.
+    """
+    folder.pixels("panel.exr", picture(5, 7, seed=71))
+    above = placed('scale x="1.5" y="1.2"', 'rotate x="1" angle="100"', 'translate x="-0.2" y="3" z="0.5"')
+    aside = placed('scale x="0.7" y="0.6"', 'rotate x="1" angle="15"', 'rotate y="1" angle="85"',
+                   'translate x="-2.3" y="0.8" z="0.6"')
+    plain = '<emitter type="directionalarea"><rgb name="radiance" value="1, 2, 3"/></emitter>'
+    image = f'<emitter type="directionalarea">{bitmap("radiance", "panel.exr")}</emitter>'
+    return folder.text("scene.xml", scene_xml(size(16, 12), VIEW, "".join([
+        shape("cube", "room", FLIPPED, diffuse("0.7, 0.6, 0.5"), placed('scale x="2.6" y="1.8" z="5"', 'translate y="1.8"')),
+        shape("cube", "box", diffuse("0.4, 0.7, 0.8"),
+              placed('scale value="0.4"', 'rotate y="1" angle="30"', 'translate x="-0.3" y="0.4" z="0.4"')),
+        shape("rectangle", "plain", above, diffuse("0"), plain),
+        shape("rectangle", "image", aside, diffuse("0"), image),
+    ]), '<integer name="max_depth" value="4"/>'))
+
+
 def projector(folder: Folder) -> Path:
     """Projectors, with a picture and without, upright and wide, beside an area light."""
     folder.pixels("slide.png", picture(6, 9, seed=35))

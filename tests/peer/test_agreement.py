@@ -94,14 +94,16 @@ def test_the_cases_use_every_supported_plugin(tmp_path):
     text = " ".join(text)
     types = ["rectangle", "cube", "sphere", "disk", "obj", "ply", "diffuse", "conductor", "dielectric", "roughconductor",
              "roughdielectric", "twosided", "bitmap", "area", "constant", "envmap", "point", "spot", "projector",
-             "directional", "perspective", "hdrfilm", "box", "tent", "gaussian", "path", "independent"]
+             "directional", "directionalarea", "plastic", "roughplastic", "blendbsdf", "mask",
+             "null", "normalmap", "perspective", "orthographic", "hdrfilm", "box", "tent", "gaussian", "path", "independent"]
     assert [each for each in types if f'type="{each}"' not in text] == []
     words = ["<rgb ", 'name="raw"', "repeat", "mirror", "clamp", "nearest", ".png", ".jpg", ".exr", "to_uv",
              "flip_normals", "face_normals", "hide_emitters", "max_depth", "rr_depth", "focal_length", "near_clip",
              "far_clip", "crop_offset_x", "principal_point_offset_x", "sample_border", "<ref ", "<default ", "<lookat ",
              "<matrix ", "<rotate ", "<scale ", "<translate ", *(f'name="{attribute}"' for attribute in (
                  "material", "eta", "k", "int_ior", "ext_ior", "specular_reflectance", "specular_transmittance",
-                 "distribution", "alpha", "alpha_u", "alpha_v", "mis_compensation", "cutoff_angle", "irradiance"))]
+                 "distribution", "nonlinear", "weight", "opacity", "use_shadowing_function", "alpha", "alpha_u", "alpha_v",
+                 "mis_compensation", "cutoff_angle", "irradiance"))]
     assert [each for each in words if each not in text] == []
     axes = ["x", "y", "diagonal", "smaller", "larger"]
     assert [each for each in axes if f'name="fov_axis" value="{each}"' not in text] == []
