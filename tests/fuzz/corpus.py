@@ -17,6 +17,7 @@ from PIL import Image
 from tests.peer.cases import CASES
 from tests.peer.scene_files import Folder
 from tests.training.conftest import RECIPE, SCENE
+from torch_radbp.plugin import REGISTRY, attributes
 
 ROOT = Path(__file__).parents[2]
 FAMILIES = {"xml": ".xml", "obj": ".obj", "ply": ".ply", "exr": ".exr", "png": ".png", "toml": ".toml"}
@@ -49,6 +50,7 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
 
 
 def _scenes(root: Path) -> list[Seed]:
+    """Those of the assets and of the comparison, and one of the plugins that those lack."""
     seeds = [Seed(path.parent, path.read_bytes()) for path in sorted((root / "assets").glob("*/scene.xml"))]
     for name, case in CASES.items():
         folder = root / "scenes" / name.replace(" ", "_")
@@ -56,7 +58,19 @@ def _scenes(root: Path) -> list[Seed]:
         seeds.append(Seed(folder, case.build(Folder(folder)).read_bytes()))
     (root / "assets" / "cornell_box" / "part.xml").write_bytes(seeds[0].content)
     including = b'<scene version="3.0.0"><include filename="part.xml"/><path value="../poster"/></scene>'
-    return [*seeds, Seed(root / "assets" / "cornell_box", including)]
+    (root / "others").mkdir()
+    return [*seeds, Seed(root / "assets" / "cornell_box", including), Seed(root / "others", _others().encode())]
+
+
+def _others() -> str:
+    """A scene of every spectrum, and of every material whose attributes all have defaults."""
+    types = [name for name, plugin in REGISTRY["bsdf"].items()
+             if not any(attribute.required for attribute in attributes(plugin).values())]
+    colours = [f'<bsdf type="diffuse">{spectrum}</bsdf>' for spectrum in SPECTRA]
+    shapes = "".join(f'<shape type="rectangle"><transform name="to_world"><translate x="{0.1 * number}" z="{-number}"/>'
+                     f'</transform>{material}</shape>'
+                     for number, material in enumerate([*colours, *(f'<bsdf type="{name}"/>' for name in types)]))
+    return OTHERS.format(shapes)
 
 
 def _recipes(root: Path, folder: Path) -> list[Seed]:
@@ -97,6 +111,33 @@ def _images(folder: Path) -> list[Path]:
     return [*paths, folder / "deep.png"]
 
 
+SPECTRA = [
+    '<spectrum name="reflectance" value="400:0.1, 550:0.6, 700:0.3"/>',
+    '<spectrum name="reflectance" type="irregular"><string name="wavelengths" value="400, 500, 700"/>'
+    '<string name="values" value="0.1, 0.5, 0.3"/></spectrum>',
+    '<spectrum name="reflectance" type="regular"><float name="wavelength_min" value="400"/>'
+    '<float name="wavelength_max" value="700"/><string name="values" value="0.1, 0.5, 0.3"/></spectrum>',
+    '<spectrum name="reflectance" type="uniform"><float name="value" value="0.4"/></spectrum>',
+    '<texture name="reflectance" type="srgb"><rgb name="color" value="0.2, 0.5, 0.7"/></texture>',
+    '<texture name="reflectance" type="rawconstant"><rgb name="value" value="0.2, 0.5, 0.7"/></texture>',
+]
+OTHERS = """<scene version="3.0.0">
+  <integrator type="prb"><integer name="max_depth" value="3"/></integrator>
+  <sensor type="perspective">
+    <float name="fov" value="50"/>
+    <transform name="to_world"><lookat origin="0.3, 0.4, 3" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <sampler type="ldsampler"><integer name="sample_count" value="4"/></sampler>
+    <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+  </sensor>
+  <emitter type="constant">
+    <spectrum name="radiance" type="d65"><float name="scale" value="0.02"/></spectrum>
+  </emitter>
+  <emitter type="point">
+    <spectrum name="intensity" type="blackbody"><float name="temperature" value="4000"/></spectrum>
+  </emitter>
+  {}
+</scene>
+"""
 OBJ = [
     "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
     """# a box without a lid

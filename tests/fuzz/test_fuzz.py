@@ -15,6 +15,7 @@ from tests.fuzz.judge import check_saved, judge
 from tests.fuzz.worker import Worker
 from tests.io.documents import TRIANGLE_OBJ, scene_dict
 from torch_radbp.io.load import load_dict
+from torch_radbp.plugin import REGISTRY
 
 CASES = 25  # of each family; `python -m tests.fuzz --minutes 60` is the long run
 
@@ -32,6 +33,12 @@ def test_every_seed_loads(corpus, family):
         if path.parent.name.startswith(("camera_", "cornell_")) and number % 7:
             continue  # much alike
         assert judge(family, path) == ("loaded", "", "")
+
+
+def test_the_scenes_have_every_plugin_that_a_file_can_name(corpus):
+    text = b" ".join(seed.content for seed in corpus["xml"]).decode()
+    named = {name for plugins in REGISTRY.values() for name in plugins} - {"mesh", "rgb"}  # from arrays; <rgb>
+    assert not [name for name in sorted(named) if f'type="{name}"' not in text]
 
 
 @pytest.mark.parametrize("family", FAMILIES)
