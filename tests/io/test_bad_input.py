@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tests.io.documents import LAMP, SENSOR, TRIANGLE_OBJ, scene_dict, scene_text, write_scene
+from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.plugin import SceneError
 
@@ -530,3 +531,11 @@ def assert_contains(message, fragments):
         assert found >= 0, f"{fragment!r} is not in order in: {message}"
         position = found
     assert "\n" not in message
+
+
+def test_a_picture_with_values_that_do_not_fit_its_place_is_named(tmp_path):
+    save_image(tmp_path / "holes.exr", torch.full((3, 2, 2), 1.5))
+    picture = {"type": "bitmap", "filename": str(tmp_path / "holes.exr")}
+    with pytest.raises(SceneError) as caught:
+        load_dict(scene_dict(leaf={"type": "mask", "opacity": picture, "green": {"type": "diffuse"}}))
+    assert_contains(str(caught.value), ["leaf (type 'mask')", "opacity, read from", "holes.exr,", "[0, 1], got 1.5"])
