@@ -81,6 +81,11 @@ SITUATIONS = {
     "some lanes die at the first bounce": Situation(
         {"eye": strip(5), **ROOM, "chalk": rectangle((-1.74, 0, 0), 2.0, (0, 1, 0), 180, bsdf=diffuse(0.3, 0.5, 0.7))},
         ((DIFFUSE, 3), (ROUGH, 2)), ("chalk",)),
+    "attached, one lane in each of two queues": Situation(
+        {"eye": strip(2), **ROOM}, ((DIFFUSE, 1), (ROUGH, 1)), (), None, {"sampling": "attached"}),
+    "attached, an appearance that no lane meets": Situation(
+        {"eye": strip(3), **ROOM, "hidden": rectangle((0, 0, -9), bsdf=textured(mlp(2, 3)))}, ((DIFFUSE, 2), (ROUGH, 1)),
+        ("hidden",), None, {"sampling": "attached"}),
     "roulette from the first bounce": Situation({"eye": strip(5), **ROOM}, ((DIFFUSE, 12), (ROUGH, 8)), ("lamp.bsdf",),
                                                 None, {"rr_depth": 1, "spp": 4}),
 }
