@@ -252,7 +252,7 @@ class Renderer(nn.Module):
         Each call keeps its own, and so does the graph behind its image: neither geometry that moves later nor another
         thread changes what they see.
         """
-        mesh = Mesh(scene.triangles.vertices.p.map(primal), scene.triangles.corners)
+        mesh = Mesh(scene.triangles.vertices.p.map(primal), scene.triangles.corners, scene.triangles.balls)
         known = self.known_caster
         if known is None or not known.mesh.equals(mesh):
             known = self.known_caster = None  # freed first, if no graph and no thread holds it

@@ -20,7 +20,7 @@ def answers(width: int, dtype: torch.dtype, vertices, faces, ray: Ray, tmax) -> 
     hidden = torch.empty(LANES, dtype=torch.bool)
     rays = [*ray.o, *ray.d]
     for loop, columns, results in ((queries.closest_hit, rays, hit), (queries.any_hit, [*rays, tmax], [hidden])):
-        run_lanes(machine_code(loop, dtype, width).address, LANES, addresses([*columns, *tables]), addresses(results))
+        run_lanes(machine_code(loop, dtype, False, width).address, LANES, addresses([*columns, *tables]), addresses(results))
     return [*hit, hidden]
 
 

@@ -6,16 +6,18 @@ import importlib
 
 from torch import Tensor
 
+from torch_radbp.raycast.ball import TRIANGLES, Balls, castable
 from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
 
-__all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
+__all__ = ["Balls", "Hit", "Ray", "RayCaster", "make_caster"]
 
 # Imported when asked for: each has dependencies that the others do not need.
 CASTERS = {"embree": "Embree", "direct": "Direct", "brute": "Brute"}
 FEW_TRIANGLES = 100  # a path's rays, camera rays aside, test so many one by one faster than a tree finds the right ones
+FEW_BALLS = 32  # likewise
 
 
-def make_caster(name: str | None, vertices: Tensor, faces: Tensor) -> RayCaster:
+def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls | None = None) -> RayCaster:
     """Builds the ray caster called `name` over a triangle mesh.
 
     Args:
@@ -23,12 +25,16 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor) -> RayCaster:
             fastest by the vertices' device and the number of triangles.
         vertices: (V, 3) float32 or float64, finite.
         faces: (F, 3) int32, counted from 0.
+        balls: which of the triangles are tessellated spheres, found faster; None: none are known.
 
     Raises:
         ValueError: unknown name, or a mesh that cannot be used.
     """
+    if balls is not None and (len(balls.first) > FEW_BALLS or not bool(castable(balls).all())):
+        balls = None
     if name is None:
-        on_cpu = "direct" if len(faces) <= FEW_TRIANGLES else "embree"
+        others = len(faces) - (0 if balls is None else TRIANGLES * len(balls.first))
+        on_cpu = "direct" if others <= FEW_TRIANGLES else "embree"
         name = on_cpu if vertices.device.type == "cpu" else "warp"
     if name == "warp":
         raise ValueError("ray caster 'warp' (CUDA) is not yet available; move the scene to the CPU, or use 'brute'")
@@ -36,4 +42,4 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor) -> RayCaster:
         known = ", ".join(map(repr, CASTERS))
         raise ValueError(f"unknown ray caster {name!r}; known are {known}, and 'warp', which is not yet available")
     module = importlib.import_module(f"torch_radbp.raycast.{name}")
-    return getattr(module, CASTERS[name])(vertices, faces)
+    return getattr(module, CASTERS[name])(vertices, faces, balls)

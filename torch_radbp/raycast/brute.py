@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_radbp.raycast.ball import Balls
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.vec import Vec3, cross, dot
@@ -22,14 +23,16 @@ class Brute:
     Args:
         vertices: (V, 3) float32 or float64, finite; copied.
         faces: (F, 3) integers in [0, V); copied. Triangles without area are never hit.
+        balls: those among the triangles, which are nothing special here.
 
     Raises:
         ValueError: the mesh is not as said above.
     """
 
-    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor, balls: Balls | None = None) -> None:
         self.vertices = checked_vertices(vertices)
         self.faces = checked_faces(faces, len(self.vertices), device=self.vertices.device)
+        self.balls = balls
         self.rays_cast = 0
 
     def intersect(self, ray: Ray) -> Hit:

@@ -16,9 +16,11 @@ from torch import Tensor
 
 from torch_radbp.jit.machine import MachineCode, host_width, made_once
 from torch_radbp.jit.team import run_lanes
-from torch_radbp.raycast import every_triangle, queries
+from torch_radbp.raycast import every_ball, every_triangle, queries
+from torch_radbp.raycast.ball import Balls, other_triangles, tables
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
 from torch_radbp.raycast.protocol import Hit, Ray
+from torch_radbp.raycast.refined import refined
 from torch_radbp.raycast.vectors import Vectors
 
 CPU = torch.device("cpu")
@@ -33,17 +35,21 @@ class Direct:
 
     Args:
         vertices: (V, 3) float32 or float64, finite; copied.
-        faces: (F, 3) integers in [0, V); copied; at most `MOST_TRIANGLES`. Triangles without area are never hit.
+        faces: (F, 3) integers in [0, V); copied; at most `MOST_TRIANGLES`, balls aside. Triangles without area are never
+            hit.
+        balls: those among the triangles; None: none.
 
     Raises:
         ValueError: the mesh is not as said above, or not on the CPU.
     """
 
-    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor, balls: Balls | None = None) -> None:
         self.vertices = checked_vertices(vertices, device=CPU)
         self.faces = checked_faces(faces, len(self.vertices), device=CPU)
-        if len(self.faces) > MOST_TRIANGLES:
-            raise ValueError(f"the ray caster 'direct' takes at most {MOST_TRIANGLES} triangles, got {len(self.faces)}; "
+        self.balls = balls
+        self._others, self._numbers = (self.faces, None) if balls is None else other_triangles(self.faces, balls)
+        if len(self._others) > MOST_TRIANGLES:
+            raise ValueError(f"the ray caster 'direct' takes at most {MOST_TRIANGLES} triangles, got {len(self._others)}; "
                              "use 'embree'")
         self.rays_cast = 0
         self._counting = Lock()
@@ -55,7 +61,9 @@ class Direct:
         hit = Hit(torch.empty(shape, dtype=torch.int32, device=CPU),
                   *(torch.empty(shape, dtype=dtype, device=CPU) for _ in range(3)))
         self._run(queries.closest_hit, [*ray.o, *ray.d], hit)
-        return hit
+        # The vertices of a ball are on the sphere only up to the rounding of float32, in which a scene may have been loaded.
+        exact = self.balls is None or dtype == torch.float32
+        return hit if exact else refined(self.vertices, self.faces, ray, hit)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
@@ -67,22 +75,23 @@ class Direct:
         """Runs a loop of `queries` over all lanes."""
         dtype, lanes = columns[0].dtype, columns[0].numel()
         if dtype not in self._meshes:
-            self._meshes[dtype] = mesh_in_units(self.vertices, self.faces, dtype)
+            balls = () if self.balls is None else (*tables(self.balls, dtype), self._numbers)
+            self._meshes[dtype] = *mesh_in_units(self.vertices, self._others, dtype), *balls
         inputs = [*columns_of(columns, dtype), *self._meshes[dtype]]
-        run_lanes(machine_code(loop, dtype).address, lanes, addresses(inputs), addresses(answers))
+        run_lanes(machine_code(loop, dtype, self.balls is not None).address, lanes, addresses(inputs), addresses(answers))
         with self._counting:
             self.rays_cast += lanes
 
     def __reduce__(self):
-        return Direct, (self.vertices, self.faces)
+        return Direct, (self.vertices, self.faces, self.balls)
 
 
 @made_once
-def machine_code(loop: Callable, dtype: torch.dtype, width: int | None = None) -> MachineCode:
+def machine_code(loop: Callable, dtype: torch.dtype, balls: bool = False, width: int | None = None) -> MachineCode:
     """A loop of `queries` for numbers of a dtype and vectors of a width; None: what the processor has."""
     width = width or host_width() * torch.float32.itemsize // dtype.itemsize
     code = Vectors(width, "float" if dtype == torch.float32 else "double")
-    return MachineCode(loop(code, every_triangle.KERNEL))
+    return MachineCode(loop(code, every_ball.beside(every_triangle.KERNEL) if balls else every_triangle.KERNEL))
 
 
 def mesh_in_units(vertices: Tensor, faces: Tensor, dtype: torch.dtype) -> tuple[Tensor, ...]:
@@ -91,11 +100,11 @@ def mesh_in_units(vertices: Tensor, faces: Tensor, dtype: torch.dtype) -> tuple[
     Products of three coordinates then neither overflow nor underflow, and nothing is rounded. Corners in the same place are
     one.
     """
-    corners, names = torch.unique(vertices.to(dtype), dim=0, return_inverse=True)
+    corners, names = torch.unique(vertices.to(dtype)[faces.long()].reshape(-1, 3), dim=0, return_inverse=True)
     extent = float((corners.amax(dim=0) - corners.amin(dim=0)).max())
     exponent = math.frexp(extent)[1] if extent > 0 else 0
     scale = corners.new_tensor(2.0 ** max(-120, min(120, -exponent)))
-    triangles = names[faces.long()].to(torch.int32).contiguous()
+    triangles = names.reshape(-1, 3).to(torch.int32)
     return corners * scale, triangles, names.new_tensor(len(corners)), names.new_tensor(len(faces)), scale
 
 

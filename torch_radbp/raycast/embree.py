@@ -16,11 +16,12 @@ from torch import Tensor
 
 from torch_radbp.jit.machine import MachineCode, made_once
 from torch_radbp.jit.team import run_lanes
-from torch_radbp.raycast import library, packets, queries
+from torch_radbp.raycast import every_ball, library, packets, queries
+from torch_radbp.raycast.ball import Balls, other_triangles, tables
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
 from torch_radbp.raycast.protocol import Hit, Ray
+from torch_radbp.raycast.refined import refined
 from torch_radbp.raycast.vectors import Vectors
-from torch_radbp.vec import Vec3, crossing, dot
 
 CPU = torch.device("cpu")
 ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what Embree writes into a `Hit`
@@ -40,15 +41,21 @@ class Embree:
     Args:
         vertices: (V, 3) float32 or float64, finite; copied.
         faces: (F, 3) integers in [0, V); copied. Triangles without area are never hit.
+        balls: those among the triangles, which Embree does not see; None: none.
 
     Raises:
         ValueError: the mesh is not as said above, or not on the CPU.
         RuntimeError: Embree is not installed, or reports an error.
     """
 
-    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor, balls: Balls | None = None) -> None:
         self.vertices = checked_vertices(vertices, device=CPU)
         self.faces = checked_faces(faces, len(self.vertices), device=CPU)
+        self.balls = balls
+        self._others, self._tables = self.faces, []
+        if balls is not None:
+            self._others, numbers = other_triangles(self.faces, balls)
+            self._tables = [*tables(balls, torch.float32), numbers]
         self.rays_cast = 0
         self._counting = Lock()
         # Embree reads this buffer in place, and 16 bytes at a time: past the last vertex by 4.
@@ -67,20 +74,20 @@ class Embree:
         embree.rtcSetSceneFlags(self._scene, library.SCENE_FLAG_ROBUST)
         for kind, item, data, count in (
             (library.BUFFER_TYPE_VERTEX, library.FORMAT_FLOAT3, self._buffer, len(self.vertices)),
-            (library.BUFFER_TYPE_INDEX, library.FORMAT_UINT3, self.faces, len(self.faces)),
+            (library.BUFFER_TYPE_INDEX, library.FORMAT_UINT3, self._others, len(self._others)),
         ):
             embree.rtcSetSharedGeometryBuffer(self._geometry, kind, 0, item, data.data_ptr(), 0, 12, count)
         embree.rtcAttachGeometry(self._scene, self._geometry)
         embree.rtcCommitGeometry(self._geometry)
         embree.rtcCommitScene(self._scene)
-        library.check(self._device, f"building a scene of {len(self.faces)} triangles")
+        library.check(self._device, f"building a scene of {len(self._others)} triangles")
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, CPU)
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         hit = Hit(*(torch.empty(shape, dtype=answer, device=CPU) for answer in ANSWERS))
         self._run(queries.closest_hit, self._intersect, [*ray.o, *ray.d], hit)
-        return hit if dtype == torch.float32 else self._refined(ray, hit)
+        return hit if dtype == torch.float32 else refined(self.vertices, self.faces, ray, hit)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
@@ -92,32 +99,22 @@ class Embree:
         """Runs a loop of `queries` over all lanes."""
         lanes = columns[0].numel()
         columns = columns_of(columns, torch.float32)
-        inputs = array("q", [*(column.data_ptr() for column in columns), query, self._scene, self._near.data_ptr()])
+        inputs = array("q", [*(column.data_ptr() for column in columns), query, self._scene, self._near.data_ptr(),
+                             *(table.data_ptr() for table in self._tables)])
         outputs = array("q", [answer.data_ptr() for answer in answers])
-        run_lanes(machine_code(loop).address, lanes, inputs, outputs, PART)
+        run_lanes(machine_code(loop, self.balls is not None).address, lanes, inputs, outputs, PART)
         with self._counting:
             self.rays_cast += lanes
 
-    def _refined(self, ray: Ray, hit: Hit) -> Hit:
-        """The hit with u, v and t of the ray's line and the triangle's plane, in the ray's dtype."""
-        ray = Ray(ray.o.detach(), ray.d.detach())
-        corners = self.vertices.to(ray.o.x.dtype)[self.faces[hit.prim.clamp(min=0)].long()]
-        p0, p1, p2 = (Vec3.of(corners[..., corner, :]) for corner in range(3))
-        e1, e2 = p1 - p0, p2 - p0
-        volume, of_u, of_v = crossing(ray, p0, e1, e2)
-        u, v = of_u / volume, of_v / volume
-        t = dot(p0 + e1 * u + e2 * v - ray.o, ray.d) / dot(ray.d, ray.d)
-        found = (hit.prim >= 0) & (volume != 0)
-        return Hit(hit.prim, *(torch.where(found, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:])))
-
     def __reduce__(self):
-        return Embree, (self.vertices, self.faces)
+        return Embree, (self.vertices, self.faces, self.balls)
 
 
 @made_once
-def machine_code(loop: Callable) -> MachineCode:
+def machine_code(loop: Callable, balls: bool) -> MachineCode:
     """A loop of `queries` over packets."""
-    return MachineCode(loop(Vectors(packets.WIDTH, "float"), packets.KERNEL))
+    return MachineCode(loop(Vectors(packets.WIDTH, "float"),
+                            every_ball.beside(packets.KERNEL) if balls else packets.KERNEL))
 
 
 def _release(embree, geometry: int, scene: int, device: int) -> None:

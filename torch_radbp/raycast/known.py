@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.raycast.ball import Balls
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.vec import Vec3
 
@@ -16,14 +17,16 @@ class Mesh(NamedTuple):
 
     p: Vec3  # (V,) positions
     corners: tuple[Tensor, Tensor, Tensor]  # (T,) int32 each, rows of `p`
+    balls: Balls | None  # among them
 
     def equals(self, other: Mesh) -> bool:
         """True if the other has the same triangles."""
-        return all(map(same, (*self.p, *self.corners), (*other.p, *other.corners)))
+        mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ())) for mesh in (self, other))
+        return len(mine) == len(others) and all(map(same, mine, others))
 
-    def stacked(self) -> tuple[Tensor, Tensor]:
-        """The vertices (V, 3) and faces (T, 3)."""
-        return self.p.stack(), torch.stack(self.corners, 1)
+    def stacked(self) -> tuple[Tensor, Tensor, Balls | None]:
+        """The vertices (V, 3), the faces (T, 3), and the balls among them."""
+        return self.p.stack(), torch.stack(self.corners, 1), self.balls
 
 
 class KnownCaster(NamedTuple):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 from torch_radbp.jit.loops import TAKE_PARTS
 
 ZERO = "zeroinitializer"
@@ -70,6 +72,11 @@ class Vectors:
 
     def constant(self, number: str) -> str:
         return f"splat ({self.scalar} {number})"
+
+    def number(self, value: float) -> str:
+        """The number nearest to `value`, in all lanes."""
+        held = struct.unpack("f", struct.pack("f", value))[0] if self.scalar == "float" else value
+        return self.constant(f"0x{struct.pack('>d', held).hex().upper()}")
 
     def steps(self, kind: str) -> str:
         """0, 1, 2, ..."""

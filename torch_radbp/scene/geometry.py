@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.plugin import Shape
+from torch_radbp.raycast import Balls
 from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.tensors import TriangleTable, VertexTable
-from torch_radbp.shape.surface import Triangles
+from torch_radbp.shape.surface import Ball, Triangles
 from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
 
 BLOCK = 1 << 15  # number of triangles that are processed at a time
@@ -28,6 +29,7 @@ class PlacedShape(NamedTuple):
     surface: Triangles  # attached
     vertices: Tensor  # (V, 3) of the surface, detached; the same object as in the last rendering while the values are
     faces: Tensor  # (F, 3) likewise
+    ball: Ball | None  # likewise
 
 
 class Columns(NamedTuple):
@@ -44,7 +46,12 @@ def placed_shape(kept: Kept, shape: Shape, dtype: torch.dtype) -> PlacedShape:
     """A shape as it is now."""
     surface = kept(without_flat_normals, kept(oriented, kept.twin(id(shape), shape)))
     return PlacedShape(surface, kept.frozen((id(shape), "vertices"), surface.vertices.to(dtype)),
-                       kept.frozen((id(shape), "faces"), surface.faces))
+                       kept.frozen((id(shape), "faces"), surface.faces), frozen_ball(kept, shape, surface.ball))
+
+
+def frozen_ball(kept: Kept, shape: Shape, ball: Ball | None) -> Ball | None:
+    """The ball that a shape is, detached."""
+    return None if ball is None else kept(Ball, kept.frozen((id(shape), "ball"), ball.placement), ball.turned)
 
 
 def oriented(shape: Shape) -> Triangles:
@@ -85,7 +92,25 @@ def triangle_table(kept: Kept, shapes: Sequence[PlacedShape], columns: Columns, 
         vertices = kept(VertexTable, vertices.p, vertices.n, None)
     return TriangleTable(vertices, corners, n, smooth, clearances, along,
                          material=kept(of_each, columns.material, counts, torch.int32, device),
-                         emitter=kept(emitter_rows, columns.emitting, counts, device))
+                         emitter=kept(emitter_rows, columns.emitting, counts, device),
+                         balls=kept(balls_among, tuple(shape.ball for shape in shapes), counts, device))
+
+
+def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: torch.device) -> Balls | None:
+    """The balls among the triangles of all shapes; None if there are none.
+
+    Args:
+        balls: of each shape, detached.
+        counts: the number of triangles of each.
+        device: of the result.
+    """
+    firsts = list(itertools.accumulate(counts, initial=0))
+    found = [(first, *ball) for first, ball in zip(firsts, balls) if ball is not None]
+    if not found:
+        return None
+    first, placement, turned = zip(*found)
+    return Balls(torch.tensor(first, dtype=torch.int32, device=device), torch.tensor(turned, device=device),
+                 torch.stack(placement).to(device, torch.float64))
 
 
 def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, dtype: torch.dtype,

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.kind import LightKind, Table
+from torch_radbp.raycast import Balls
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.texture.bank import TextureBank
@@ -67,6 +68,7 @@ class TriangleTable(NamedTuple):
     along: Vec3 | None  # unit direction in which u grows, 0 where it is not defined; None if no material is oriented
     material: Tensor  # (T,) int32, row of `MaterialTable`
     emitter: Tensor  # (T,) int32, element of `LightTable`; -1: emits nothing
+    balls: Balls | None  # those of them that tessellate spheres, for ray casting
 
 
 class MaterialTable(NamedTuple):

@@ -7,9 +7,8 @@ import math
 import torch
 
 from torch_radbp.plugin import BSDF, Emitter, Matrix4, Point3, finite, positive, register
-from torch_radbp.shape.surface import Tessellated, Triangles, affine, grid
-
-SEGMENTS, RINGS = 192, 96
+from torch_radbp.raycast.ball import RINGS, SEGMENTS
+from torch_radbp.shape.surface import Ball, Tessellated, Triangles, affine, grid
 
 
 @register("shape", "sphere")
@@ -33,9 +32,13 @@ class Sphere(Tessellated):
 
     center, radius = None, 1.0  # resolved into `to_world`
 
+    def triangles(self) -> Triangles:
+        surface = super().triangles()
+        return surface._replace(ball=Ball(self.to_world, turned=surface.faces is not self.faces))
+
 
 def unit_sphere() -> Triangles:
-    """The tessellated unit sphere, facets ordered so that the geometric normals point outwards."""
+    """The tessellated unit sphere, facets ordered so that the geometric normals point outwards; see `raycast.ball`."""
     uv, faces = grid(SEGMENTS, RINGS)
     phi, theta = 2 * math.pi * uv[:, 0], math.pi * uv[:, 1]
     normals = torch.stack([torch.sin(theta) * torch.cos(phi), torch.sin(theta) * torch.sin(phi), torch.cos(theta)], 1)

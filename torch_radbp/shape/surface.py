@@ -12,6 +12,13 @@ from torch_radbp.domain import POSE, Domain
 from torch_radbp.plugin import BSDF, Emitter, Shape, finite
 
 
+class Ball(NamedTuple):
+    """A tessellated sphere as `raycast.ball` knows it."""
+
+    placement: Tensor  # (4, 4) from the unit sphere to the world
+    turned: bool  # the second and third corner of every triangle are exchanged
+
+
 class Triangles(NamedTuple):
     """World-space triangles of one shape, attached to its parameters."""
 
@@ -19,6 +26,7 @@ class Triangles(NamedTuple):
     faces: Tensor  # (F, 3) int64
     normals: Tensor | None  # (V, 3) unit shading normals, or None for flat faces
     uv: Tensor | None  # (V, 2)
+    ball: Ball | None = None  # what they tessellate, if it is a sphere
 
 
 def affine(name: str, matrix: Tensor | None) -> Tensor:
@@ -81,7 +89,8 @@ class Surface(Shape):
         if not self.flip_normals:
             return surface
         normals = None if surface.normals is None else -surface.normals
-        return surface._replace(faces=surface.faces[:, [0, 2, 1]], normals=normals)
+        ball = None if surface.ball is None else surface.ball._replace(turned=not surface.ball.turned)
+        return surface._replace(faces=surface.faces[:, [0, 2, 1]], normals=normals, ball=ball)
 
 
 class Tessellated(Surface):

@@ -1,0 +1,88 @@
+"""Balls: spheres tessellated by azimuth and polar angle, which need no tree of triangles to be cast.
+
+A ball is what an affine map makes of the unit sphere's tessellation into `RINGS` x `SEGMENTS` cells. All corners of a cell
+are in one plane, so that the ball is a convex polyhedron with a facet for each cell, of two triangles but at the poles.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+SEGMENTS, RINGS = 192, 96
+TRIANGLES = 2 * SEGMENTS * (RINGS - 1)
+LARGEST_STRETCH = 1e12  # of the map to the unit sphere, and its inverse; beyond, squares of lengths may overflow
+
+
+class Balls(NamedTuple):
+    """The balls among the triangles of a mesh, detached: `TRIANGLES` consecutive ones each.
+
+    First of each cell, row by row from polar angle 0, the half that has its edge of lesser polar angle, but for the first
+    row; then the others, but for the last row. The diagonal between the halves runs from the cell's corner of least azimuth
+    and polar angle, which is the first of both, to the opposite one: third corner of the ones, second of the others.
+    """
+
+    first: Tensor  # (B,) int32, triangle
+    turned: Tensor  # (B,) bool: the second and third corner of every triangle are exchanged
+    placement: Tensor  # (B, 4, 4) from the unit sphere to the world; affine
+
+
+class Tables(NamedTuple):
+    """What loops over rays read of balls; numbers are of one dtype."""
+
+    placements: Tensor  # (B, 12) centre, and by rows the map from there to the unit sphere
+    triangles: Tensor  # (B, 2) int32, `first` and `turned`
+    count: Tensor  # () int64, B
+    sectors: Tensor  # (SEGMENTS, 2) cosine and sine of the azimuth in the middle of a segment
+    rings: Tensor  # (RINGS, 7) see `ring_table`
+
+
+def tables(balls: Balls, dtype: torch.dtype) -> Tables:
+    """The tables of some balls, for rays of a dtype."""
+    placement = balls.placement.double()
+    to_unit = torch.linalg.inv(placement[:, :3, :3])
+    middle = (torch.arange(SEGMENTS, dtype=torch.float64) + 0.5) * (2 * math.pi / SEGMENTS)
+    return Tables(torch.cat([placement[:, :3, 3], to_unit.flatten(1)], 1).to(dtype).contiguous(),
+                  torch.stack([balls.first, balls.turned.to(torch.int32)], 1).contiguous(),
+                  torch.tensor(len(balls.first)), torch.stack([middle.cos(), middle.sin()], 1).to(dtype).contiguous(),
+                  ring_table().to(dtype).contiguous())
+
+
+def ring_table() -> Tensor:
+    """The facets of each row of cells, (RINGS, 7) float64, in a frame where the facet's middle is at azimuth 0.
+
+    With r the coordinate along the middle's azimuth, a facet is in the plane a r + b z = 1, and at height
+    s = c r + d z + e in [0, 1] between its two edges of constant polar angle, which are 2 w0 and 2 w1 wide; the columns
+    are a, b, c, d, e, w0, w1.
+    """
+    polar = torch.linspace(0, math.pi, RINGS + 1, dtype=torch.float64)
+    half = math.pi / SEGMENTS
+    r, z, wide = polar.sin() * math.cos(half), polar.cos(), polar.sin() * math.sin(half)
+    wide[0] = wide[-1] = r[0] = r[-1] = 0.0  # the poles, but for rounding
+    dr, dz = r.diff(), z.diff()
+    along = dr**2 + dz**2
+    off = r[:-1] * z[1:] - z[:-1] * r[1:]
+    return torch.stack([dz / off, -dr / off, dr / along, dz / along, -(r[:-1] * dr + z[:-1] * dz) / along,
+                        wide[:-1], wide[1:]], 1)
+
+
+def castable(balls: Balls) -> Tensor:
+    """(B,) bool: balls that are neither so small nor so large that numbers overflow."""
+    values = torch.linalg.svdvals(balls.placement[:, :3, :3].double())
+    return (values > 1 / LARGEST_STRETCH).all(1) & (values < LARGEST_STRETCH).all(1)
+
+
+def other_triangles(faces: Tensor, balls: Balls) -> tuple[Tensor, Tensor]:
+    """The triangles of a mesh that belong to no ball, (G, 3), and their numbers in the mesh, (G,) int32.
+
+    Where there are none, the first triangle without its area.
+    """
+    others = torch.ones(len(faces), dtype=torch.bool)
+    others[(balls.first[:, None] + torch.arange(TRIANGLES)).long()] = False
+    numbers = others.nonzero().squeeze(1)
+    if len(numbers) == 0:
+        return faces[:1, :1].expand(1, 3).contiguous(), torch.zeros(1, dtype=torch.int32)
+    return faces[numbers].contiguous(), numbers.to(torch.int32)

@@ -1,0 +1,29 @@
+"""Where a line crosses the plane of a triangle that is known, as exactly as the ray's dtype allows."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.raycast.protocol import Hit, Ray
+from torch_radbp.vec import Vec3, crossing, dot
+
+
+def refined(vertices: Tensor, faces: Tensor, ray: Ray, hit: Hit) -> Hit:
+    """The hit with u, v and t of the ray's line and the triangle's plane, in the ray's dtype.
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 3).
+        ray: (N,).
+        hit: of these rays; its triangle is kept.
+    """
+    ray = Ray(ray.o.detach(), ray.d.detach())
+    corners = vertices.to(ray.o.x.dtype)[faces[hit.prim.clamp(min=0)].long()]
+    p0, p1, p2 = (Vec3.of(corners[..., corner, :]) for corner in range(3))
+    e1, e2 = p1 - p0, p2 - p0
+    volume, of_u, of_v = crossing(ray, p0, e1, e2)
+    u, v = of_u / volume, of_v / volume
+    t = dot(p0 + e1 * u + e2 * v - ray.o, ray.d) / dot(ray.d, ray.d)
+    found = (hit.prim >= 0) & (volume != 0)
+    return Hit(hit.prim, *(torch.where(found, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:])))
