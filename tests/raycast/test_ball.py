@@ -7,14 +7,15 @@ import torch_radbp as rb
 from tests.raycast.meshes import take
 from tests.raycast.test_hits import COMPILED, DTYPES, crossing
 from torch_radbp.jit.team import run_lanes
-from torch_radbp.raycast import FEW_BALLS, Balls, Hit, Ray, make_caster, queries
-from torch_radbp.raycast.ball import RINGS, SEGMENTS, TRIANGLES, other_triangles, tables
+from torch_radbp.raycast import FEW_BALLS, Hit, Ray, make_caster, queries
+from torch_radbp.raycast.ball import other_triangles, tables
 from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.direct import Direct, addresses, machine_code, mesh_in_units
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.raycast.refined import refined
 from torch_radbp.scene.interaction import clearance
 from torch_radbp.scene.pack import pack
+from torch_radbp.shape.ball import RINGS, SEGMENTS, TRIANGLES, Balls
 from torch_radbp.vec import Vec3, dot, normalize, unit_normal
 
 LANES = 20_000

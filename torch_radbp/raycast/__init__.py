@@ -6,10 +6,11 @@ import importlib
 
 from torch import Tensor
 
-from torch_radbp.raycast.ball import TRIANGLES, Balls, castable
+from torch_radbp.raycast.ball import castable
 from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
+from torch_radbp.shape.ball import TRIANGLES, Balls
 
-__all__ = ["Balls", "Hit", "Ray", "RayCaster", "make_caster"]
+__all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 
 # Imported when asked for: each has dependencies that the others do not need.
 CASTERS = {"embree": "Embree", "direct": "Direct", "brute": "Brute"}

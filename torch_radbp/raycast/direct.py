@@ -17,11 +17,12 @@ from torch import Tensor
 from torch_radbp.jit.machine import MachineCode, host_width, made_once
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import every_ball, every_triangle, queries
-from torch_radbp.raycast.ball import Balls, other_triangles, tables
+from torch_radbp.raycast.ball import other_triangles, tables
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
 from torch_radbp.raycast.vectors import Vectors
+from torch_radbp.shape.ball import Balls
 
 CPU = torch.device("cpu")
 MOST_TRIANGLES = 1000  # their corners, a vector of each, must fit on the stack of a thread

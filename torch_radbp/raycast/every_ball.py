@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from torch_radbp.raycast.ball import RINGS, SEGMENTS, TRIANGLES
 from torch_radbp.raycast.queries import INFINITY, Kernel, Rays
 from torch_radbp.raycast.vectors import ZERO, Vectors
+from torch_radbp.shape.ball import RINGS, SEGMENTS, TRIANGLES
 
 # As `ball.Tables`, and the numbers of the other triangles in the mesh.
 INPUTS = ("placements", "ball_triangles", "ball_count_at", "sectors", "rings", "numbers")

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.raycast.ball import Balls
 from torch_radbp.raycast.protocol import RayCaster
+from torch_radbp.shape.ball import Balls
 from torch_radbp.vec import Vec3
 
 

@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.plugin import Shape
-from torch_radbp.raycast import Balls
 from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.tensors import TriangleTable, VertexTable
-from torch_radbp.shape.surface import Ball, Triangles
+from torch_radbp.shape.ball import Ball, Balls
+from torch_radbp.shape.surface import Triangles
 from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
 
 BLOCK = 1 << 15  # number of triangles that are processed at a time

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.kind import LightKind, Table
-from torch_radbp.raycast import Balls
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.scene.appearance import Appearance
+from torch_radbp.shape.ball import Balls
 from torch_radbp.texture.bank import TextureBank
 from torch_radbp.texture.reader import Reader
 from torch_radbp.vec import Vec2, Vec3

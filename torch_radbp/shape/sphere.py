@@ -7,8 +7,8 @@ import math
 import torch
 
 from torch_radbp.plugin import BSDF, Emitter, Matrix4, Point3, finite, positive, register
-from torch_radbp.raycast.ball import RINGS, SEGMENTS
-from torch_radbp.shape.surface import Ball, Tessellated, Triangles, affine, grid
+from torch_radbp.shape.ball import RINGS, SEGMENTS, Ball
+from torch_radbp.shape.surface import Tessellated, Triangles, affine, grid
 
 
 @register("shape", "sphere")
@@ -38,7 +38,7 @@ class Sphere(Tessellated):
 
 
 def unit_sphere() -> Triangles:
-    """The tessellated unit sphere, facets ordered so that the geometric normals point outwards; see `raycast.ball`."""
+    """The tessellated unit sphere, facets ordered so that the geometric normals point outwards; see `ball.py`."""
     uv, faces = grid(SEGMENTS, RINGS)
     phi, theta = 2 * math.pi * uv[:, 0], math.pi * uv[:, 1]
     normals = torch.stack([torch.sin(theta) * torch.cos(phi), torch.sin(theta) * torch.sin(phi), torch.cos(theta)], 1)

@@ -10,13 +10,7 @@ from torch import Tensor
 from torch_radbp.bsdf.diffuse import Diffuse
 from torch_radbp.domain import POSE, Domain
 from torch_radbp.plugin import BSDF, Emitter, Shape, finite
-
-
-class Ball(NamedTuple):
-    """A tessellated sphere as `raycast.ball` knows it."""
-
-    placement: Tensor  # (4, 4) from the unit sphere to the world
-    turned: bool  # the second and third corner of every triangle are exchanged
+from torch_radbp.shape.ball import Ball
 
 
 class Triangles(NamedTuple):
