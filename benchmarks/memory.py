@@ -60,7 +60,7 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
             lane, found, state = checkpoint(one_bounce, state, depth, use_reentrant=False)
             add_at(L, lane, found)
             depth += 1
-        images[0][:, chunk.first_pixel:chunk.first_pixel + chunk.pixels] += pixel_sums(chunk, L) / call.spp
+        images[0][:, chunk.pixels.index(L.x.device).long()] += pixel_sums(chunk, L) / call.spp
     return images[0].reshape(1, 3, view.height, view.width)
 
 

@@ -10,6 +10,7 @@ from torch.func import functional_call
 from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint import MemoizedAdjoint, TapeAdjoint
+from torch_radbp.adjoint.chunks import fair_chunk, plan_chunks
 from torch_radbp.adjoint.cost import Request, check_cost
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
 from torch_radbp.adjoint.function import (
@@ -18,7 +19,6 @@ from torch_radbp.adjoint.function import (
     detached,
     differentiable,
     pilot_paths,
-    plan_chunks,
     render_images,
     render_with_derivative,
 )
@@ -54,8 +54,7 @@ from torch_radbp.wavefront import Integrand
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call
-LANES = {True: 1 << 18, False: 1 << 16}  # of a chunk if the user does not say, compiled and eager; the fastest powers of 2
-LEAST_LANES = 1 << 12  # of such a chunk: below, a second thread costs more in Python than it takes over
+LANES = {True: 1 << 18, False: 1 << 16}  # of a chunk if the user does not say, about; compiled and eager
 
 
 class Renderer(nn.Module):
@@ -178,9 +177,8 @@ class Renderer(nn.Module):
         device = self.scene.device
         workers = torch.get_num_threads() if device.type == "cpu" else 1
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
-        lanes = len(indices) * width * height * spp
         fused = self.runs_compiled()
-        lanes = self.chunk or min(LANES[fused or workers == 1], max(LEAST_LANES, -(-lanes // workers)))
+        lanes = self.chunk or fair_chunk(len(indices), width * height, spp, workers, LANES[fused or workers == 1])
         parameters = {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad}
         keeps = parameters and torch.is_grad_enabled() and seed_grad is None and self.memory_budget is None
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
@@ -199,14 +197,14 @@ class Renderer(nn.Module):
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return Integrand(tensors, detached(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
 
-        call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views,
-                          plan_chunks(views, spp, lanes), spp, seed_grad is not None, workers, self.scene,
-                          parameters)
+        chunks = plan_chunks(len(views), width * height, spp, lanes, workers)
+        call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views, chunks, spp, seed_grad is not None,
+                          workers, self.scene, parameters)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)
-        return call._replace(adjoint=plan.adjoint, chunks=plan_chunks(views, spp, plan.chunk),
-                             retrace=call.retrace or plan.retrace)
+        chunks = plan_chunks(len(views), width * height, spp, plan.chunk, workers)
+        return call._replace(adjoint=plan.adjoint, chunks=chunks, retrace=call.retrace or plan.retrace)
 
     def runs_compiled(self) -> bool:
         """True if a call would run fused loops: those are for the CPU, and autograd, backward or forward, records nothing
@@ -224,7 +222,7 @@ class Renderer(nn.Module):
         scene = detached(call.scene)
         integrand = call.make_integrand(scene).with_stages(EAGER)
         lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
-        chunk = max(part.pixels * part.samples for part in call.chunks)
+        chunk = max(part.lanes for part in call.chunks)
         moving = integrand.settings.moving
         triangles = moving and self.sampling != "attached" and any_differentiated(call.scene.triangles.vertices.p)
         work = Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.adjoint.chunks import Chunk
 from torch_radbp.adjoint.finite import (
     CheckedSweep,
     Finding,
@@ -36,16 +37,6 @@ from torch_radbp.vec import Ray, Vec3
 from torch_radbp.wavefront import Integrand, Stages, Step, trace
 
 SAVED = object()  # stands for a tensor that autograd keeps
-
-
-class Chunk(NamedTuple):
-    """A block of lanes that is traced together: some samples of some neighbouring pixels of one sensor."""
-
-    sensor: int  # row of the output batch
-    first_pixel: int
-    pixels: int
-    first_sample: int
-    samples: int
 
 
 class View(NamedTuple):
@@ -75,27 +66,14 @@ class RenderCall(NamedTuple):
     parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
 
 
-def plan_chunks(views: list[View], spp: int, lanes: int) -> list[Chunk]:
-    """Blocks of at most `lanes` lanes that cover all pixels and samples: whole pixels if they fit, else so many samples of
-    one as `sums_in_pairs` sums alike in blocks and at once."""
-    samples = spp if spp <= lanes else 1 << lanes.bit_length() - 1
-    pixels = max(1, lanes // samples)
-    return [Chunk(sensor, first_pixel, min(pixels, view.width * view.height - first_pixel), first_sample,
-                  min(samples, spp - first_sample))
-            for sensor, view in enumerate(views)
-            for first_pixel in range(0, view.width * view.height, pixels)
-            for first_sample in range(0, spp, samples)]
-
-
 def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
     """The camera paths of a chunk, pixel by pixel."""
     device = call.scene.device
-    lane = torch.arange(chunk.pixels * chunk.samples, dtype=torch.int32, device=device)
-    offset = torch.div(lane, chunk.samples, rounding_mode="floor")
+    pixel = chunk.pixels.index(device).repeat_interleave(chunk.samples)
+    sample = torch.arange(chunk.samples, dtype=torch.int32, device=device) + chunk.first_sample
     view = call.views[chunk.sensor]
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    return start_path(*call.stages.sample_camera(view.camera, width, offset + chunk.first_pixel,
-                                          lane - offset * chunk.samples + chunk.first_sample, key))
+    return start_path(*call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key))
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
@@ -153,7 +131,7 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
 
 def pixel_sums(chunk: Chunk, L: Vec3) -> Tensor:
     """(3, pixels) the sums over the lanes of each pixel of a chunk."""
-    return sums_in_pairs(torch.stack([component.reshape(chunk.pixels, chunk.samples) for component in L]))
+    return sums_in_pairs(torch.stack([component.reshape(chunk.pixels.count, chunk.samples) for component in L]))
 
 
 def sums_in_pairs(terms: Tensor) -> Tensor:
@@ -184,9 +162,9 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
 
     shares = in_turns(len(call.chunks), call.workers, trace_share)
     traced = [shares[index % len(shares)][index // len(shares)] for index in range(len(call.chunks))]
-    for (sensor, first_pixel), chunks in groupby(zip(call.chunks, traced), lambda part: part[0][:2]):
+    for (sensor, pixels), chunks in groupby(zip(call.chunks, traced), lambda part: part[0][:2]):
         sums = sums_in_pairs(torch.stack([sums for _, (sums, _) in chunks], -1))
-        images[sensor][:, first_pixel:first_pixel + sums.shape[1]] = sums / call.spp
+        images[sensor][:, pixels.index(sums.device).long()] = sums / call.spp
     records = [path_record for _, path_record in traced] if record else []
     # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
     images = torch.stack([image.reshape(3, view.height, view.width) for image in images])
@@ -212,8 +190,7 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
 
 def lane_adjoint(call: RenderCall, chunk: Chunk, grad_images: Tensor) -> Vec3:
     """Derivative of the loss with respect to L_1 of each lane: a pixel is the mean of its samples."""
-    pixels = slice(chunk.first_pixel, chunk.first_pixel + chunk.pixels)
-    gradient = grad_images[chunk.sensor].reshape(3, -1)[:, pixels] / call.spp
+    gradient = grad_images[chunk.sensor].reshape(3, -1).index_select(1, chunk.pixels.index(grad_images.device)) / call.spp
     return Vec3(*(channel.repeat_interleave(chunk.samples) for channel in gradient))
 
 
