@@ -17,6 +17,7 @@ LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and s
 LEEWAY = 0.02  # how far a value may leave its range, as finite differences do, such as those of `check_gradient`
 FLATTEST = 1e-6  # least volume of a pose's axes, relative to a box with the same edges; rounding of float32 alone makes 1e-7
 SMALLEST_VOLUME = 1e-30  # least volume of a pose's axes; areas of smaller objects underflow in float32
+SHORTEST_AXIS = 1e-11  # of a pose; `vec.normalize` leaves vectors shorter than 1e-12 as they are
 
 
 class Domain(NamedTuple):
@@ -68,7 +69,7 @@ class Domain(NamedTuple):
 
     @staticmethod
     def check_pose(name: str, matrix: Tensor) -> None:
-        """Raises ValueError unless a (4, 4) matrix is affine and can be inverted."""
+        """Raises ValueError unless a (4, 4) matrix is affine and can be inverted, in float32 too."""
         matrix = matrix.detach().to("cpu", torch.float64)
         if (matrix[3] - matrix.new_tensor([0.0, 0, 0, 1])).abs().max() > 1e-5:
             raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {matrix[3].tolist()}")
@@ -78,6 +79,10 @@ class Domain(NamedTuple):
         box = min(linear.norm(dim=0).prod(), linear.norm(dim=1).prod())
         if volume < max(SMALLEST_VOLUME, FLATTEST * box):
             raise ValueError(f"{name} must be invertible, got a matrix with determinant {float(volume):g}")
+        shortest = linear.norm(dim=0).min()
+        if shortest < SHORTEST_AXIS:
+            raise ValueError(f"{name} must have axes of length at least {SHORTEST_AXIS:g}, got one of {float(shortest):g}: "
+                             f"directions along it underflow in float32")
 
     @property
     def words(self) -> str:

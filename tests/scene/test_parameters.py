@@ -43,9 +43,10 @@ def matrix(**entries: float) -> torch.Tensor:
     return result
 
 
-def flat(axis: int) -> torch.Tensor:
+def flat(axis: int, length: float = 0.0) -> torch.Tensor:
+    """The identity with an axis of another length."""
     result = torch.eye(4)
-    result[axis, axis] = 0
+    result[axis, axis] = length
     return result
 
 
@@ -131,6 +132,8 @@ WRONG = {
     "flat sky": ("sky.to_world", flat(1), "must be invertible, got a matrix with determinant 0"),
     "flat beamer": ("beamer.to_world", flat(1), "must be invertible, got a matrix with determinant 0"),
     "flat sun": ("sun.to_world", flat(2), "must be invertible, got a matrix with determinant 0"),
+    "thin camera": ("camera.to_world", flat(2, 1e-13), "must have axes of length at least 1e-11, got one of 1e-13"),
+    "thin sun": ("sun.to_world", flat(2, 1e-28), "must have axes of length at least 1e-11, got one of 1e-28"),
     "obliquely flat box": ("box.to_world", OBLIQUE, "must be invertible, got a matrix with determinant"),
     # Not numbers.
     "NaN in a pose": ("box.to_world", matrix(r0c0=torch.nan), "has 1 of 16 values that are NaN or infinite; a smaller"),
@@ -205,6 +208,20 @@ def test_a_wrong_value_of_a_parametrisation_is_named(case):
     parametrize.register_parametrization(scene.get_submodule(place), attribute, Gives(value), unsafe=True)
     with pytest.raises(ValueError, match=re.escape(f"parameter {name!r}") + ".*" + re.escape(message)):
         render(scene)
+
+
+@pytest.mark.parametrize("name", ["camera", "sun", "spot", "beamer"])
+def test_the_length_of_the_axis_along_which_one_looks_does_not_matter(name):
+    """Of axes that are any shorter it did: directions along them were not of unit length."""
+    images = []
+    for length in (1.0, 1e-6, 1.1e-11):
+        scene = gallery()
+        pose = scene.get_parameter(f"{name}.to_world")
+        pose.copy_(pose @ flat(2, length))
+        images.append(render(scene))
+    assert images[0].std() > 0.01
+    for image in images[1:]:
+        torch.testing.assert_close(image, images[0], rtol=1e-3, atol=1e-6)
 
 
 def test_a_parametrisation_may_start_from_anything_finite():
