@@ -125,7 +125,23 @@ class Texture(Plugin):
 
     def sources(self) -> tuple[Tensor, ...]:
         """All tensors that its values are computed from, attached."""
-        return (self.texels(),)
+        return tuple(source for part in self.parts() for source in part.sources()) or (self.texels(),)
+
+    def parts(self) -> tuple[Texture, ...]:
+        """The textures that its values are taken from; none: they are its own."""
+        return ()
+
+    def resolution(self) -> tuple[int, int]:
+        """Height and width of the image, in texels."""
+        height, width = self.texels().shape[:2]
+        return height, width
+
+    def check(self, name: str, domain: Domain) -> None:
+        """Raises ValueError unless its values, which messages call `name`, are in a domain."""
+        for part in self.parts():
+            part.check(name, domain)
+        if not self.parts():
+            domain.check(name, self.texels())
 
 
 class BSDF(Plugin):

@@ -83,7 +83,8 @@ def spectra(share: float) -> Callable[[torch.dtype], rb.Scene]:
     dark = {"type": "regular", "wavelength_min": 400.0, "wavelength_max": 700.0, "values": [share] * 3}
     light = {"type": "irregular", "wavelengths": [300.0, 555.0, 900.0], "values": [1 - share] * 3}
     metal = {"type": "conductor", "eta": {"type": "rawconstant", "value": 1.0 + share},
-             "k": {"type": "srgb", "color": share}, "specular_reflectance": {"type": "uniform", "value": 1.0 - share}}
+             "k": {"type": "srgb", "color": share}, "specular_reflectance": {"type": "checkerboard", "color0": {
+                 "type": "uniform", "value": 1.0 - share}, "color1": share}}
     glow = {"type": "blackbody", "temperature": 100.0 if share else 1e6}
     return lambda dtype: crowd(
         {"type": "plastic", "diffuse_reflectance": dark, "specular_reflectance": light}, dtype,

@@ -39,6 +39,12 @@ def bumps() -> dict[str, Any]:
     return bitmap(data=flat + 0.15 * (texels(2, 3, 6) - 0.5))
 
 
+def squares(color0: Any, color1: Any) -> dict[str, Any]:
+    """A checkerboard with some squares in view."""
+    return {"type": "checkerboard", "color0": color0, "color1": color1,
+            "to_uv": translate((0.11, -0.07, 0)) @ rotate((0, 0, 1), 25) @ scale((1.4, 1.7, 1))}
+
+
 def printed(**attributes: Any) -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": bitmap(**attributes)}
 
@@ -169,8 +175,13 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "obj": lambda: shape(type="obj", filename=mesh_file("obj"), bsdf=printed()),
     "ply": lambda: shape(type="ply", filename=mesh_file("ply"), bsdf=printed()),
     "diffuse": metal(type="diffuse", reflectance=bitmap(filter_type="nearest")),
+    "checkerboard": metal(type="diffuse", reflectance=squares(bitmap(), rgb(0.7, 0.2, 0.4))),
+    "checkerboard of checkerboards": metal(type="roughplastic", distribution="ggx", alpha=0.3, specular_reflectance=squares(
+        0.8, 0.3), diffuse_reflectance=squares(squares(0.6, rgb(0.2, 0.5, 0.1)), bitmap(seed=5))),
+    "rough checkerboard": metal(type="roughconductor", distribution="ggx", alpha=squares(0.5, bitmap()), **ROUGH_METAL),
     "conductor": metal(type="conductor", **METAL),
-    "spectra": metal(type="roughplastic", distribution="ggx", alpha=0.3, diffuse_reflectance=REGULAR, specular_reflectance=IRREGULAR),
+    "spectra": metal(type="roughplastic", distribution="ggx", alpha=0.3, diffuse_reflectance=REGULAR,
+                     specular_reflectance=IRREGULAR),
     "metal by spectra": metal(type="conductor", eta=REGULAR, k=IRREGULAR),
     "named constants": metal(type="conductor", eta={"type": "d65", "color": [0.2, 0.9, 1.1], "scale": 1.1},
                              k={"type": "srgb", "color": [3.9, 2.4, 2.2], "unbounded": True},
@@ -203,6 +214,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
                  "sheet": plane((-3.0, 0, 0.2), bsdf={"type": "ref", "id": SUBJECT}),
                  "reversed": rectangle((3.1, 0, 0.1), 3.1, (0.23, 1, 0.17), 163, bsdf={"type": "ref", "id": SUBJECT})},
     "area": light(**lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
+    "area with squares": light(**lamp(emitter={"type": "area", "radiance": squares(rgb(9, 8, 5), bitmap(factor=9.0))},
+                                      bsdf={"type": "ref", "id": "dark"})),
     "area of a mesh": light(**quadrilateral(
         smooth=False, vertex_positions=[[-0.6, 1.9, 1.6], [0.9, 2.3, 1.5], [0.8, 2.2, 2.7], [-0.7, 2.0, 2.8]],
         emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
@@ -214,6 +227,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "light by a spectrum": light(type="point", position=[0.7, 0.9, 1.9], intensity=IRREGULAR | {"values": [3, 9, 6, 9]}),
     "point": light(type="point", position=[0.7, 0.9, 1.9], intensity=rgb(9, 8, 7)),
     "projector": light(type="projector", to_world=AIMED, irradiance=bitmap(factor=2.0), scale=2.0, fov=80.0),
+    "spot with squares": light(type="spot", to_world=AIMED, intensity=rgb(9, 8, 7), cutoff_angle=58.0, beam_width=4.0,
+                               texture=squares(0.9, rgb(0.2, 0.5, 0.4))),
     "spot": light(type="spot", to_world=AIMED, intensity=rgb(9, 8, 7), cutoff_angle=58.0, beam_width=4.0,
                   texture=bitmap()),
     "perspective": {SUBJECT: camera(principal_point_offset_x=0.03, principal_point_offset_y=-0.02, rfilter="gaussian"),

@@ -35,7 +35,7 @@ class NumberOf(Texture):
     This is a view: it has the texels, the filter and the coordinates of that texture, and no parameters of its own.
     """
 
-    def __init__(self, owner: BSDF, name: str):
+    def __init__(self, owner: Plugin, name: str):
         super().__init__()
         self.place = (owner, name)  # a tuple, so that neither is a submodule
 
@@ -48,6 +48,10 @@ class NumberOf(Texture):
     def texels(self) -> Tensor:
         """(H, W, 3) the numbers, in all three channels; attached."""
         return self.texture.scalars()[..., None].expand(-1, -1, 3)
+
+    def colours(self) -> tuple[NumberOf, ...]:
+        """The numbers of a checkerboard."""
+        return tuple(NumberOf(self.texture, name) for name in self.texture.numbers)
 
     def sources(self) -> tuple[Tensor, ...]:
         """All tensors that the numbers are computed from, attached."""

@@ -9,7 +9,9 @@ from torch import Tensor
 
 from torch_radbp.domain import NUMBER
 from torch_radbp.plugin import Emitter, Texture
+from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.colour import Colour
+from torch_radbp.texture.reader import Reader
 from torch_radbp.texture.rgb import as_texture
 
 FACTOR = NUMBER._replace(low=0.0)
@@ -41,7 +43,6 @@ class Scaled:
 
     def __init__(self, texture: Texture, factor: Tensor):
         self.texture, self.factor = texture, factor
-        self.has_coordinates = not isinstance(texture, Colour)
         self.wrap_mode = getattr(texture, "wrap_mode", "repeat")
         self.filter_type = getattr(texture, "filter_type", "nearest")
         self.to_uv = getattr(texture, "to_uv", None)
@@ -49,6 +50,14 @@ class Scaled:
     def texels(self) -> Tensor:
         """(H, W, 3) linear RGB, attached."""
         return self.texture.texels() * self.factor
+
+    def reader(self) -> Reader:
+        """How lanes read it: as they read that texture."""
+        return reader_of(self.texture)
+
+    def colours(self) -> tuple[Scaled, ...]:
+        """The colours of a checkerboard times the factor."""
+        return tuple(Scaled(colour, self.factor) for colour in self.texture.colours())
 
 
 def linear_inverse(name: str, matrix: Tensor) -> Tensor:

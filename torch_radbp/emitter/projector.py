@@ -73,7 +73,7 @@ class Projector(Light):
 
     def aspect(self) -> float:
         """Width / height of the image."""
-        height, width = self.irradiance.texels().shape[:2]
+        height, width = self.irradiance.resolution()
         return width / height
 
     def kind(self) -> ProjectorKind:

@@ -13,7 +13,6 @@ from torch_radbp.lookup import lookup
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.bank import sample_texture
 from torch_radbp.vec import TINY, Ray, Vec3, dot, masked, where
 
 SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends just before its light
@@ -85,7 +84,7 @@ def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
     sends = [of(case, case.kind.sends(si.front)) for case in visible_cases(scene, element)]
     emits = si.valid & functools.reduce(torch.logical_or, sends) & (si.emitter >= 0)
     uv = si.uv if scene.layout.radiance_bitmaps else None
-    return masked(emits, sample_texture(scene.radiance, lookup(scene.lights.radiance, element), uv))
+    return masked(emits, scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), uv))
 
 
 def emitted_by_surround(scene: SceneTensors, ray: Ray) -> Vec3:
@@ -173,7 +172,7 @@ def sent(scene: SceneTensors, element: Tensor, found: list[Case], aims: list[Aim
     if all(aim.radiance is not None for aim in aims):
         return computed
     uv = chosen(found, [aim.uv for aim in aims]) if scene.layout.radiance_bitmaps else None
-    radiance = sample_texture(scene.radiance, lookup(scene.lights.radiance, element), uv)
+    radiance = scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), uv)
     if any(aim.strength is not None for aim in aims):
         radiance = radiance * chosen(found, [strength(aim) for aim in aims])
     if computed is None:

@@ -19,8 +19,10 @@ from torch_radbp.scene.light_table import Emission, kinds_of, light_table
 from torch_radbp.scene.parameters import check_extent, check_parameters, largest_coordinate
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors
-from torch_radbp.texture.bitmap import reader_of, texture_bank
-from torch_radbp.texture.reader import Reader
+from torch_radbp.texture.bitmap import BitmapReader, reader_of
+from torch_radbp.texture.colour import ColourReader
+from torch_radbp.texture.mixed import MixedReader, reader_for
+from torch_radbp.texture.reader import Reader, TableReader
 from torch_radbp.texture.rgb import RGB
 
 
@@ -39,9 +41,15 @@ class BankBuilder:
         return self.index[id(texture)]
 
     @property
+    def reader(self) -> TableReader:
+        """How lanes read all of them: colours among images are images of one texel."""
+        reader = reader_for(self.textures or [RGB(value=0.0)])
+        kinds = reader.readers if isinstance(reader, MixedReader) else (reader,)
+        return BitmapReader() if all(isinstance(kind, (BitmapReader, ColourReader)) for kind in kinds) else reader
+
+    @property
     def has_bitmaps(self) -> bool:
-        return any(texture.has_coordinates if hasattr(texture, "has_coordinates") else reader_of(texture).needs_uv
-                   for texture in self.textures)
+        return any(reader_of(texture).needs_uv for texture in self.textures)
 
 
 def pack(scene: Scene, kept: Kept | None = None) -> SceneTensors:
@@ -70,7 +78,7 @@ def pack(scene: Scene, kept: Kept | None = None) -> SceneTensors:
                     for source in bsdf.textures()[slot].sources()),
         shading_normals=any(shape.surface.normals is not None for shape in placed),
         back_sides=bool(materials.turned.any()), sides_differ=sides_differ(materials), appearances=appearances,
-        readers=readers, radiance_bitmaps=radiance.has_bitmaps, lights=kinds_of(scene.emitters))
+        readers=readers, radiance=radiance.reader, radiance_bitmaps=radiance.has_bitmaps, lights=kinds_of(scene.emitters))
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
     columns = Columns(layout.shading_normals, layout.radiance_bitmaps or any(look.needs_uv for look in appearances),
                       any(look.kind.oriented for look in appearances),
@@ -86,7 +94,7 @@ def pack(scene: Scene, kept: Kept | None = None) -> SceneTensors:
     lamps = [emitter for emitter in scene.emitters if not emitter.kind().on_surface]
     lights = light_table(kept, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
                          tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout)
-    lit = kept(texture_bank, twins(kept, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
+    lit = kept(bank_of, layout.radiance, twins(kept, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
     return SceneTensors(triangles, materials, banks, lights, lit, layout)
 
 

@@ -47,23 +47,36 @@ def held_values(scene: Scene) -> dict[str, Held]:
     for _, plugin in plugins:
         for attribute, domain in plugin.domains().items():
             texture = getattr(plugin, attribute, None)
-            if not isinstance(texture, Texture):
-                continue
-            prefix = names[id(texture)]
-            if not texture.tabulated:
-                continue
-            if texture.entries is None:
-                found.setdefault(prefix, Held(texture.texels(), [])).domains.append(domain)
-                continue
-            own = f"{prefix}.{texture.entries}"
-            if own not in found:
-                raise AttributeError(f"parameter '{own}' is missing, got {getattr(texture, texture.entries, None)!r}; "
-                                     f"give it a tensor, or load the scene again")
-            found[own].domains.append(domain)
+            if isinstance(texture, Texture):
+                hold_values(found, names, texture, domain)
     known = {id(held.value) for held in found.values()}
     found.update({name: Held(value, [Domain()]) for name, value in scene.named_parameters()
                   if id(value) not in known and value.numel()})
     return found
+
+
+def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
+    """Adds a domain to the values of a texture, unless they are checked where they are computed.
+
+    Args:
+        found: filled in.
+        names: of the plugins, by their ids.
+        texture: of an attribute with this domain.
+        domain: of the attribute.
+    """
+    for part in texture.parts():
+        hold_values(found, names, part, domain)
+    if texture.parts() or not texture.tabulated:
+        return
+    prefix = names[id(texture)]
+    if texture.entries is None:
+        found.setdefault(prefix, Held(texture.texels(), [])).domains.append(domain)
+        return
+    own = f"{prefix}.{texture.entries}"
+    if own not in found:
+        raise AttributeError(f"parameter '{own}' is missing, got {getattr(texture, texture.entries, None)!r}; "
+                             f"give it a tensor, or load the scene again")
+    found[own].domains.append(domain)
 
 
 def note_uses(scene: Scene) -> None:

@@ -11,8 +11,7 @@ from torch_radbp.emitter.kind import LightKind, Table
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.shape.ball import Balls
-from torch_radbp.texture.bank import TextureBank
-from torch_radbp.texture.reader import Reader
+from torch_radbp.texture.reader import Reader, TableReader
 from torch_radbp.vec import Vec2, Vec3
 
 
@@ -25,7 +24,8 @@ class Layout(NamedTuple):
     sides_differ: bool  # some materials have another appearance from behind, so that lanes queue by the side they are on
     appearances: tuple[Appearance, ...]  # of materials
     readers: tuple[Reader, ...]  # of their textures
-    radiance_bitmaps: bool
+    radiance: TableReader  # of the textures of emitters
+    radiance_bitmaps: bool  # some of them have coordinates
     lights: tuple[LightKind, ...]  # kinds of light
 
     @property
@@ -101,7 +101,7 @@ class SceneTensors(NamedTuple):
     materials: MaterialTable
     textures: tuple[Any, ...]  # the banks of `Layout.readers`
     lights: LightTable
-    radiance: TextureBank
+    radiance: Any  # the bank of `Layout.radiance`
     layout: Layout
 
     @property

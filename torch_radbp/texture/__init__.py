@@ -3,6 +3,7 @@
 from torch_radbp.texture import (  # noqa: F401 (registers the plugins)
     bitmap,
     blackbody,
+    checkerboard,
     d65,
     irregular,
     rawconstant,

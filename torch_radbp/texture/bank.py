@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.lookup import lookup
+from torch_radbp.texture.uv_transform import transformed
 from torch_radbp.vec import Vec2, Vec3
 
 
@@ -47,8 +48,8 @@ def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
     width, height, wrap = lookup(bank.width, texture), lookup(bank.height, texture), lookup(bank.wrap, texture)
     to_u, to_v = lookup(bank.to_u, texture), lookup(bank.to_v, texture)
     half = torch.where(lookup(bank.nearest, texture), 0.0, 0.5).to(uv.x.dtype)
-    x = (to_u.x * uv.x + to_u.y * uv.y + to_u.z) * width - half
-    y = (to_v.x * uv.x + to_v.y * uv.y + to_v.z) * height - half
+    uv = transformed(to_u, to_v, uv)
+    x, y = uv.x * width - half, uv.y * height - half
     left, top = torch.floor(x.detach()), torch.floor(y.detach())
     fx = torch.where(half > 0, x - left, 0.0)
     fy = torch.where(half > 0, y - top, 0.0)

@@ -13,12 +13,15 @@ from torch_radbp.domain import Domain
 from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
 from torch_radbp.texture.bank import TextureBank, sample_texture
 from torch_radbp.texture.reader import Reader, TableReader
+from torch_radbp.texture.uv_transform import uv_matrix, uv_rows
 from torch_radbp.vec import Vec2, Vec3
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest")
+FORMATS = ("auto", "variant", "float16", "uint8")
 LUMINANCE = (0.212671, 0.715160, 0.072169)  # weights of linear RGB, ITU-R BT.709 with Mitsuba's digits
 IMAGE = Domain(shapes=(("H", "W", 3),))
+TO_UV = Domain(shapes=((4, 4),))
 
 
 def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | None], raw: bool = False) -> Tensor:
@@ -65,22 +68,17 @@ def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.
     images = [texture.texels().to(dtype=dtype, device=device) for texture in textures]
     sizes = [tuple(image.shape[:2]) for image in images]
     offsets = [0, *itertools.accumulate(height * width for height, width in sizes)][:-1]
-    same = torch.eye(4, dtype=dtype, device=device)
-    to_uv = [getattr(texture, "to_uv", None) for texture in textures]
-    matrices = torch.stack([same if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in to_uv])
+    to_u, to_v = uv_rows([getattr(texture, "to_uv", None) for texture in textures], dtype, device)
 
     def integers(values: Sequence[int]) -> Tensor:
         return torch.as_tensor(values, dtype=torch.int32, device=device)
-
-    def row(k: int) -> Vec3:
-        return Vec3(matrices[:, k, 0].contiguous(), matrices[:, k, 1].contiguous(), matrices[:, k, 3].contiguous())
 
     return TextureBank(
         texels=Vec3.of(torch.cat([image.reshape(-1, 3) for image in images])), offset=integers(offsets),
         width=integers([width for _, width in sizes]), height=integers([height for height, _ in sizes]),
         wrap=integers([WRAP_MODES.index(getattr(texture, "wrap_mode", "repeat")) for texture in textures]),
         nearest=torch.tensor([getattr(texture, "filter_type", "nearest") == "nearest" for texture in textures],
-                             device=device), to_u=row(0), to_v=row(1))
+                             device=device), to_u=to_u, to_v=to_v)
 
 
 def reader_of(texture: Texture) -> Reader:
@@ -92,15 +90,17 @@ def reader_of(texture: Texture) -> Reader:
 class Bitmap(Texture):
     """An image; row 0 lies at v = 0, as in Mitsuba.
 
-    Parameters: `data`, (H, W, 3) linear RGB. Derivatives: with respect to `data`.
+    Parameters: `data`, (H, W, 3) linear RGB; `to_uv`, (4, 4), if the filter is bilinear. Derivatives: with respect to both.
 
     Args:
         filename: PNG, JPEG or EXR. Either this or `data`.
         data, bitmap: (H, W), (H, W, 1) or (H, W, 3) linear values; both names mean the same.
-        filter_type: bilinear or nearest.
+        filter_type: bilinear; or nearest, where `to_uv` moves nothing but edges of texels and is no parameter.
         wrap_mode: repeat, mirror or clamp.
         raw: do not decode sRGB when reading an 8- or 16-bit file.
         to_uv: transform of the surface coordinates before the lookup (its 2D affine part).
+        format: auto, variant, float16 or uint8: how Mitsuba stores the image. Here it has the scene's dtype.
+        accel: whether Mitsuba reads it by the texture units of a GPU. Of no effect here.
 
     Raises:
         ValueError: on unknown modes, a wrong shape, or values that are not finite.
@@ -109,21 +109,25 @@ class Bitmap(Texture):
     entries = "data"
 
     def __init__(self, *, filename: Filename | None = None, data: Tensor | None = None, bitmap: Tensor | None = None,
-                 filter_type: str = "bilinear", wrap_mode: str = "repeat", raw: bool = False, to_uv: Matrix4 | None = None):
+                 filter_type: str = "bilinear", wrap_mode: str = "repeat", raw: bool = False, to_uv: Matrix4 | None = None,
+                 format: str = "auto", accel: bool = True):
         super().__init__()
-        if filter_type not in FILTERS:
-            raise ValueError(f"filter_type {filter_type!r} is not known; {nearest(filter_type, FILTERS)}")
-        if wrap_mode not in WRAP_MODES:
-            raise ValueError(f"wrap_mode {wrap_mode!r} is not known; {nearest(wrap_mode, WRAP_MODES)}")
+        for name, value, known in (("filter_type", filter_type, FILTERS), ("wrap_mode", wrap_mode, WRAP_MODES),
+                                   ("format", format, FORMATS)):
+            if value not in known:
+                raise ValueError(f"{name} {value!r} is not known; {nearest(value, known)}")
         self.filename, self.filter_type, self.wrap_mode, self.raw = filename, filter_type, wrap_mode, raw
+        self.format, self.accel = format, accel
         self.freeze("data", linear_image("a bitmap", filename, {"data": data, "bitmap": bitmap}, raw))
-        matrix = torch.eye(4) if to_uv is None else finite("to_uv", to_uv, (4, 4))
-        self.register_buffer("to_uv", matrix.to(torch.get_default_dtype()))
+        if filter_type == "bilinear":
+            self.freeze("to_uv", uv_matrix(to_uv))
+        else:
+            self.register_buffer("to_uv", uv_matrix(to_uv))
 
     bitmap = None  # resolved into `data`
 
     def domains(self) -> dict[str, Domain]:
-        return {"data": IMAGE}
+        return {"data": IMAGE, "to_uv": TO_UV}
 
     def reader(self) -> BitmapReader:
         """How lanes read it."""

@@ -60,7 +60,7 @@ def as_texture(owner: Plugin, name: str, value: Texture | nn.Module | Samples | 
         texture.assign(role_of(owner, domain))
     if texture.tabulated:
         filename = getattr(texture, "filename", None)
-        domain.check(name if filename is None else f"{name}, read from {filename},", texture.texels())
+        texture.check(name if filename is None else f"{name}, read from {filename},", domain)
     elif not isinstance(owner, BSDF):
         raise TypeError(f"{name} of {type(owner).__name__} must be a colour or a bitmap, got a {type(texture).__name__}: a "
                         f"module can stand in the place of every texture of a material, and of no other so far")

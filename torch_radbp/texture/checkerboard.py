@@ -1,0 +1,82 @@
+"""Two colours in a regular pattern."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.domain import Domain
+from torch_radbp.lookup import lookup
+from torch_radbp.plugin import Matrix4, Texture, register
+from torch_radbp.texture.mixed import reader_for
+from torch_radbp.texture.reader import TableReader
+from torch_radbp.texture.rgb import as_texture
+from torch_radbp.texture.uv_transform import transformed, uv_matrix, uv_rows
+from torch_radbp.vec import Vec2, Vec3
+
+
+class CheckerboardBank(NamedTuple):
+    """X checkerboards."""
+
+    to_u: Vec3  # (X,) each: u' = x u + y v + z
+    to_v: Vec3
+    colours: Any  # the bank of their 2 X colours, those of each checkerboard side by side
+
+
+@dataclass(frozen=True)
+class CheckerboardReader(TableReader):
+    """Reads checkerboards, of colours that `colours` reads. Bank: `CheckerboardBank`."""
+
+    colours: TableReader
+
+    def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> CheckerboardBank:
+        colours = [colour for texture in textures for colour in texture.colours()]
+        return CheckerboardBank(*uv_rows([texture.to_uv for texture in textures], dtype, device),
+                                self.colours.bank(colours, dtype, device))
+
+    def read(self, bank: CheckerboardBank, row: Tensor, uv: Vec2) -> Vec3:
+        u, v = transformed(lookup(bank.to_u, row), lookup(bank.to_v, row), uv)
+        right, lower = u - torch.floor(u) > 0.5, v - torch.floor(v) > 0.5
+        return self.colours.read(bank.colours, 2 * row + (right != lower).to(row.dtype), uv)
+
+
+@register("texture", "checkerboard")
+class Checkerboard(Texture):
+    """Two textures in turn: squares of half a unit of the surface coordinates, `color0` in the one that begins at 0, 0.
+
+    Where Mitsuba 3.9.1 asks a checkerboard for a number, such as a roughness, it exchanges the two, as is done here.
+
+    Parameters: those of the colours. Derivatives: with respect to these. `to_uv` moves nothing but edges, and is none.
+
+    Args:
+        color0, color1: any textures but modules; grey 0.4 and 0.2 by default.
+        to_uv: transform of the surface coordinates by which a place chooses between the two (its 2D affine part).
+    """
+
+    numbers = ("color1", "color0")  # the colours in turn where numbers are asked for
+
+    def __init__(self, *, color0: Texture | float = 0.4, color1: Texture | float = 0.2, to_uv: Matrix4 | None = None):
+        super().__init__()
+        self.color0, self.color1 = as_texture(self, "color0", color0), as_texture(self, "color1", color1)
+        self.register_buffer("to_uv", uv_matrix(to_uv))
+
+    def domains(self) -> dict[str, Domain]:
+        return {"color0": Domain(), "color1": Domain()}
+
+    def colours(self) -> tuple[Texture, ...]:
+        """The two textures."""
+        return self.color0, self.color1
+
+    def parts(self) -> tuple[Texture, ...]:
+        return self.colours()
+
+    def resolution(self) -> tuple[int, int]:
+        return 1, 1
+
+    def reader(self) -> CheckerboardReader:
+        """How lanes read it."""
+        return CheckerboardReader(reader_for(self.colours()))

@@ -1,0 +1,57 @@
+"""Textures of several kinds, of which each lane reads one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.lookup import lookup
+from torch_radbp.plugin import Texture
+from torch_radbp.texture.bitmap import reader_of
+from torch_radbp.texture.reader import TableReader
+from torch_radbp.vec import Vec2, Vec3, where
+
+
+class MixedBank(NamedTuple):
+    """X textures in the banks of several readers."""
+
+    reader: Tensor  # (X,) int32, which of them reads each
+    row: Tensor  # (X,) int32, in its bank
+    banks: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class MixedReader(TableReader):
+    """Reads textures of several kinds. Bank: `MixedBank`."""
+
+    readers: tuple[TableReader, ...]
+
+    @property
+    def needs_uv(self) -> bool:
+        return any(reader.needs_uv for reader in self.readers)
+
+    def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> MixedBank:
+        which = [self.readers.index(reader_of(texture)) for texture in textures]
+        rows = [which[:number].count(reader) for number, reader in enumerate(which)]
+        banks = tuple(reader.bank([texture for texture, own in zip(textures, which) if own == number], dtype, device)
+                      for number, reader in enumerate(self.readers))
+        return MixedBank(*(torch.tensor(column, dtype=torch.int32, device=device) for column in (which, rows)), banks)
+
+    def read(self, bank: MixedBank, row: Tensor, uv: Vec2 | None) -> Vec3:
+        which, rows = lookup(bank.reader, row), lookup(bank.row, row)
+        value = None
+        for number, reader in enumerate(self.readers):
+            own = which == number
+            found = reader.read(bank.banks[number], torch.where(own, rows, 0), uv)
+            value = found if value is None else where(own, found, value)
+        return value
+
+
+def reader_for(textures: Sequence[Texture]) -> TableReader:
+    """A reader of all of some textures; the same for the same kinds in any order."""
+    readers = sorted({reader_of(texture) for texture in textures}, key=repr)
+    return readers[0] if len(readers) == 1 else MixedReader(tuple(readers))

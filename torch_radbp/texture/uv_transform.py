@@ -1,0 +1,29 @@
+"""The affine transform of surface coordinates before a texture is read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import finite
+from torch_radbp.vec import Vec2, Vec3
+
+
+def uv_matrix(to_uv: Tensor | None) -> Tensor:
+    """(4, 4) in torch's default dtype, of which the 2D affine part counts; the identity if it is not given."""
+    matrix = torch.eye(4) if to_uv is None else finite("to_uv", to_uv, (4, 4))
+    return matrix.to(torch.get_default_dtype())
+
+
+def uv_rows(matrices: Sequence[Tensor | None], dtype: torch.dtype, device: torch.device) -> tuple[Vec3, Vec3]:
+    """The rows of X transforms that give u and v, (X,) each, attached; None stands for the identity."""
+    same = torch.eye(4, dtype=dtype, device=device)
+    stacked = torch.stack([same if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in matrices])
+    return tuple(Vec3(*(stacked[:, row, column].contiguous() for column in (0, 1, 3))) for row in (0, 1))
+
+
+def transformed(to_u: Vec3, to_v: Vec3, uv: Vec2) -> Vec2:
+    """The coordinates by which a texture is read, attached."""
+    return Vec2(*(row.x * uv.x + row.y * uv.y + row.z for row in (to_u, to_v)))
