@@ -161,7 +161,7 @@ def places_of(scene: SceneTensors, arrival: Arrival, settings: Settings) -> tupl
     if scene.appearance is None or not scene.appearance.outside:
         return ()
     si = surface_met(scene, arrival, settings)
-    return tuple(Place(lookup(slot, si.material), reader.place(si.p, si.uv))
+    return tuple(Place(lookup(slot, si.material), reader.place(si.p, si.point.uv))
                  for reader, slot in zip(scene.appearance.readers, scene.materials.slots) if reader.outside)
 
 

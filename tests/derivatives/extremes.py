@@ -86,11 +86,19 @@ def spectra(share: float) -> Callable[[torch.dtype], rb.Scene]:
              "k": {"type": "srgb", "color": share}, "specular_reflectance": {"type": "checkerboard", "color0": {
                  "type": "uniform", "value": 1.0 - share}, "color1": share}}
     glow = {"type": "blackbody", "temperature": 100.0 if share else 1e6}
-    return lambda dtype: crowd(
-        {"type": "plastic", "diffuse_reflectance": dark, "specular_reflectance": light}, dtype,
-        metal=metal, mirror=rectangle((0.8, 0.6, -0.4), 0.6, (0.2, 1, 0.1), 15, bsdf={"type": "ref", "id": "metal"}),
-        point={"type": "point", "position": [0.4, 1.9, 1.2], "intensity": glow},
-        sun={"type": "directional", "direction": [0.3, -1, -0.4], "irradiance": {"type": "d65", "scale": share}})
+    shared = {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_share"}}
+
+    def build(dtype: torch.dtype) -> rb.Scene:
+        scene = crowd(
+            {"type": "plastic", "diffuse_reflectance": dark, "specular_reflectance": light}, dtype,
+            tent=tent() | {"to_world": translate((0.9, 0, 0.2)), "bsdf": shared},
+            metal=metal, mirror=rectangle((0.8, 0.6, -0.4), 0.6, (0.2, 1, 0.1), 15, bsdf={"type": "ref", "id": "metal"}),
+            point={"type": "point", "position": [0.4, 1.9, 1.2], "intensity": glow},
+            sun={"type": "directional", "direction": [0.3, -1, -0.4], "irradiance": {"type": "d65", "scale": share}})
+        scene.tent.add_attribute("vertex_share", torch.full((4, 1), share))
+        return scene
+
+    return build
 
 
 def materials() -> dict[str, Callable[[torch.dtype], rb.Scene]]:

@@ -102,6 +102,19 @@ def folder() -> tempfile.TemporaryDirectory:
     return tempfile.TemporaryDirectory()
 
 
+def coloured_file(faces: bool = True) -> str:
+    """The quadrilateral in a PLY file with an attribute of vertices, and perhaps one of faces."""
+    path = Path(folder().name) / f"coloured_{faces}.ply"
+    columns = "".join(f"property float {name}\n" for name in ("x", "y", "z", "r", "g", "b"))
+    header = (f"ply\nformat ascii 1.0\nelement vertex {len(CORNERS)}\n{columns}element face {len(FACES)}\n"
+              f"property list uchar int vertex_indices\n{faces * 'property float shine_x'}\nend_header\n")
+    colours = 0.2 + 0.6 * texels(1, len(CORNERS), 7)[0]
+    rows = [*(p + colour for p, colour in zip(CORNERS, colours.tolist())),
+            *([3, *face, 0.3 * face[1]][:4 + faces] for face in FACES)]
+    path.write_text(header + "".join(" ".join(map(str, row)) + "\n" for row in rows))
+    return str(path)
+
+
 def mesh_file(suffix: str) -> str:
     """The quadrilateral in a file."""
     path = Path(folder().name) / f"quadrilateral.{suffix}"
@@ -160,6 +173,7 @@ TINTED = {"int_ior": 1.5, "specular_reflectance": rgb(0.9, 0.5, 0.7), "specular_
 ROUGH_GLASS = {"int_ior": 1.5, "specular_reflectance": 0.7, "specular_transmittance": 0.8}
 PLASTIC = {"int_ior": 1.6, "diffuse_reflectance": rgb(0.3, 0.5, 0.7), "specular_reflectance": rgb(0.9, 0.5, 0.7)}
 BRUSHED = {"alpha_u": 0.25, "alpha_v": 0.5}
+ATTRIBUTE = {"type": "mesh_attribute", "name": "vertex_color", "scale": 0.9}
 REGULAR = {"type": "regular", "wavelength_min": 390.0, "wavelength_max": 720.0, "values": [0.2, 0.5, 0.4, 0.7]}
 IRREGULAR = {"type": "irregular", "wavelengths": [380.0, 470, 520, 710], "values": [0.6, 0.3, 0.5, 0.4]}
 
@@ -174,10 +188,17 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "smooth mesh": shape(**quadrilateral(smooth=False, recompute_normals=True, bsdf=printed())),
     "obj": lambda: shape(type="obj", filename=mesh_file("obj"), bsdf=printed()),
     "ply": lambda: shape(type="ply", filename=mesh_file("ply"), bsdf=printed()),
+    "attributes": lambda: shape(type="ply", filename=coloured_file(), bsdf={
+        "type": "roughplastic", "distribution": "ggx", "alpha": 0.3, "diffuse_reflectance": ATTRIBUTE,
+        "specular_reflectance": {"type": "mesh_attribute", "name": "face_shine"}}),
+    "area of attributes": lambda: light(
+        type="ply", filename=coloured_file(faces=False), face_normals=True, to_world=AIMED @ scale((0.3, 0.3, 0.3)),
+        bsdf={"type": "ref", "id": "dark"}, emitter={"type": "area", "radiance": ATTRIBUTE | {"scale": 9.0}}),
     "diffuse": metal(type="diffuse", reflectance=bitmap(filter_type="nearest")),
     "checkerboard": metal(type="diffuse", reflectance=squares(bitmap(), rgb(0.7, 0.2, 0.4))),
     "checkerboard of checkerboards": metal(type="roughplastic", distribution="ggx", alpha=0.3, specular_reflectance=squares(
-        0.8, 0.3), diffuse_reflectance=squares(squares(0.6, rgb(0.2, 0.5, 0.1)), bitmap(seed=5))),
+        0.8, 0.3), diffuse_reflectance=squares(bitmap(seed=5), squares(0.6, rgb(0.2, 0.5, 0.1)) | {
+            "to_uv": scale((5, 7, 1))})) | {"sensor": camera(4)},
     "rough checkerboard": metal(type="roughconductor", distribution="ggx", alpha=squares(0.5, bitmap()), **ROUGH_METAL),
     "conductor": metal(type="conductor", **METAL),
     "spectra": metal(type="roughplastic", distribution="ggx", alpha=0.3, diffuse_reflectance=REGULAR,

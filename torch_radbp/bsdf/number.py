@@ -59,7 +59,7 @@ class NumberOf(Texture):
 
     def reader(self) -> Reader:
         """How lanes read it: as they read that texture."""
-        return reader_of(self.texture)
+        return reader_of(self.texture).of_numbers()
 
     def function(self) -> ModuleFunction:
         """The numbers as a function of the place, if that texture is no table."""

@@ -41,7 +41,7 @@ class AreaKind(SurfaceKind):
             facing = seen if table.smooth is None else torch.where(lookup(table.smooth, row), seen, facing)
         uv = None if table.uv is None else interpolated(lookup(table.uv, row), b.x, b.y)
         pdf = pick.pmf * lookup(table.inverse_area, row) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
-        return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv)
+        return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv, attributes=table.attributes_at(row, b.x, b.y))
 
     def sends(self, front: Tensor) -> Tensor:
         return front

@@ -37,7 +37,8 @@ class DirectionalAreaKind(SurfaceKind):
         # What no beam meets has a finite target and texture coordinates all the same.
         u, v = torch.where(met, u, 0.25), torch.where(met, v, 0.25)
         uv = None if table.uv is None else interpolated(lookup(table.uv, pick.row), u, v)
-        return Aim(-n, pick.pmf * met.to(pick.pmf.dtype), interpolated(corners, u, v), uv=uv)
+        return Aim(-n, pick.pmf * met.to(pick.pmf.dtype), interpolated(corners, u, v), uv=uv,
+                   attributes=table.attributes_at(pick.row, u, v))
 
     def source(self, middle: Tensor, axis: Tensor) -> ShadowSource:
         towards = -torch.nn.functional.normalize(axis, dim=0)

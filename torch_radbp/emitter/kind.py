@@ -19,8 +19,9 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Emitter
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.vec import Vec2, Vec3, interpolated
 
 NEAREST = 1e-9  # the least distance that counts; 1 / NEAREST^4 is finite in float32
 
@@ -44,6 +45,7 @@ class Aim(NamedTuple):
     target: Vec3 | None = None  # the point, world space; None: far away
     strength: Tensor | None = None  # factor of the light's texture; None: 1
     uv: Vec2 | None = None  # where to read that texture; None: it is one texel
+    attributes: tuple[Vec3, ...] | None = None  # of the mesh, there; None: it is on no surface
     radiance: Vec3 | None = None  # instead of the texture times its factor
     weighing: Tensor | None = None  # used instead of `pdf` in the weights of multiple importance sampling
 
@@ -63,7 +65,13 @@ class EmittingTriangles(NamedTuple):
     shading: tuple[Vec3, Vec3, Vec3] | None  # unit normals of the vertices; None: all triangles are flat
     smooth: Tensor | None  # bool: shaded with the normals of its vertices; None: so are all, or none
     uv: tuple[Vec2, Vec2, Vec2] | None  # of the vertices; None if no texture reads them
+    attributes: tuple[tuple[Vec3, Vec3, Vec3], ...]  # of the vertices: those that the textures of emitters read
     inverse_area: Tensor  # 1 / area; 0 of a triangle that is never picked
+
+
+    def attributes_at(self, row: Tensor, u: Tensor, v: Tensor) -> tuple[Vec3, ...]:
+        """The attributes of the mesh at barycentric coordinates of triangles, attached."""
+        return tuple(interpolated(lookup(corners, row), u, v) for corners in self.attributes)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ class MeshArrays(NamedTuple):
     faces: np.ndarray  # (F, 3) int64
     normals: np.ndarray | None  # (V, 3) float64, as in the file: not normalised
     uv: np.ndarray | None  # (V, 2) float64, as in the file: `flip_tex_coords` is the plugin's business
+    attributes: Mapping[str, np.ndarray] = MappingProxyType({})  # (V, 1 or 3) vertex_NAME, (F, 1 or 3) face_NAME, float64
 
 
 def fans(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:

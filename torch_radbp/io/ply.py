@@ -18,6 +18,7 @@ import numpy as np
 from torch_radbp.io.atomic import replacing
 from torch_radbp.io.mesh_arrays import MeshArrays, check_finite, check_normals, fans
 from torch_radbp.io.ply_ascii import AsciiTables
+from torch_radbp.io.ply_attributes import attributes_in, channels_of
 from torch_radbp.io.ply_binary import BinaryTables
 from torch_radbp.io.ply_header import Header, read_header
 
@@ -29,8 +30,8 @@ UV = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"))
 def read_ply(file: BinaryIO, place: str, want_normals: bool = True) -> MeshArrays:
     """The mesh in a PLY file, vertices in the file's order.
 
-    Normals are the properties nx, ny, nz, texture coordinates u, v or s, t or texture_u, texture_v; the other ones, such as
-    colours, and other elements are not used.
+    Normals are the properties nx, ny, nz, texture coordinates u, v or s, t or texture_u, texture_v; attributes are those of
+    `ply_attributes`. Other properties and other elements are not used.
 
     Args:
         file: opened in binary mode.
@@ -47,11 +48,24 @@ def read_ply(file: BinaryIO, place: str, want_normals: bool = True) -> MeshArray
         if element.name == "vertex":
             columns = body.columns(element)
         elif element.name == "face":
-            corners, counts = body.lists(element, corner_list)
+            corners, counts, of_faces = body.lists(element, corner_list)
         else:
             body.lists(element, None)
     body.finish()
-    return _mesh(columns, corners, counts, want_normals, body.where, place)
+    mesh = _mesh(columns, corners, counts, want_normals, body.where, place)
+    return mesh._replace(attributes={**_attributes("vertex", columns, body.where),
+                                     **_attributes("face", of_faces, body.where, counts)})
+
+
+def _attributes(element: str, columns: dict[str, np.ndarray], where: Callable[[str, int], str],
+                counts: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """The attributes of an element, (rows, 1 or 3) each; of polygons with `counts` corners, one row for each triangle."""
+    found = {}
+    for name, channels in attributes_in(columns).items():
+        values = np.stack([columns[channel].astype(np.float64) for channel in channels], axis=1)
+        check_finite(name, values, lambda row: where(element, row))
+        found[f"{element}_{name}"] = values if counts is None else np.repeat(values, counts - 2, axis=0)
+    return found
 
 
 def _check_elements(header: Header, place: str) -> str:
@@ -114,14 +128,25 @@ def write_ply(path: str | os.PathLike, mesh: MeshArrays) -> None:
     columns = {"xyz": mesh.vertices, ("nx", "ny", "nz"): mesh.normals, "uv": mesh.uv}
     columns = {names: values for names, values in columns.items() if values is not None}
     kind = "<f8" if mesh.vertices.dtype == np.float64 else "<f4"
-    vertices = np.empty(len(mesh.vertices), dtype=[(name, kind) for names in columns for name in names])
-    for names, values in columns.items():
-        for axis, name in enumerate(names):
-            vertices[name] = values[:, axis]
-    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("indices", "<i4", (3,))])
+    of_faces: dict[tuple[str, ...], np.ndarray] = {}
+    for name, values in mesh.attributes.items():
+        element, _, own = name.partition("_")
+        (columns if element == "vertex" else of_faces)[channels_of(own, values.shape[1])] = values
+
+    def table(rows: int, columns: dict, fields: list) -> np.ndarray:
+        made = np.empty(rows, dtype=[*fields, *((name, kind) for names in columns for name in names)])
+        for names, values in columns.items():
+            for axis, name in enumerate(names):
+                made[name] = values[:, axis]
+        return made
+
+    def properties(columns: dict) -> list[str]:
+        return [f"property {'double' if kind == '<f8' else 'float'} {name}" for names in columns for name in names]
+
+    vertices = table(len(mesh.vertices), columns, [])
+    faces = table(len(mesh.faces), of_faces, [("count", "u1"), ("indices", "<i4", (3,))])
     faces["count"], faces["indices"] = 3, mesh.faces
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}",
-              *(f"property {'double' if kind == '<f8' else 'float'} {name}" for name in vertices.dtype.names),
-              f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header\n"]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}", *properties(columns),
+              f"element face {len(faces)}", "property list uchar int vertex_indices", *properties(of_faces), "end_header\n"]
     with replacing(path) as temporary:
         temporary.write_bytes("\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes())

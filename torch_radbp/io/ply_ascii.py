@@ -55,15 +55,19 @@ class AsciiTables:
         table = np.concatenate(blocks)
         return {p.name: table[:, column] for column, p in enumerate(element.properties)}
 
-    def lists(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray]:
-        """The entries of the list `wanted` of all rows, and (rows,) their numbers; nothing if None."""
+    def lists(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """The entries of the list `wanted` of all rows, (rows,) their numbers, and the other properties; nothing if None."""
         entries, counts = [np.empty(0)], [np.empty(0, np.int64)]
+        others = {p.name: [np.empty(0)] for p in element.properties if p.count is None and wanted is not None}
         for lines in self.take(element):
             values = lines.values(np.arange(lines.first[0], lines.first[-1]), self.place)
             begin, words = lines.first[:-1] - lines.first[0], np.diff(lines.first)
             read = np.zeros_like(words)  # of each row, how many of its words are accounted for
             for name, _, count in element.properties:
                 if count is None:
+                    self.check_width(element, lines, words, np.maximum(words, read + 1))
+                    if name in others:
+                        others[name].append(values[begin + read])
                     read += 1
                     continue
                 self.check_width(element, lines, words, np.maximum(words, read + 1))
@@ -82,7 +86,8 @@ class AsciiTables:
                     counts.append(length)
                 read += 1 + length
             self.check_width(element, lines, words, read)
-        return np.concatenate(entries), np.concatenate(counts)
+        return (np.concatenate(entries), np.concatenate(counts),
+                {name: np.concatenate(parts) for name, parts in others.items()})
 
     def check_width(self, element: Element, lines: Lines, words: np.ndarray, wanted: np.ndarray) -> None:
         """Raises ValueError with the line of the first row that has not as many numbers as `wanted`."""

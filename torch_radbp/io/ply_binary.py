@@ -33,27 +33,34 @@ class BinaryTables:
         table = self.table(element, self.dtype(element, {}))
         return {p.name: table[p.name] for p in element.properties}
 
-    def lists(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray]:
-        """The entries of the list `wanted` of all rows, and (rows,) their numbers; nothing if None."""
+    def lists(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """The entries of the list `wanted` of all rows, (rows,) their numbers, and the other properties; nothing if None."""
         begin, none = self.offset, np.empty(0, np.int64)
+        scalars = [p.name for p in element.properties if p.count is None]
         if element.rows == 0 or not element.properties:
-            return none, none
+            return none, none, {}
         lengths = self.lengths_of_first_row(element)
         dtype = self.dtype(element, lengths)
         if begin + element.rows * dtype.itemsize <= len(self.data):  # of equal rows, as a rule
             table = self.table(element, dtype)
             if all((table[f"{name} count"] == length).all() for name, length in lengths.items()):
                 if wanted is None:
-                    return none, none
-                return table[wanted].reshape(-1), np.full(element.rows, lengths[wanted])
+                    return none, none, {}
+                others = {name: table[name] for name in scalars}
+                return table[wanted].reshape(-1), np.full(element.rows, lengths[wanted]), others
         self.offset = begin
-        starts, counts = self.walk(element, wanted)
+        starts, counts, places = self.walk(element, wanted)
         kind = next((np.dtype(self.order + p.kind) for p in element.properties if p.name == wanted), None)
         if kind is None:
-            return none, none
+            return none, none, {}
         entry = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-        first = np.repeat(starts, counts) + entry * kind.itemsize
-        return np.frombuffer(self.data, np.uint8)[first[:, None] + np.arange(kind.itemsize)].view(kind).reshape(-1), counts
+        kinds = {p.name: np.dtype(self.order + p.kind) for p in element.properties if p.count is None}
+        return (self.scattered(np.repeat(starts, counts) + entry * kind.itemsize, kind), counts,
+                {name: self.scattered(places[:, column], kinds[name]) for column, name in enumerate(scalars)})
+
+    def scattered(self, places: np.ndarray, kind: np.dtype) -> np.ndarray:
+        """The numbers that begin at some bytes."""
+        return np.frombuffer(self.data, np.uint8)[places[:, None] + np.arange(kind.itemsize)].view(kind).reshape(-1)
 
     def dtype(self, element: Element, lengths: dict[str, int]) -> np.dtype:
         """The layout of a row whose lists have these lengths."""
@@ -87,17 +94,24 @@ class BinaryTables:
             raise self.cut_short(element, 0)
         return lengths
 
-    def walk(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray]:
-        """The place and length of the list `wanted` in each row; for rows of different sizes, one after the other."""
+    def walk(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The place and length of the list `wanted` in each row, and the places of the properties that are no lists.
+
+        For rows of different sizes, one after the other.
+        """
         if element.rows > len(self.data) - self.offset:
             raise self.cut_short(element, 0)
         steps = [(name == wanted, int(kind[1]), count and struct.Struct(self.order + STRUCT_CODES[count]))
                  for name, kind, count in element.properties]
         starts, counts = np.empty(element.rows, np.int64), np.zeros(element.rows, np.int64)
+        places = np.zeros((element.rows, sum(count is None for _, _, count in steps)), np.int64)
         offset = self.offset
         for row in range(element.rows):
+            column = 0
             for is_wanted, size, count in steps:
                 if count is None:
+                    places[row, column] = offset
+                    column += 1
                     offset += size
                     continue
                 length = self.length(element, row, offset, count)
@@ -108,7 +122,7 @@ class BinaryTables:
         if offset > len(self.data):
             raise self.cut_short(element, element.rows - 1)
         self.offset = offset
-        return starts, counts
+        return starts, counts, places
 
     def length(self, element: Element, row: int, offset: int, count: struct.Struct) -> int:
         """The number in front of a list."""

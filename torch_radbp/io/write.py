@@ -116,7 +116,11 @@ class _Writer:
                 raise SceneError(f"{name}.{parameter}: not written, it has values that are NaN or infinite")
         positions, normals, uv = (None if values is None else values.detach().cpu().numpy() for values in arrays)
         file = self.file(name, ".ply")
-        write_ply(file, MeshArrays(positions, plugin.faces.cpu().numpy(), normals, uv))
+        attributes = {key: values.detach().cpu().numpy() for key, values in surface.attributes}
+        for key, values in attributes.items():
+            if not np.isfinite(values).all():
+                raise SceneError(f"{name}.{key}: not written, it has values that are NaN or infinite")
+        write_ply(file, MeshArrays(positions, plugin.faces.cpu().numpy(), normals, uv, attributes))
         element = ElementTree.Element("shape", type="ply")
         ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
         if normals is None:

@@ -37,6 +37,8 @@ class Columns(NamedTuple):
 
     normals: bool  # of vertices
     uv: bool
+    attributes: tuple[str, ...]  # of vertices
+    face_attributes: tuple[str, ...]
     tangents: bool  # along u
     material: tuple[int, ...]  # of each shape, row of `MaterialTable`
     emitting: tuple[bool, ...]  # whether each shape belongs to an emitter
@@ -79,8 +81,9 @@ def triangle_table(kept: Kept, shapes: Sequence[PlacedShape], columns: Columns, 
                    device: torch.device) -> TriangleTable:
     """The triangles of all shapes, in order."""
     counts = tuple(len(shape.faces) for shape in shapes)
-    vertices = kept(vertex_table, tuple(shape.surface for shape in shapes), columns.normals,
-                    columns.uv or columns.tangents, dtype, device)
+    surfaces = tuple(shape.surface for shape in shapes)
+    vertices = kept(vertex_table, surfaces, columns.normals, columns.uv or columns.tangents, columns.attributes, dtype,
+                    device)
     corners = kept(concatenated_faces, tuple(shape.faces for shape in shapes),
                    tuple(len(shape.vertices) for shape in shapes), device)
     n, clearances = kept(concatenated, tuple(kept(normals_and_clearances, shape.vertices, shape.faces) for shape in shapes),
@@ -89,11 +92,12 @@ def triangle_table(kept: Kept, shapes: Sequence[PlacedShape], columns: Columns, 
     smooth = None if all(smooth) or not columns.normals else kept(of_each, smooth, counts, torch.bool, device)
     along = kept(tangents, vertices, corners) if columns.tangents else None
     if not columns.uv:
-        vertices = kept(VertexTable, vertices.p, vertices.n, None)
+        vertices = kept(VertexTable, vertices.p, vertices.n, None, vertices.attributes)
     return TriangleTable(vertices, corners, n, smooth, clearances, along,
                          material=kept(of_each, columns.material, counts, torch.int32, device),
                          emitter=kept(emitter_rows, columns.emitting, counts, device),
-                         balls=kept(balls_among, tuple(shape.ball for shape in shapes), counts, device))
+                         balls=kept(balls_among, tuple(shape.ball for shape in shapes), counts, device),
+                         attributes=kept(face_table, surfaces, counts, columns.face_attributes, dtype, device))
 
 
 def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: torch.device) -> Balls | None:
@@ -113,9 +117,9 @@ def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: tor
                  torch.stack(placement).to(device, torch.float64))
 
 
-def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, dtype: torch.dtype,
+def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, attributes: tuple[str, ...], dtype: torch.dtype,
                  device: torch.device) -> VertexTable:
-    """The vertices of all surfaces; if wanted with normals and uv, which are zero where a surface has none."""
+    """The vertices of all surfaces; if wanted with normals, uv and attributes, which are zero where a surface has none."""
     none = torch.zeros(0, 3, dtype=dtype, device=device)
 
     def column(parts: list[Tensor | None], width: int) -> Tensor:
@@ -125,7 +129,25 @@ def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, dtype: 
 
     return VertexTable(Vec3.of(column([surface.vertices for surface in surfaces], 3)),
                        Vec3.of(column([surface.normals for surface in surfaces], 3)) if normals else None,
-                       Vec2.of(column([surface.uv for surface in surfaces], 2)) if uv else None)
+                       Vec2.of(column([surface.uv for surface in surfaces], 2)) if uv else None,
+                       tuple(Vec3.of(column(channels(surfaces, name), 3)) for name in attributes))
+
+
+def face_table(surfaces: Sequence[Triangles], counts: Sequence[int], attributes: tuple[str, ...], dtype: torch.dtype,
+               device: torch.device) -> tuple[Vec3, ...]:
+    """Attributes of the triangles of all surfaces, of which there are `counts`; zero where a surface has none. Attached."""
+    def column(name: str) -> Tensor:
+        parts = [torch.zeros(count, 3, dtype=dtype, device=device) if part is None else part.to(dtype)
+                 for count, part in zip(counts, channels(surfaces, name))]
+        return torch.cat(parts)
+
+    return tuple(Vec3.of(column(name)) for name in attributes)
+
+
+def channels(surfaces: Sequence[Triangles], name: str) -> list[Tensor | None]:
+    """An attribute of each surface in three channels; None where there is none of that name."""
+    found = [dict(surface.attributes).get(name) for surface in surfaces]
+    return [None if values is None else values.expand(-1, 3) for values in found]
 
 
 def concatenated_faces(faces: Sequence[Tensor], counts: Sequence[int],

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torch_radbp.lookup import lookup
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.reader import TexturePoint
 from torch_radbp.vec import (
     TINY,
     LocalVec3,
@@ -43,7 +44,7 @@ class SurfaceInteraction(NamedTuple):
     frame: ShadingFrame  # shading frame; its normal is turned to the viewer's side of a two-sided material
     front: Tensor  # bool: the viewer is on the side of the shading normal
     wi: LocalVec3  # towards the viewer, local
-    uv: Vec2 | None
+    point: TexturePoint  # where textures are read
     t: Tensor  # distance that the ray has come
     cosine: Tensor  # between the geometric normal and the ray's direction
     clearance: Tensor  # distance off the surface at which rays start; detached
@@ -87,6 +88,10 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     uv = None
     if layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv):
         uv = interpolated(at_corners(vertices.uv, rows), hit.u, hit.v)
+    of_vertices = (interpolated(at_corners(column, rows), hit.u, hit.v) for column in vertices.attributes)
+    of_faces = (lookup(column, prim) for column in triangles.attributes)
+    names = (*layout.vertex_attributes, *layout.face_attributes)
+    point = TexturePoint(uv, dict(zip(names, (*of_vertices, *of_faces))))
     material, along, side = None, None, None
     if appearance is not None:
         material = lookup(triangles.material, prim)
@@ -97,7 +102,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
             shading, shading_cosine = shading * side, shading_cosine * side
     frame = ShadingFrame(shading, along, side)
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
-    return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, uv, t, cosine,
+    return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, point, t, cosine,
                               lookup(triangles.clearance, prim))
 
 

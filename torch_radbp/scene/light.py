@@ -13,6 +13,7 @@ from torch_radbp.lookup import lookup
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.reader import TexturePoint
 from torch_radbp.vec import TINY, Ray, Vec3, dot, masked, where
 
 SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends just before its light
@@ -83,8 +84,8 @@ def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
     element = si.emitter.clamp_min(0)
     sends = [of(case, case.kind.sends(si.front)) for case in visible_cases(scene, element)]
     emits = si.valid & functools.reduce(torch.logical_or, sends) & (si.emitter >= 0)
-    uv = si.uv if scene.layout.radiance_bitmaps else None
-    return masked(emits, scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), uv))
+    point = si.point if scene.layout.radiance_bitmaps else si.point._replace(uv=None)
+    return masked(emits, scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point))
 
 
 def emitted_by_surround(scene: SceneTensors, ray: Ray) -> Vec3:
@@ -172,7 +173,9 @@ def sent(scene: SceneTensors, element: Tensor, found: list[Case], aims: list[Aim
     if all(aim.radiance is not None for aim in aims):
         return computed
     uv = chosen(found, [aim.uv for aim in aims]) if scene.layout.radiance_bitmaps else None
-    radiance = scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), uv)
+    attributes = chosen(found, [aim.attributes for aim in aims]) or ()
+    point = TexturePoint(uv, dict(zip(scene.layout.radiance.attributes, attributes)))
+    radiance = scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point)
     if any(aim.strength is not None for aim in aims):
         radiance = radiance * chosen(found, [strength(aim) for aim in aims])
     if computed is None:
@@ -199,7 +202,8 @@ def chosen(found: list[Case], values: list):
 def selected(mask: Tensor, a, b):
     """`torch.where` of tensors or records of them."""
     if isinstance(a, tuple):
-        return type(a)(*(selected(mask, *parts) for parts in zip(a, b)))
+        parts = [selected(mask, *parts) for parts in zip(a, b)]
+        return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
     return torch.where(mask, a, b)
 
 

@@ -48,7 +48,7 @@ def light_table(kept: Kept, triangles: TriangleTable, emissions: tuple[Emission,
     Raises:
         ValueError: if no emitter can be picked, or a surface cannot carry its emitter.
     """
-    surfaces, area = kept(emitting_triangles, triangles, layout.radiance_bitmaps)
+    surfaces, area = kept(emitting_triangles, triangles, layout)
     weights = kept(weights_of, emissions, kept.frozen("areas of emitters", area))
     surfaces = kept(with_inverse_areas, surfaces, area, weights)
     kind, row, texture = kept(element_columns, layout.lights, emissions, area.device)
@@ -85,12 +85,12 @@ def pmf_of_surround(emissions: tuple[Emission, ...], pmf: Tensor) -> Tensor:
     return pmf[surround[0]] if surround else pmf.new_zeros(())
 
 
-def emitting_triangles(triangles: TriangleTable, images: bool) -> tuple[EmittingTriangles, Tensor]:
+def emitting_triangles(triangles: TriangleTable, layout: Layout) -> tuple[EmittingTriangles, Tensor]:
     """The triangles that belong to an emitter, and their areas (S,); attached, but for the inverse areas, which are unset.
 
     Args:
         triangles: of the scene, attached.
-        images: True if some textures of emitters have coordinates.
+        layout: says what the textures of emitters read.
     """
     emitting = (triangles.emitter >= 0).nonzero().squeeze(1)
     corners = tuple(rows(triangles.vertices, corner[emitting]) for corner in triangles.corners)
@@ -99,10 +99,13 @@ def emitting_triangles(triangles: TriangleTable, images: bool) -> tuple[Emitting
     area = 0.5 * torch.linalg.vector_norm(cross(e1, e2).stack(), dim=-1)
     smooth = rows(triangles.smooth, emitting)
     shaded = corners[0].n is not None and (smooth is None or bool(smooth.any()))
+    columns = dict(zip(layout.vertex_attributes, zip(*(corner.attributes for corner in corners))))
+    columns |= {name: (rows(column, emitting),) * 3 for name, column in zip(layout.face_attributes, triangles.attributes)}
     return EmittingTriangles(
         p, attached(rows(triangles.n, emitting), unit_normal(e1, e2)),
         shading=tuple(corner.n for corner in corners) if shaded else None, smooth=smooth if shaded else None,
-        uv=tuple(corner.uv for corner in corners) if images else None, inverse_area=area), area
+        uv=tuple(corner.uv for corner in corners) if layout.radiance_bitmaps else None,
+        attributes=tuple(columns[name] for name in layout.radiance.attributes), inverse_area=area), area
 
 
 def with_inverse_areas(surfaces: EmittingTriangles, area: Tensor, weights: Tensor) -> EmittingTriangles:

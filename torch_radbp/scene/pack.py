@@ -12,6 +12,7 @@ from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.emitter.kind import Light
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.appearance import Appearance
+from torch_radbp.scene.attributes import any_differentiated, check_attributes
 from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.geometry import Columns, placed_shape, triangle_table
 from torch_radbp.scene.kept import Kept
@@ -73,15 +74,21 @@ def pack(scene: Scene, kept: Kept | None = None) -> SceneTensors:
     check_extent(scene, [kept(largest_coordinate, shape.vertices) for shape in placed])
     radiated = {id(emitter): emitter.radiated() for emitter in scene.emitters}
     textures = {name: 0 if texture is None else radiance.add(texture) for name, texture in radiated.items()}
+    named = {name for reader in (*readers, radiance.reader) for name in reader.attributes}
+    attributes = tuple(sorted(named))
+    if attributes:
+        check_attributes(scene, kept)
     layout = Layout(
-        bending=any(differentiated(source) for bsdf in one_sided(bsdfs) for slot in bsdf.kind().bending
-                    for source in bsdf.textures()[slot].sources()),
+        bending=any_differentiated(scene, attributes) or any(
+            differentiated(source) for bsdf in one_sided(bsdfs) for slot in bsdf.kind().bending
+            for source in bsdf.textures()[slot].sources()),
         shading_normals=any(shape.surface.normals is not None for shape in placed),
         back_sides=bool(materials.turned.any()), sides_differ=sides_differ(materials), appearances=appearances,
-        readers=readers, radiance=radiance.reader, radiance_bitmaps=radiance.has_bitmaps, lights=kinds_of(scene.emitters))
+        readers=readers, radiance=radiance.reader, radiance_bitmaps=radiance.has_bitmaps, attributes=attributes,
+        lights=kinds_of(scene.emitters))
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
     columns = Columns(layout.shading_normals, layout.radiance_bitmaps or any(look.needs_uv for look in appearances),
-                      any(look.kind.oriented for look in appearances),
+                      layout.vertex_attributes, layout.face_attributes, any(look.kind.oriented for look in appearances),
                       tuple(row[id(shape.bsdf)] for shape in scene.shapes),
                       tuple(shape.emitter is not None for shape in scene.shapes))
     triangles = triangle_table(kept, placed, columns, dtype, device)

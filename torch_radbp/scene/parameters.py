@@ -16,6 +16,7 @@ from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
 from torch_radbp.scene.differentiated import differentiated, primal
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.scene import Scene
+from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.neural import Use
 
 DTYPES = (torch.float32, torch.float64)
@@ -66,7 +67,7 @@ def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture,
     """
     for part in texture.parts():
         hold_values(found, names, part, domain)
-    if texture.parts() or not texture.tabulated:
+    if texture.parts() or not texture.tabulated or reader_of(texture).attributes:
         return
     prefix = names[id(texture)]
     if texture.entries is None:

@@ -35,6 +35,11 @@ def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) 
     triangles = scene.triangles._replace(balls=None)
     if not (layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv)):
         triangles = triangles._replace(vertices=triangles.vertices._replace(uv=None))
+    wanted = attributes_of_part(layout, appearance)
+    triangles = triangles._replace(
+        vertices=triangles.vertices._replace(
+            attributes=chosen(layout.vertex_attributes, triangles.vertices.attributes, wanted)),
+        attributes=chosen(layout.face_attributes, triangles.attributes, wanted))
     if not (appearance is not None and appearance.kind.oriented):
         triangles = triangles._replace(along=None)
     readers = () if appearance is None else appearance.readers
@@ -47,4 +52,16 @@ def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) 
 def layout_of_part(layout: Layout, appearance: Appearance | None) -> Layout:
     """The features that matter to the part."""
     appearances, readers = ((), ()) if appearance is None else ((appearance,), tuple(dict.fromkeys(appearance.readers)))
-    return layout._replace(bending=False, sides_differ=False, appearances=appearances, readers=readers)
+    return layout._replace(bending=False, sides_differ=False, appearances=appearances, readers=readers,
+                           attributes=attributes_of_part(layout, appearance))
+
+
+def attributes_of_part(layout: Layout, appearance: Appearance | None) -> tuple[str, ...]:
+    """The attributes of meshes that the part reads, in the scene's order."""
+    readers = (layout.radiance, *(() if appearance is None else appearance.readers))
+    return tuple(name for name in layout.attributes if any(name in reader.attributes for reader in readers))
+
+
+def chosen(names: tuple[str, ...], columns: tuple, wanted: tuple[str, ...]) -> tuple:
+    """Those columns whose names are wanted."""
+    return tuple(column for name, column in zip(names, columns) if name in wanted)

@@ -26,7 +26,18 @@ class Layout(NamedTuple):
     readers: tuple[Reader, ...]  # of their textures
     radiance: TableReader  # of the textures of emitters
     radiance_bitmaps: bool  # some of them have coordinates
+    attributes: tuple[str, ...]  # of meshes, that textures read
     lights: tuple[LightKind, ...]  # kinds of light
+
+    @property
+    def vertex_attributes(self) -> tuple[str, ...]:
+        """The attributes of vertices, in the order of `VertexTable.attributes`."""
+        return tuple(name for name in self.attributes if not name.startswith("face_"))
+
+    @property
+    def face_attributes(self) -> tuple[str, ...]:
+        """The attributes of triangles, in the order of `TriangleTable.attributes`."""
+        return tuple(name for name in self.attributes if name.startswith("face_"))
 
     @property
     def surface_lights(self) -> dict[int, LightKind]:
@@ -55,6 +66,7 @@ class VertexTable(NamedTuple):
     p: Vec3  # (V,) each; position, world space
     n: Vec3 | None  # unit shading normal, unused for surfaces with flat faces; None if no surface has any
     uv: Vec2 | None  # surface coordinates, None if no texture reads them
+    attributes: tuple[Vec3, ...]  # those that textures read; 0 where a mesh has none of that name
 
 
 class TriangleTable(NamedTuple):
@@ -69,6 +81,7 @@ class TriangleTable(NamedTuple):
     material: Tensor  # (T,) int32, row of `MaterialTable`
     emitter: Tensor  # (T,) int32, element of `LightTable`; -1: emits nothing
     balls: Balls | None  # those of them that tessellate spheres, for ray casting
+    attributes: tuple[Vec3, ...]  # (T,) each, as those of vertices; attached
 
 
 class MaterialTable(NamedTuple):

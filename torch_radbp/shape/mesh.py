@@ -9,6 +9,7 @@ from torch_radbp.domain import LARGEST_COORDINATE, POSE, Domain
 from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, register
 from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
 from torch_radbp.shape.surface import Surface, Triangles, affine, transform_normals, transform_points
+from torch_radbp.texture.mesh_attribute import PREFIXES as ATTRIBUTE_PREFIXES
 from torch_radbp.vec import attached
 
 
@@ -17,7 +18,8 @@ class Mesh(Surface):
 
     Parameters: `vertex_positions` (V, 3); `vertex_normals` (V, 3) and `vertex_texcoords` (V, 2) if the mesh has any;
     `to_world` (4, 4). As in Mitsuba, positions and normals are in world space, under the `to_world` with which the mesh was
-    loaded; if `to_world` changes, they move along. `faces` (F, 3) int64 is a buffer.
+    loaded; if `to_world` changes, they move along. `faces` (F, 3) int64 is a buffer. Attributes of vertices and faces, see
+    `add_attribute`, are parameters, too.
 
     Args:
         recompute_normals: shade smoothly, with normals that are not a parameter but are computed from the positions at every
@@ -49,7 +51,7 @@ class Mesh(Surface):
             positions = finite("vertex_positions in world space", transform_points(matrix.detach(), positions))
         if not has_area(positions.detach(), faces):
             raise ValueError(f"all {len(faces)} triangles of the mesh are degenerate (area 0)")
-        self.vertex_count = count
+        self.vertex_count, self.attribute_names = count, ()
         self.freeze("vertex_positions", positions)
         self.recompute_normals = recompute_normals
         if recompute_normals and normals is not None:
@@ -74,7 +76,9 @@ class Mesh(Surface):
     def domains(self) -> dict[str, Domain]:
         vector = Domain(shapes=((self.vertex_count, 3),))
         position = vector._replace(low=-LARGEST_COORDINATE, high=LARGEST_COORDINATE)
-        return {"vertex_positions": position, "vertex_normals": vector, "to_world": POSE,
+        rows = {name: len(self.faces) if name.startswith("face_") else self.vertex_count for name in self.attribute_names}
+        attributes = {name: Domain(shapes=((count, 1), (count, 3))) for name, count in rows.items()}
+        return {"vertex_positions": position, "vertex_normals": vector, "to_world": POSE, **attributes,
                 "vertex_texcoords": Domain(shapes=((self.vertex_count, 2),)),
                 "faces": Domain(shapes=(("F", 3),), low=0, high=self.vertex_count - 1, is_index=True)}
 
@@ -85,7 +89,32 @@ class Mesh(Surface):
             normals = angle_weighted_normals(positions, self.faces)
         elif self.has_normals:
             normals = transform_normals(motion, self.vertex_normals)
-        return Triangles(positions, self.faces, normals, self.vertex_texcoords if self.has_texcoords else None)
+        attributes = tuple((name, getattr(self, name)) for name in self.attribute_names)
+        return Triangles(positions, self.faces, normals, self.vertex_texcoords if self.has_texcoords else None,
+                         attributes=attributes)
+
+    def add_attribute(self, name: str, values: Tensor) -> None:
+        """Adds values for the texture `mesh_attribute` to read, as the parameter `name`.
+
+        Args:
+            name: begins with vertex_ or face_.
+            values: (V, 1) or (V, 3) of vertices, (F, 1) or (F, 3) of faces; an `nn.Parameter` of the mesh's dtype and device
+                becomes its own.
+
+        Raises:
+            ValueError: on another name, one that is taken, another shape, or values that are not finite.
+        """
+        if not name.startswith(ATTRIBUTE_PREFIXES) or "." in name:
+            raise ValueError(f"an attribute must have a name without dots that begins with "
+                             f"{' or '.join(ATTRIBUTE_PREFIXES)}, got {name!r}")
+        if hasattr(self, name):
+            raise ValueError(f"the mesh has {name!r} already")
+        self.attribute_names = (*self.attribute_names, name)
+        try:
+            self.freeze(name, finite(name, values).to(self.vertex_positions))
+        except ValueError:
+            self.attribute_names = self.attribute_names[:-1]
+            raise
 
     def motion(self) -> Tensor:
         """The (4, 4) transform from the pose at loading to the current one; exactly the identity while they are equal."""
@@ -134,13 +163,16 @@ class FileMesh(Mesh):
         if face_normals and recompute_normals:
             raise ValueError("face_normals shades flat and recompute_normals shades smooth: choose one")
         self.filename, self.face_normals, self.flip_tex_coords = filename, face_normals, flip_tex_coords
-        vertices, faces, normals, uv = read_mesh(filename, want_normals=not (face_normals or recompute_normals))
+        arrays = read_mesh(filename, want_normals=not (face_normals or recompute_normals))
+        vertices, faces, normals, uv, attributes = arrays
         if flip_tex_coords and uv is not None:
             uv = uv.copy()
             uv[:, 1] = 1.0 - uv[:, 1]
         normals, uv = (None if values is None else torch.from_numpy(values) for values in (normals, uv))
         self.hold(torch.from_numpy(vertices), torch.from_numpy(faces), normals, uv, to_world, not face_normals,
                   recompute_normals)
+        for name, values in attributes.items():
+            self.add_attribute(name, torch.from_numpy(values))
 
 
 @register("shape", "obj")

@@ -21,6 +21,7 @@ class Triangles(NamedTuple):
     normals: Tensor | None  # (V, 3) unit shading normals, or None for flat faces
     uv: Tensor | None  # (V, 2)
     ball: Ball | None = None  # what they tessellate, if it is a sphere
+    attributes: tuple[tuple[str, Tensor], ...] = ()  # (V, 1 or 3) or (F, 1 or 3), by names that begin with vertex_ or face_
 
 
 def affine(name: str, matrix: Tensor | None) -> Tensor:

@@ -6,6 +6,7 @@ from torch_radbp.texture import (  # noqa: F401 (registers the plugins)
     checkerboard,
     d65,
     irregular,
+    mesh_attribute,
     rawconstant,
     regular,
     rgb,

@@ -12,9 +12,9 @@ from torch import Tensor
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
 from torch_radbp.texture.bank import TextureBank, sample_texture
-from torch_radbp.texture.reader import Reader, TableReader
+from torch_radbp.texture.reader import Reader, TableReader, TexturePoint
 from torch_radbp.texture.uv_transform import uv_matrix, uv_rows
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.vec import Vec3
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest")
@@ -59,8 +59,8 @@ class BitmapReader(TableReader):
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
         return texture_bank(textures, dtype, device)
 
-    def read(self, bank: TextureBank, row: Tensor, uv: Vec2 | None) -> Vec3:
-        return sample_texture(bank, row, uv)
+    def read(self, bank: TextureBank, row: Tensor, point: TexturePoint) -> Vec3:
+        return sample_texture(bank, row, point.uv)
 
 
 def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:

@@ -13,10 +13,10 @@ from torch_radbp.domain import Domain
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.texture.mixed import reader_for
-from torch_radbp.texture.reader import TableReader
+from torch_radbp.texture.reader import TableReader, TexturePoint
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.texture.uv_transform import transformed, uv_matrix, uv_rows
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.vec import Vec3
 
 
 class CheckerboardBank(NamedTuple):
@@ -38,10 +38,17 @@ class CheckerboardReader(TableReader):
         return CheckerboardBank(*uv_rows([texture.to_uv for texture in textures], dtype, device),
                                 self.colours.bank(colours, dtype, device))
 
-    def read(self, bank: CheckerboardBank, row: Tensor, uv: Vec2) -> Vec3:
-        u, v = transformed(lookup(bank.to_u, row), lookup(bank.to_v, row), uv)
+    @property
+    def attributes(self) -> tuple[str, ...]:
+        return self.colours.attributes
+
+    def of_numbers(self) -> CheckerboardReader:
+        return CheckerboardReader(self.colours.of_numbers())
+
+    def read(self, bank: CheckerboardBank, row: Tensor, point: TexturePoint) -> Vec3:
+        u, v = transformed(lookup(bank.to_u, row), lookup(bank.to_v, row), point.uv)
         right, lower = u - torch.floor(u) > 0.5, v - torch.floor(v) > 0.5
-        return self.colours.read(bank.colours, 2 * row + (right != lower).to(row.dtype), uv)
+        return self.colours.read(bank.colours, 2 * row + (right != lower).to(row.dtype), point)
 
 
 @register("texture", "checkerboard")

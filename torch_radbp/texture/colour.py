@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Texture
-from torch_radbp.texture.reader import TableReader
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.texture.reader import TableReader, TexturePoint
+from torch_radbp.vec import Vec3
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class ColourReader(TableReader):
         colours = [texture.texels().reshape(3) for texture in textures]
         return Vec3.of(torch.stack(colours).to(dtype=dtype, device=device))
 
-    def read(self, bank: Vec3, row: Tensor, uv: Vec2 | None) -> Vec3:
+    def read(self, bank: Vec3, row: Tensor, point: TexturePoint) -> Vec3:
         return lookup(bank, row)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,8 +12,8 @@ from torch import Tensor
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Texture
 from torch_radbp.texture.bitmap import reader_of
-from torch_radbp.texture.reader import TableReader
-from torch_radbp.vec import Vec2, Vec3, where
+from torch_radbp.texture.reader import TableReader, TexturePoint
+from torch_radbp.vec import Vec3, where
 
 
 class MixedBank(NamedTuple):
@@ -34,6 +34,13 @@ class MixedReader(TableReader):
     def needs_uv(self) -> bool:
         return any(reader.needs_uv for reader in self.readers)
 
+    @property
+    def attributes(self) -> tuple[str, ...]:
+        return tuple(sorted({name for reader in self.readers for name in reader.attributes}))
+
+    def of_numbers(self) -> TableReader:
+        return joint_reader(reader.of_numbers() for reader in self.readers)
+
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> MixedBank:
         which = [self.readers.index(reader_of(texture)) for texture in textures]
         rows = [which[:number].count(reader) for number, reader in enumerate(which)]
@@ -41,17 +48,22 @@ class MixedReader(TableReader):
                       for number, reader in enumerate(self.readers))
         return MixedBank(*(torch.tensor(column, dtype=torch.int32, device=device) for column in (which, rows)), banks)
 
-    def read(self, bank: MixedBank, row: Tensor, uv: Vec2 | None) -> Vec3:
+    def read(self, bank: MixedBank, row: Tensor, point: TexturePoint) -> Vec3:
         which, rows = lookup(bank.reader, row), lookup(bank.row, row)
         value = None
         for number, reader in enumerate(self.readers):
             own = which == number
-            found = reader.read(bank.banks[number], torch.where(own, rows, 0), uv)
+            found = reader.read(bank.banks[number], torch.where(own, rows, 0), point)
             value = found if value is None else where(own, found, value)
         return value
 
 
 def reader_for(textures: Sequence[Texture]) -> TableReader:
     """A reader of all of some textures; the same for the same kinds in any order."""
-    readers = sorted({reader_of(texture) for texture in textures}, key=repr)
+    return joint_reader(reader_of(texture) for texture in textures)
+
+
+def joint_reader(readers: Iterable[TableReader]) -> TableReader:
+    """A reader of all that some readers read."""
+    readers = sorted(set(readers), key=repr)
     return readers[0] if len(readers) == 1 else MixedReader(tuple(readers))

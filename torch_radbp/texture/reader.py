@@ -18,16 +18,28 @@ from torch_radbp.plugin import Texture
 from torch_radbp.vec import Vec2, Vec3
 
 
+class TexturePoint(NamedTuple):
+    """What textures are read at, (N,) each; attached."""
+
+    uv: Vec2 | None  # surface coordinates; None if no texture reads them
+    attributes: dict[str, Vec3]  # of the meshes, by name: those that textures read
+
+
 @dataclass(frozen=True)
 class Reader(ABC):
     """Reads the textures of one kind, which lie together in a `bank`: a record of tensors, or None."""
 
     needs_uv: ClassVar[bool] = True  # values depend on surface coordinates
+    attributes: ClassVar[tuple[str, ...]] = ()  # of meshes, that values depend on
     outside: ClassVar[bool] = False  # they are computed outside of the functions of a bounce, by an `OutsideReader`
 
     @abstractmethod
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> Any:
         """The tables of some textures, attached to their parameters."""
+
+    def of_numbers(self) -> Reader:
+        """The reader of the same textures as numbers, where the bank does not make numbers of them."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -35,13 +47,13 @@ class TableReader(Reader):
     """Reads tables, as a part of the functions of a bounce."""
 
     @abstractmethod
-    def read(self, bank: Any, row: Tensor, uv: Vec2 | None) -> Vec3:
-        """Linear RGB at surface coordinates, attached.
+    def read(self, bank: Any, row: Tensor, point: TexturePoint) -> Vec3:
+        """Linear RGB at surface points, attached.
 
         Args:
             bank: attached or tapped.
             row: (N,) int32, which of the textures each lane reads.
-            uv: (N,) surface coordinates; None unless `needs_uv`.
+            point: (N,) where; it has what the reader needs.
         """
 
 

@@ -1,0 +1,64 @@
+"""Textures that are neither colours nor images, in the place of every texture of every material."""
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.gradients import assert_informative, relative_error
+from tests.scenes import load, rectangle, rgb, sensor, texels
+from tests.texture.meshes import add_attributes, panel
+from torch_radbp.io.attribute_values import options
+from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.plugin import REGISTRY, Texture, attributes
+
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+SETTINGS = {"spp": 6, "max_depth": 4, "rr_depth": 2}
+SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}
+WHITE = {"type": "diffuse", "reflectance": 0.8}
+# Values that are normals as well: above a half.
+TO_UV = translate((0.11, -0.07, 0)) @ rotate((0, 0, 1), 25) @ scale((1.4, 1.7, 1))
+BOARD = {"type": "checkerboard", "color0": 0.55, "to_uv": TO_UV, "color1": {
+    "type": "bitmap", "data": 0.5 + 0.4 * texels(2, 3), "raw": True}}
+TEXTURES = {
+    "checkerboard": BOARD,
+    "of vertices": {"type": "mesh_attribute", "name": "vertex_color"},
+    "of faces": {"type": "mesh_attribute", "name": "face_amount", "scale": 0.9},
+    "checkerboard of attributes": BOARD | {"color0": {"type": "mesh_attribute", "name": "vertex_color"}},
+}
+OTHERS = {"blendbsdf": {"first": WHITE, "second": {"type": "roughconductor", "material": "Au", "alpha": 0.3}},
+          "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE}}
+PARTNERS = {"alpha_u": {"alpha_v": 0.3}, "alpha_v": {"alpha_u": 0.3}, "k": {"eta": 0.2}}
+SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name, attribute in attributes(cls).items()
+         if Texture in options(attribute.annotation)]
+
+
+def build(bsdf: dict) -> rb.Scene:
+    scene = load(sensor=sensor(6, (0.3, 0.4, 2.4), (0, 0, 0), 25), subject=panel(bsdf=bsdf), sky=SKY,
+                 floor=rectangle((0, -0.6, 0), 3.0, angle=-90, bsdf=WHITE),
+                 lamp=rectangle((0, 0.5, 4), axis=(0, 1, 0), angle=180, emitter={"type": "area", "radiance": rgb(6, 7, 8)}))
+    return add_attributes(scene)
+
+
+@pytest.mark.parametrize("texture", TEXTURES)
+@pytest.mark.parametrize("kind, slot", SLOTS)
+def test_every_slot_gives_the_gradient_of_the_tape(kind, slot, texture):
+    bsdf = {"type": kind, slot: TEXTURES[texture]} | OTHERS.get(kind, {}) | PARTNERS.get(slot, {})
+    names = [name for name, _ in build(bsdf).named_parameters() if name.startswith((
+        f"subject.bsdf.{slot}.", "subject.vertex_color", "subject.face_amount"))]
+    reference, expected = gradients(build(bsdf), names, adjoint=rb.TapeAdjoint())
+    image, found = gradients(build(bsdf), names)
+    assert_informative(reference, [expected])
+    assert relative_error(image, reference) < 1e-10
+    assert relative_error(found, expected) < 1e-10
+
+
+def gradients(scene: rb.Scene, names: list[str], **settings) -> tuple[torch.Tensor, torch.Tensor]:
+    """An image, and the derivatives by some parameters one after the other; 0 by those that nothing reads."""
+    for name in names:
+        scene.get_parameter(name).requires_grad_()
+    image = rb.Renderer(scene, **SETTINGS, **settings)(seed=3)
+    generator = torch.Generator().manual_seed(1)
+    image.backward(torch.randn(image.shape, generator=generator, dtype=image.dtype))
+    wanted = [scene.get_parameter(name) for name in names]
+    found = [torch.zeros_like(value) if value.grad is None else value.grad for value in wanted]
+    return image.detach(), torch.cat([part.flatten() for part in found])

@@ -1,0 +1,40 @@
+"""The attributes of vertices and faces in a PLY file, under the names that Mitsuba 3.9 gives them.
+
+    r, g, b or red, green, blue             color
+    NAME_r, NAME_g, NAME_b or NAME_r        NAME_color, of three channels or one
+    NAME_x, NAME_y, NAME_z or NAME_x        NAME, likewise; and with 1, 2, 3
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+COLOURS = (("r", "g", "b"), ("red", "green", "blue"))
+POSTFIXES = {("r", "g", "b"): "_color", ("x", "y", "z"): "", ("1", "2", "3"): ""}
+
+
+def attributes_in(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """The properties, one or three, of each attribute among those of an element that are called `names`.
+
+    Properties that stand for themselves, or for two or four channels, are none.
+    """
+    names = list(names)
+    found: dict[str, tuple[str, ...]] = {}
+    for channels in COLOURS:
+        if all(name in names for name in channels):
+            found.setdefault("color", channels)
+    stems = dict.fromkeys(name[:-2] for name in names if len(name) > 2 and name[-2] == "_")
+    for stem in stems:
+        own = [name for name in names if name[:-2] == stem and name[-2] == "_"]
+        for postfixes, ending in POSTFIXES.items():
+            channels = tuple(f"{stem}_{postfix}" for postfix in postfixes)
+            if own == [channels[0]] or own == list(channels):
+                found[stem + ending] = tuple(own)
+    return found
+
+
+def channels_of(name: str, count: int) -> tuple[str, ...]:
+    """Names of the properties of an element, one or three, by which `attributes_in` finds the attribute `name`."""
+    if name == "color" and count == 3:
+        return COLOURS[0]
+    return tuple(f"{name}_{postfix}" for postfix in ("1", "2", "3"))[:count]

@@ -1,0 +1,74 @@
+"""Attributes of meshes that textures read: which mesh must have which, with what values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from torch_radbp.domain import LEEWAY, Domain
+from torch_radbp.plugin import Plugin, Shape, Texture, nearest
+from torch_radbp.scene.differentiated import differentiated
+from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.scene import Scene
+from torch_radbp.texture.bitmap import reader_of
+
+
+def attributes_read(owner: Plugin) -> Iterator[tuple[str, Domain, Texture]]:
+    """The attributes that the textures of a material or an emitter read, with the domain of the values and the texture."""
+    for name, domain in owner.domains().items():
+        texture = getattr(owner, name, None)
+        if isinstance(texture, Texture):
+            for leaf in leaves(texture):
+                yield from ((attribute, domain, leaf) for attribute in reader_of(leaf).attributes)
+    for child in (*owner._modules.values(), *owner.shared.values()):
+        if isinstance(child, Plugin) and not isinstance(child, Texture):
+            yield from attributes_read(child)
+
+
+def leaves(texture: Texture) -> Iterator[Texture]:
+    """The texture, or those that its values are taken from."""
+    for part in texture.parts():
+        yield from leaves(part)
+    if not texture.parts():
+        yield texture
+
+
+def check_attributes(scene: Scene, kept: Kept) -> None:
+    """Checks the attributes that textures read.
+
+    Raises:
+        ValueError: if a shape lacks one, or one has values that the texture must not have there.
+    """
+    for shape in scene.shapes:
+        for owner in filter(None, (shape.bsdf, shape.emitter)):
+            for name, domain, texture in attributes_read(owner):
+                values = attribute(scene, shape, name).detach()
+                values = values * texture.scale.detach().to(values)
+                least, greatest = kept(extremes, kept.frozen((id(shape), id(texture), name), values))
+                domain.check_range(f"{scene.name_of(shape)}.{name}", values, least, greatest, LEEWAY)
+
+
+def extremes(values: Tensor) -> tuple[float, float]:
+    """The least and the greatest value."""
+    return tuple(torch.stack(values.aminmax()).tolist())
+
+
+def attribute(scene: Scene, shape: Shape, name: str) -> Tensor:
+    """The attribute of a shape, attached.
+
+    Raises:
+        ValueError: if it has none of that name.
+    """
+    known = getattr(shape, "attribute_names", ())
+    if name not in known:
+        raise ValueError(f"the shape {scene.name_of(shape)!r} has no attribute {name!r}, which a mesh_attribute of its "
+                         f"material or emitter reads; {nearest(name, known)}. Add it, shape.add_attribute({name!r}, values)")
+    return getattr(shape, name)
+
+
+def any_differentiated(scene: Scene, names: tuple[str, ...]) -> bool:
+    """True if an attribute with one of these names carries derivatives."""
+    return any(differentiated(getattr(shape, name)) for shape in scene.shapes for name in names
+               if name in getattr(shape, "attribute_names", ()))
