@@ -16,6 +16,7 @@ from PIL import Image
 
 from tests.peer.cases import CASES
 from tests.peer.scene_files import Folder
+from tests.texture.meshes import PLY as COLOURED
 from tests.training.conftest import RECIPE, SCENE
 from torch_radbp.plugin import REGISTRY, attributes
 
@@ -59,11 +60,12 @@ def _scenes(root: Path) -> list[Seed]:
     (root / "assets" / "cornell_box" / "part.xml").write_bytes(seeds[0].content)
     including = b'<scene version="3.0.0"><include filename="part.xml"/><path value="../poster"/></scene>'
     (root / "others").mkdir()
+    (root / "others" / "coloured.ply").write_text(COLOURED)
     return [*seeds, Seed(root / "assets" / "cornell_box", including), Seed(root / "others", _others().encode())]
 
 
 def _others() -> str:
-    """A scene of every spectrum, and of every material whose attributes all have defaults."""
+    """A scene of every spectrum, texture and material that needs no other object."""
     types = [name for name, plugin in REGISTRY["bsdf"].items()
              if not any(attribute.required for attribute in attributes(plugin).values())]
     colours = [f'<bsdf type="diffuse">{spectrum}</bsdf>' for spectrum in SPECTRA]
@@ -120,6 +122,8 @@ SPECTRA = [
     '<spectrum name="reflectance" type="uniform"><float name="value" value="0.4"/></spectrum>',
     '<texture name="reflectance" type="srgb"><rgb name="color" value="0.2, 0.5, 0.7"/></texture>',
     '<texture name="reflectance" type="rawconstant"><rgb name="value" value="0.2, 0.5, 0.7"/></texture>',
+    '<texture name="reflectance" type="checkerboard"><rgb name="color0" value="0.2, 0.5, 0.7"/>'
+    '<transform name="to_uv"><scale value="3"/></transform></texture>',
 ]
 OTHERS = """<scene version="3.0.0">
   <integrator type="prb"><integer name="max_depth" value="3"/></integrator>
@@ -135,6 +139,12 @@ OTHERS = """<scene version="3.0.0">
   <emitter type="point">
     <spectrum name="intensity" type="blackbody"><float name="temperature" value="4000"/></spectrum>
   </emitter>
+  <shape type="ply">
+    <string name="filename" value="coloured.ply"/>
+    <bsdf type="diffuse">
+      <texture name="reflectance" type="mesh_attribute"><string name="name" value="vertex_color"/></texture>
+    </bsdf>
+  </shape>
   {}
 </scene>
 """
