@@ -21,7 +21,7 @@ from tests.training.conftest import RECIPE, SCENE
 from torch_radbp.plugin import REGISTRY, attributes
 
 ROOT = Path(__file__).parents[2]
-FAMILIES = {"xml": ".xml", "obj": ".obj", "ply": ".ply", "exr": ".exr", "png": ".png", "toml": ".toml"}
+FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "exr", "png", "bmp", "tga", "hdr", "pfm", "toml")}
 
 
 class Seed(NamedTuple):
@@ -38,7 +38,7 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
         folder.mkdir()
     shutil.copytree(ROOT / "assets", root / "assets")
     shutil.copytree(ROOT / "training" / "recipes", root / "training" / "recipes")
-    image_seeds = {"exr": [], "png": []}
+    image_seeds = {name: [] for name in ("exr", "png", "bmp", "tga", "hdr", "pfm")}
     for path in [*_images(folders["images"]), *sorted((root / "assets").glob("*/*.png"))]:
         image_seeds[path.suffix[1:]].append(Seed(folders["images"], path.read_bytes()))
     return {
@@ -110,6 +110,16 @@ def _images(folder: Path) -> list[Path]:
         colours.convert(mode).save(folder / f"{mode}.png")
         paths.append(folder / f"{mode}.png")
     Image.fromarray((pixels[..., 0] * 65535).astype("u2")).save(folder / "deep.png")
+    for name, options in (("plain.bmp", {}), ("plain.tga", {}), ("packed.tga", {"compression": "tga_rle"})):
+        colours.save(folder / name, **options)
+        paths.append(folder / name)
+    plain, row = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 8\n", b"\x02\x02\x00\x08" + 4 * b"\x83\x80\x05abcde"
+    contents = {"plain.hdr": plain + bytes(range(64, 128)), "packed.hdr": plain + 2 * row,
+                "colours.pfm": b"PF\n7 9\n-1\n" + pixels.tobytes(),
+                "grey.pfm": b"Pf\n7 27\n1\n" + pixels.astype(">f4").tobytes()}
+    for name, content in contents.items():
+        (folder / name).write_bytes(content)
+        paths.append(folder / name)
     return [*paths, folder / "deep.png"]
 
 

@@ -91,6 +91,73 @@ def test_jpeg_is_decoded(tmp_path):
     torch.testing.assert_close(read_image(tmp_path / "a.jpg"), torch.full((8, 8, 3), 0.21586), atol=4e-3, rtol=0)
 
 
+@pytest.mark.parametrize("mode, channels", [("RGB", 3), ("L", 1), ("P", 3), ("RGBA", 3)])
+@pytest.mark.parametrize("name", ["a.bmp", "a.tga", "packed.tga"])
+def test_bmp_and_tga_are_what_png_is(tmp_path, name, mode, channels):
+    colours = Image.fromarray((np.random.default_rng(0).uniform(0, 1, (5, 9, 3)) * 255).astype("u1")).convert(mode)
+    colours.save(tmp_path / name, **({"compression": "tga_rle"} if "packed" in name else {}))
+    colours.save(tmp_path / "a.png")
+    image = read_image(tmp_path / name)
+    assert image.shape == (5, 9, channels) and torch.equal(image, read_image(tmp_path / "a.png"))
+
+
+RGBE = b"#?RADIANCE\nEXPOSURE=1\nFORMAT=32-bit_rle_rgbe\n\n"
+ROW = bytes([128, 64, 0, 129]) * 8  # 1, 0.5 and 0 with an exponent of 1
+RUNS = b"\x02\x02\x00\x08" + b"\x88\x80" + b"\x05\x40\x40\x40\x40\x40\x83\x40" + b"\x88\x00" + b"\x88\x81"
+
+
+@pytest.mark.parametrize("content", [RGBE + b"-Y 2 +X 8\n" + 2 * ROW, RGBE + b"-Y 2 +X 8\n" + 2 * RUNS,
+                                     RGBE + b"-Y 2 +X 8\n" + RUNS + ROW], ids=["flat", "runs", "both"])
+def test_hdr_is_mantissa_times_power_of_two(tmp_path, content):
+    (tmp_path / "a.hdr").write_bytes(content)
+    assert torch.equal(read_image(tmp_path / "a.hdr"), torch.tensor([1.0, 0.5, 0.0]).expand(2, 8, 3))
+
+
+def test_pfm_begins_with_the_lowest_row(tmp_path):
+    (tmp_path / "a.pfm").write_bytes(b"Pf\n2 2\n1.0\n" + np.array([3, 4, 1, 2], ">f4").tobytes())
+    assert read_image(tmp_path / "a.pfm")[..., 0].tolist() == [[1, 2], [3, 4]]
+    (tmp_path / "b.pfm").write_bytes(b"PF\n1 2\n-1\n" + np.array([4, 5, 6, 1, 2, 300], "<f4").tobytes())
+    assert read_image(tmp_path / "b.pfm")[:, 0].tolist() == [[1, 2, 300], [4, 5, 6]]
+
+
+@pytest.mark.parametrize("name", ["a.hdr", "a.pfm"])
+@pytest.mark.parametrize("width", [5, 23])
+def test_hdr_and_pfm_of_mitsuba_are_read_as_it_reads_them(mi, tmp_path, name, width):
+    pixels = np.random.default_rng(0).gamma(0.5, 2.0, (7, width, 3)).astype("f4")
+    pixels[2:4] = 0.25
+    mi.Bitmap(pixels).write(str(tmp_path / name))
+    assert np.array_equal(read_image(tmp_path / name).numpy(), np.array(mi.Bitmap(str(tmp_path / name))))
+
+
+@pytest.mark.parametrize("name, content, message", [
+    ("a.hdr", RGBE + b"-Y 2 +X 8\n" + RUNS, "cannot be read as HDR: its pixels are cut short in row 1 of 2"),
+    ("a.hdr", RGBE + b"-Y 2 +X 8\n" + RUNS + RUNS[:-1], "its pixels are cut short"),
+    ("a.hdr", RGBE + b"-Y 1 +X 8\n" + RUNS.replace(b"\x83", b"\x85"), "its content is damaged"),
+    ("a.hdr", RGBE + b"+Y 2 +X 8\n" + 2 * ROW, r"its size must read -Y height \+X width, got b'\+Y 2 \+X 8'"),
+    ("a.hdr", RGBE.replace(b"rgbe", b"xyze") + b"-Y 2 +X 8\n", "its format must be 32-bit_rle_rgbe, got b'32-bit_rle_xyze'"),
+    ("a.hdr", RGBE + b"-Y 200000000 +X 200000000\n", "an image may have 1 to"),
+    ("a.hdr", b"PF\n1 1\n-1\n" + bytes(12), "the file begins as PFM does; change its extension"),
+    ("a.pfm", b"PF\n2 2\n-1\n" + bytes(12), "its pixels take 48 bytes, it has 12"),
+    ("a.pfm", b"PF\n2 x\n-1\n" + bytes(12), "its header must read PF or Pf, width, height and scale"),
+    ("a.pfm", b"PF\n200000000 200000000\n-1\n", "an image may have 1 to"),
+    ("a.bmp", b"BM" + bytes(20), "cannot be read as BMP"),
+    ("a.tga", b"\x00" * 10, "cannot be read as TGA"),
+])
+def test_damaged_files_of_other_kinds_are_refused(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=rf"a\.{name[2:]}.*{message}"):
+        read_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.bmp", "a.tga"])
+def test_bmp_and_tga_that_are_cut_short_are_refused(tmp_path, name):
+    Image.fromarray((np.random.default_rng(0).uniform(0, 1, (5, 9, 3)) * 255).astype("u1")).save(tmp_path / name)
+    content = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(content[:100])
+    with pytest.raises(ValueError, match=f"{name}: cannot be read as {name[2:].upper()}"):
+        read_image(tmp_path / name)
+
+
 def test_srgb_follows_its_definition():
     torch.testing.assert_close(srgb_to_linear(torch.tensor([0.0, 0.04045, 0.5, 1.0])),
                                torch.tensor([0.0, 0.0031308, 0.21404114, 1.0]), atol=1e-7, rtol=1e-6)
@@ -146,7 +213,7 @@ def test_what_cannot_be_written_is_named(tmp_path, name, image, error, message):
 
 
 @pytest.mark.parametrize("name, content, error, message", [
-    ("a.tga", b"", ValueError, r"supported: \.exr, \.png, \.jpg, \.jpeg"),
+    ("a.gif", b"", ValueError, r"supported: \.exr, \.png, \.jpg, \.jpeg, \.bmp, \.tga, \.hdr, \.pfm"),
     ("a.exr", b"not an image", ValueError, r"a\.exr: cannot be read as EXR"),
     ("a.png", b"\x89PNG\r\n\x1a\n", ValueError, r"a\.png: cannot be read as PNG"),
     ("a.jpg", b"", ValueError, r"a\.jpg: cannot be read as JPEG: the file is empty"),

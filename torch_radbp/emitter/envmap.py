@@ -163,7 +163,7 @@ class Envmap(Light):
     Parameters: `data` (H, W, 3) linear RGB, `scale` (), `to_world` (4, 4). Derivatives: with respect to all.
 
     Args:
-        filename: EXR, PNG or JPEG. Either this or `bitmap`.
+        filename: EXR, HDR, PFM, PNG, JPEG, BMP or TGA. Either this or `bitmap`.
         bitmap, data: (H, W), (H, W, 1) or (H, W, 3) linear values; both names mean the same.
         scale: multiplies the image.
         mis_compensation: sample only texels brighter than the average, and leave the rest to BSDF sampling (Karlik et al.

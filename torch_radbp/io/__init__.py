@@ -1,1 +1,1 @@
-"""Files: scenes (Mitsuba XML and dict), meshes (OBJ, PLY) and images (EXR, PNG, JPEG)."""
+"""Files: scenes (Mitsuba XML and dict), meshes (OBJ, PLY) and images (EXR, HDR, PFM, PNG, JPEG, BMP, TGA)."""

@@ -1,8 +1,10 @@
-"""Images: EXR through OpenEXR, PNG and JPEG through Pillow. In memory they are linear float32."""
+"""Images: EXR through OpenEXR; PNG, JPEG, BMP and TGA through Pillow; HDR and PFM. In memory they are linear float32."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +15,16 @@ from torch import Tensor
 
 from torch_radbp.io.atomic import replacing
 from torch_radbp.io.files import opened
+from torch_radbp.io.pfm import read_pfm
 from torch_radbp.io.png import check_pixel_data
+from torch_radbp.io.radiance import read_radiance
 
-READABLE, WRITABLE = {".exr": "EXR", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}, (".exr", ".png")
-SIGNATURES = {"EXR": b"\x76\x2f\x31\x01", "PNG": b"\x89PNG\r\n\x1a\n", "JPEG": b"\xff\xd8\xff"}
+READABLE = {".exr": "EXR", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".tga": "TGA", ".hdr": "HDR",
+            ".pfm": "PFM"}
+WRITABLE = (".exr", ".png")
+LINEAR = ("EXR", "HDR", "PFM")
+SIGNATURES = {"EXR": b"\x76\x2f\x31\x01", "PNG": b"\x89PNG\r\n\x1a\n", "JPEG": b"\xff\xd8\xff", "BMP": b"BM",
+              "HDR": b"#?", "PFM": (b"PF", b"Pf"), "TGA": b""}  # TGA has none
 MAX_PIXELS = 2**27  # 16384 x 8192
 BEAUTY_LAYERS = ("", "rgb", "rgba", "color", "colour", "beauty", "combined", "image")
 
@@ -24,12 +32,13 @@ BEAUTY_LAYERS = ("", "rgb", "rgba", "color", "colour", "beauty", "combined", "im
 def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
     """Reads an image.
 
-    EXR: half and float, all compressions; channels R, G, B or Y, also inside a layer (`beauty.R`). PNG and JPEG: grey,
-    colour and palette, 8 or 16 bits. Alpha is dropped in every format, without multiplying by it.
+    EXR: half and float, all compressions; channels R, G, B or Y, also inside a layer (`beauty.R`). HDR: Radiance's RGBE.
+    PFM: grey and colour. PNG, JPEG, BMP and TGA: grey, colour and palette, 8 or 16 bits. Alpha is dropped in every format,
+    without multiplying by it.
 
     Args:
         path: the file; its extension says what it is.
-        raw: take PNG and JPEG values as linear instead of decoding sRGB. EXR is always linear.
+        raw: take values as linear instead of decoding sRGB. EXR, HDR and PFM are always linear.
 
     Returns:
         (H, W, C) float32, C = 1 for grey images and 3 otherwise; row 0 is at the top.
@@ -46,7 +55,7 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
     kind = READABLE[suffix]
     _check_signature(path, kind)
     try:
-        pixels = _read_exr(path) if kind == "EXR" else _read_with_pillow(path, kind)
+        pixels = READERS[kind](path) if kind in READERS else _read_with_pillow(path, kind)
     except MemoryError:
         raise
     except Exception as error:  # the libraries raise whatever their decoders stumble over
@@ -54,7 +63,7 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
         reason = "its content is damaged" if inner else " ".join(str(error).split())
         raise ValueError(f"{path}: cannot be read as {kind}: {reason}") from error
     image = torch.from_numpy(np.ascontiguousarray(pixels, dtype=np.float32))
-    return image if raw or kind == "EXR" else srgb_to_linear(image)
+    return image if raw or kind in LINEAR else srgb_to_linear(image)
 
 
 def save_image(path: str | os.PathLike, image: Tensor) -> None:
@@ -120,10 +129,10 @@ def linear_to_srgb(values: Tensor) -> Tensor:
 def _check_signature(path: str | os.PathLike, kind: str) -> None:
     """Raises ValueError unless the file begins as one of its `kind` does, and as `opened` does."""
     with opened(path) as file:
-        begin = file.read(max(map(len, SIGNATURES.values())))
+        begin = file.read(8)
     if begin.startswith(SIGNATURES[kind]):
         return
-    other = next((name for name, signature in SIGNATURES.items() if begin.startswith(signature)), None)
+    other = next((name for name, signature in SIGNATURES.items() if signature and begin.startswith(signature)), None)
     found = f"begins as {other} does; change its extension" if other else f"begins with {begin!r}" if begin else "is empty"
     raise ValueError(f"{path}: cannot be read as {kind}: the file {found}")
 
@@ -155,7 +164,7 @@ def _decode(path: str | os.PathLike, low_bytes: bool = False) -> np.ndarray | No
     Pillow keeps 8 bits of 16-bit colour, the first of each pair of bytes. Told that the pairs are little-endian, it
     keeps the second. Returns None if low bytes are asked of an image that has none.
     """
-    with Image.open(path, formats=("PNG", "JPEG")) as file:
+    with Image.open(path, formats=("PNG", "JPEG", "BMP", "TGA")) as file:
         wide = bool(file.tile) and file.tile[0].args in ("RGB;16B", "RGBA;16B")
         if low_bytes and not wide:
             return None
@@ -201,3 +210,8 @@ def _layer_colour(channels: dict[str, OpenEXR.Channel], prefix: str) -> np.ndarr
         if all(name in channels for name in names):
             return np.stack([channels[name].pixels for name in names], axis=2)
     return None
+
+
+READERS: dict[str, Callable[[str | os.PathLike], np.ndarray]] = {
+    "EXR": _read_exr, "HDR": partial(read_radiance, check_size=_check_size),
+    "PFM": partial(read_pfm, check_size=_check_size)}

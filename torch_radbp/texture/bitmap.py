@@ -29,7 +29,7 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
 
     Args:
         kind: "a bitmap", for messages.
-        filename: PNG, JPEG or EXR, or None.
+        filename: of a kind that `read_image` reads, or None.
         arrays: by the names of attributes that mean the same; (H, W), (H, W, 1) or (H, W, 3), at most one not None.
         raw: see `Bitmap`.
 
@@ -93,7 +93,7 @@ class Bitmap(Texture):
     Parameters: `data`, (H, W, 3) linear RGB; `to_uv`, (4, 4), if the filter is bilinear. Derivatives: with respect to both.
 
     Args:
-        filename: PNG, JPEG or EXR. Either this or `data`.
+        filename: EXR, HDR, PFM, PNG, JPEG, BMP or TGA. Either this or `data`.
         data, bitmap: (H, W), (H, W, 1) or (H, W, 3) linear values; both names mean the same.
         filter_type: bilinear; or nearest, where `to_uv` moves nothing but edges of texels and is no parameter.
         wrap_mode: repeat, mirror or clamp.
