@@ -24,6 +24,7 @@ from .scenes import (
     sky,
     spots,
 )
+from .texture_scenes import textures
 
 BOX = '<rfilter type="box"/>'
 FOV = '<float name="fov" value="40"/>'
@@ -96,6 +97,7 @@ CASES = {
     "cornell_roulette": Case(cornell_box, {"resolution": 32, "max_depth": -1, "rr_depth": 1}),
     "shapes": Case(shapes),
     "bitmaps": Case(bitmaps),
+    "textures": Case(textures),
     "sky": Case(sky, thin=3),
     "hidden_emitters": Case(hidden_emitters, peer_integrator="volpath"),
     "points": Case(points),
