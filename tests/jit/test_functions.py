@@ -250,7 +250,8 @@ def test_results_that_do_not_fit_are_errors():
         fused.into((torch.empty(20), [torch.empty(20, dtype=torch.float64)]), 0, x)
     with pytest.raises(ValueError, match="returns tuple of 2 where it is to write into tuple of 1"):
         fused.into((torch.empty(20),), 0, x)
-    with pytest.raises(ValueError, match="contiguous tensors of at least 20 entries on the CPU, got one of 20 with stride 2"):
+    message = "contiguous tensors of at least 20 entries on the CPU, got one of 20 with stride 2"
+    with pytest.raises(ValueError, match=message):
         fused.into((torch.empty(20), [torch.empty(40)[::2]]), 0, x)
     with pytest.raises(ValueError, match="tensors of at least 23 entries on the CPU, got one of 22"):
         fused.into((torch.empty(23), [torch.empty(22)]), 3, x)
@@ -291,13 +292,14 @@ class Pose(NamedTuple):
 
 
 @pytest.mark.parametrize("first, second", [
-    (Point(1.0, 2), Pose(1.0, 2)), (Point(1.0, 2), Point(1.0, 2.0)), (Point(1.0, 2), Point(1.0, True)), ([1], (1,)), ((1,), (1, 1)),
-    ("a", "b"), (None, 0), (Point(torch.tensor(3.0), None), Point(None, torch.tensor(3.0))),
-    (torch.tensor(3.0), torch.tensor(3.0, dtype=torch.float64)), (torch.tensor(3), 3), (torch.tensor(3.0), torch.full((4,), 3.0)),
+    (Point(1.0, 2), Pose(1.0, 2)), (Point(1.0, 2), Point(1.0, 2.0)), (Point(1.0, 2), Point(1.0, True)), ([1], (1,)),
+    ((1,), (1, 1)), ("a", "b"), (None, 0), (Point(torch.tensor(3.0), None), Point(None, torch.tensor(3.0))),
+    (torch.tensor(3.0), torch.tensor(3.0, dtype=torch.float64)), (torch.tensor(3), 3),
+    (torch.tensor(3.0), torch.full((4,), 3.0)),
 ], ids=str)
 def test_arguments_of_another_structure_than_the_last_are_told_apart(first, second):
     fused, seen = LaneFunction(lambda what, x: seen.append(type(what)) or x * 2), []
-    for turn in range(3):
+    for _ in range(3):
         for what in (first, second):
             assert torch.equal(fused(what, torch.ones(4)), torch.full((4,), 2.0))
     assert seen == [type(first), type(second)] and len(fused.compiled) == 2
