@@ -47,8 +47,9 @@ def texels_around(uv: Vec2, rows: Tensor, columns: Tensor) -> Around:
     y = uv.y * (rows - 1)
     left, top = torch.floor(x.detach()), torch.floor(y.detach())
     column, row = left.to(torch.int32), top.to(torch.int32)
-    x0, x1 = torch.remainder(column, columns), torch.remainder(column + 1, columns)
     # Row and column of what is NaN are arbitrary integers, and must not lead out of the image.
+    x0 = torch.minimum(torch.where(column < 0, columns - 1, column), columns - 1)  # u is in [0, 1]: no more than one before
+    x1 = torch.where(x0 + 1 < columns, x0 + 1, 0)
     row, last = row.clamp_min(0), rows - 1
     y0, y1 = torch.minimum(row, last) * columns, torch.minimum(row + 1, last) * columns
     return Around((y0 + x0, y0 + x1), (y1 + x0, y1 + x1), x - left, y - top)

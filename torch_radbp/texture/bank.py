@@ -25,13 +25,18 @@ class TextureBank(NamedTuple):
     to_v: Vec3
 
 
-def wrapped(texel: Tensor, size: Tensor, wrap: Tensor) -> Tensor:
-    """Integer texel coordinates brought into [0, size) by each lane's wrap mode."""
-    repeat = torch.remainder(texel, size)
-    folded = torch.remainder(texel, 2 * size)
-    mirror = torch.minimum(folded, 2 * size - 1 - folded)
-    clamp = torch.minimum(texel.clamp_min(0), size - 1)
-    return torch.where(wrap == 0, repeat, torch.where(wrap == 1, mirror, clamp))
+def wrapped(texel: Tensor, size: Tensor, wrap: Tensor) -> tuple[Tensor, Tensor]:
+    """Integer texel coordinates, and those of the next texels, brought into [0, size) by each lane's wrap mode."""
+    mirrors, clamps = wrap == 1, wrap == 2
+    period = torch.where(mirrors, 2 * size, size)
+    first = torch.remainder(texel, period)  # one division for all
+    after = torch.where(first + 1 == period, 0, first + 1)
+
+    def inside(folded: Tensor, texel: Tensor) -> Tensor:
+        repeat_or_mirror = torch.where(mirrors, torch.minimum(folded, 2 * size - 1 - folded), folded)
+        return torch.where(clamps, torch.minimum(texel.clamp_min(0), size - 1), repeat_or_mirror)
+
+    return inside(first, texel), inside(after, texel + 1)
 
 
 def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
@@ -54,8 +59,8 @@ def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
     fx = torch.where(half > 0, x - left, 0.0)
     fy = torch.where(half > 0, y - top, 0.0)
     column, row = left.to(torch.int32), top.to(torch.int32)
-    x0, x1 = wrapped(column, width, wrap), wrapped(column + 1, width, wrap)
-    y0, y1 = wrapped(row, height, wrap) * width + first, wrapped(row + 1, height, wrap) * width + first
+    x0, x1 = wrapped(column, width, wrap)
+    y0, y1 = (row * width + first for row in wrapped(row, height, wrap))
     upper = lookup(bank.texels, y0 + x0) * (1.0 - fx) + lookup(bank.texels, y0 + x1) * fx
     lower = lookup(bank.texels, y1 + x0) * (1.0 - fx) + lookup(bank.texels, y1 + x1) * fx
     return upper * (1.0 - fy) + lower * fy
