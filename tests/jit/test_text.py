@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import pytest
 import torch
 
 from torch_radbp.jit.emit import emit
@@ -67,3 +68,10 @@ def test_what_is_the_same_for_all_lanes_is_computed_once():
     program = trace(lambda x, scale: [x * (scale * scale)], [torch.float32] * 2, [LANES, NUMBER])
     before, loop = emit(program, 8).split("define internal void @lanes(")[1].split("\nloop:\n")
     assert before.count("fmul") == 1 and loop.count("fmul") == 1
+
+
+@pytest.mark.parametrize("width", [1, 4, 8, 16])
+def test_blocks_of_lanes_ask_for_memory_ahead(width):
+    """Of two arrays and two results, and of a table at every eighth index; single lanes do not."""
+    hints = emit(PROGRAM, width).count("call void @llvm.prefetch")
+    assert hints == (0 if width == 1 else 2 + 2 + max(1, width // 8))

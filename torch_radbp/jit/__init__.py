@@ -9,7 +9,8 @@ In the order of data:
    `inference.py` tells the dtypes of results, `operations.py` says what each is in terms of some forty operations, and
    `elementary.py` writes sin, exp, ... with them.
 2. `graph.py` is the program that results: values, each computed from others.
-3. `emit.py` writes it as LLVM's text, for vectors of any width or for single lanes; `instructions.py` has the tables.
+3. `emit.py` writes it as LLVM's text, for vectors of any width or for single lanes; `instructions.py` has the tables, and
+   `prefetch.py` hints at the memory that will be needed.
 4. `machine.py` makes machine code of that, `run.py` calls it on tensors, `team.py` on several threads.
 
 It knows torch and LLVM, and nothing of rendering.

@@ -39,6 +39,7 @@ from torch_radbp.jit.instructions import (
     scalar_suffix,
 )
 from torch_radbp.jit.loops import SEARCH, TAKE_PARTS, few_lanes
+from torch_radbp.jit.prefetch import DECLARATION, prefetches
 
 
 class Emitter:
@@ -63,6 +64,9 @@ class Emitter:
         self.here = self.body
         for number, value in enumerate(value for value in self.program.outputs if value is not None):
             self.store(number, value)
+        if self.width > 1:
+            self.declared["llvm.prefetch"] = DECLARATION
+            self.body += prefetches(self.program, self.names, self.width)
         inputs = [alignment(value.dtype) if value.kind == LANES else 0 for value in self.program.inputs]
         outputs = [alignment(value.dtype) for value in self.program.outputs if value is not None]
         return "\n".join([
