@@ -1,4 +1,4 @@
-"""Two scenes that together have every plugin, so that one rendering differentiates all parameters at once."""
+"""Scenes that together have every plugin, so that one rendering differentiates all parameters at once."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed me
              "brushed glass beckmann", "plastic", "rough plastic ggx", "blend", "mask", "normal map")
 SHAPES = ("rectangle", "disk", "sphere", "cube", "mesh", "obj", "ply")
 LIGHTS = ("directional", "point", "projector", "spot")
+TEXTURES = ("spectra", "metal by spectra", "named constants", "raw constant", "checkerboard", "rough checkerboard")
 
 
 def objects(name: str) -> dict[str, Any]:
@@ -59,7 +60,20 @@ def shapes() -> dict[str, Any]:
             f"{SUBJECT}_surround": {"type": "constant", "radiance": rgb(0.3, 0.2, 0.4)}}
 
 
-EVERYTHING = {"materials": materials, "shapes": shapes}
+def textures() -> dict[str, Any]:
+    """Cubes with every spectrum and every pattern, and a mesh with attributes, in the light of a glowing body."""
+    found = {}
+    for number, name in enumerate(TEXTURES):
+        material = f"{SUBJECT}_{name.replace(' ', '_')}"
+        found[material] = objects(name)[SUBJECT]
+        found[f"box_{number}"] = turned(place(number), 20 + 7 * number, 30 - 5 * number, 10, size=0.4, type="cube",
+                                        bsdf={"type": "ref", "id": material})
+    found[f"{SUBJECT}_mesh"] = objects("attributes")[SUBJECT] | turned(place(len(TEXTURES)), 15, -20, 10, size=0.25)
+    return {f"{SUBJECT}_sensor": camera(16, 50), "floor": floor(), **found, f"{SUBJECT}_sky": sky(0.3),
+            f"{SUBJECT}_glow": objects("glowing body")[SUBJECT]}
+
+
+EVERYTHING = {"materials": materials, "shapes": shapes, "textures": textures}
 
 
 def build_everything(name: str, dtype: torch.dtype = torch.float64) -> rb.Scene:
