@@ -162,7 +162,8 @@ def unclipped(spectrum: Tensor, role: Role) -> Tensor:
         spectrum: (1000,) at `WAVELENGTHS`, float64; attached.
         role: of the spectrum.
     """
-    return spectrum @ torch.as_tensor(responses(role != "emitted"), device=spectrum.device)
+    # Not a matrix product: its rounding depends on the number of threads.
+    return (spectrum[:, None] * torch.as_tensor(responses(role != "emitted"), device=spectrum.device)).sum(0)
 
 
 def linear_srgb(spectrum: Tensor, role: Role) -> Tensor:
