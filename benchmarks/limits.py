@@ -26,8 +26,9 @@ import torch
 from benchmarks.peers import Ours
 from benchmarks.scenes import QUICK, SCENES
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit import run as lane_run
+from torch_radbp.jit.arguments import Arguments
 from torch_radbp.jit.graph import LANES, Program
+from torch_radbp.jit.run import Compiled
 
 NO_WORK = ("input", "constant", "gather")
 CHAINS, STEPS = 8, 64  # of the arithmetic that is measured: independent chains hide the latency of each operation
@@ -75,7 +76,7 @@ def best_seconds(function: LaneFunction, *arguments) -> float:
     times = []
     for _ in range(9):
         start = time.thread_time()
-        function.into(results, *arguments)
+        function.into(results, 0, *arguments)
         times.append(time.thread_time() - start)
     return min(times)
 
@@ -103,21 +104,21 @@ class Loops:
 def watched() -> Iterator[Loops]:
     """Watches all compiled functions while it is open."""
     loops, names = Loops(), {}
-    prepare, compute = LaneFunction.prepared, lane_run.compute
+    prepare, run = LaneFunction.prepared, Compiled.run
 
     def prepared(function: LaneFunction, *arguments):
         found = prepare(function, *arguments)
         names[id(found[0])] = function.name
         return found
 
-    def computing(compiled, given, outputs) -> None:
+    def running(compiled: Compiled, given: Arguments, outputs: list[int]) -> None:
         start = time.thread_time()
-        compute(compiled, given, outputs)
+        run(compiled, given, outputs)
         name = names[id(compiled)]
         loops.seconds[name] += time.thread_time() - start
         loops.work[name] = loops.work[name].plus(compiled.program, given.lanes)
 
-    with patch.object(LaneFunction, "prepared", prepared), patch.object(lane_run, "compute", computing):
+    with patch.object(LaneFunction, "prepared", prepared), patch.object(Compiled, "run", running):
         yield loops
 
 

@@ -116,6 +116,13 @@ def test_a_tensor_that_is_given_twice_is_read_once():
     assert [len(compiled.inputs) for compiled in function.compiled.values()] == [1, 2]
 
 
+def test_lanes_that_share_their_memory_are_told_apart():
+    function = LaneFunction(lambda a, b: a - 2 * b)
+    x, y = torch.rand(2, 40).unbind(0)
+    assert torch.equal(function(x, y), x - 2 * y) and torch.equal(function(x, x.view(40)), x - 2 * x)
+    assert len(function.compiled) == 1
+
+
 def test_parts_and_expanded_tensors_are_lanes_too():
     function = LaneFunction(lambda a, b: a - 2 * b)
     a, b = torch.rand(80)[::2], torch.rand(1).expand(40)

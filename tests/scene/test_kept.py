@@ -303,6 +303,52 @@ def test_what_cannot_be_compared_is_made_anew():
     assert_nothing_is_stale(renderer)
 
 
+def names_of(scene: rb.Scene) -> list[str]:
+    return [name for name, _ in scene.named_parameters()]
+
+
+def test_what_follows_from_attributes_is_made_again_only_when_one_is_another_object():
+    scene, kept = scene_of(), Kept()
+
+    def taken_over_after(change=lambda: None) -> bool:
+        nonlocal kept
+        before = kept.structure(names_of, scene)
+        kept = Kept(kept.close())
+        change()
+        return kept.structure(names_of, scene) is before
+
+    ball = scene.ball
+    assert taken_over_after() and taken_over_after(lambda: ball.to_world.data.mul_(0.9))
+    assert not taken_over_after(lambda: setattr(scene.camera, "far_clip", 3.0))
+    assert not taken_over_after(lambda: scene._modules.pop("ball"))
+    assert "ball.to_world" not in kept.structure(names_of, scene)
+    assert not taken_over_after(lambda: setattr(scene, "ball", ball)) and taken_over_after()
+    scene.hills.bsdf.reflectance = Striped()  # holds a list
+    assert not taken_over_after() and not taken_over_after()
+
+
+def test_twins_are_the_same_objects_until_something_in_them_changes():
+    scene, kept = scene_of(), Kept()
+    camera = scene.camera
+
+    def taken_over_after(change=lambda: None) -> bool:
+        nonlocal kept
+        before = kept.twin("camera", camera)
+        kept = Kept(kept.close())
+        change()
+        return kept.twin("camera", camera) is before
+
+    assert taken_over_after() and taken_over_after()
+    assert taken_over_after(lambda: setattr(camera, "x_fov", nn.Parameter(camera.x_fov.clone(), requires_grad=False)))
+    for change in (lambda: camera.x_fov.data.mul_(0.5), lambda: setattr(camera, "far_clip", 7.0),
+                   lambda: setattr(camera.film, "width", 99), lambda: setattr(camera.film.rfilter, "radius", 0.7),
+                   lambda: setattr(camera, "film", copy.deepcopy(scene_of().camera.film)), camera.x_fov.requires_grad_):
+        assert not taken_over_after(change)
+    assert not taken_over_after()  # it is differentiated
+    camera.x_fov.requires_grad_(False)
+    assert taken_over_after()
+
+
 def test_a_result_is_taken_over_only_for_arguments_that_stand_still():
     made = []
 

@@ -143,12 +143,17 @@ class Arguments:
             raise ValueError(f"{parameters[0].function} is compiled for the CPU, got a tensor on {elsewhere}")
 
     def sharing(self) -> tuple[tuple[int, int], ...]:
-        """The places of tensors that are the same as one before, each with the place of the first."""
-        firsts: dict[tuple, int] = {}
-        dtypes = [leaf.dtype for leaf in self.leaves]
-        found = [(place, firsts.setdefault(one, place) if one[1] else place)
-                 for place, one in enumerate(zip(self.pointers, self.sizes, self.kinds, dtypes))]
-        return tuple((place, first) for place, first in found if first != place)
+        """The places of tensors that are the same as one before, each with the place of the first.
+
+        Tables that share their memory are the same; whether lanes do may differ from call to call.
+        """
+        firsts: dict[object, int] = {}
+        found = []
+        for place, (leaf, kind, pointer, size) in enumerate(zip(self.leaves, self.kinds, self.pointers, self.sizes)):
+            first = firsts.setdefault((pointer, size, leaf.dtype) if kind == TABLE and size else id(leaf), place)
+            if first != place:
+                found.append((place, first))
+        return tuple(found)
 
     @property
     def firsts(self) -> list[int]:

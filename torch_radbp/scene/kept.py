@@ -13,23 +13,53 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+import operator
 import os
 from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torch_radbp.domain import Domain
 from torch_radbp.plugin import BSDF, Emitter, Plugin, Shape
 from torch_radbp.scene.differentiated import differentiated, primal
 
-PLAIN = (int, str, bool, type(None), type, torch.dtype, torch.device)  # values that are equal if and only if they compare so
+# Values that are equal if and only if they compare so.
+PLAIN = (int, str, bool, type(None), type, torch.dtype, torch.device, Domain)
+OFTEN = set(PLAIN)  # the same, quickly found
 PART = 16 << 20  # bytes that a thread compares at a time
 OF_EVERY_MODULE = set(vars(nn.Module()))  # attributes
+
+Attributes = tuple[tuple[list[str], list[Any]], ...]  # names and values of each dict of `dicts_of`
+
+
+class Result(NamedTuple):
+    """What a function gave."""
+
+    key: tuple  # the function and what stands for the arguments
+    arguments: tuple  # held, so that their ids are not given away
+    value: Any
+
+
+class Twin(NamedTuple):
+    """A copy of a module, and what it is a copy of."""
+
+    attributes: Attributes
+    tensors: tuple[tuple[Hashable, Tensor, Tensor], ...]  # the place, the original and the copy of each
+    children: tuple[tuple[Hashable, nn.Module, Any], ...]  # the same of the modules in it
+    made: Result
+
+
+class Structure(NamedTuple):
+    """What a function makes of the attributes of some modules."""
+
+    value: Any
+    modules: list[tuple[nn.Module, Attributes]]
 
 
 class Kept:
@@ -46,8 +76,15 @@ class Kept:
 
     def __init__(self, last: Kept | None = None):
         self.last_copies, self.last_results = ({}, {}) if last is None else (last.copies, last.results)
+        self.last_structures: dict[Callable, Structure] = {} if last is None else last.structures
+        self.structures: dict[Callable, Structure] = {}
+        self.last_twins: dict[Hashable, Twin] = {} if last is None else last.twins
         self.copies: dict[Hashable, Tensor] = {}
-        self.results: dict[tuple, tuple[tuple, Any]] = {}  # with the arguments, so that their ids are not given away
+        self.results: dict[tuple, Result] = {}
+        self.twins: dict[Hashable, Twin] = {}
+        # By id, with what stands for them in keys.
+        self.last_constants: dict[int, tuple[Any, tuple]] = {} if last is None else last.constants
+        self.constants: dict[int, tuple[Any, tuple]] = {}
         self.seen: dict[int, tuple[Tensor, Tensor]] = {}  # tensors of this rendering and their copies
         self.fixed: set[int] = set()  # ids of the objects handed out
 
@@ -56,7 +93,8 @@ class Kept:
 
     def close(self) -> Kept:
         """Lets go of what only the last rendering needed."""
-        self.last_copies, self.last_results, self.seen, self.fixed = {}, {}, {}, set()
+        self.last_copies, self.last_results, self.last_twins = {}, {}, {}
+        self.last_structures, self.last_constants, self.seen, self.fixed = {}, {}, {}, set()
         return self
 
     def __call__(self, make: Callable, *arguments):
@@ -66,17 +104,43 @@ class Kept:
             make: a function of a module, whose result depends on nothing but the arguments.
             arguments: plain values, tensors, modules, and tuples of these. Of others the result is made anew.
         """
+        result = self.result(make, arguments)
+        return make(*arguments) if result is None else result.value
+
+    def result(self, make: Callable, arguments: tuple) -> Result | None:
+        """What `make(*arguments)` gives now and gave before; None if arguments may change without notice."""
         tokens = self.tokens(arguments)
         if tokens is None:
-            return make(*arguments)
+            return None
         key = (make, *tokens)
-        entry = self.results.get(key) or self.last_results.get(key)
-        if entry is None:
+        result = self.results.get(key) or self.last_results.get(key)
+        if result is None:
             with torch.inference_mode(False), torch.no_grad():
-                entry = arguments, make(*arguments)
-        self.results[key] = entry
-        self.fix(entry[1])
-        return entry[1]
+                result = Result(key, arguments, make(*arguments))
+        self.take_over(result)
+        return result
+
+    def take_over(self, result: Result) -> None:
+        """Keeps a result for the next rendering."""
+        self.results[result.key] = result
+        self.fix(result.value)
+
+    def structure(self, make: Callable[[nn.Module], Any], root: nn.Module):
+        """`make(root)`, or what that gave before if `root` and the modules in it have the very attributes they had then.
+
+        Args:
+            make: a function of a module, whose result does not depend on what tensors contain.
+            root: any module.
+        """
+        known = self.last_structures.get(make)
+        if known is None or known.modules[0][0] is not root or not all(
+                has_attributes(module, attributes) for module, attributes in known.modules):
+            value, modules = make(root), list(root.modules())
+            if not all(stands_still(module) for module in modules if isinstance(module, Plugin)):
+                return value
+            known = Structure(value, [(module, attributes_of(module)) for module in modules])
+        self.structures[make] = known
+        return known.value
 
     def frozen(self, place: Hashable, tensor: Tensor) -> Tensor:
         """A detached copy of a tensor; the same object as last time if not a bit has changed.
@@ -110,18 +174,41 @@ class Kept:
         """
         if not isinstance(thing, nn.Module):
             return self(assembled, type(thing), self.parts(place, vars(thing).items()), (), (), ())
-        others = ((name, value) for name, value in vars(thing).items() if name not in OF_EVERY_MODULE)
-        parameters = ((name, getattr(thing, name)) for name in (*thing._parameters, *replaced(thing)))
-        return self(assembled, parametrize.type_before_parametrizations(thing), self.parts(place, others),
-                    self.parts(place, parameters), self.parts(place, thing._buffers.items()),
-                    self.parts(place, children_of(thing)))
+        last = self.last_twins.get(place)
+        if last is not None and self.still_holds(last, thing):
+            self.twins[place] = last
+            self.take_over(last.made)
+            return last.made.value
+        others = [(name, value) for name, value in vars(thing).items() if name not in OF_EVERY_MODULE and name != "shared"]
+        parameters = [(name, getattr(thing, name)) for name in (*thing._parameters, *replaced(thing))]
+        own = others, parameters, list(thing._buffers.items()), children_of(thing)
+        parts = tuple(self.parts(place, part) for part in own)
+        made = self.result(assembled, (parametrize.type_before_parametrizations(thing), *parts))
+        if made is None:
+            return assembled(parametrize.type_before_parametrizations(thing), *parts)
+        parts = [((place, name), value, found) for of_thing, of_twin in zip(own, parts)
+                 for (name, value), (_, found) in zip(of_thing, of_twin)]
+        tensors, children = (tuple(part for part in parts if isinstance(part[1], kind)) for kind in (Tensor, nn.Module))
+        followed = all(found is value or isinstance(value, (Tensor, nn.Module)) for _, value, found in parts)
+        if followed and not replaced(thing):
+            self.twins[place] = Twin(attributes_of(thing), tensors, children, made)
+        return made.value
+
+    def still_holds(self, twin: Twin, thing: nn.Module) -> bool:
+        """True if a twin of the last rendering is a twin of a module as it is now."""
+        return (type(thing) is twin.made.arguments[0] and has_attributes(thing, twin.attributes)
+                and all(not differentiated(tensor) and self.frozen(place, tensor) is copy
+                        for place, tensor, copy in twin.tensors)
+                and all(self.twin(place, child) is copy for place, child, copy in twin.children))
 
     def parts(self, place: Hashable, named: Iterable[tuple[str, Any]]) -> tuple[tuple[str, Any], ...]:
         """What the attributes of a twin are, from those of the original."""
-        return tuple((name, self.part((place, name), value)) for name, value in named if name != "shared")
+        return tuple((name, self.part((place, name), value)) for name, value in named)
 
     def part(self, place: Hashable, value):
         """What stands in a twin for an attribute."""
+        if type(value) in OFTEN:
+            return value
         if isinstance(value, Tensor):
             return value if differentiated(value) else self.frozen(place, value)
         if isinstance(value, nn.Module):
@@ -137,19 +224,34 @@ class Kept:
         if values is None:
             return None
         for value in values:
-            if isinstance(value, PLAIN):
-                token = type(value), value
+            kind = type(value)
+            if kind in OFTEN or isinstance(value, PLAIN):
+                token = (value,)
             elif id(value) in self.fixed:
                 token = id(value)
             elif isinstance(value, float):
-                token = float, value.hex()  # 0.0 == -0.0
+                token = value.hex()  # 0.0 == -0.0
+            elif frozen_dataclass(kind):
+                token = self.constant(value)
             else:
-                token = self.tokens(parts_of(value))
-                if token is None:
-                    return None
-                token = type(value), token
-            found.append(token)
+                token = self.tokens(value if isinstance(value, tuple) else None)
+            if token is None:
+                return None
+            found.append((kind, token))
         return tuple(found)
+
+    def constant(self, value) -> tuple | None:
+        """What stands for a frozen dataclass in a key; None if it may change without notice."""
+        known = self.constants.get(id(value)) or self.last_constants.get(id(value))
+        if known is None:
+            tokens = self.tokens(vars(value).values())
+            if tokens is None:
+                return None
+            known = value, tokens
+            if not is_constant(value):
+                return known[1]
+        self.constants[id(value)] = known
+        return known[1]
 
     def fix(self, result) -> None:
         """Notes that a result and its parts will not change."""
@@ -160,21 +262,49 @@ class Kept:
             self.fixed.add(id(result))
 
 
-def parts_of(value) -> Iterable | None:
-    """What makes up a value that is a tuple or a frozen dataclass; None for others."""
-    if isinstance(value, tuple):
-        return value
-    fixed = dataclasses.is_dataclass(value) and not isinstance(value, type) and value.__dataclass_params__.frozen
-    return vars(value).values() if fixed else None
+@cache
+def frozen_dataclass(kind: type) -> bool:
+    """True if the attributes of the instances of a class do not change."""
+    return dataclasses.is_dataclass(kind) and kind.__dataclass_params__.frozen
+
+
+def is_constant(value, beside: tuple[type, ...] = ()) -> bool:
+    """True if a value consists of plain values and numbers, or of instances of the classes `beside`."""
+    if isinstance(value, tuple) or frozen_dataclass(type(value)):
+        return all(is_constant(part, beside) for part in (value if isinstance(value, tuple) else vars(value).values()))
+    return isinstance(value, (*PLAIN, float, *beside))
+
+
+def dicts_of(module: nn.Module) -> tuple[dict[str, Any], ...]:
+    """The dicts in which a module has its attributes, parameters, buffers and modules."""
+    shared = module.shared if isinstance(module, Plugin) else {}
+    return vars(module), module._parameters, module._buffers, module._modules, shared
+
+
+def attributes_of(module: nn.Module) -> Attributes:
+    """The attributes of a module, as `has_attributes` compares them."""
+    return tuple((list(each), list(each.values())) for each in dicts_of(module))
+
+
+def has_attributes(module: nn.Module, attributes: Attributes) -> bool:
+    """True if the attributes of a module are these very objects."""
+    return all(list(now) == names and all(map(operator.is_, now.values(), values))
+               for now, (names, values) in zip(dicts_of(module), attributes))
+
+
+def stands_still(plugin: Plugin) -> bool:
+    """True if nothing but tensors and other modules can change while the attributes of a plugin are the same objects."""
+    return all(is_constant(value, beside=(Tensor, nn.Module)) for name, value in vars(plugin).items()
+               if name not in OF_EVERY_MODULE and name != "shared")
 
 
 def same_bits(a: Tensor, b: Tensor) -> bool:
     """True if two tensors have one shape, dtype and device, and the same bits: NaN equals itself, 0 does not equal -0."""
-    if (a.shape, a.dtype, a.device) != (b.shape, b.dtype, b.device):
+    if a.shape != b.shape or a.dtype != b.dtype or a.device != b.device:
         return False
-    a, b = (primal(each).contiguous() for each in (a, b))
-    if a.device.type != "cpu":
-        return torch.equal(a.view(-1).view(torch.uint8), b.view(-1).view(torch.uint8))
+    a, b = (each if each.is_contiguous() else primal(each).contiguous() for each in (a, b))
+    if not a.is_cpu:
+        return torch.equal(primal(a).view(-1).view(torch.uint8), primal(b).view(-1).view(torch.uint8))
     return same_memory(a.data_ptr(), b.data_ptr(), a.nbytes)
 
 
@@ -184,9 +314,9 @@ def same_memory(a: int, b: int, length: int) -> bool:
     The C library does so at the speed of memory. `torch.equal` takes half as long again, and on a busy machine many times
     as long, because its threads wait for each other.
     """
-    starts = range(0, length, PART)
-    if len(starts) < 2 or torch.get_num_threads() == 1:
+    if length <= PART or torch.get_num_threads() == 1:
         return not memory_difference()(a, b, length)
+    starts = range(0, length, PART)
 
     def difference(start: int) -> int:
         return memory_difference()(a + start, b + start, min(PART, length - start))

@@ -25,10 +25,16 @@ OUTSIDE = "; keep it inside, with .clamp_() after each step or with a parametris
 
 
 class Held(NamedTuple):
-    """The value of a parameter or of a table, as the renderer sees it, and all domains in which it must be."""
+    """A parameter or a table, as the renderer sees it, and all domains in which its values must be."""
 
-    value: Tensor
+    owner: nn.Module
+    attribute: str | None  # None: the values of a texture
     domains: list[Domain]
+
+    @property
+    def value(self) -> Tensor:
+        """The value as it is now."""
+        return self.owner.texels() if self.attribute is None else getattr(self.owner, self.attribute)
 
 
 def held_values(scene: Scene) -> dict[str, Held]:
@@ -37,6 +43,7 @@ def held_values(scene: Scene) -> dict[str, Held]:
     The result of a parametrisation has the name of the parameter that it replaces. The values of a texture must be in the
     domains of all attributes for which it is used; a texture that computes them is evaluated.
     """
+    note_uses(scene)
     names = {id(module): name for name, module in scene.named_modules() if isinstance(module, Plugin)}
     plugins = [(names[id(module)], module) for module in scene.modules() if isinstance(module, Plugin)]
     found: dict[str, Held] = {}
@@ -44,15 +51,17 @@ def held_values(scene: Scene) -> dict[str, Held]:
         for attribute, domain in plugin.domains().items():
             value = getattr(plugin, attribute, None)
             if isinstance(value, Tensor):
-                found[f"{prefix}.{attribute}"] = Held(value, [domain])
+                found[f"{prefix}.{attribute}"] = Held(plugin, attribute, [domain])
     for _, plugin in plugins:
         for attribute, domain in plugin.domains().items():
             texture = getattr(plugin, attribute, None)
             if isinstance(texture, Texture):
                 hold_values(found, names, texture, domain)
-    known = {id(held.value) for held in found.values()}
-    found.update({name: Held(value, [Domain()]) for name, value in scene.named_parameters()
-                  if id(value) not in known and value.numel()})
+    known = {id(getattr(held.owner, held.attribute)) for held in found.values() if held.attribute is not None}
+    for name, value in scene.named_parameters():
+        if id(value) not in known and value.numel():
+            path, _, attribute = name.rpartition(".")
+            found[name] = Held(scene.get_submodule(path), attribute, [Domain()])
     return found
 
 
@@ -71,7 +80,7 @@ def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture,
         return
     prefix = names[id(texture)]
     if texture.entries is None:
-        found.setdefault(prefix, Held(texture.texels(), [])).domains.append(domain)
+        found.setdefault(prefix, Held(texture, None, [])).domains.append(domain)
         return
     own = f"{prefix}.{texture.entries}"
     if own not in found:
@@ -105,16 +114,16 @@ def check_parameters(scene: Scene, kept: Kept) -> None:
         ValueError: naming the first that has a wrong shape, is not finite, is out of range, or is not a valid pose.
         TypeError: if dtypes or devices are mixed, or the dtype is not supported.
     """
-    note_uses(scene)
     with torch.no_grad():
-        found = held_values(scene)
-        check_types(scene, found)
+        found = kept.structure(held_values, scene)
+        values = {name: held.value for name, held in found.items()}
+        check_types(scene, found, values)
         for name, held in found.items():
             for domain in held.domains:
-                domain.check_shape(f"parameter {name!r}", held.value)
-        for name, (value, domains) in found.items():
-            value = primal(value) if differentiated(value) else kept.frozen(name, value)
-            kept(check_values, name, value, tuple(dict.fromkeys(domains)))
+                domain.check_shape(f"parameter {name!r}", values[name])
+        for name, held in found.items():
+            value = primal(values[name]) if differentiated(values[name]) else kept.frozen(name, values[name])
+            kept(check_values, name, value, tuple(dict.fromkeys(held.domains)))
 
 
 def check_values(name: str, value: Tensor, domains: tuple[Domain, ...]) -> None:
@@ -147,11 +156,11 @@ def registered() -> set[type[Plugin]]:
     return {plugin for plugins in REGISTRY.values() for plugin in plugins.values()}
 
 
-def check_types(scene: Scene, found: dict[str, Held]) -> None:
+def check_types(scene: Scene, found: dict[str, Held], values: dict[str, Tensor]) -> None:
     """Raises TypeError unless all parameters are float32, or all float64, on one device."""
     first, reference = next(iter(scene.named_parameters()))
-    for name, (value, domains) in found.items():
-        if any(domain.is_index for domain in domains):
+    for name, value in values.items():
+        if any(domain.is_index for domain in found[name].domains):
             continue
         if value.dtype not in DTYPES:
             raise TypeError(f"parameter {name!r} is {value.dtype}; a scene is rendered in torch.float32 or torch.float64: "
