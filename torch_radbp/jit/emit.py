@@ -126,13 +126,12 @@ class Emitter:
             return self.cast(names[0], working, dtype)
         if operation == "bitcast":
             return self.line(f"bitcast {types['T']} {names[0]} to {self.vector(SCALARS[dtype])}")
-        if operation in ("div", "rem") and working == torch.int32 and self.width > 1:
-            return self.division(operation, names)
         if operation == "not":
             return self.line(f"xor {types['T']} {names[0]}, {self.everywhere(SCALARS[working], literal(-1, working))}")
         if operation == "abs" and working in INTEGERS:
             return self.call(f"llvm.abs.{self.suffix(SUFFIXES[working])}", working, names, ", i1 false")
-        if operation in ("div", "rem") and working == torch.int32 and value.arguments[1].operation != "constant":
+        if operation in ("div", "rem") and working == torch.int32 and (
+                self.width > 1 or value.arguments[1].operation != "constant"):
             return self.divided(*names, remainder=operation == "rem")
         table = FLOATING if working not in INTEGERS else INTEGER | (BOOLEAN if working == torch.bool else {})
         if operation in table:
@@ -153,7 +152,8 @@ class Emitter:
     def divided(self, a: str, b: str, remainder: bool) -> str:
         """The quotient of int32, truncated, or the remainder: by way of float64, since vectors divide no integers; exact.
 
-        The quotient differs from the next integer by at least 1 / b, far more than float64 rounds off.
+        The quotient differs from the next integer by at least 1 / b, far more than float64 rounds off. Where the divisor is
+        zero the result is some integer.
         """
         whole, wide = self.vector("i32"), self.vector("double")
         left, right = (self.line(f"sitofp {whole} {name} to {wide}") for name in (a, b))
@@ -163,16 +163,6 @@ class Emitter:
             return quotient
         product = self.line(f"mul {whole} {quotient}, {b}")
         return self.line(f"sub {whole} {a}, {product}")
-
-    def division(self, operation: str, names: list[str]) -> str:
-        """The quotient of int32, truncated, or the remainder; some integer where the divisor is zero."""
-        integers, floats = self.vector("i32"), self.vector("double")
-        a, b = (self.line(f"sitofp {integers} {name} to {floats}") for name in names)
-        quotient = self.line(f"fdiv {floats} {a}, {b}")
-        whole = self.line(f"freeze {integers} " + self.line(f"fptosi {floats} {quotient} to {integers}"))
-        if operation == "div":
-            return whole
-        return self.line(f"sub {integers} {names[0]}, " + self.line(f"mul {integers} {whole}, {names[1]}"))
 
     def lane_by_lane(self, function: str, names: list[str]) -> str:
         """Calls of a function of the C library, one a lane."""
