@@ -10,25 +10,19 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor, nn
+from torch import nn
 
 from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories, shown, with_article
+from torch_radbp.io.colour_values import colour_value, is_colour
 from torch_radbp.io.spd import read_spectrum
 from torch_radbp.io.xml_scene import XMLObject, find_file
-from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, Texture, attributes, nearest, no_gradient
+from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, attributes, nearest, no_gradient
 from torch_radbp.scene.scene import Scene
-from torch_radbp.texture.observer import LINEAR_SRGB_OF_XYZ
-from torch_radbp.texture.spectrum import Samples
 
 MAX_DEPTH = 100  # of objects in objects, references followed
 MAX_OBJECTS = 100_000
 
 TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "sensor", "integrator")
-COLOURS = ("rgb", "spectrum")
-
-# A spectrum of constant power is not neutral in linear sRGB: Mitsuba 3.9 gives this colour to <spectrum value="1"/> of
-# an emitter in its RGB modes, and to no other use of a constant spectrum.
-EQUAL_ENERGY = tuple(map(sum, LINEAR_SRGB_OF_XYZ))
 
 
 def build_scene(description: dict[str, Any], base_dir: str | os.PathLike | None = None) -> Scene:
@@ -185,7 +179,7 @@ class _Builder:
         for key, value in node.items():
             if key in ("type", "id"):
                 continue
-            if _is_object(value) and not _is_colour(value):
+            if _is_object(value) and not is_colour(value):
                 name, nested = self.nested((*path, key), key, value, node, schema)
                 if is_list(schema[name].annotation):
                     arguments.setdefault(name, []).append(nested)
@@ -223,7 +217,7 @@ class _Builder:
         """The attribute `key` of the object `node` at `path`: a plain value or a colour, as its annotation wants it."""
         annotation = attributes(cls)[key].annotation
         try:
-            if _is_colour(value):
+            if is_colour(value):
                 value = self.colour(key, value, node, cls)
             converted = convert(key, value, annotation)
             is_file = Filename in options(annotation) and converted is not None
@@ -274,39 +268,3 @@ def _with_file(message: str, cls: type[Plugin], arguments: dict[str, Any]) -> st
 
 def _given_id(value: Any) -> str | None:
     return value.get("id") if isinstance(value, dict) else getattr(value, "id", None)
-
-
-def _is_colour(value: Any) -> bool:
-    return isinstance(value, dict) and value.get("type") in COLOURS
-
-
-def colour_value(name: str, node: dict[str, Any], of_emitter: bool) -> float | list[float] | Samples | nn.Parameter:
-    """The value of {"type": "rgb" or "spectrum", "value": ...}: three numbers of an rgb, of a spectrum what it has.
-
-    Raises:
-        ValueError: on other entries, and on wavelengths that do not increase.
-    """
-    is_spectrum = node["type"] == "spectrum"
-    if set(node) != {"type", "value"}:
-        files = ", or type and filename" if is_spectrum else ""
-        raise ValueError(f"{name}: a {node['type']} has the entries type and value{files}, got {', '.join(map(str, node))}")
-    pairs = _pairs(node["value"]) if is_spectrum else None
-    if pairs is not None:
-        return Samples(*map(tuple, pairs.T.tolist())).check()
-    value = convert(name, node["value"], Texture)
-    if isinstance(value, nn.Parameter) and is_spectrum and of_emitter:
-        raise no_gradient(name)
-    if isinstance(value, (list, nn.Parameter)):
-        return value
-    if not is_spectrum:
-        return [value] * 3
-    return [value * weight for weight in EQUAL_ENERGY] if of_emitter else value
-
-
-def _pairs(value: Any) -> Tensor | None:
-    """(N, 2) wavelengths and values; None if these are something else."""
-    try:
-        array = convert("value", value, Tensor)
-    except TypeError:
-        return None
-    return array if array.ndim == 2 and array.shape[1] == 2 else None
