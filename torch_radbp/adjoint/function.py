@@ -164,7 +164,7 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
     traced = [shares[index % len(shares)][index // len(shares)] for index in range(len(call.chunks))]
     for (sensor, pixels), chunks in groupby(zip(call.chunks, traced), lambda part: part[0][:2]):
         sums = sums_in_pairs(torch.stack([sums for _, (sums, _) in chunks], -1))
-        images[sensor][:, pixels.index(sums.device).long()] = sums / call.spp
+        images[sensor].index_copy_(1, pixels.index(sums.device).long(), sums / call.spp)
     records = [path_record for _, path_record in traced] if record else []
     # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
     images = torch.stack([image.reshape(3, view.height, view.width) for image in images])
