@@ -26,6 +26,7 @@ from torch_radbp.adjoint.memory import MemoryPlan, Workload, plan_memory, predic
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
+from torch_radbp.differentiated import any_differentiated, primal
 from torch_radbp.entry import entry
 from torch_radbp.path import Settings
 from torch_radbp.plugin import Sensor
@@ -33,7 +34,6 @@ from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.known import KnownCaster, Mesh
 from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.scene import Scene
-from torch_radbp.scene.differentiated import any_differentiated, primal
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.parameters import check_names

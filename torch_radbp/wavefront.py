@@ -14,6 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.differentiated import any_differentiated
 from torch_radbp.given import given_values
 from torch_radbp.jit.order import chosen, put
 from torch_radbp.path import Arrival, PathState, Place, Position, Settings, Vertex
@@ -23,7 +24,6 @@ from torch_radbp.record import joined, leaves_of
 from torch_radbp.sampling.sampler import depth_counter
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.camera_hit import camera_hit
-from torch_radbp.scene.differentiated import any_differentiated
 from torch_radbp.scene.part import part_of
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera

@@ -102,7 +102,7 @@ class _Differentiable:
         self.known: dict[tuple, bool] = {}
 
     def __call__(self, name: str) -> bool:
-        from torch_radbp.scene.differentiated import any_differentiated
+        from torch_radbp.differentiated import any_differentiated
         from torch_radbp.scene.pack import pack
 
         owner, _, attribute = name.rpartition(".")

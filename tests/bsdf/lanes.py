@@ -85,6 +85,16 @@ def sampled(kind: Kind, values: Values, wi: Vec3, random: Numbers) -> Sampled:
     return Sampled(choice, kind.sample(values, wi, choice, random.u, random.v))
 
 
+def choices(kind: Kind, values: Values, wi: Vec3, random: Numbers) -> list[Choice]:
+    """Each choice that there is on some lane, with its probability there, which may be zero; in order of the number."""
+    found, last = [], torch.zeros_like(random.choice)
+    while (open_ := last < 1 - 1e-9).any():
+        choice = kind.choose(values, wi, last + 1e-12, random.u, random.v)
+        found.append(choice._replace(probability=torch.where(open_, choice.probability, 0.0)))
+        last = last + found[-1].probability
+    return found
+
+
 # One material of every kind and option, none of them special.
 MATERIALS = {
     "diffuse": {"type": "diffuse", "reflectance": [0.2, 0.5, 0.9]},
@@ -113,9 +123,23 @@ for _name in ("beckmann", "ggx"):
     }
 MATERIALS["rough nonlinear plastic"] = {"type": "roughplastic", "alpha": 0.2, "int_ior": 1.9, "nonlinear": True,
                                         "diffuse_reflectance": [0.8, 0.5, 0.1]}
+_pink = {"type": "principled", "base_color": [0.8, 0.2, 0.4]}
+MATERIALS |= {
+    "principled": _pink | {"roughness": 0.45},
+    "principled metal": _pink | {"roughness": 0.4, "anisotropic": 0.6, "metallic": 0.7, "eta": 1.7},
+    "principled cloth": _pink | {"specular": 0.8, "spec_tint": 0.6, "sheen": 0.7, "sheen_tint": 0.4, "flatness": 0.6},
+    "principled lacquer": _pink | {"clearcoat": 0.8, "diffuse_reflectance_sampling_rate": 0.6,
+                                   "main_specular_sampling_rate": 1.5, "clearcoat_sampling_rate": 2.0},
+    "principled glass": _pink | {"roughness": 0.5, "spec_trans": 0.7, "eta": 1.4},
+    "principled bubble": _pink | {"roughness": 0.5, "spec_trans": 0.6, "metallic": 0.2, "eta": 0.7, "spec_tint": 0.4},
+    "principled with all": _pink | {
+        "roughness": 0.4, "anisotropic": 0.5, "metallic": 0.3, "spec_trans": 0.4, "specular": 0.7, "spec_tint": 0.3,
+        "sheen": 0.5, "sheen_tint": 0.6, "clearcoat": 0.7, "clearcoat_gloss": 0.2, "flatness": 0.4},
+}
 _plastic, _green = MATERIALS["plastic"], {"type": "diffuse", "reflectance": [0.2, 0.8, 0.3]}
 MATERIALS |= {
     "null": {"type": "null"},
+    "blend of principled": {"type": "blendbsdf", "weight": 0.4, "bsdf": [MATERIALS["principled glass"], _green]},
     "blend": {"type": "blendbsdf", "weight": 0.3, "bsdf": [_green, MATERIALS["metal ggx"]]},
     "blend of mixed": {"type": "blendbsdf", "weight": 0.6, "bsdf": [_plastic, MATERIALS["conductor"]]},
     "nested blend": {"type": "blendbsdf", "weight": 0.7, "bsdf": [

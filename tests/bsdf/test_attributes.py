@@ -15,6 +15,7 @@ from torch_radbp.bsdf.mask import Mask
 from torch_radbp.bsdf.normalmap import NormalMap
 from torch_radbp.bsdf.null import Null
 from torch_radbp.bsdf.plastic import Plastic
+from torch_radbp.bsdf.principled import Principled
 from torch_radbp.bsdf.roughconductor import RoughConductor
 from torch_radbp.bsdf.roughdielectric import RoughDielectric
 from torch_radbp.bsdf.roughplastic import RoughPlastic
@@ -42,6 +43,12 @@ BAD = {
     "bright base": (Plastic, {"diffuse_reflectance": 1.5}, r"diffuse_reflectance must be in \[0, 1\], got 1.5"),
     "shifted a bit": (Plastic, {"nonlinear": 1}, "nonlinear must be True or False, got 1"),
     "hidden normals of plastic": (RoughPlastic, {"sample_visible": False}, "sample_visible must be true"),
+    "index twice": (Principled, {"eta": 1.5, "specular": 0.5}, "either eta or specular.*got 1.5 and 0.5"),
+    "much metal": (Principled, {"metallic": 1.5}, r"metallic must be in \[0, 1\], got 1.5"),
+    "much specular": (Principled, {"specular": 1.5}, r"specular must be in \[0, 1\], got 1.5"),
+    "never sampled": (Principled, {"main_specular_sampling_rate": 0.0}, "specular_sampling_rate must be greater than 0"),
+    "sampled less than never": (Principled, {"clearcoat_sampling_rate": -1.0}, "clearcoat_sampling_rate must be at least 0"),
+    "both sides of principled glass": (TwoSided, {"brdf": [Principled(spec_trans=0.5)]}, "only reflect, got 'principled'"),
     "one in a blend": (BlendBSDF, {"weight": 0.5, "bsdf": [Plastic()]}, r"blendbsdf takes two BSDFs, got \['plastic'\]"),
     "three in a blend": (BlendBSDF, {"weight": 0.5, "bsdf": [Plastic()] * 3}, "blendbsdf takes two BSDFs, got"),
     "too much of a blend": (BlendBSDF, {"weight": 1.5, "bsdf": [Plastic()] * 2}, r"weight must be in \[0, 1\], got 1.5"),
@@ -78,6 +85,11 @@ def test_defaults_are_those_of_mitsuba():
     assert figures(RoughPlastic()) == {**coat, "alpha": 0.1}
     assert not Plastic().nonlinear and not RoughPlastic().nonlinear and RoughPlastic().distribution == "beckmann"
     assert RoughConductor().distribution == RoughDielectric().distribution == "beckmann"
+    shares = ("anisotropic", "metallic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "clearcoat", "clearcoat_gloss",
+              "flatness")
+    burley = {"base_color.value": 0.5, "roughness.value": 0.5, **{f"{name}.value": 0.0 for name in shares}}
+    assert figures(Principled()) == {**burley, "specular": 0.5}
+    assert figures(Principled(eta=1.3)) == {**burley, "eta": 1.3}
     assert figures(Mask(nested_bsdf=Conductor())) == {
         "opacity.value": 0.5, **{f"nested_bsdf.{name}": value for name, value in mirror.items()}}
     bumps = NormalMap(normalmap=1.0, nested_bsdf=Conductor())
@@ -100,6 +112,8 @@ def options(value):
     if not isinstance(value, dict):
         return None
     names = ("type", "distribution", "nonlinear", "flip_invalid_normals", "use_shadowing_function")
+    if value["type"] == "principled":
+        return tuple(sorted(value)), *(value[name] for name in value if name.endswith("_rate"))
     return ("alpha_u" in value, *(value.get(name) for name in names),
             *(options(value[name]) for name in sorted(value) if options(value[name]) is not None))
 
@@ -137,6 +151,31 @@ class _Texel(torch.nn.Module):
 
     def forward(self):
         return self.glass.textures()[0].texels()[0, 0, 0]
+
+
+def test_what_is_zero_is_absent_until_it_is_given_or_differentiated():
+    """A parameter of a principled material that does nothing costs nothing, but its derivative is right."""
+    bsdf = Principled(metallic=0.0, sheen_tint=0.5, clearcoat_gloss=0.5)
+    assert bsdf.kind().features == () and len(bsdf.textures()) == 3 and not bsdf.kind().transmits
+    assert bsdf.kind() == Principled(sheen=0.0).kind() != Principled(sheen=0.1).kind()
+    bsdf.sheen.value.data.fill_(0.2)
+    assert bsdf.kind().features == ("sheen", "sheen_tint")
+    bsdf.spec_trans.value.requires_grad_()
+    assert bsdf.kind().features == ("spec_trans", "sheen", "sheen_tint") and bsdf.kind().transmits
+    assert Principled(metallic=Bitmap(data=torch.zeros(2, 2))).kind().features == ("metallic",)
+    with torch.autograd.forward_ad.dual_level():
+        tangent = torch.autograd.forward_ad.make_dual(torch.zeros(()), torch.ones(()))
+        kind = torch.func.functional_call(_Kind(Principled()), {"bsdf.metallic.value": tangent}, ())
+        assert kind.features == ("metallic",)
+
+
+class _Kind(torch.nn.Module):
+    def __init__(self, bsdf):
+        super().__init__()
+        self.bsdf = bsdf
+
+    def forward(self):
+        return self.bsdf.kind()
 
 
 def test_textures_may_stand_for_every_number_but_the_index():

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import pytest
 import torch
 
-from tests.bsdf.lanes import KINDS, MATERIALS, ROUGH, material, numbers, values_of
+from tests.bsdf.lanes import KINDS, MATERIALS, ROUGH, choices, material, numbers, values_of
 from torch_radbp.bsdf.kind import Choice, Kind, Values
 from torch_radbp.vec import Vec3, where
 
@@ -38,13 +38,16 @@ def slots(name: str, what: str) -> list[int]:
     own = [getattr(texture, "place", (bsdf, ""))[1] for texture in bsdf.textures()]
     if what == "eta":
         return [k for k, texture in enumerate(bsdf.textures()) if own[k] == "eta" or texture is getattr(bsdf, "eta", None)]
-    return [k for k, attribute in enumerate(own) if attribute.startswith(what)]
+    return [k for k, attribute in enumerate(own) if attribute == what or (what == "alpha" and "alpha_" in attribute)]
 
 
-WHAT = ("alpha", "eta", "weight", "opacity", "wi")
-# Three lobes are more than `lobes` tells apart; and without shadowing the BSDF jumps where attached directions slide.
-CASES = [(name, what) for name in ROUGH if name not in ("blend of mixed", "nested blend", "two faces", "brushed bumps")
-         for what in WHAT if what == "wi" or slots(name, what)]
+WHAT = ("alpha", "eta", "weight", "opacity", "roughness", "anisotropic", "metallic", "spec_trans", "specular", "spec_tint",
+        "sheen", "sheen_tint", "clearcoat", "clearcoat_gloss", "flatness", "wi")
+IN_FRONT = ("spec_tint", "sheen", "sheen_tint", "clearcoat", "clearcoat_gloss", "flatness")
+# Without shadowing the BSDF jumps where attached directions slide.
+CASES = [(name, what) for name in ROUGH if name != "brushed bumps"
+         for what in WHAT if what == "wi" or slots(name, what)
+         if name != "principled with all" or what in ("roughness", "clearcoat_gloss", "wi")]  # others have the rest
 
 
 class Setting(NamedTuple):
@@ -66,16 +69,6 @@ def setting(name: str, what: str, theta: torch.Tensor, z: float) -> Setting:
                                              torch.cos(polar)))
 
 
-def lobes(at: Setting, random) -> list[Choice]:
-    """Each choice that there is, with its probability."""
-    first, last = (at.kind.choose(at.values, at.wi, torch.full_like(random.u, number), random.u, random.v)
-                   for number in (0.0, 1.0 - 2.0**-24))
-    if not at.kind.discrete:
-        return [first]
-    other = last.lobe != first.lobe  # else there is but one choice
-    return [first, last._replace(probability=torch.where(other, last.probability, 0.0))]
-
-
 class Estimate(NamedTuple):
     """BSDF times cosine over density, of the smooth lobes together or of the delta lobe that was chosen."""
 
@@ -88,6 +81,10 @@ def estimate(at: Setting, choice: Choice, wo: Vec3, fixed_lobes: bool = False) -
     """The terms of F at a sampled direction; of a delta lobe both are weights, whose density moves with the direction."""
     value, pdf = at.kind.eval_pdf(at.values, at.wi, wo, fixed_lobes)
     value = value.y
+    chance = at.kind.chance_by_direction(tuple(v.detach() for v in at.values), at.wi, wo, choice) if fixed_lobes else None
+    if chance is not None:
+        chance = chance.clamp_min(1e-15)
+        pdf = pdf * chance.detach() / chance
     if at.kind.delta:
         ideal = choice.is_delta(at.kind)
         value = torch.where(ideal, at.kind.specular(at.values, at.wi, choice).y, value)
@@ -100,7 +97,7 @@ def integral(name: str, what: str, theta: float, z: float, random) -> float:
     """I(theta), from samples of the material at theta."""
     at = setting(name, what, torch.full_like(random.u, theta), z)
     total = 0.0
-    for choice in lobes(at, random):
+    for choice in choices(at.kind, at.values, at.wi, random):
         wo = at.kind.sample(at.values, at.wi, choice, random.u, random.v)
         value, density, alive = estimate(at, choice, wo)
         total += (value * light(wo) / density * alive * choice.probability).mean().item()
@@ -110,14 +107,14 @@ def integral(name: str, what: str, theta: float, z: float, random) -> float:
 @pytest.mark.parametrize("z", [0.8, -0.85])
 @pytest.mark.parametrize("name, what", CASES)
 def test_both_orders_agree_with_differences(name, what, z):
-    if z < 0 and (name == "mask" or not KINDS[name].transmits):
+    if z < 0 and (name == "mask" or not KINDS[name].transmits or what in IN_FRONT):
         pytest.skip("black from behind")
     random = numbers(COUNT)
     expected = (integral(name, what, STEP, z, random) - integral(name, what, -STEP, z, random)) / (2 * STEP)
     theta = torch.zeros(COUNT, dtype=torch.float64, requires_grad=True)
     at = setting(name, what, theta, z)
     slopes = torch.zeros(2, COUNT, dtype=torch.float64)
-    for choice in lobes(at, random):
+    for choice in choices(at.kind, at.values, at.wi, random):
         moving = at.kind.sample(at.values, at.wi, choice, random.u, random.v)
         # The directions of delta lobes are always followed.
         still = where(choice.is_delta(at.kind), moving, moving.detach())
@@ -128,7 +125,7 @@ def test_both_orders_agree_with_differences(name, what, z):
                 reference = estimated.detach()
             torch.testing.assert_close(estimated.detach(), reference, rtol=1e-4, atol=1e-9)  # one value, two derivatives
             slopes[row] += torch.autograd.grad((estimated * choice.probability).sum(), theta, retain_graph=True)[0]
-    assert abs(expected) > 1e-3
+    assert abs(expected) > 1e-4  # rounding of the difference is 1e-11
     mean, error = slopes.mean(1), slopes.std(1) / math.sqrt(COUNT)
     # On the numbers of the differences, whose lobes the attached samples follow: equal up to kinks, at horizons
     # (and at the critical angle, where the difference quotient has noise of its own).

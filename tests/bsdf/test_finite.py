@@ -11,6 +11,8 @@ from torch_radbp.bsdf.conductor import ConductorKind
 from torch_radbp.bsdf.dielectric import DielectricKind
 from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.bsdf.plastic import PlasticKind
+from torch_radbp.bsdf.principled import FEATURES
+from torch_radbp.bsdf.principled_lobes import PrincipledKind
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.bsdf.roughdielectric import RoughDielectricKind
 from torch_radbp.bsdf.roughplastic import RoughPlasticKind, coat_of
@@ -21,6 +23,7 @@ ALPHA = (0.0, 1e-4, 1e-3, 0.1, 1.0)
 ETA = (0.3, 0.66, 1 - 1e-7, 1.0, 1 + 1e-7, 1.5, 3.0)
 INDEX = ((0.0, 1.0), (1.0, 0.0), (0.0, 0.0), (0.5, 0.0), (1.5, 0.0), (0.14, 4.0), (1e-6, 1e-6), (9.0, 9.0))
 COLOUR = (0.0, 1.0)
+SPECULAR = (0.0, 0.5, 1.0)
 COSINE = (1.0, 1 - 1e-7, 0.75**0.5, 0.5, 1e-3, 1e-7, 0.0, -1e-7, -1e-3, -0.5, -1.0)
 NUMBER = (0.0, 2.0**-24, 0.3, 0.75, 1 - 2.0**-24)
 ACROSS = (math.cos(0.9), math.sin(0.9))  # azimuth of wi
@@ -33,6 +36,9 @@ KINDS = {
     **{f"{'nonlinear ' * n}plastic": PlasticKind(nonlinear=n) for n in (False, True)},
     **{f"{'nonlinear ' * n}rough plastic {d}": RoughPlasticKind(d, nonlinear=n) for d in ("beckmann", "ggx")
        for n in (False, True)},
+    "principled": PrincipledKind(FEATURES, True, (1.0, 1.0, 1.0)),
+    "principled glass": PrincipledKind(("metallic", "spec_trans"), False, (1.0, 1.0, 1.0)),
+    "principled plastic": PrincipledKind((), True, (1.0, 1.0, 1.0)),
 }
 
 
@@ -43,6 +49,11 @@ def grid(kind, dtype):
         optics = [[(c,) for c in COLOUR]]
     elif isinstance(kind, (ConductorKind, RoughConductorKind)):
         optics = [[(eta, k, c) for (eta, k), c in itertools.product(INDEX, COLOUR)]]
+    elif isinstance(kind, PrincipledKind):
+        count = len(kind.features)
+        shares = [(0,) * count, (1,) * count, *(tuple(int(k != other) for k in range(count)) for other in range(count))]
+        optics = [[(c, rough, index, *share) for c, rough, index, share in itertools.product(
+            COLOUR, COLOUR, SPECULAR if kind.by_specular else ETA, shares)]]
     elif isinstance(kind, (PlasticKind, RoughPlasticKind)):
         optics = [list(itertools.product(ETA, COLOUR, COLOUR))]
     else:

@@ -13,6 +13,7 @@ from tests.bsdf.lanes import (
     MIXED,
     ROUGH,
     SMOOTH,
+    choices,
     direction,
     directions,
     material,
@@ -136,9 +137,16 @@ def test_a_choice_is_made_with_its_probability(name):
     if choice.parts:
         return  # of kinds that hold others see below
     if kind.discrete:
-        assert 0.05 < choice.lobe.mean() < 0.95
-        share = torch.where(choice.lobe > 0, 1 - choice.probability, choice.probability)
-        assert abs((random.choice < share).double() + choice.lobe - 1).max() == 0
+        found = choices(kind, values_of(bsdf, wi.z), wi, random)
+        assert len(found) > 1
+        last = torch.zeros_like(wi.z)
+        for each in found:
+            picked = (last <= random.choice) & (random.choice < last + each.probability)
+            assert torch.equal(choice.lobe[picked], each.lobe[picked])
+            assert torch.equal(choice.probability[picked], each.probability[picked])
+            assert 0.001 < picked.double().mean() < 0.95
+            last = last + each.probability
+        torch.testing.assert_close(last, torch.ones_like(last), rtol=0, atol=1e-9)
     else:
         assert (choice.probability == 1).all() and (choice.lobe == 0).all()
 

@@ -131,6 +131,15 @@ def materials() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
     found["plastic black"] = of({"type": "plastic"}, diffuse_reflectance__value=0.0, specular_reflectance__value=0.0)
     found["roughplastic black"] = of({"type": "roughplastic"}, diffuse_reflectance__value=0.0,
                                      specular_reflectance__value=0.0)
+    shares = ("anisotropic", "metallic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "clearcoat", "clearcoat_gloss",
+              "flatness")
+    for colour, roughness, specular, share in ((0.0, 0.0, 0.0, 0.0), (1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0),
+                                               (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 1.0, 0.5)):
+        found[f"principled {colour} {roughness} {specular} {share}"] = of(
+            {"type": "principled"}, base_color__value=colour, roughness__value=roughness, specular=specular,
+            **{f"{name}__value": share for name in shares})
+    for share in (0.0, 1.0):
+        found[f"principled glass {share}"] = of({"type": "principled", "eta": 1.5}, eta=1.0, spec_trans__value=share)
     for weight in (0.0, 1.0):
         found[f"blendbsdf {weight}"] = of({"type": "blendbsdf", "weight": 0.5, "metal": {"type": "conductor"},
                                            "plastic": {"type": "plastic"}}, weight__value=weight)

@@ -196,6 +196,7 @@ def rough_sheet(distribution: str = "beckmann", z: float = -4.0) -> dict[str, An
 
 MIRROR_WORLD = {"behind": bright_plane(9, (0.3, 0.2, 4.5), (1, 0.2, 0), 168)}
 METAL = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.3, "material": "Au"}
+LACQUER = {"type": "principled", "base_color": rgb(0.8, 0.4, 0.3), "roughness": 0.5, "metallic": 0.4, "clearcoat": 0.6}
 POINT, SKY = {"lamp": point()}, {"sky": {"type": "constant", "radiance": rgb(0.9, 1.1, 1.4)}}
 MESH_TEXTURE = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": smooth_noise(1)}}
 FLOOR = {"plane": plane(bsdf=textured())}
@@ -286,6 +287,12 @@ SCENES = {
                                  "front.vertex_normals", wave(size=0.3), 0.06, 4),
     "lens, index": MovingScene(scene(**window({"type": "dielectric", "int_ior": 1.5}, wavy, wavy)), "glass.eta",
                                constant(1), 0.06, 4),
+    # Burley's material.
+    **{f"principled, {name}": MovingScene(scene(plane=plane(bsdf=LACQUER), **POINT), f"plane.bsdf.{name}.value",
+                                          constant(1), 0.01) for name in ("roughness", "metallic", "clearcoat")},
+    "principled glass, spec_trans": MovingScene(
+        scene(sheet=plane((0, 0, 0.3), bsdf=LACQUER | {"spec_trans": 0.6}), behind=bright_plane(9, (0, 0, -4.0), angle=20)),
+        "sheet.bsdf.spec_trans.value", constant(1), 0.38),
     # The camera.
     "camera shifted": MovingScene(scene(**FLOOR, **POINT), "sensor.to_world", rigid(SHIFT), 0.005),
     "camera turned": MovingScene(scene(**FLOOR, **POINT), "sensor.to_world", rigid(TURN, (0.5, -0.4, 2.6)), 0.005),

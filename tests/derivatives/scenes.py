@@ -172,6 +172,8 @@ ROUGH_METAL = {"eta": 0.9, "k": 2.4, "specular_reflectance": 0.8}
 TINTED = {"int_ior": 1.5, "specular_reflectance": rgb(0.9, 0.5, 0.7), "specular_transmittance": rgb(0.4, 0.9, 0.6)}
 ROUGH_GLASS = {"int_ior": 1.5, "specular_reflectance": 0.7, "specular_transmittance": 0.8}
 PLASTIC = {"int_ior": 1.6, "diffuse_reflectance": rgb(0.3, 0.5, 0.7), "specular_reflectance": rgb(0.9, 0.5, 0.7)}
+PRINCIPLED = {"type": "principled", "base_color": rgb(0.3, 0.6, 0.4), "roughness": 0.5, "anisotropic": 0.4, "metallic": 0.3,
+              "spec_tint": 0.3, "sheen": 0.5, "sheen_tint": 0.4, "clearcoat": 0.6, "clearcoat_gloss": 0.2, "flatness": 0.3}
 BRUSHED = {"alpha_u": 0.25, "alpha_v": 0.5}
 ATTRIBUTE = {"type": "mesh_attribute", "name": "vertex_color", "scale": 0.9}
 REGULAR = {"type": "regular", "wavelength_min": 390.0, "wavelength_max": 720.0, "values": [0.2, 0.5, 0.4, 0.7]}
@@ -216,6 +218,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "nonlinear plastic": metal(type="plastic", nonlinear=True, **PLASTIC),
     "rough plastic beckmann": metal(type="roughplastic", distribution="beckmann", alpha=0.3, **PLASTIC),
     "rough plastic ggx": metal(type="roughplastic", distribution="ggx", alpha=0.3, nonlinear=True, **PLASTIC),
+    "principled": metal(**PRINCIPLED, specular=0.6),
+    "principled glass": glass(**PRINCIPLED, eta=1.5, spec_trans=0.6),
     "blend": glass(type="blendbsdf", weight=bitmap(), bsdf_0={"type": "roughconductor", "alpha": 0.3, **ROUGH_METAL},
                    bsdf_1={"type": "plastic", **PLASTIC}),
     "blend of deltas": glass(type="blendbsdf", weight=0.4, bsdf_0={"type": "dielectric", **TINTED},

@@ -7,7 +7,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .layered_scenes import blends, masks, normal_maps, plastics, rough_plastics
-from .material_scenes import brushed, brushed_turned, coloured_roughness, glass, mirrors, polished, rough_glass, rough_metals
+from .material_scenes import (
+    brushed,
+    brushed_turned,
+    coloured_roughness,
+    glass,
+    mirrors,
+    polished,
+    principled,
+    rough_glass,
+    rough_metals,
+)
 from .scene_files import Case, Folder, bitmap, diffuse, picture, scene_xml, shape, size
 from .scenes import (
     SKY,
@@ -120,6 +130,7 @@ CASES = {
     "blends": Case(blends),
     "masks": Case(masks),
     "normal_maps": Case(normal_maps),
+    "principled": Case(principled),
     **{f"camera_{name}": Case(poster(name), peer_spp=256, peer_batches=32, thin=1 if camera.rfilter == BOX else 5)
        for name, camera in CAMERAS.items()},
 }

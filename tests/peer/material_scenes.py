@@ -158,3 +158,18 @@ def polished(folder: Folder) -> Path:
         wall=bsdf("roughconductor", names(material="Al"), floats(alpha=0.4)), left=sides, right=sides,
         cube=bsdf("roughdielectric", floats(alpha=0.4, int_ior=1.8)),
         ball=bsdf("roughconductor", names(material="Cu", distribution="ggx"), floats(alpha=0.25)))
+
+
+def principled(folder: Folder) -> Path:
+    """Burley's material: a metal by images, cloth from two sides, rough glass, lacquer."""
+    folder.pixels("colour.exr", 0.1 + 0.8 * picture(6, 8, seed=57))
+    folder.pixels("metal.exr", picture(5, 6, seed=58)[:, :, :1].repeat(3, axis=2))
+    cloth = bsdf("twosided", bsdf("principled", colours(base_color="0.7, 0.3, 0.4"), floats(
+        sheen=1, sheen_tint=0.5, flatness=0.6, specular=0.3, spec_tint=0.5)))
+    return gallery(
+        folder, 4, soft_sky(folder) + LAMP, left=cloth, right=cloth,
+        wall=bsdf("principled", bitmap("base_color", "colour.exr"), bitmap("metallic", "metal.exr"),
+                  floats(roughness=0.4, anisotropic=0.6)),
+        cube=bsdf("principled", colours(base_color="0.6, 0.9, 0.8"), floats(spec_trans=0.9, roughness=0.5, eta=1.4)),
+        ball=bsdf("principled", colours(base_color="0.3, 0.4, 0.8"), floats(
+            clearcoat=1, clearcoat_gloss=0.1, roughness=0.6, metallic=0.2)))

@@ -221,6 +221,7 @@ WHITE = {"type": "diffuse", "reflectance": 0.8}
 OTHERS = {"blendbsdf": {"first": WHITE, "second": {"type": "roughconductor", "material": "Au", "alpha": 0.3}},
           "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE}}
 PARTNERS = {"alpha_u": {"alpha_v": 0.3}, "alpha_v": {"alpha_u": 0.3},
+            "sheen_tint": {"sheen": 0.8}, "clearcoat_gloss": {"clearcoat": 1.0},
             "k": {"eta": 0.2}}  # by itself, with an index of 0, it turns the phase and reflects all
 SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name, attribute in attributes(cls).items()
          if Texture in options(attribute.annotation)]

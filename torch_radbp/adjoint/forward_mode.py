@@ -25,8 +25,8 @@ from torch.autograd import forward_ad
 
 from torch_radbp.adjoint.function import RenderCall, render_images
 from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.differentiated import tangent_of
 from torch_radbp.record import leaves_of
-from torch_radbp.scene.differentiated import tangent_of
 
 
 def has_tangents(record) -> bool:

@@ -24,13 +24,13 @@ from torch_radbp.adjoint.finite import (
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
+from torch_radbp.differentiated import any_differentiated, differentiated
 from torch_radbp.entry import entry
 from torch_radbp.path import PathState, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
-from torch_radbp.scene.differentiated import any_differentiated, differentiated
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3

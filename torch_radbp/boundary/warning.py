@@ -19,11 +19,11 @@ from torch import Tensor
 from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.boundary.shadow import shadows_in_view
 from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
+from torch_radbp.differentiated import tangent_of
 from torch_radbp.plugin import Plugin, Sensor, Shape, Texture
 from torch_radbp.raycast.known import same
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
-from torch_radbp.scene.differentiated import tangent_of
 from torch_radbp.scene.material import followed, turning_values
 from torch_radbp.scene.pack import one_sided
 

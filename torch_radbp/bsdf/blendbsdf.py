@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values, chance_of_lobe, on_horizon_unless
+from torch_radbp.bsdf.kind import Choice, Kind, Values, chance_of_lobe, either, on_horizon_unless
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.domain import FRACTION, Domain
 from torch_radbp.plugin import BSDF, Texture, register
@@ -94,6 +94,11 @@ class BlendKind(Kind):
         first, second = (own_sample(kind, part, wi, own, u, v)
                          for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
         return where(choice.lobe > 0, second, first)
+
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor | None:
+        first, second = (kind.chance_by_direction(part, wi, wo, own)
+                         for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
+        return either(choice.lobe > 0, second, first)
 
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
         weight, none = values[0].x, Vec3.full(wi.z, 0.0)

@@ -16,6 +16,9 @@ F = f |cos| / density,
                                                 of the lobes' probabilities
     F = specular / choice.probability           of a delta lobe, in either mode
 
+Where a probability depends on the direction (as by the reflectance of a microfacet), an attached F is also multiplied by
+`chance_by_direction` over its own value: the chance to get there moves with the direction, in the sum over lobes, too.
+
 Every function is smooth where the physics is, and values and derivatives are finite everywhere: at grazing angles, at total
 internal reflection, at a roughness of zero, between equal indices of refraction.
 """
@@ -86,7 +89,8 @@ class Kind(ABC):
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         """BSDF times |cos(wo)|, for radiance, and the density of `sample` over solid angle; of the smooth lobes together.
 
-        Both attached; with `fixed_lobes` the density carries no derivative of the probabilities of lobes.
+        Both attached; with `fixed_lobes` the density carries no derivative of the probabilities of lobes, but by directions
+        if there is a `chance_by_direction`.
         """
 
     def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
@@ -107,6 +111,14 @@ class Kind(ABC):
         `choice` may be None where the kind is not `discrete`.
         """
         return Choice(torch.zeros_like(wi.z), torch.ones_like(wi.z))
+
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor | None:
+        """The probability of the chosen lobe as a function of the directions, to which it is attached; up to a factor.
+
+        None if it does not vary with wo, or where that makes no difference because the lobe overlaps with no other. `values`
+        are detached.
+        """
+        return None
 
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
         """Weight of the chosen delta lobe, not divided by the choice's probability; attached. Else finite, and not used."""
@@ -138,6 +150,18 @@ def on_horizon_unless(usable: Tensor, w: Vec3) -> Vec3:
 def chance_of_lobe(chance: Tensor, fixed_lobes: bool) -> Tensor:
     """The probability of a lobe as part of a density: with its derivative, or without if lobes are fixed."""
     return chance.detach() if fixed_lobes else chance
+
+
+def values_for_choice(values: Values) -> Values:
+    """The values by which lobes are chosen: detached, as every choice."""
+    return tuple(value.detach() for value in values)
+
+
+def either(condition: Tensor, first: Tensor | None, second: Tensor | None) -> Tensor | None:
+    """The first chance where the condition holds, else the second; None stands for one that is 1, and both for None."""
+    if first is None and second is None:
+        return None
+    return torch.where(condition, 1.0 if first is None else first, 1.0 if second is None else second)
 
 
 def above(w: Vec3) -> Vec3:

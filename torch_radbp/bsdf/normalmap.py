@@ -112,6 +112,10 @@ class NormalMapKind(Kind):
         wo = frame.to_world(turned)
         return on_horizon_unless(wo.z * turned.z > 0, wo)
 
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor | None:
+        frame = self.frame(values, wi)
+        return self.nested.chance_by_direction(values[1:], frame.to_local(wi), frame.to_local(wo), choice)
+
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
         frame = self.frame(values, wi)
         local, number = frame.to_local(wi), torch.full_like(wi.z, 0.5)  # directions of delta lobes depend on no number

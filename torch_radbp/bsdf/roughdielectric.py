@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Values, above, chance_of_lobe, on_horizon_unless, side_of
+from torch_radbp.bsdf.kind import Choice, Values, above, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import ROUGHNESS, MicrofacetKind, half_vector, make_rough
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import Texture, register
@@ -77,13 +77,22 @@ class RoughDielectricKind(MicrofacetKind):
 
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         g, facets = self.microgeometry(values, wi, wo), self.facets(values)
+        whole_wi, whole_wo = wi, wo
         wi, wo, density = above(wi), above(wo), g.density * g.possible
         # Densities of the half vector over that of the direction, of reflection and of refraction.
         reflected, transmitted = 0.25 * (1.0 - g.transmits), (g.cos_i * g.cos_o / g.squared) * g.transmits
         scattered = values[-2] * (g.reflectance * reflected) + values[-1] * ((1.0 - g.reflectance) * transmitted)
-        chance = chance_of_lobe(g.reflectance, fixed_lobes)
+        chance = self.reflectance_by_direction(values, whole_wi, whole_wo) if fixed_lobes else g.reflectance
         return (scattered * (density * facets.masking(wi) * facets.masking(wo) * wo.z),
                 (chance * reflected + (1.0 - chance) * transmitted * g.eta * g.eta) * (density / facets.projected_area(wi)))
+
+    def reflectance_by_direction(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
+        """The reflectance of the microfacet between two directions, attached to these alone."""
+        return self.microgeometry(values_for_choice(values), wi, wo).reflectance
+
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor:
+        reflectance = self.reflectance_by_direction(values, wi, wo)
+        return blend(choice, reflectance, 1.0 - reflectance)
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
         values, wi = tuple(value.detach() for value in values), wi.detach()

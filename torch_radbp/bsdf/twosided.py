@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values, side_of
+from torch_radbp.bsdf.kind import Choice, Kind, Values, either, side_of
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.vec import Vec3, where
 
@@ -89,6 +89,12 @@ class TwoSidedKind(Kind):
         found = [kind.sample(own, mirrored(wi, side), part, u, v)
                  for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]
         return mirrored(where(side > 0, found[0], found[-1]), side)
+
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor | None:
+        side = side_of(wi)
+        found = [kind.chance_by_direction(own, mirrored(wi, side), mirrored(wo, side), part)
+                 for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]
+        return either(side > 0, found[0], found[-1])
 
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
         side, none = side_of(wi), Vec3.full(wi.z, 0.0)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.differentiated import differentiated
 from torch_radbp.plugin import Shape
-from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.tensors import TriangleTable, VertexTable

@@ -25,9 +25,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torch_radbp.differentiated import differentiated, primal
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import BSDF, Emitter, Plugin, Shape
-from torch_radbp.scene.differentiated import differentiated, primal
 
 # Values that are equal if and only if they compare so.
 PLAIN = (int, str, bool, type(None), type, torch.dtype, torch.device, Domain)

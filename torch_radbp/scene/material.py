@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values
+from torch_radbp.bsdf.kind import Choice, Kind, Values, values_for_choice
 from torch_radbp.lookup import lookup
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
@@ -93,6 +93,7 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
     density = pdf.detach()
     if sampling == "attached":
         density = kind.eval_pdf(values, wi, wo, fixed_lobes=True)[1] if kind.discrete else pdf
+        density = density * relative_chance(material, wi, wo, lobe)
     else:
         pdf = density
     glossy = BSDFSample(wo, value * density.clamp_min(LEAST_DENSITY).reciprocal(), pdf)
@@ -100,6 +101,15 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
         return glossy
     mirror = specular(material, wi, wo, lobe)
     return BSDFSample(wo, where(lobe.delta, mirror.weight, glossy.weight), torch.where(lobe.delta, mirror.pdf, glossy.pdf))
+
+
+def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: Choice) -> Tensor | float:
+    """One, with the derivative of 1 / `Kind.chance_by_direction` relative to its value."""
+    chance = material.kind.chance_by_direction(values_for_choice(material.values), wi, wo, lobe)
+    if chance is None:
+        return 1.0
+    chance = chance.clamp_min(LEAST_DENSITY)
+    return chance.detach() / chance
 
 
 def specular(material: Material, wi: Vec3, wo: Vec3, lobe: Choice) -> BSDFSample:

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.twosided import TwoSided
+from torch_radbp.differentiated import differentiated
 from torch_radbp.emitter.kind import Light
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.attributes import any_differentiated, check_attributes
-from torch_radbp.scene.differentiated import differentiated
 from torch_radbp.scene.geometry import Columns, placed_shape, triangle_table
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.light_table import Emission, kinds_of, light_table

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torch_radbp.differentiated import differentiated, primal
 from torch_radbp.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
-from torch_radbp.scene.differentiated import differentiated, primal
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.scene import Scene
 from torch_radbp.texture.bitmap import reader_of
