@@ -136,6 +136,16 @@ MATERIALS |= {
         "roughness": 0.4, "anisotropic": 0.5, "metallic": 0.3, "spec_trans": 0.4, "specular": 0.7, "spec_tint": 0.3,
         "sheen": 0.5, "sheen_tint": 0.6, "clearcoat": 0.7, "clearcoat_gloss": 0.2, "flatness": 0.4},
 }
+_sheet = {"type": "principledthin", "base_color": [0.8, 0.2, 0.4]}
+MATERIALS |= {
+    "sheet": _sheet | {"roughness": 0.4},
+    "film": _sheet | {"roughness": 0.5, "spec_trans": 0.7, "eta": 1.6, "anisotropic": 0.5, "spec_tint": 0.6},
+    "paper": _sheet | {"diff_trans": 0.8, "sheen": 0.7, "sheen_tint": 0.4, "flatness": 0.6,
+                       "diffuse_transmittance_sampling_rate": 1.5},
+    "sheet with all": _sheet | {
+        "roughness": 0.6, "anisotropic": 0.4, "spec_trans": 0.4, "eta": 1.3, "spec_tint": 0.3, "sheen": 0.5,
+        "sheen_tint": 0.6, "flatness": 0.4, "diff_trans": 1.2, "specular_reflectance_sampling_rate": 0.7},
+}
 _plastic, _green = MATERIALS["plastic"], {"type": "diffuse", "reflectance": [0.2, 0.8, 0.3]}
 MATERIALS |= {
     "null": {"type": "null"},

@@ -16,6 +16,7 @@ from torch_radbp.bsdf.normalmap import NormalMap
 from torch_radbp.bsdf.null import Null
 from torch_radbp.bsdf.plastic import Plastic
 from torch_radbp.bsdf.principled import Principled
+from torch_radbp.bsdf.principledthin import PrincipledThin
 from torch_radbp.bsdf.roughconductor import RoughConductor
 from torch_radbp.bsdf.roughdielectric import RoughDielectric
 from torch_radbp.bsdf.roughplastic import RoughPlastic
@@ -49,6 +50,10 @@ BAD = {
     "never sampled": (Principled, {"main_specular_sampling_rate": 0.0}, "specular_sampling_rate must be greater than 0"),
     "sampled less than never": (Principled, {"clearcoat_sampling_rate": -1.0}, "clearcoat_sampling_rate must be at least 0"),
     "both sides of principled glass": (TwoSided, {"brdf": [Principled(spec_trans=0.5)]}, "only reflect, got 'principled'"),
+    "much through": (PrincipledThin, {"diff_trans": 2.5}, r"diff_trans must be in \[0, 2\], got 2.5"),
+    "no index of a sheet": (PrincipledThin, {"eta": 0.0}, "eta must be greater than 0, got 0"),
+    "sheet never sampled": (PrincipledThin, {"diffuse_reflectance_sampling_rate": 0.0}, "must be greater than 0 and finite"),
+    "both sides of a sheet": (TwoSided, {"brdf": [PrincipledThin()]}, "only reflect, got 'principledthin'"),
     "one in a blend": (BlendBSDF, {"weight": 0.5, "bsdf": [Plastic()]}, r"blendbsdf takes two BSDFs, got \['plastic'\]"),
     "three in a blend": (BlendBSDF, {"weight": 0.5, "bsdf": [Plastic()] * 3}, "blendbsdf takes two BSDFs, got"),
     "too much of a blend": (BlendBSDF, {"weight": 1.5, "bsdf": [Plastic()] * 2}, r"weight must be in \[0, 1\], got 1.5"),
@@ -90,6 +95,8 @@ def test_defaults_are_those_of_mitsuba():
     burley = {"base_color.value": 0.5, "roughness.value": 0.5, **{f"{name}.value": 0.0 for name in shares}}
     assert figures(Principled()) == {**burley, "specular": 0.5}
     assert figures(Principled(eta=1.3)) == {**burley, "eta": 1.3}
+    thin = {name: value for name, value in burley.items() if not name.startswith(("metallic", "clearcoat"))}
+    assert figures(PrincipledThin()) == {**thin, "diff_trans.value": 0.0, "eta.value": 1.5}
     assert figures(Mask(nested_bsdf=Conductor())) == {
         "opacity.value": 0.5, **{f"nested_bsdf.{name}": value for name, value in mirror.items()}}
     bumps = NormalMap(normalmap=1.0, nested_bsdf=Conductor())
@@ -112,8 +119,8 @@ def options(value):
     if not isinstance(value, dict):
         return None
     names = ("type", "distribution", "nonlinear", "flip_invalid_normals", "use_shadowing_function")
-    if value["type"] == "principled":
-        return tuple(sorted(value)), *(value[name] for name in value if name.endswith("_rate"))
+    if value["type"].startswith("principled"):
+        return value["type"], tuple(sorted(value)), *(value[name] for name in value if name.endswith("_rate"))
     return ("alpha_u" in value, *(value.get(name) for name in names),
             *(options(value[name]) for name in sorted(value) if options(value[name]) is not None))
 

@@ -13,6 +13,8 @@ from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.bsdf.plastic import PlasticKind
 from torch_radbp.bsdf.principled import FEATURES
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
+from torch_radbp.bsdf.principledthin import FEATURES as SHEET
+from torch_radbp.bsdf.principledthin import PrincipledThinKind
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.bsdf.roughdielectric import RoughDielectricKind
 from torch_radbp.bsdf.roughplastic import RoughPlasticKind, coat_of
@@ -39,6 +41,8 @@ KINDS = {
     "principled": PrincipledKind(FEATURES, True, (1.0, 1.0, 1.0)),
     "principled glass": PrincipledKind(("metallic", "spec_trans"), False, (1.0, 1.0, 1.0)),
     "principled plastic": PrincipledKind((), True, (1.0, 1.0, 1.0)),
+    "principled sheet": PrincipledThinKind(SHEET, (1.0, 1.0, 1.0, 1.0)),
+    "principled film": PrincipledThinKind(("spec_trans",), (1.0, 1.0, 1.0, 1.0)),
 }
 
 
@@ -49,11 +53,11 @@ def grid(kind, dtype):
         optics = [[(c,) for c in COLOUR]]
     elif isinstance(kind, (ConductorKind, RoughConductorKind)):
         optics = [[(eta, k, c) for (eta, k), c in itertools.product(INDEX, COLOUR)]]
-    elif isinstance(kind, PrincipledKind):
+    elif isinstance(kind, (PrincipledKind, PrincipledThinKind)):
         count = len(kind.features)
         shares = [(0,) * count, (1,) * count, *(tuple(int(k != other) for k in range(count)) for other in range(count))]
         optics = [[(c, rough, index, *share) for c, rough, index, share in itertools.product(
-            COLOUR, COLOUR, SPECULAR if kind.by_specular else ETA, shares)]]
+            COLOUR, COLOUR, SPECULAR if getattr(kind, "by_specular", False) else ETA, shares)]]
     elif isinstance(kind, (PlasticKind, RoughPlasticKind)):
         optics = [list(itertools.product(ETA, COLOUR, COLOUR))]
     else:

@@ -44,7 +44,8 @@ def crowd(material: dict[str, Any], dtype: torch.dtype, view: np.ndarray | None 
                  "bsdf": own},
         "disk": {"type": "disk", "to_world": translate((0.4, 1.3, -0.7)) @ rotate((1, 1, 0), 20) @ scale((0.4, 0.4, 0.4)),
                  "bsdf": {"type": "twosided", "front": own}
-                 if not any(name in material["type"] for name in ("electric", "mask", "null")) else diffuse(0.4, 0.3, 0.2)},
+                 if not any(name in material["type"] for name in ("electric", "mask", "null", "thin"))
+                 else diffuse(0.4, 0.3, 0.2)},
         "floor": rectangle((0, -0.1, 0), 2, (1, 0.02, 0.01), -89, bsdf={"type": "diffuse", "reflectance": picture(3, 4, 1)}),
         "lamp": rectangle((0.3, 2.1, -0.5), 0.4, (1, 0.1, 0), 100,
                           emitter={"type": "area", "radiance": picture(2, 3, 2)}),
@@ -138,6 +139,12 @@ def materials() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
         found[f"principled {colour} {roughness} {specular} {share}"] = of(
             {"type": "principled"}, base_color__value=colour, roughness__value=roughness, specular=specular,
             **{f"{name}__value": share for name in shares})
+    for colour, roughness, eta, share in ((0.0, 0.0, 1.0, 0.0), (1.0, 1.0, 3.0, 1.0), (0.0, 0.0, 0.3, 1.0),
+                                          (1.0, 0.0, 1.0, 0.5)):
+        found[f"principledthin {colour} {roughness} {eta} {share}"] = of(
+            {"type": "principledthin"}, base_color__value=colour, roughness__value=roughness, eta__value=eta,
+            **{f"{name}__value": share for name in shares if name not in ("metallic", "clearcoat", "clearcoat_gloss")},
+            diff_trans__value=2 * share)
     for share in (0.0, 1.0):
         found[f"principled glass {share}"] = of({"type": "principled", "eta": 1.5}, eta=1.0, spec_trans__value=share)
     for weight in (0.0, 1.0):

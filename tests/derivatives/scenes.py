@@ -220,6 +220,9 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "rough plastic ggx": metal(type="roughplastic", distribution="ggx", alpha=0.3, nonlinear=True, **PLASTIC),
     "principled": metal(**PRINCIPLED, specular=0.6),
     "principled glass": glass(**PRINCIPLED, eta=1.5, spec_trans=0.6),
+    "principled sheet": glass(
+        type="principledthin", base_color=rgb(0.2, 0.8, 0.3), roughness=0.5, anisotropic=0.4, spec_trans=0.4, eta=1.4,
+        spec_tint=0.3, sheen=1.0, sheen_tint=0.4, flatness=0.3, diff_trans=0.6),
     "blend": glass(type="blendbsdf", weight=bitmap(), bsdf_0={"type": "roughconductor", "alpha": 0.3, **ROUGH_METAL},
                    bsdf_1={"type": "plastic", **PLASTIC}),
     "blend of deltas": glass(type="blendbsdf", weight=0.4, bsdf_0={"type": "dielectric", **TINTED},

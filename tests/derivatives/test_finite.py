@@ -39,6 +39,7 @@ def test_gradients_are_finite(name, dtype, sampling):
 def test_every_plugin_takes_part():
     """A new plugin has to appear in one of these scenes."""
     names = (*list(CASES)[:1], "conductor black", "dielectric black", "thindielectric 1.0", "principled glass 0.0",
+             "principledthin 0.0 0.0 1.0 0.0",
              "roughconductor ggx brushed", "roughdielectric ggx brushed", "blendbsdf 0.0", "mask 0.0", "normalmap 0.0",
              "null", "spectra 0.0", "sphere, constant sky")
     scenes = [CASES[name](torch.float32) for name in names]

@@ -221,7 +221,9 @@ WHITE = {"type": "diffuse", "reflectance": 0.8}
 OTHERS = {"blendbsdf": {"first": WHITE, "second": {"type": "roughconductor", "material": "Au", "alpha": 0.3}},
           "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE}}
 PARTNERS = {"alpha_u": {"alpha_v": 0.3}, "alpha_v": {"alpha_u": 0.3},
-            "sheen_tint": {"sheen": 0.8}, "clearcoat_gloss": {"clearcoat": 1.0},
+            "sheen_tint": {"sheen": 0.8, "base_color": {"type": "rgb", "value": [0.8, 0.3, 0.2]}},
+            "spec_tint": {"spec_trans": 0.8}, "principledthin eta": {"spec_trans": 0.8},
+            "principledthin anisotropic": {"spec_trans": 0.8}, "clearcoat_gloss": {"clearcoat": 1.0},
             "k": {"eta": 0.2}}  # by itself, with an index of 0, it turns the phase and reflects all
 SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name, attribute in attributes(cls).items()
          if Texture in options(attribute.annotation)]
@@ -234,7 +236,7 @@ def test_a_module_can_stand_in_every_slot_of_every_material(kind, name):
 
     def scene():
         bsdf = {"type": kind, name: rb.NeuralTexture(mlp(3, outputs, 5), of="position")} | OTHERS.get(kind, {})
-        bsdf |= PARTNERS.get(name, {})
+        bsdf |= PARTNERS.get(name, PARTNERS.get(f"{kind} {name}", {}))
         ball = {"type": "sphere", "to_world": scale((0.6, 0.6, 0.6)), "bsdf": bsdf}
         return load(sensor=sensor(6), ball=ball, sky=SKY, lamp=rectangle((0, 0, 4), axis=(0, 1, 0), angle=180, emitter=LAMP),
                     floor=rectangle((0, -0.6, 0), 3.0, angle=-90, bsdf=WHITE))
