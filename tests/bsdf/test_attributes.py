@@ -8,6 +8,7 @@ import torch
 import torch_radbp as rb
 from tests.bsdf.lanes import MATERIALS, as_dict, material
 from tests.io.documents import scene_dict
+from tests.scenes import load, rectangle, rgb, sensor
 from torch_radbp.bsdf.blendbsdf import BlendBSDF
 from torch_radbp.bsdf.conductor import Conductor
 from torch_radbp.bsdf.dielectric import Dielectric
@@ -174,6 +175,25 @@ def test_what_is_zero_is_absent_until_it_is_given_or_differentiated():
         tangent = torch.autograd.forward_ad.make_dual(torch.zeros(()), torch.ones(()))
         kind = torch.func.functional_call(_Kind(Principled()), {"bsdf.metallic.value": tangent}, ())
         assert kind.features == ("metallic",)
+
+
+def test_a_parameter_that_leaves_zero_is_seen_by_the_next_rendering():
+    def scene(metallic):
+        return load(sensor=sensor(4), it={"type": "principled", "metallic": metallic, "base_color": 0.2},
+                    plate=rectangle((0, 0, 0), bsdf={"type": "ref", "id": "it"}),
+                    sky={"type": "constant", "radiance": rgb(1, 2, 3)})
+
+    renderer = rb.Renderer(scene(0.0), spp=4, max_depth=3)
+    dull = renderer(seed=1)
+    metallic = renderer.scene.get_parameter("it.metallic.value")
+    metallic.data.fill_(0.75)
+    metal = renderer(seed=1)
+    assert torch.equal(metal, rb.render(scene(0.75), spp=4, max_depth=3, seed=1)) and not torch.equal(metal, dull)
+    metallic.data.fill_(0.0)
+    assert torch.equal(renderer(seed=1), dull)
+    metallic.requires_grad_()
+    gradient, = torch.autograd.grad(renderer(seed=1).sum(), metallic)
+    assert gradient != 0
 
 
 class _Kind(torch.nn.Module):
