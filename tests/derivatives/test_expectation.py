@@ -25,7 +25,7 @@ NOISY = {
     "ggx glass shifted": 128, "ggx glass turned": 256, "ggx glass, index": 64, "rough glass, roughness": 256,
     "rough glass, index": 64, "emitter behind rough glass": 256, "pane, index": 256, "lens, vertices": 32,
     "lens, normals": 32, "lens, index": 256, "normals under an envmap": 1024, "envmap turned": 1024,
-    "wall behind the camera": 1024, "principled glass, spec_trans": 32}
+    "wall behind the camera": 1024, "principled glass, spec_trans": 64}
 COARSE = {"normals under an envmap": 256, "envmap turned": 256, "wall behind the camera": 512,
           "metal under a soft lamp": 128}  # for 5%; 2% is slow
 
