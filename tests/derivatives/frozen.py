@@ -22,6 +22,7 @@ from torch.utils._pytree import tree_leaves
 import torch_radbp as rb
 from torch_radbp.adjoint.function import render_images
 from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.tensors import SceneTensors
 
@@ -128,6 +129,7 @@ class Rendering:
     def with_choices_held(self, values: list[Tensor]) -> Tensor:
         """The image as a function of the parameters around the point, for attached sampling; no derivative."""
         values = attached(values)
+        self.forget()
         with self.decisions, torch.enable_grad():
             return self.live(values).detach()
 
@@ -139,8 +141,13 @@ class Rendering:
         """
         parameters = {f"renderer.{name}": value for name, value in self.parameters(attached(values)).items()}
         caster = None if self.decisions.functions else self.held
+        self.forget()
         with self.decisions, torch.enable_grad():
             return functional_call(TapedImage(self.renderer, self.seed, caster), parameters)
+
+    def forget(self) -> None:
+        """Every rendering packs all anew, so that it detaches the same in the same order as the first one."""
+        self.renderer.kept = Kept()
 
     def parameters(self, values: list[Tensor]) -> dict[str, Tensor]:
         return {f"scene.{name}": value for name, value in zip(self.names, values)}

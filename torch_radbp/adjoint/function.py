@@ -24,7 +24,6 @@ from torch_radbp.adjoint.finite import (
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
-from torch_radbp.differentiated import any_differentiated, differentiated
 from torch_radbp.entry import entry
 from torch_radbp.path import PathState, start_path
 from torch_radbp.raycast import RayCaster
@@ -92,11 +91,8 @@ def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integr
 
 
 def detached(tensors):
-    """A record of tensors without derivatives; the same one if it has none."""
-    if not any_differentiated(tensors):
-        return tensors
-    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) and differentiated(leaf) else leaf
-                                 for leaf in leaves_of(tensors)])
+    """A record of tensors without derivatives."""
+    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(tensors)])
 
 
 def differentiable(tensors) -> list[Tensor]:
