@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from torch_radbp.settings import samples_per_pixel
 from torch_radbp.training.clear_errors import Debug, clear_errors
 from torch_radbp.training.progress import TimedProgress
 from torch_radbp.training.scene_variables import Define, parse_variables
@@ -60,7 +61,7 @@ def render(
             name: output if len(indices) == 1 else output.with_name(f"{output.stem}_{name}{output.suffix}")
             for name in indices
         }
-        samples = {name: renderer.samples([loaded.sensors[index]], None) for name, index in indices.items()}
+        samples = {name: samples_per_pixel(spp, [loaded.sensors[index]]) for name, index in indices.items()}
         console = Console(stderr=True)
         started, done = time.perf_counter(), 0
         with TimedProgress(console, "samples per pixel", sum(samples.values())) as progress:

@@ -68,6 +68,19 @@ def derived(scene):
     return [name for name, _ in scene.named_parameters() if name.rpartition(".")[2] in ("value", "data")]
 
 
+# A sheet that is not clear reads its index, and makes no use of it.
+OF_NO_USE = {("sheet", "ball.bsdf.eta.value"), ("paper", "ball.bsdf.eta.value")}
+
+
+def is_read(scene, name: str) -> bool:
+    """Whether an image depends on a parameter: materials of many lobes read nothing of those that are absent."""
+    scene.get_parameter(name).requires_grad_()
+    owner = scene.get_submodule(name.split(".bsdf.")[0] + ".bsdf") if ".bsdf." in name else scene
+    read = rb.Renderer(scene, spp=1, max_depth=2)(seed=1).requires_grad
+    assert read or any(hasattr(module, "features") for module in owner.modules())
+    return read
+
+
 @pytest.mark.parametrize("kind", EMITTERS)
 def test_forward_is_the_transpose_of_backward_under_an_emitter(kind):
     # The camera sees the floor: the lamps' own reflectance does not matter.
@@ -96,7 +109,8 @@ def test_forward_is_the_transpose_of_backward_on_a_material(kind):
                     floor=rectangle((0, -0.7, 0), 2.0, angle=-90),
                     sky={"type": "envmap", "bitmap": texels(5, 7, 2)})
 
-    names = [name for name in derived(build()) if name.startswith("ball") and "k.value" not in name]
+    names = [name for name in derived(build()) if name.startswith("ball") and "k.value" not in name
+             and (kind, name) not in OF_NO_USE and is_read(build(), name)]
     if not names:
         pytest.skip("no parameter of this material has a derivative")
     assert_transposed(build, names, **SETTINGS | {"spp": 8})

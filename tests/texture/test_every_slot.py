@@ -26,7 +26,10 @@ TEXTURES = {
     "checkerboard of attributes": BOARD | {"color0": {"type": "mesh_attribute", "name": "vertex_color"}},
 }
 OTHERS = {"blendbsdf": {"first": WHITE, "second": {"type": "roughconductor", "material": "Au", "alpha": 0.3}},
-          "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE}}
+          "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE},
+          # Lobes without which some values are not read, and a colour to tint them with.
+          "principled": {"base_color": rgb(0.3, 0.6, 0.2), "sheen": 0.6, "clearcoat": 0.7},
+          "principledthin": {"base_color": rgb(0.3, 0.6, 0.2), "sheen": 0.6, "spec_trans": 0.5}}
 PARTNERS = {"alpha_u": {"alpha_v": 0.3}, "alpha_v": {"alpha_u": 0.3}, "k": {"eta": 0.2}}
 SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name, attribute in attributes(cls).items()
          if Texture in options(attribute.annotation)]
@@ -42,7 +45,7 @@ def build(bsdf: dict) -> rb.Scene:
 @pytest.mark.parametrize("texture", TEXTURES)
 @pytest.mark.parametrize("kind, slot", SLOTS)
 def test_every_slot_gives_the_gradient_of_the_tape(kind, slot, texture):
-    bsdf = {"type": kind, slot: TEXTURES[texture]} | OTHERS.get(kind, {}) | PARTNERS.get(slot, {})
+    bsdf = {"type": kind} | OTHERS.get(kind, {}) | PARTNERS.get(slot, {}) | {slot: TEXTURES[texture]}
     names = [name for name, _ in build(bsdf).named_parameters() if name.startswith((
         f"subject.bsdf.{slot}.", "subject.vertex_color", "subject.face_amount"))]
     reference, expected = gradients(build(bsdf), names, adjoint=rb.TapeAdjoint())

@@ -24,7 +24,7 @@ from torch_radbp.training.run import run
 
 @pytest.fixture
 def run_folder(folder):
-    overrides = ["title='Paint & <picture>'", "parameters.0.name='p*.reflectance.*'", "parameters.0.truth=0.25"]
+    overrides = ["title='Paint & <picture>'", "parameters.0.name='p*.reflectance.[vd]*'", "parameters.0.truth=0.25"]
     run(folder / "recipe.toml", overrides, folder / "run", False, Console(quiet=True))
     return folder / "run"
 

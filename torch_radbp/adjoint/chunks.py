@@ -1,7 +1,8 @@
 """Chunks: the blocks of lanes that are traced together, and how they are dealt out to workers.
 
-Which part of an image is dear is not known before: the sky costs one bounce, a mesh below it six. So chunks that are traced
-side by side do not each take a part of the image, but all take runs of neighbouring pixels in turn.
+Which part of an image is dear is not known before: the sky costs one bounce, a mesh below it six. So chunks do not each take
+a part of the image, but all take runs of neighbouring pixels in turn: workers finish together, and what one chunk needs,
+all need.
 """
 
 from __future__ import annotations
@@ -62,24 +63,22 @@ def plan_chunks(sensors: int, pixels: int, spp: int, lanes: int, workers: int) -
 
 
 def dealt_out(pixels: int, most: int, workers: int) -> Iterator[Pixels]:
-    """All pixels of a sensor in strips, each dealt out to the workers run by run.
+    """All pixels of a sensor, dealt out run by run to chunks, so that each is like the whole image.
 
     Args:
         pixels: how many there are.
-        most: that one worker takes at a time.
-        workers: if there are pixels for so many.
+        most: of a chunk.
+        workers: that are to get as many chunks each, if there are pixels for so many.
     """
     run = min(RUN, most)
     most -= most % run
     workers = min(workers, -(-pixels // most))
-    strips = -(-pixels // (most * workers))
-    strip = -(-pixels // strips)
-    for start in range(0, pixels, strip):
-        rounds, rest = divmod(min(strip, pixels - start), run * workers)
-        for worker in range(workers):
-            count = rounds * run + min(run, max(0, rest - worker * run))
-            if count:
-                yield Pixels(start + worker * run, count, run, run * workers)
+    chunks = workers * -(-pixels // (most * workers))
+    rounds, rest = divmod(pixels, run * chunks)
+    for number in range(chunks):
+        count = rounds * run + min(run, max(0, rest - number * run))
+        if count:
+            yield Pixels(number * run, count, run, run * chunks)
 
 
 def fair_chunk(sensors: int, pixels: int, spp: int, workers: int, about: int) -> int:
