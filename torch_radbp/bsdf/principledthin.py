@@ -47,7 +47,7 @@ from torch_radbp.vec import Vec3, dot, where
 
 # Parameters that cost nothing while they are zero, in the order of the values.
 FEATURES = ("anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "flatness", "diff_trans")
-PART_OF = {"sheen_tint": "sheen", "spec_tint": "spec_trans"}  # without which they do not matter
+PART_OF = {"anisotropic": "spec_trans", "sheen_tint": "sheen", "spec_tint": "spec_trans"}  # without which they do not matter
 GLOSSY_REFLECTION, GLOSSY_TRANSMISSION, DIFFUSE_REFLECTION, DIFFUSE_TRANSMISSION = range(4)  # lobes
 RATES = ("specular_reflectance_sampling_rate", "specular_transmittance_sampling_rate", "diffuse_reflectance_sampling_rate",
          "diffuse_transmittance_sampling_rate")
