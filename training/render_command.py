@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from torch_radbp.settings import samples_per_pixel
 from torch_radbp.training.clear_errors import Debug, clear_errors
 from torch_radbp.training.progress import TimedProgress
 from torch_radbp.training.scene_variables import Define, parse_variables
@@ -45,6 +44,7 @@ def render(
     with clear_errors(debug):
         import torch_radbp as rb
         from torch_radbp.io.image import WRITABLE, save_image
+        from torch_radbp.settings import samples_per_pixel
         from torch_radbp.training.passes import render_in_passes
         from torch_radbp.training.targets import sensor_films
 
