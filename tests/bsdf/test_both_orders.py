@@ -46,7 +46,7 @@ WHAT = ("alpha", "eta", "weight", "opacity", "roughness", "anisotropic", "metall
 IN_FRONT = ("spec_tint", "sheen", "sheen_tint", "clearcoat", "clearcoat_gloss", "flatness")
 # Without shadowing, and in a film, the BSDF jumps where attached directions slide.
 CASES = [(name, what) for name in ROUGH if name not in ("brushed bumps", "film", "sheet with all")
-         for what in WHAT if what == "wi" or (slots(name, what) and (name, what) not in (("sheet", "eta"), ("paper", "eta")))
+         for what in WHAT if what == "wi" or slots(name, what)
          if name != "principled with all" or what in ("roughness", "clearcoat_gloss", "wi")]  # others have the rest
 
 

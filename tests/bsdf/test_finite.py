@@ -42,7 +42,7 @@ KINDS = {
     "principled glass": PrincipledKind(("metallic", "spec_trans"), False, (1.0, 1.0, 1.0)),
     "principled plastic": PrincipledKind((), True, (1.0, 1.0, 1.0)),
     "principled sheet": PrincipledThinKind(SHEET, (1.0, 1.0, 1.0, 1.0)),
-    "principled film": PrincipledThinKind(("spec_trans",), (1.0, 1.0, 1.0, 1.0)),
+    "principled film": PrincipledThinKind(("eta", "spec_trans"), (1.0, 1.0, 1.0, 1.0)),
 }
 
 
@@ -54,7 +54,7 @@ def grid(kind, dtype):
     elif isinstance(kind, (ConductorKind, RoughConductorKind)):
         optics = [[(eta, k, c) for (eta, k), c in itertools.product(INDEX, COLOUR)]]
     elif isinstance(kind, (PrincipledKind, PrincipledThinKind)):
-        count = len(kind.features)
+        count = len(kind.features) - kind.has("eta")  # eta is not a share; its place is the first
         shares = [(0,) * count, (1,) * count, *(tuple(int(k != other) for k in range(count)) for other in range(count))]
         optics = [[(c, rough, index, *share) for c, rough, index, share in itertools.product(
             COLOUR, COLOUR, SPECULAR if getattr(kind, "by_specular", False) else ETA, shares)]]

@@ -18,7 +18,8 @@ from tests.scenes import load, rectangle, rgb, sensor, texels
 from torch_radbp.emitter import envmap
 from torch_radbp.plugin import Texture
 from torch_radbp.scene import geometry, light_table
-from torch_radbp.scene.kept import PART, Kept, same_bits
+from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.same_bits import PART, same_bits
 from torch_radbp.scene.pack import pack
 from torch_radbp.shape.mesh import Mesh
 

@@ -11,12 +11,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_radbp.bsdf.features import Number
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.microfacet import GGX
-from torch_radbp.differentiated import differentiated
-from torch_radbp.plugin import Texture
 from torch_radbp.texture.bitmap import LUMINANCE
-from torch_radbp.texture.rgb import RGB
 from torch_radbp.vec import Vec3, attached
 
 SMALLEST_ALPHA = 1e-3  # a smoother surface counts as this rough
@@ -25,13 +23,6 @@ LEAST_SHARE = 0.02  # of a lobe's weight when lobes are chosen: one of weight ze
 DARKEST = 1e-6  # luminance below which a colour loses its tint
 SMALLEST_COSINE = 1e-6  # of a sum of two
 ROUNDED = 1e-8  # where the root of a channel is rounded off: its slope is infinite at zero
-
-Number = Tensor | float  # of a parameter that a material does not have: its value, zero
-
-
-def is_needed(texture: Texture) -> bool:
-    """False if a parameter is as good as absent: zero everywhere, and not differentiated."""
-    return not isinstance(texture, RGB) or differentiated(texture.value) or bool((texture.value != 0).any())
 
 
 def check_rates(rates: dict[str, float], needed: str) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from torch_radbp.bsdf.burley import check_rates, is_needed
+from torch_radbp.bsdf.burley import check_rates
+from torch_radbp.bsdf.features import features_of
 from torch_radbp.bsdf.number import NumberOf, OwnNumber
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
 from torch_radbp.domain import FRACTION, NUMBER, Domain
@@ -88,8 +89,7 @@ class Principled(BSDF):
 
     def features(self) -> tuple[str, ...]:
         """The names of those parameters that are not absent now, in order."""
-        there = {name for name in FEATURES if is_needed(getattr(self, name))}
-        return tuple(name for name in FEATURES if name in there and PART_OF.get(name, name) in there)
+        return features_of(self, FEATURES, PART_OF)
 
     def kind(self) -> PrincipledKind:
         """The scattering functions."""

@@ -25,7 +25,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.burley import (
-    Number,
     at_least_some,
     base_profile,
     facets_of,
@@ -39,8 +38,9 @@ from torch_radbp.bsdf.burley import (
 )
 from torch_radbp.bsdf.clearcoat import Clearcoat, shadowing
 from torch_radbp.bsdf.dielectric import relative_index
+from torch_radbp.bsdf.features import FeaturedKind, Number
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Kind, Values, above, on_horizon_unless, reflects, side_of, values_for_choice
+from torch_radbp.bsdf.kind import Choice, Values, above, on_horizon_unless, reflects, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import GGX, half_vector
 from torch_radbp.bsdf.roughdielectric import apart_from_one
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
@@ -84,18 +84,13 @@ class Chances(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PrincipledKind(Kind):
+class PrincipledKind(FeaturedKind):
     """Values: base_color, roughness, specular or eta, then those of the `features`; numbers but for the first."""
 
-    features: tuple[str, ...]
     by_specular: bool
     rates: tuple[float, float, float]  # of sampling the diffuse base, the main boundary and the clearcoat
 
-    discrete: ClassVar[bool] = True
-
-    @property
-    def oriented(self) -> bool:
-        return self.has("anisotropic")
+    always: ClassVar[int] = 3
 
     @property
     def transmits(self) -> bool:
@@ -107,21 +102,8 @@ class PrincipledKind(Kind):
         return self.transmits
 
     @property
-    def slots(self) -> int:
-        return 3 + len(self.features)
-
-    @property
     def steering(self) -> tuple[int, ...]:
-        bent = ("anisotropic", "clearcoat_gloss")
-        return (1, 2)[:1 + self.transmits] + tuple(3 + k for k, name in enumerate(self.features) if name in bent)
-
-    def has(self, name: str) -> bool:
-        """True if the material has a parameter."""
-        return name in self.features
-
-    def number(self, values: Values, name: str) -> Number:
-        """The value of a parameter; 0 without it."""
-        return values[3 + self.features.index(name)].x if self.has(name) else 0.0
+        return (1, 2)[:1 + self.transmits] + self.places("anisotropic", "clearcoat_gloss")
 
     def facets(self, values: Values) -> GGX:
         """The microfacets of the main boundary."""

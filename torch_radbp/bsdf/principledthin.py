@@ -22,21 +22,20 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.burley import (
-    Number,
     at_least_some,
     base_profile,
     check_rates,
     facets_of,
     fifth_power,
-    is_needed,
     mixed,
     normal_reflectance,
     schlick_weight,
     sheen_colour,
     tint_of,
 )
+from torch_radbp.bsdf.features import FeaturedKind, Number, features_of
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Kind, Values, above, on_horizon_unless, side_of, values_for_choice
+from torch_radbp.bsdf.kind import Choice, Values, above, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import GGX, half_vector
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.domain import FRACTION, LARGEST_AMOUNT, Domain
@@ -45,27 +44,22 @@ from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_he
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3, dot, where
 
-# Parameters that cost nothing while they are zero, in the order of the values.
-FEATURES = ("anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "flatness", "diff_trans")
-PART_OF = {"anisotropic": "spec_trans", "sheen_tint": "sheen", "spec_tint": "spec_trans"}  # without which they do not matter
+# Parameters that cost nothing while they are zero, or what they are part of is, in the order of the values.
+FEATURES = ("eta", "anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "flatness", "diff_trans")
+PART_OF = {"eta": "spec_trans", "anisotropic": "spec_trans", "sheen_tint": "sheen", "spec_tint": "spec_trans"}
 GLOSSY_REFLECTION, GLOSSY_TRANSMISSION, DIFFUSE_REFLECTION, DIFFUSE_TRANSMISSION = range(4)  # lobes
 RATES = ("specular_reflectance_sampling_rate", "specular_transmittance_sampling_rate", "diffuse_reflectance_sampling_rate",
          "diffuse_transmittance_sampling_rate")
 
 
 @dataclass(frozen=True)
-class PrincipledThinKind(Kind):
-    """Values: base_color, roughness, eta, then those of the `features`; numbers but for the first."""
+class PrincipledThinKind(FeaturedKind):
+    """Values: base_color, roughness, then those of the `features`; numbers but for the first."""
 
-    features: tuple[str, ...]
     rates: tuple[float, ...]  # of sampling the lobes, in order
 
-    discrete: ClassVar[bool] = True
+    always: ClassVar[int] = 2
     transmits: ClassVar[bool] = True
-
-    @property
-    def oriented(self) -> bool:
-        return self.has("anisotropic")
 
     @property
     def jumps(self) -> bool:
@@ -73,27 +67,13 @@ class PrincipledThinKind(Kind):
         return self.has("spec_trans")
 
     @property
-    def slots(self) -> int:
-        return 3 + len(self.features)
-
-    @property
     def steering(self) -> tuple[int, ...]:
-        if not self.has("spec_trans"):
-            return ()
-        return (1, 2, *(3 + k for k, name in enumerate(self.features) if name == "anisotropic"))
-
-    def has(self, name: str) -> bool:
-        """True if the material has a parameter."""
-        return name in self.features
-
-    def number(self, values: Values, name: str) -> Number:
-        """The value of a parameter; 0 without it."""
-        return values[3 + self.features.index(name)].x if self.has(name) else 0.0
+        return (1, *self.places("eta", "anisotropic")) if self.has("spec_trans") else ()
 
     def facets(self, values: Values) -> tuple[GGX, GGX]:
         """The microfacets that reflect, and those that transmit; the latter by Burley 2015, figure 15."""
-        roughness, anisotropic = values[1].x, self.number(values, "anisotropic")
-        return facets_of(roughness, anisotropic), facets_of((0.65 * values[2].x - 0.35) * roughness, anisotropic)
+        roughness, anisotropic, eta = values[1].x, self.number(values, "anisotropic"), self.number(values, "eta")
+        return facets_of(roughness, anisotropic), facets_of((0.65 * eta - 0.35) * roughness, anisotropic)
 
     def chances(self, values: Values) -> tuple[Number, ...]:
         """The probabilities of the lobes."""
@@ -131,7 +111,7 @@ class PrincipledThinKind(Kind):
         # The boundaries.
         if self.has("spec_trans"):
             reflecting, transmitting = self.facets(values)
-            reflectance, _ = dielectric_reflectance(cosine, values[2].x)
+            reflectance, _ = dielectric_reflectance(cosine, self.number(values, "eta"))
             glossy = 0.25 * reflecting.density(m) * before
             value = value + self.reflectance(values, cosine, reflectance) * (
                 clear * glossy * reflecting.masking(w) * reflecting.masking(wo) * wo.z)
@@ -146,8 +126,8 @@ class PrincipledThinKind(Kind):
         """What a microfacet reflects, in part with the tint of the colour."""
         if not self.has("spec_tint"):
             return Vec3(plain, plain, plain)
-        grazing, tint = schlick_weight(cosine, values[2].x), self.number(values, "spec_tint")
-        straight = tint_of(values[0]) * normal_reflectance(values[2].x)
+        eta, tint = self.number(values, "eta"), self.number(values, "spec_tint")
+        grazing, straight = schlick_weight(cosine, eta), tint_of(values[0]) * normal_reflectance(eta)
         return straight.map(lambda c: mixed(plain, mixed(c, 1.0, grazing), tint))
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
@@ -214,11 +194,11 @@ class PrincipledThin(BSDF):
                  diffuse_reflectance_sampling_rate: float = 1.0, specular_reflectance_sampling_rate: float = 1.0,
                  specular_transmittance_sampling_rate: float = 1.0, diffuse_transmittance_sampling_rate: float = 1.0):
         super().__init__()
-        given = {"anisotropic": anisotropic, "spec_trans": spec_trans, "spec_tint": spec_tint, "sheen": sheen,
+        given = {"eta": eta, "anisotropic": anisotropic, "spec_trans": spec_trans, "spec_tint": spec_tint, "sheen": sheen,
                  "sheen_tint": sheen_tint, "flatness": flatness, "diff_trans": diff_trans}
-        for name, value in {"base_color": base_color, "roughness": roughness, "eta": eta, **given}.items():
+        for name, value in {"base_color": base_color, "roughness": roughness, **given}.items():
             setattr(self, name, as_texture(self, name, value))
-        self.numbers = {name: NumberOf(self, name) for name in ("roughness", "eta", *FEATURES)}  # no submodules
+        self.numbers = {name: NumberOf(self, name) for name in ("roughness", *FEATURES)}  # no submodules
         self.diffuse_reflectance_sampling_rate = float(diffuse_reflectance_sampling_rate)
         self.specular_reflectance_sampling_rate = float(specular_reflectance_sampling_rate)
         self.specular_transmittance_sampling_rate = float(specular_transmittance_sampling_rate)
@@ -231,8 +211,7 @@ class PrincipledThin(BSDF):
 
     def features(self) -> tuple[str, ...]:
         """The names of those parameters that are not absent now, in order."""
-        there = {name for name in FEATURES if is_needed(getattr(self, name))}
-        return tuple(name for name in FEATURES if name in there and PART_OF.get(name, name) in there)
+        return features_of(self, FEATURES, PART_OF)
 
     def kind(self) -> PrincipledThinKind:
         """The scattering functions."""
@@ -240,5 +219,4 @@ class PrincipledThin(BSDF):
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""
-        return (self.base_color, self.numbers["roughness"], self.numbers["eta"],
-                *(self.numbers[name] for name in self.features()))
+        return (self.base_color, self.numbers["roughness"], *(self.numbers[name] for name in self.features()))

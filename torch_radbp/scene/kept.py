@@ -11,12 +11,9 @@ Nothing here is ever written into, so that graphs and other threads may hold it.
 
 from __future__ import annotations
 
-import ctypes
 import dataclasses
 import operator
-import os
 from collections.abc import Callable, Hashable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -28,11 +25,11 @@ from torch.nn.utils import parametrize
 from torch_radbp.differentiated import differentiated, primal
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import BSDF, Emitter, Plugin, Shape
+from torch_radbp.scene.same_bits import same_bits
 
 # Values that are equal if and only if they compare so.
 PLAIN = (int, str, bool, type(None), type, torch.dtype, torch.device, Domain)
 OFTEN = set(PLAIN)  # the same, quickly found
-PART = 16 << 20  # bytes that a thread compares at a time
 OF_EVERY_MODULE = set(vars(nn.Module()))  # attributes
 
 Attributes = tuple[tuple[list[str], list[Any]], ...]  # names and values of each dict of `dicts_of`
@@ -296,47 +293,6 @@ def stands_still(plugin: Plugin) -> bool:
     """True if nothing but tensors and other modules can change while the attributes of a plugin are the same objects."""
     return all(is_constant(value, beside=(Tensor, nn.Module)) for name, value in vars(plugin).items()
                if name not in OF_EVERY_MODULE and name != "shared")
-
-
-def same_bits(a: Tensor, b: Tensor) -> bool:
-    """True if two tensors have one shape, dtype and device, and the same bits: NaN equals itself, 0 does not equal -0."""
-    if a.shape != b.shape or a.dtype != b.dtype or a.device != b.device:
-        return False
-    a, b = (each if each.is_contiguous() else primal(each).contiguous() for each in (a, b))
-    if not a.is_cpu:
-        return torch.equal(primal(a).view(-1).view(torch.uint8), primal(b).view(-1).view(torch.uint8))
-    return same_memory(a.data_ptr(), b.data_ptr(), a.nbytes)
-
-
-def same_memory(a: int, b: int, length: int) -> bool:
-    """True if the bytes at two addresses are equal; large ones are compared by several threads.
-
-    The C library does so at the speed of memory. `torch.equal` takes half as long again, and on a busy machine many times
-    as long, because its threads wait for each other.
-    """
-    if length <= PART or torch.get_num_threads() == 1:
-        return not memory_difference()(a, b, length)
-    starts = range(0, length, PART)
-
-    def difference(start: int) -> int:
-        return memory_difference()(a + start, b + start, min(PART, length - start))
-
-    # A list of all: no thread may still read when the caller frees the memory.
-    return not any(list(thread_pool(os.getpid()).map(difference, starts)))
-
-
-@cache
-def memory_difference() -> Callable[[int, int, int], int]:
-    """`memcmp` of the C library, which runs without the interpreter lock."""
-    function = ctypes.CDLL("msvcrt" if os.name == "nt" else None).memcmp
-    function.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
-    return function
-
-
-@cache
-def thread_pool(process: int) -> ThreadPoolExecutor:
-    """The threads of a process that compare memory: a forked one does not inherit those of its parent."""
-    return ThreadPoolExecutor(torch.get_num_threads(), thread_name_prefix="kept")
 
 
 def replaced(module: nn.Module) -> tuple[str, ...]:

@@ -1,0 +1,57 @@
+"""Whether two tensors have the same bits, at the speed of memory."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from torch_radbp.differentiated import primal
+
+PART = 16 << 20  # bytes that a thread compares at a time
+
+
+def same_bits(a: Tensor, b: Tensor) -> bool:
+    """True if two tensors have one shape, dtype and device, and the same bits: NaN equals itself, 0 does not equal -0."""
+    if a.shape != b.shape or a.dtype != b.dtype or a.device != b.device:
+        return False
+    a, b = (each if each.is_contiguous() else primal(each).contiguous() for each in (a, b))
+    if not a.is_cpu:
+        return torch.equal(primal(a).view(-1).view(torch.uint8), primal(b).view(-1).view(torch.uint8))
+    return same_memory(a.data_ptr(), b.data_ptr(), a.nbytes)
+
+
+def same_memory(a: int, b: int, length: int) -> bool:
+    """True if the bytes at two addresses are equal; large ones are compared by several threads.
+
+    The C library does so at the speed of memory. `torch.equal` takes half as long again, and on a busy machine many times
+    as long, because its threads wait for each other.
+    """
+    if length <= PART or torch.get_num_threads() == 1:
+        return not memory_difference()(a, b, length)
+    starts = range(0, length, PART)
+
+    def difference(start: int) -> int:
+        return memory_difference()(a + start, b + start, min(PART, length - start))
+
+    # A list of all: no thread may still read when the caller frees the memory.
+    return not any(list(thread_pool(os.getpid()).map(difference, starts)))
+
+
+@cache
+def memory_difference() -> Callable[[int, int, int], int]:
+    """`memcmp` of the C library, which runs without the interpreter lock."""
+    function = ctypes.CDLL("msvcrt" if os.name == "nt" else None).memcmp
+    function.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
+    return function
+
+
+@cache
+def thread_pool(process: int) -> ThreadPoolExecutor:
+    """The threads of a process that compare memory: a forked one does not inherit those of its parent."""
+    return ThreadPoolExecutor(torch.get_num_threads(), thread_name_prefix="kept")
