@@ -19,8 +19,8 @@ from torch_radbp.emitter import envmap
 from torch_radbp.plugin import Texture
 from torch_radbp.scene import geometry, light_table
 from torch_radbp.scene.kept import Kept
-from torch_radbp.scene.same_bits import PART, same_bits
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.same_bits import PART, same_bits
 from torch_radbp.shape.mesh import Mesh
 
 LARGE = (9 << 20) + 5  # numbers
