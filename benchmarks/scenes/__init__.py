@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.scenes import cornell_box, material_room, metal_mesh, textured_interior
+from benchmarks.scenes import cornell_box, material_room, metal_mesh, principled_interior, textured_interior
 from benchmarks.scenes.description import BenchmarkScene, Setting
 
 
@@ -23,6 +23,7 @@ SCENES = {
     "metal-mesh": Entry(metal_mesh.metal_mesh, metal_mesh.SETTING),
     "material-room": Entry(material_room.material_room, material_room.SETTING),
     "textured-interior": Entry(textured_interior.textured_interior, textured_interior.SETTING),
+    "principled-interior": Entry(principled_interior.principled_interior, principled_interior.SETTING),
     "metal-mesh-vertices": Entry(metal_mesh.metal_mesh_vertices, metal_mesh.SETTING),
 }
 QUICK = Setting(resolution=16, spp=2, max_depth=4)

@@ -15,6 +15,8 @@ SETTING = Setting(192, 8, 12)
 MATERIALS, METALS = 20, 6  # the last six are metals
 TEXELS = 128  # a side
 
+Triple = tuple[float, float, float]
+
 
 def material(folder: Path, number: int) -> dict:
     """The material with this number: diffuse, or a metal with bitmaps for colour and, every other one, for roughness."""
@@ -32,23 +34,34 @@ def material(folder: Path, number: int) -> dict:
             "alpha": alpha, "specular_reflectance": colour}
 
 
-def box(centre: tuple[float, float, float], size: tuple[float, float, float], number: int, turn: float = 0.0) -> dict:
-    pose = translate(centre) @ rotate((0, 1, 0), turn) @ scale([length / 2 for length in size])
-    return {"type": "cube", "to_world": pose, "bsdf": use(f"material_{number}")}
-
-
-def ball(centre: tuple[float, float, float], radius: float, number: int) -> dict:
-    return {"type": "sphere", "to_world": translate(centre) @ scale((radius,) * 3), "bsdf": use(f"material_{number}")}
-
-
-def wall(centre: tuple[float, float, float], size: tuple[float, float], turn: np.ndarray, number: int) -> dict:
-    pose = translate(centre) @ turn @ scale((size[0] / 2, size[1] / 2, 1))
-    return {"type": "rectangle", "to_world": pose, "bsdf": use(f"material_{number}")}
-
-
 def textured_interior(folder: Path, setting: Setting) -> BenchmarkScene:
-    """A room of 5 x 2.8 x 5, the floor at y = 0; gradients of all bitmaps."""
+    """The room with twenty materials; gradients of all bitmaps."""
     materials = {f"material_{number}": material(folder, number) for number in range(MATERIALS)}
+    return BenchmarkScene(room(materials, setting.resolution), tuple(parameters(materials)), setting)
+
+
+def room(materials: dict[str, dict], resolution: int) -> dict:
+    """A room of 5 x 2.8 x 5, the floor at y = 0, with a window, a lamp and furniture.
+
+    Args:
+        materials: by name; `MATERIALS` of them, or fewer that are used in turn.
+    """
+    names = list(materials)
+
+    def of(number: int) -> dict:
+        return use(names[number % len(names)])
+
+    def box(centre: Triple, size: Triple, number: int, turn: float = 0.0) -> dict:
+        pose = translate(centre) @ rotate((0, 1, 0), turn) @ scale([length / 2 for length in size])
+        return {"type": "cube", "to_world": pose, "bsdf": of(number)}
+
+    def ball(centre: Triple, radius: float, number: int) -> dict:
+        return {"type": "sphere", "to_world": translate(centre) @ scale((radius,) * 3), "bsdf": of(number)}
+
+    def wall(centre: Triple, size: tuple[float, float], turn: np.ndarray, number: int) -> dict:
+        pose = translate(centre) @ turn @ scale((size[0] / 2, size[1] / 2, 1))
+        return {"type": "rectangle", "to_world": pose, "bsdf": of(number)}
+
     y, x = (0, 1, 0), (1, 0, 0)
     walls = {
         "floor": wall((0, 0, 0), (5, 5), rotate(x, -90), 0), "ceiling": wall((0, 2.8, 0), (5, 5), rotate(x, 90), 1),
@@ -69,13 +82,12 @@ def textured_interior(folder: Path, setting: Setting) -> BenchmarkScene:
     }
     lights = {
         "window": {"type": "rectangle", "to_world": translate((2.49, 1.6, 0)) @ rotate(y, -90) @ scale((0.9, 0.7, 1)),
-                   "bsdf": use("material_3"), "emitter": {"type": "area", "radiance": rgb(9.0, 10.0, 12.0)}},
+                   "bsdf": of(3), "emitter": {"type": "area", "radiance": rgb(9.0, 10.0, 12.0)}},
         "lamp": {"type": "rectangle", "to_world": translate((0, 2.52, -0.6)) @ rotate(x, 90) @ scale((0.25, 0.25, 1)),
-                 "bsdf": use("material_19"), "emitter": {"type": "area", "radiance": rgb(16.0, 12.0, 7.0)}},
+                 "bsdf": of(19), "emitter": {"type": "area", "radiance": rgb(16.0, 12.0, 7.0)}},
     }
-    scene = {"type": "scene", "sensor": camera((0.4, 1.5, 2.35), (-0.05, 0.85, -1.5), 66.0, setting.resolution),
-             **materials, **walls, **furniture, **lights}
-    return BenchmarkScene(scene, tuple(parameters(materials)), setting)
+    return {"type": "scene", "sensor": camera((0.4, 1.5, 2.35), (-0.05, 0.85, -1.5), 66.0, resolution),
+            **materials, **walls, **furniture, **lights}
 
 
 def parameters(materials: dict[str, dict]) -> list[str]:
