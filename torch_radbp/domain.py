@@ -7,12 +7,14 @@ rendering does (`torch_radbp.scene.parameters`).
 from __future__ import annotations
 
 import math
+import warnings
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 LARGEST_AMOUNT = 1e18  # beyond it, squares overflow in float32
+LARGEST_REFLECTANCE = 1e6  # of one bounce; the products of several are finite in float32
 LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
 LEEWAY = 0.02  # how far a value may leave its range, as finite differences do, such as those of `check_gradient`
 FLATTEST = 1e-6  # least volume of a pose's axes, relative to a box with the same edges; rounding of float32 alone makes 1e-7
@@ -29,6 +31,7 @@ class Domain(NamedTuple):
     low_is_in: bool = True
     high_is_in: bool = True
     limit: float = math.inf  # of the magnitude, for the sake of float32
+    is_reflectance: bool = False  # fractions of light; values above 1 make more light than arrives, and are warned of
     unit: str = ""
     is_index: bool = False  # rows of a table, int64
     is_pose: bool = False  # an affine transform that can be inverted
@@ -66,6 +69,12 @@ class Domain(NamedTuple):
             raise ValueError(f"{name} must be {self.words}, got {float(least):g}{advice}")
         if (greatest > self.high + leeway) if self.high_is_in else (greatest >= self.high):
             raise ValueError(f"{name} must be {self.words}, got {float(greatest):g}{advice}")
+
+    def warn(self, name: str, greatest: float) -> None:
+        """Warns of a reflectance whose greatest value is above 1."""
+        if self.is_reflectance and greatest > 1.0 + LEEWAY:
+            warnings.warn(f"{name} has values above 1: the surface reflects more light than it gets, and paths that meet it "
+                          f"often may grow without bound", UserWarning, stacklevel=2)
 
     @staticmethod
     def check_pose(name: str, matrix: Tensor) -> None:
@@ -106,5 +115,6 @@ def fits(shape: tuple[int, ...], pattern: tuple[int | str, ...]) -> bool:
 NUMBER = Domain(shapes=((),))
 AMOUNT = Domain(low=0.0, limit=LARGEST_AMOUNT)  # such as of light or of roughness
 FRACTION = Domain(low=0.0, high=1.0)
+REFLECTANCE = Domain(low=0.0, limit=LARGEST_REFLECTANCE, is_reflectance=True)
 POINT = Domain(shapes=((3,),), limit=LARGEST_COORDINATE)
 POSE = Domain(shapes=((4, 4),), is_pose=True)

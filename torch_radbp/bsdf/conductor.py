@@ -9,7 +9,7 @@ from torch import Tensor
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, reflects
-from torch_radbp.domain import AMOUNT, FRACTION, Domain
+from torch_radbp.domain import AMOUNT, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3
@@ -42,7 +42,7 @@ class Conductor(BSDF):
         eta: real part of the index of refraction; 0 by default.
         k: imaginary part, the extinction coefficient; 1 by default, which with eta = 0 reflects all light.
         material: name of a metal in `ior.CONDUCTORS`, in place of eta and k; or "none".
-        specular_reflectance: a factor in [0, 1] on the reflected light; physical surfaces have 1.
+        specular_reflectance: a factor on the reflected light; physical surfaces have 1, more is warned of.
 
     Raises:
         ValueError: if the metal is unknown or given beside eta or k, or if a value is out of range.
@@ -56,7 +56,7 @@ class Conductor(BSDF):
         self.specular_reflectance = as_texture(self, "specular_reflectance", specular_reflectance)
 
     def domains(self) -> dict[str, Domain]:
-        return {"eta": AMOUNT, "k": AMOUNT, "specular_reflectance": FRACTION}
+        return {"eta": AMOUNT, "k": AMOUNT, "specular_reflectance": REFLECTANCE}
 
     def kind(self) -> ConductorKind:
         """The scattering functions."""

@@ -12,7 +12,7 @@ from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
 from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, side_of
 from torch_radbp.bsdf.number import OwnNumber
-from torch_radbp.domain import FRACTION, NUMBER, Domain
+from torch_radbp.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3
@@ -83,8 +83,8 @@ class Dielectric(BSDF):
     Args:
         int_ior: index of refraction inside, a number or a material of `ior.DIELECTRICS`.
         ext_ior: the same outside.
-        specular_reflectance: a factor in [0, 1] on reflected light; physical surfaces have 1.
-        specular_transmittance: a factor in [0, 1] on refracted light; physical surfaces have 1.
+        specular_reflectance: a factor on reflected light; physical surfaces have 1, more is warned of.
+        specular_transmittance: a factor on refracted light; physical surfaces have 1, more is warned of.
 
     Raises:
         ValueError: if a material is unknown, or a value is out of range.
@@ -100,8 +100,8 @@ class Dielectric(BSDF):
         self.specular_transmittance = as_texture(self, "specular_transmittance", specular_transmittance)
 
     def domains(self) -> dict[str, Domain]:
-        return {"eta": NUMBER._replace(low=0.0, low_is_in=False), "specular_reflectance": FRACTION,
-                "specular_transmittance": FRACTION}
+        return {"eta": NUMBER._replace(low=0.0, low_is_in=False), "specular_reflectance": REFLECTANCE,
+                "specular_transmittance": REFLECTANCE}
 
     @property
     def int_ior(self) -> float:

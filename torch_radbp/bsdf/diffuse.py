@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Choice, Kind, Values
-from torch_radbp.domain import FRACTION, Domain
+from torch_radbp.domain import REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
 from torch_radbp.texture.rgb import as_texture
@@ -34,7 +34,8 @@ class DiffuseKind(Kind):
 class Diffuse(BSDF):
     """Reflects the fraction `reflectance` of the light equally into all directions, on the side of the normal.
 
-    Parameters: `reflectance`, a texture with values in [0, 1]. Derivatives: with respect to its texels.
+    Parameters: `reflectance`, a texture. Derivatives: with respect to its texels. Values above 1, which Mitsuba takes too
+    unless they are written as <rgb>, are used as they are; there the surface makes light, and it is warned of.
     """
 
     def __init__(self, *, reflectance: Texture | float = 0.5):
@@ -42,7 +43,7 @@ class Diffuse(BSDF):
         self.reflectance = as_texture(self, "reflectance", reflectance)
 
     def domains(self) -> dict[str, Domain]:
-        return {"reflectance": FRACTION}
+        return {"reflectance": REFLECTANCE}
 
     def kind(self) -> DiffuseKind:
         """The scattering functions."""

@@ -18,7 +18,7 @@ from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
 from torch_radbp.bsdf.kind import Choice, Kind, Values, chance_of_lobe, reflects
 from torch_radbp.bsdf.number import OwnNumber
-from torch_radbp.domain import FRACTION, NUMBER, Domain
+from torch_radbp.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, boolean, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
 from torch_radbp.texture.rgb import as_texture
@@ -124,11 +124,11 @@ class Plastic(BSDF):
     over the surface, and as if each were at least 0.02.
 
     Args:
-        diffuse_reflectance: of the base, in [0, 1].
+        diffuse_reflectance: of the base; above 1, where it makes light, it is warned of.
         nonlinear: account for the shift of colours by light that is reflected inside several times.
         int_ior: index of refraction of the coat, a number or a material of `ior.DIELECTRICS`.
         ext_ior: the same outside.
-        specular_reflectance: a factor in [0, 1] on the light that the coat reflects; physical surfaces have 1.
+        specular_reflectance: a factor on the light that the coat reflects; physical surfaces have 1, more is warned of.
 
     Raises:
         ValueError: if a material is unknown, or a value is out of range.
@@ -146,8 +146,8 @@ class Plastic(BSDF):
         self.specular_reflectance = as_texture(self, "specular_reflectance", specular_reflectance)
 
     def domains(self) -> dict[str, Domain]:
-        return {"eta": NUMBER._replace(low=0.0, low_is_in=False), "diffuse_reflectance": FRACTION,
-                "specular_reflectance": FRACTION}
+        return {"eta": NUMBER._replace(low=0.0, low_is_in=False), "diffuse_reflectance": REFLECTANCE,
+                "specular_reflectance": REFLECTANCE}
 
     @property
     def int_ior(self) -> float:

@@ -8,7 +8,7 @@ from torch_radbp.bsdf.burley import check_rates
 from torch_radbp.bsdf.features import features_of
 from torch_radbp.bsdf.number import NumberOf, OwnNumber
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
-from torch_radbp.domain import FRACTION, NUMBER, Domain
+from torch_radbp.domain import FRACTION, NUMBER, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture
 
@@ -30,7 +30,7 @@ class Principled(BSDF):
     that Mitsuba has, but as if its weight were at least 0.02.
 
     Args:
-        base_color: of the diffuse base and of metal, in [0, 1].
+        base_color: of the diffuse base and of metal; above 1, where it makes light, it is warned of.
         roughness: its square is the roughness of the microfacets.
         anisotropic: how much the reflections are stretched along the coordinate u.
         metallic: 1 is a metal, 0 plastic or glass.
@@ -79,7 +79,7 @@ class Principled(BSDF):
         check_rates(self.rates(), "main_specular_sampling_rate")
 
     def domains(self) -> dict[str, Domain]:
-        return {"base_color": FRACTION, "roughness": FRACTION, **{name: FRACTION for name in FEATURES},
+        return {"base_color": REFLECTANCE, "roughness": FRACTION, **{name: FRACTION for name in FEATURES},
                 "eta": NUMBER._replace(low=0.0, low_is_in=False), "specular": NUMBER._replace(low=0.0, high=1.0)}
 
     def rates(self) -> dict[str, float]:

@@ -38,7 +38,7 @@ from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import Choice, Values, above, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import GGX, half_vector
 from torch_radbp.bsdf.number import NumberOf
-from torch_radbp.domain import FRACTION, LARGEST_AMOUNT, Domain
+from torch_radbp.domain import FRACTION, LARGEST_AMOUNT, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
 from torch_radbp.texture.rgb import as_texture
@@ -170,7 +170,7 @@ class PrincipledThin(BSDF):
     weights were at least 0.02. As in Mitsuba, a white base reflects a few per cent more light than it receives.
 
     Args:
-        base_color: of the diffuse base, and of light that passes, in [0, 1].
+        base_color: of the diffuse base, and of light that passes; above 1, where it makes light, it is warned of.
         roughness: its square is the roughness of the microfacets.
         anisotropic: how much the reflections are stretched along the coordinate u.
         spec_trans: 1 is a clear film, 0 a diffuse sheet; without it nothing is glossy.
@@ -206,7 +206,7 @@ class PrincipledThin(BSDF):
         check_rates({name: getattr(self, name) for name in RATES}, "diffuse_reflectance_sampling_rate")
 
     def domains(self) -> dict[str, Domain]:
-        return {"base_color": FRACTION, "roughness": FRACTION, **{name: FRACTION for name in FEATURES},
+        return {"base_color": REFLECTANCE, "roughness": FRACTION, **{name: FRACTION for name in FEATURES},
                 "diff_trans": Domain(low=0.0, high=2.0), "eta": Domain(low=0.0, low_is_in=False, limit=LARGEST_AMOUNT)}
 
     def features(self) -> tuple[str, ...]:

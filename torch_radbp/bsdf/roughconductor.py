@@ -10,7 +10,7 @@ from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import Choice, Values, above, reflects
 from torch_radbp.bsdf.microfacet import ROUGHNESS, MicrofacetKind, half_vector, make_rough
-from torch_radbp.domain import AMOUNT, FRACTION, Domain
+from torch_radbp.domain import AMOUNT, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3, dot
@@ -52,7 +52,7 @@ class RoughConductor(BSDF):
         eta: real part of the index of refraction; 0 by default.
         k: imaginary part, the extinction coefficient; 1 by default, which with eta = 0 reflects all light.
         material: name of a metal in `ior.CONDUCTORS`, in place of eta and k; or "none".
-        specular_reflectance: a factor in [0, 1] on the reflected light; physical surfaces have 1.
+        specular_reflectance: a factor on the reflected light; physical surfaces have 1, more is warned of.
         sample_visible: must be true.
 
     Raises:
@@ -70,7 +70,7 @@ class RoughConductor(BSDF):
         self.specular_reflectance = as_texture(self, "specular_reflectance", specular_reflectance)
 
     def domains(self) -> dict[str, Domain]:
-        return {**ROUGHNESS, "eta": AMOUNT, "k": AMOUNT, "specular_reflectance": FRACTION}
+        return {**ROUGHNESS, "eta": AMOUNT, "k": AMOUNT, "specular_reflectance": REFLECTANCE}
 
     def kind(self) -> RoughConductorKind:
         """The scattering functions."""

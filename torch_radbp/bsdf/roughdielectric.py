@@ -135,8 +135,8 @@ class RoughDielectric(Dielectric):
             across. Of a constant colour the mean is used, of a colour bitmap the luminance; likewise for alpha.
         int_ior: index of refraction inside, a number or a material of `ior.DIELECTRICS`.
         ext_ior: index of refraction outside; must differ from int_ior.
-        specular_reflectance: a factor in [0, 1] on reflected light; physical surfaces have 1.
-        specular_transmittance: a factor in [0, 1] on refracted light; physical surfaces have 1.
+        specular_reflectance: a factor on reflected light; physical surfaces have 1, more is warned of.
+        specular_transmittance: a factor on refracted light; physical surfaces have 1, more is warned of.
         sample_visible: must be true.
 
     Raises:

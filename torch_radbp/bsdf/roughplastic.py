@@ -197,11 +197,11 @@ class RoughPlastic(Plastic):
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.
         alpha: roughness; for Beckmann the root mean square slope times sqrt(2).
-        diffuse_reflectance: of the base, in [0, 1].
+        diffuse_reflectance: of the base; above 1, where it makes light, it is warned of.
         nonlinear: account for the shift of colours by light that is reflected inside several times.
         int_ior: index of refraction of the coat, a number or a material of `ior.DIELECTRICS`.
         ext_ior: index of refraction outside; must differ from int_ior.
-        specular_reflectance: a factor in [0, 1] on the light that the coat reflects; physical surfaces have 1.
+        specular_reflectance: a factor on the light that the coat reflects; physical surfaces have 1, more is warned of.
         sample_visible: must be true.
 
     Raises:

@@ -67,8 +67,8 @@ class ThinDielectric(Dielectric):
     Args:
         int_ior: index of refraction of the pane, a number or a material of `ior.DIELECTRICS`.
         ext_ior: the same on both sides of it.
-        specular_reflectance: a factor in [0, 1] on reflected light; physical surfaces have 1.
-        specular_transmittance: a factor in [0, 1] on the light that passes; physical surfaces have 1.
+        specular_reflectance: a factor on reflected light; physical surfaces have 1, more is warned of.
+        specular_transmittance: a factor on the light that passes; physical surfaces have 1, more is warned of.
 
     Raises:
         ValueError: if a material is unknown, or a value is out of range.

@@ -48,6 +48,7 @@ def check_attributes(scene: Scene, kept: Kept) -> None:
                 values = values * texture.scale.detach().to(values)
                 least, greatest = kept(extremes, kept.frozen((id(shape), id(texture), name), values))
                 domain.check_range(f"{scene.name_of(shape)}.{name}", values, least, greatest, LEEWAY)
+                domain.warn(f"{scene.name_of(shape)}.{name}", greatest)
 
 
 def extremes(values: Tensor) -> tuple[float, float]:

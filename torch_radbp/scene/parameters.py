@@ -127,11 +127,15 @@ def check_parameters(scene: Scene, kept: Kept) -> None:
 
 
 def check_values(name: str, value: Tensor, domains: tuple[Domain, ...]) -> None:
-    """Raises ValueError unless the values of a parameter, detached, are in all of some domains."""
+    """Raises ValueError unless the values of a parameter, detached, are in all of some domains.
+
+    Warns of reflectances above 1.
+    """
     least, greatest = torch.stack(value.aminmax()).double().tolist()
     finite = abs(least) < torch.inf and abs(greatest) < torch.inf
     for domain in domains:
         domain.check_range(f"parameter {name!r}", value, least, greatest, LEEWAY, OUTSIDE if finite else NOT_FINITE)
+        domain.warn(f"parameter {name!r}", greatest)
         if domain.is_pose:
             domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", value)
 

@@ -66,6 +66,7 @@ class ModuleFunction:
         least, greatest = torch.stack(values.detach().aminmax()).tolist()
         for domain in self.use.domains:
             domain.check_range(name, values, least, greatest, LEEWAY, OUTSIDE if abs(greatest - least) < torch.inf else "")
+            domain.warn(name, greatest)
 
 
 class ModuleBank(NamedTuple):

@@ -63,7 +63,7 @@ def role_of(owner: Plugin, domain: Domain) -> Role:
     """What a spectrum says in the place of an attribute with this domain."""
     if isinstance(owner, Emitter):
         return "emitted"
-    return "reflected" if isinstance(owner, Texture) or domain.high == FRACTION.high else "index"
+    return "reflected" if isinstance(owner, Texture) or domain.is_reflectance or domain.high == FRACTION.high else "index"
 
 
 class Spectrum(Colour):
