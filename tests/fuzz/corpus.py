@@ -61,7 +61,8 @@ def _scenes(root: Path) -> list[Seed]:
     including = b'<scene version="3.0.0"><include filename="part.xml"/><path value="../poster"/></scene>'
     (root / "others").mkdir()
     (root / "others" / "coloured.ply").write_text(COLOURED)
-    return [*seeds, Seed(root / "assets" / "cornell_box", including), Seed(root / "others", _others().encode())]
+    return [*seeds, Seed(root / "assets" / "cornell_box", including), Seed(root / "others", _others().encode()),
+            Seed(root / "others", OLD.encode())]
 
 
 def _others() -> str:
@@ -156,6 +157,27 @@ OTHERS = """<scene version="3.0.0">
     </bsdf>
   </shape>
   {}
+</scene>
+"""
+OLD = """<scene version="0.6.0">
+  <default name="maxDepth" value="3"/>
+  <integrator type="path"><integer name="maxDepth" value="$maxDepth"/></integrator>
+  <sampler type="multijitter" id="points"><integer name="sampleCount" value="4"/></sampler>
+  <sensor type="perspective">
+    <transform name="toWorld"><lookAt origin="0.3, 0.4, 3" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <ref id="points"/>
+    <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+  </sensor>
+  <emitter type="area" id="lamp"><rgb name="radiance" value="1, 2, 3"/></emitter>
+  <shape type="sphere"><ref id="lamp"/></shape>
+  <shape type="cube">
+    <transform name="toWorld"><translate y="-2"/></transform>
+    <bsdf type="diffuse">
+      <texture name="diffuseReflectance" type="checkerboard">
+        <float name="uscale" value="2"/><float name="voffset" value="0.3"/>
+      </texture>
+    </bsdf>
+  </shape>
 </scene>
 """
 OBJ = [

@@ -196,9 +196,13 @@ XML = {
         '<integrator type="path"/>\n<integrator type="path"/>',
         ["line 3: <integrator", "already has an integrator"],
     ),
-    "film in the scene": (
-        '<film type="hdrfilm"/>',
-        ["line 2: <film", "a film cannot stand here", "supported: shape, bsdf"],
+    "film in a shape": (
+        shape('<film type="hdrfilm"/>'),
+        ["line 2: <film", "a film cannot stand here", "supported: bsdf, emitter"],
+    ),
+    "one lamp on two shapes": (
+        '<emitter type="area" id="lamp"/>' + 2 * '<shape type="sphere"><ref id="lamp"/></shape>',
+        ["line 1: <scene>", "have one emitter, `lamp`", "give each shape its own"],
     ),
     "emitter in a bsdf": (
         diffuse('\n<emitter type="area"/>'),
@@ -479,11 +483,10 @@ def test_bad_dicts_name_the_path_of_keys(case):
 
 FILES = {
     "no version": ("<scene/>", ["line 1: <scene>", "'version' is missing", "3.0.0"]),
-    "old version": (
-        scene_text("", version="0.6.0"),
-        ["line 1: <scene>", "Mitsuba 0.x", "max_depth", 'set version="3.0.0"'],
-    ),
     "newer version": (scene_text("", version="4.1.0"), ["line 1: <scene>", "newer than what is supported"]),
+    "name of an old version": (
+        scene_text('<integrator type="path"><float name="shutterOpen" value="1"/></integrator>', version="0.6.0"),
+        ['line 2: <float name="shutter_open">', "path has no attribute 'shutter_open'"]),
     "odd version": (scene_text("", version="three"), ["line 1: <scene>", "must read like", "'three'"]),
     "another root": ('<bsdf version="3.0.0" type="diffuse"/>', ["line 1: <bsdf", "must be <scene"]),
     "cut off": (scene_text("")[:-9], ["line 3", "not well-formed XML"]),

@@ -5,6 +5,7 @@ import torch
 
 from tests.io.documents import LAMP, SENSOR, TRIANGLE_OBJ, scene_text, write_scene
 from torch_radbp.io.load import load
+from torch_radbp.io.write import save
 from torch_radbp.io.xml_scene import read_scene
 
 WHITE = '<bsdf type="diffuse" id="white"><rgb name="reflectance" value="0.8, 0.7, 0.6"/></bsdf>'
@@ -125,3 +126,24 @@ def test_colours_of_emitters_are_those_of_mitsuba(mi, tmp_path, radiance):
 def test_versions_of_mitsuba_2_and_3_are_read(tmp_path, version):
     (tmp_path / "scene.xml").write_text(scene_text("", version=version))
     assert load(tmp_path / "scene.xml").sensors
+
+
+def test_parts_of_a_sensor_may_stand_in_the_scene_and_be_referred_to(tmp_path):
+    text = ('<sampler type="multijitter" id="points"><integer name="sample_count" value="9"/></sampler>'
+            '<rfilter type="tent" id="filter"/><film type="hdrfilm" id="film"><integer name="width" value="5"/>'
+            '<ref id="filter"/></film><sensor type="perspective"><ref id="film"/><ref id="points"/></sensor>')
+    scene = load(write_scene(tmp_path, LAMP + text, complete=False))
+    (camera,) = scene.sensors
+    assert (camera.film.width, camera.film.rfilter.type, camera.sampler.sample_count) == (5, "tent", 9)
+    assert {name.split(".")[0] for name in names(scene)} == {"sky", "perspective"}
+
+
+def test_the_lamp_of_a_shape_may_stand_in_the_scene_and_be_referred_to(tmp_path):
+    """Its name is then its id, as in Mitsuba 3.9.1."""
+    lamp = '<emitter type="area" id="lamp"><rgb name="radiance" value="1, 2, 3"/></emitter>'
+    scene = load(write_scene(tmp_path, lamp + SENSOR + '<shape type="sphere" id="ball"><ref id="lamp"/></shape>',
+                             complete=False))
+    assert scene.emitters == [scene.ball.emitter]
+    assert torch.equal(scene.get_parameter("lamp.radiance.value"), torch.tensor([1.0, 2.0, 3.0]))
+    save(scene, tmp_path / "again.xml")
+    assert set(names(load(tmp_path / "again.xml"))) == set(names(scene))

@@ -5,6 +5,7 @@ import torch
 
 from tests.gradients import image_and_gradients
 from tests.scenes import cornell, sensor
+from torch_radbp.plugin import REGISTRY
 
 BATCHES = 24
 
@@ -32,7 +33,17 @@ def test_points_of_low_discrepancy_are_the_default():
         assert torch.equal(default, points)
 
 
-@pytest.mark.parametrize("kind", ["ldsampler", "independent"])
+@pytest.mark.parametrize("kind", ["stratified", "multijitter", "orthogonal"])
+def test_samplers_of_other_even_points_have_those_of_low_discrepancy(kind):
+    points, others = (cornell(sensors={"camera": sensor(6, sampler={"type": name, "sample_count": 9})})
+                      for name in ("ldsampler", kind))
+    names = ("white.reflectance.value",)
+    assert torch.equal(*(image_and_gradients(scene, names, seed=1, max_depth=2)[0] for scene in (points, others)))
+    with pytest.raises(ValueError, match="jitter must be True, got False"):
+        cornell(sensors={"camera": sensor(6, sampler={"type": kind, "jitter": False})})
+
+
+@pytest.mark.parametrize("kind", REGISTRY["sampler"])
 def test_a_sampler_without_samples_is_refused(kind):
     with pytest.raises(ValueError, match="sample_count must be at least 1, got 0"):
         cornell(sensors={"camera": sensor(6, sampler={"type": kind, "sample_count": 0})})

@@ -20,14 +20,14 @@ class HDRFilm(Film):
         width, height: of the whole image, pixels.
         crop_offset_x, crop_offset_y, crop_width, crop_height: the window that is rendered; by default the whole image.
         sample_border: let pixels at the border of the window use samples from outside it.
-        pixel_format: rgb. component_format, file_format: of the files that Mitsuba writes; without effect here.
+        pixel_format: rgb. component_format, file_format, banner: of the files that Mitsuba writes; without effect here.
         rfilter: box, tent or gaussian.
     """
 
     def __init__(self, *, width: int = 768, height: int = 576, crop_offset_x: int = 0, crop_offset_y: int = 0,
                  crop_width: int | None = None, crop_height: int | None = None, sample_border: bool = False,
                  pixel_format: str = "rgb", component_format: str = "float16", file_format: str = "openexr",
-                 rfilter: ReconstructionFilter | None = None):
+                 banner: bool = True, rfilter: ReconstructionFilter | None = None):
         super().__init__()
         self.width, self.height = integer("width", width), integer("height", height)
         self.crop_offset_x = integer("crop_offset_x", crop_offset_x)
@@ -47,7 +47,7 @@ class HDRFilm(Film):
             if value not in known:
                 raise ValueError(f"{name} {value!r} is not supported; {nearest(value, known)}")
         self.sample_border, self.pixel_format = boolean("sample_border", sample_border), pixel_format
-        self.component_format, self.file_format = component_format, file_format
+        self.component_format, self.file_format, self.banner = component_format, file_format, boolean("banner", banner)
         self.rfilter = Gaussian() if rfilter is None else rfilter
 
     def tensors(self, like: Tensor) -> FilmTensors:

@@ -22,7 +22,8 @@ from torch_radbp.scene.scene import Scene
 MAX_DEPTH = 100  # of objects in objects, references followed
 MAX_OBJECTS = 100_000
 
-TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "sensor", "integrator")
+TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "sensor", "integrator", "sampler", "film", "rfilter")
+PARTS_OF_SENSORS = ("sampler", "film", "rfilter")  # stand there to be referred to
 
 
 def build_scene(description: dict[str, Any], base_dir: str | os.PathLike | None = None) -> Scene:
@@ -64,8 +65,10 @@ class _Builder:
             if isinstance(value, dict) and value.get("type") == "ref":
                 raise self.error((name,), value, "a reference cannot stand directly in the scene; put it inside the "
                                  "object that uses it")
-            children[name] = self.plugin((name,), value, TOP_LEVEL)
-            if children[name].category == "integrator":
+            plugin = self.plugin((name,), value, TOP_LEVEL)
+            if plugin.category not in PARTS_OF_SENSORS:
+                children[name] = plugin
+            if plugin.category == "integrator":
                 integrators.append(name)
         if len(integrators) > 1:
             raise self.error((integrators[1],), root[integrators[1]], "the scene already has an integrator; keep one")

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from torch_radbp.io.xml import MAX_DEPTH, Element, abridged, read_xml
+from torch_radbp.io.xml_upgrade import upgraded
 from torch_radbp.io.xml_values import PROPERTIES, check_attributes, property_value
 from torch_radbp.plugin import REGISTRY, nearest
 
@@ -95,7 +96,8 @@ class _Reader:
     def open(self, path: Path) -> Element:
         """The root of a scene file, its version checked; relative names are looked for beside it from here on."""
         root = self.substitute(read_xml(path))
-        _check_version(root)
+        if _is_of_old_version(root):
+            root = upgraded(root)
         self.open_files.append(path.resolve())
         self.folders = [path.parent, *self.folders]
         return root
@@ -261,19 +263,17 @@ def find_file(name: str, folders: list[Path], exists: Callable[[Path], bool] = o
     return next((folder / name for folder in folders if exists(folder / name)), None)
 
 
-def _check_version(root: Element) -> None:
+def _is_of_old_version(root: Element) -> bool:
+    """True if a file is for Mitsuba 0.x or 1.x; its version is checked."""
     version = root.attributes.get("version")
     if version is None:
         raise root.fail("the attribute 'version' is missing; scenes of Mitsuba 3 begin with <scene version=\"3.0.0\">")
     match = VERSION.fullmatch(version)
     if not match:
         raise root.fail(f"version must read like \"3.0.0\", got {version!r}")
-    if int(match[1]) < 2:
-        raise root.fail(f"version {version} is a scene of Mitsuba 0.x, whose names differ; rename its attributes from "
-                        "camelCase to snake_case (toWorld -> to_world, maxDepth -> max_depth), write <bsdf>, <emitter> "
-                        "and <sensor> as in Mitsuba 3, and set version=\"3.0.0\"")
     if int(match[1]) > 3:
-        raise root.fail(f"version {version} is newer than what is supported, which is 2.0.0 to 3.x")
+        raise root.fail(f"version {version} is newer than what is supported, which is 0.4.0 to 3.x")
+    return int(match[1]) < 2
 
 
 def _free_name(name: str, taken: dict[str, int]) -> str:

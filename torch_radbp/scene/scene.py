@@ -40,15 +40,26 @@ class Scene(nn.Module):
         if not self.emitters:
             raise SceneError("the scene has no emitter, so that every image is black: add an emitter of type "
                              f"{', '.join(sorted(REGISTRY['emitter']))}")
-        stray = [name for name, child in self._modules.items() if isinstance(child, Emitter) and child.kind().on_surface]
-        if stray:
-            emitter = self._modules[stray[0]]
-            raise SceneError(f"`{stray[0]}` is an emitter of type {emitter.type}, which belongs inside a shape: write it as "
-                             f"the emitter of one")
+        self._check_places()
         surrounds = [emitter.type for emitter in self.emitters if emitter.kind().surround]
         if len(surrounds) > 1:
             raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
                              "their radiances in one")
+
+    def _check_places(self) -> None:
+        """Raises SceneError unless every emitter on a surface is on one."""
+        carriers: dict[int, Shape] = {}
+        for shape in self.shapes:
+            if shape.emitter is None:
+                continue
+            first = carriers.setdefault(id(shape.emitter), shape)
+            if first is not shape:
+                raise SceneError(f"`{self.name_of(first)}` and `{self.name_of(shape)}` have one emitter, "
+                                 f"`{self.name_of(shape.emitter)}`: give each shape its own")
+        for name, child in self._modules.items():
+            if isinstance(child, Emitter) and child.kind().on_surface and id(child) not in carriers:
+                raise SceneError(f"`{name}` is an emitter of type {child.type}, which belongs inside a shape: write it as "
+                                 f"the emitter of one")
 
     def _add(self, name: str, child: Plugin) -> None:
         name = name.replace(".", "_")
@@ -87,7 +98,7 @@ class Scene(nn.Module):
     @property
     def emitters(self) -> list[Emitter]:
         """All emitters: those of the scene, then those of its shapes."""
-        own = [child for child in self._modules.values() if isinstance(child, Emitter)]
+        own = [child for child in self._modules.values() if isinstance(child, Emitter) and not child.kind().on_surface]
         return own + [shape.emitter for shape in self.shapes if shape.emitter is not None]
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torch_radbp.plugin import Sampler, register
+from torch_radbp.plugin import Sampler, boolean, integer, register
 
 
 @register("sampler", "independent")
@@ -21,3 +21,43 @@ class LowDiscrepancy(Sampler):
     """
 
     low_discrepancy = True
+
+
+class Jittered(LowDiscrepancy):
+    """The same for scenes that ask for another kind of even distribution: the points are those of `ldsampler`.
+
+    Args:
+        sample_count: default number of samples per pixel. Mitsuba rounds it up to what its points can be; here it is kept.
+        seed: added to the seed of a call.
+        jitter: true; points that are the same in every pixel are not supported.
+    """
+
+    def __init__(self, *, sample_count: int = 4, seed: int = 0, jitter: bool = True):
+        super().__init__(sample_count=sample_count, seed=seed)
+        self.jitter = boolean("jitter", jitter)
+        if not self.jitter:
+            raise ValueError("jitter must be True, got False: the points of a pixel are always random; take it away")
+
+
+@register("sampler", "stratified")
+class Stratified(Jittered):
+    """Even samples of each pixel. Arguments: see `Jittered`."""
+
+
+@register("sampler", "multijitter")
+class MultiJitter(Jittered):
+    """Even samples of each pixel. Arguments: see `Jittered`."""
+
+
+@register("sampler", "orthogonal")
+class Orthogonal(Jittered):
+    """Even samples of each pixel.
+
+    Args:
+        sample_count, seed, jitter: see `Jittered`.
+        strength: of Mitsuba's points; without effect here.
+    """
+
+    def __init__(self, *, sample_count: int = 4, seed: int = 0, jitter: bool = True, strength: int = 2):
+        super().__init__(sample_count=sample_count, seed=seed, jitter=jitter)
+        self.strength = integer("strength", strength, least=1)
