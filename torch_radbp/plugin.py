@@ -87,6 +87,7 @@ class Plugin(nn.Module):
 
     category: str = ""
     type: str = ""
+    object_of_any_name: str | None = None  # the attribute for a nested texture whose name says nothing
 
     def __init__(self) -> None:
         super().__init__()

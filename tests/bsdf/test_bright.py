@@ -18,9 +18,10 @@ SKY = {"type": "constant", "radiance": rgb(0.5, 1.0, 2.0)}
 BRIGHT = torch.tensor([[[2.0, 0.5, 1.0], [3.0, 1.0, 0.25]], [[0.0, 8.0, 1.5], [1.0, 0.1, 4.0]]])
 OTHERS = {"roughconductor": {"material": "Au", "alpha": 0.3}, "principled": {"roughness": 0.4},
           "principledthin": {"roughness": 0.4, "spec_trans": 0.3}}
+# Of kinds with smooth lobes.
 NAMES = ("reflectance", "diffuse_reflectance", "specular_reflectance", "specular_transmittance", "base_color")
 SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name in NAMES
-         if name in attributes(cls) and kind not in ("conductor", "dielectric", "thindielectric")]  # those have no smooth lobe
+         if name in attributes(cls) and kind not in ("conductor", "dielectric", "thindielectric")]
 
 
 def wall(reflectance) -> rb.Scene:

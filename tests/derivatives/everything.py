@@ -12,7 +12,7 @@ from tests.scenes import load, rgb
 
 MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
              "brushed glass beckmann", "plastic", "rough plastic ggx", "principled", "principled glass", "principled sheet",
-             "blend", "mask", "normal map")
+             "blend", "mask", "normal map", "bump map")
 SHAPES = ("rectangle", "disk", "sphere", "cube", "mesh", "obj", "ply")
 LIGHTS = ("directional", "point", "projector", "spot")
 TEXTURES = ("spectra", "metal by spectra", "named constants", "raw constant", "checkerboard", "rough checkerboard")

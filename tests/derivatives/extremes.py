@@ -153,6 +153,9 @@ def materials() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
         found[f"mask {weight}"] = of({"type": "mask", "leaf": {"type": "roughplastic"}}, opacity__value=weight)
         found[f"normalmap {weight}"] = of({"type": "normalmap", "normalmap": rgb(0.5, 0.5, 1.0), "nested": {
             "type": "roughconductor"}}, normalmap__value=weight)
+    hills = {"type": "bumpmap", "heights": picture(3, 3, 7) | {"raw": True}, "nested": {"type": "roughconductor"}}
+    for factor in (0.0, 1e6, -3.0):
+        found[f"bumpmap {factor}"] = of(hills, scale=factor)
     found["null"] = of({"type": "null"})
     found |= {f"spectra {value}": spectra(value) for value in (0.0, 1.0)}
     return found

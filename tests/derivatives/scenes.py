@@ -39,6 +39,11 @@ def bumps() -> dict[str, Any]:
     return bitmap(data=flat + 0.15 * (texels(2, 3, 6) - 0.5))
 
 
+def heights() -> dict[str, Any]:
+    """Bumps of gentle slopes."""
+    return bitmap(3, 3, 0.25, 6)
+
+
 def squares(color0: Any, color1: Any) -> dict[str, Any]:
     """A checkerboard with some squares in view."""
     return {"type": "checkerboard", "color0": color0, "color1": color1,
@@ -230,6 +235,14 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "mask": glass(type="mask", opacity=bitmap(), leaf={"type": "twosided", "both": diffuse(0.8, 0.3, 0.1)}),
     "normal map": metal(type="normalmap", normalmap=bumps(), nested={"type": "roughplastic", "alpha": 0.4, **PLASTIC}),
     "mirror with a normal map": glass(type="normalmap", normalmap=bumps(), nested={"type": "conductor", **METAL}),
+    "bump map": metal(type="bumpmap", heights=heights(), scale=0.7, nested={
+        "type": "roughplastic", "alpha": 0.4, **PLASTIC}),
+    "mirror with a bump map": glass(type="bumpmap", heights=heights(), nested={"type": "conductor", **METAL}),
+    "bump map on a mesh": shape(**quadrilateral(bsdf={
+        "type": "bumpmap", "heights": heights(), "scale": 0.6, "nested": {"type": "roughconductor", "alpha": 0.4,
+                                                                          **ROUGH_METAL}})),
+    "bump map of attributes": lambda: shape(type="ply", filename=coloured_file(faces=False), bsdf={
+        "type": "bumpmap", "heights": ATTRIBUTE, "nested": diffuse(0.8, 0.5, 0.6)}),
     "dielectric": glass(type="dielectric", **TINTED),
     "pane": glass(type="thindielectric", **TINTED),
     "rough glass beckmann": glass(type="roughdielectric", distribution="beckmann", alpha=0.3, **ROUGH_GLASS),

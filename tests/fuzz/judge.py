@@ -35,6 +35,7 @@ PICTURE_USES: list[Callable[[dict], dict]] = [
     lambda picture: {"type": "mask", "opacity": picture, "nested": {"type": "diffuse"}},
     lambda picture: {"type": "blendbsdf", "weight": picture, "first": {"type": "diffuse"}, "second": {"type": "conductor"}},
     lambda picture: {"type": "normalmap", "normalmap": picture | {"raw": True}, "nested": {"type": "roughplastic"}},
+    lambda picture: {"type": "bumpmap", "heights": picture | {"raw": True}, "nested": {"type": "diffuse"}},
     lambda picture: {"type": "roughconductor", "alpha": picture},
 ]
 REFUSALS = (ValueError, TypeError, OSError, rb.NonFiniteError)

@@ -95,3 +95,21 @@ def normal_maps(folder: Folder) -> Path:
         folder, 4, soft_sky(folder) + LAMP, wall=mapped(diffuse("0.7, 0.5, 0.3")),
         left=twosided(mapped(gold)), right=twosided(mapped(diffuse("0.3, 0.5, 0.7"), plain)),
         cube=mapped(bsdf("roughplastic", floats(alpha=0.3))), ball=mapped(gold, plain))
+
+
+def bump_maps(folder: Folder) -> Path:
+    """Heights, grey and in colour, on flat and curved surfaces, stretched and moved over them; with and without fading."""
+    folder.pixels("hills.exr", grey(7, 7, seed=70))
+    folder.pixels("colours.exr", picture(6, 8, seed=71))
+    gold = bsdf("roughconductor", names(material="Au", distribution="ggx"), floats(alpha=0.3))
+    plain = '<boolean name="use_shadowing_function" value="false"/>'
+    placed = RAW + '<transform name="to_uv"><scale x="1.5" y="0.8"/><translate x="0.2" y="-0.1"/></transform>'
+
+    def bumpy(nested: str, scale: float, *more: str, file: str = "hills.exr", options: str = RAW) -> str:
+        return bsdf("bumpmap", bitmap("arbitrary", file, options), nested, floats(scale=scale), *more)
+
+    return gallery(
+        folder, 4, soft_sky(folder) + LAMP, wall=bumpy(diffuse("0.7, 0.5, 0.3"), 0.4),
+        left=twosided(bumpy(gold, -0.2, file="colours.exr", options=placed)),
+        right=twosided(bumpy(diffuse("0.3, 0.5, 0.7"), 0.5, plain)),
+        cube=bumpy(bsdf("roughplastic", floats(alpha=0.3)), 0.05, file="colours.exr"), ball=bumpy(gold, 0.1, plain))

@@ -95,8 +95,8 @@ def test_the_cases_use_every_supported_plugin(tmp_path):
     types = ["rectangle", "cube", "sphere", "disk", "obj", "ply", "diffuse", "conductor", "dielectric", "roughconductor",
              "roughdielectric", "twosided", "bitmap", "area", "constant", "envmap", "point", "spot", "projector",
              "directional", "directionalarea", "plastic", "roughplastic", "blendbsdf", "mask", "null", "normalmap",
-             "checkerboard", "mesh_attribute", "perspective", "orthographic", "hdrfilm", "box", "tent", "gaussian",
-             "path", "independent"]
+             "bumpmap", "checkerboard", "mesh_attribute", "perspective", "orthographic", "hdrfilm", "box", "tent",
+             "gaussian", "path", "independent"]
     assert [each for each in types if f'type="{each}"' not in text] == []
     words = ["<rgb ", 'name="raw"', "repeat", "mirror", "clamp", "nearest", ".png", ".jpg", ".exr", "to_uv",
              "flip_normals", "face_normals", "hide_emitters", "max_depth", "rr_depth", "focal_length", "near_clip",

@@ -219,7 +219,7 @@ def test_another_module_compiles_nothing():
 
 WHITE = {"type": "diffuse", "reflectance": 0.8}
 OTHERS = {"blendbsdf": {"first": WHITE, "second": {"type": "roughconductor", "material": "Au", "alpha": 0.3}},
-          "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE}}
+          "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE}, "bumpmap": {"nested": WHITE}}
 PARTNERS = {"alpha_u": {"alpha_v": 0.3}, "alpha_v": {"alpha_u": 0.3},
             "sheen_tint": {"sheen": 0.8, "base_color": {"type": "rgb", "value": [0.8, 0.3, 0.2]}},
             "spec_tint": {"spec_trans": 0.8}, "principledthin eta": {"spec_trans": 0.8},

@@ -11,6 +11,7 @@ from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.neural import ModuleFunction
 from torch_radbp.texture.reader import Reader
+from torch_radbp.texture.slope import slope_reader
 
 
 class OwnNumber(Colour):
@@ -69,6 +70,18 @@ class NumberOf(Texture):
         if name in ("to_uv", "wrap_mode", "filter_type"):
             return getattr(self.texture, name)
         return super().__getattr__(name)
+
+
+class SlopeOf(NumberOf):
+    """The slope of the texture `name` of `owner`, read as a number, along the surface."""
+
+    def reader(self) -> Reader:
+        """How lanes read it."""
+        return slope_reader(super().reader())
+
+    def function(self) -> ModuleFunction:
+        """Its derivative by the place, if that texture is no table."""
+        return replace(super().function(), as_slope=True)
 
 
 class ComputedNumbers(Colour):

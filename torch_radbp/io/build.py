@@ -16,7 +16,7 @@ from torch_radbp.io.attribute_values import convert, is_list, options, plugin_ca
 from torch_radbp.io.colour_values import colour_value, is_colour
 from torch_radbp.io.spd import read_spectrum
 from torch_radbp.io.xml_scene import XMLObject, find_file
-from torch_radbp.plugin import REGISTRY, Attribute, Filename, Plugin, SceneError, attributes, nearest, no_gradient
+from torch_radbp.plugin import REGISTRY, Filename, Plugin, SceneError, attributes, nearest, no_gradient
 from torch_radbp.scene.scene import Scene
 
 MAX_DEPTH = 100  # of objects in objects, references followed
@@ -183,7 +183,7 @@ class _Builder:
             if key in ("type", "id"):
                 continue
             if _is_object(value) and not is_colour(value):
-                name, nested = self.nested((*path, key), key, value, node, schema)
+                name, nested = self.nested((*path, key), key, value, node, cls)
                 if is_list(schema[name].annotation):
                     arguments.setdefault(name, []).append(nested)
                     continue
@@ -202,19 +202,22 @@ class _Builder:
         return arguments
 
     def nested(self, path: tuple[str, ...], key: str, value: Any, parent: dict[str, Any],
-               schema: dict[str, Attribute]) -> tuple[str, Plugin]:
+               cls: type[Plugin]) -> tuple[str, Plugin]:
         """A nested object and the attribute that it is for: the one it is named after, or the one of its category."""
+        schema = attributes(cls)
         accepted = {name: plugin_categories(attribute.annotation) for name, attribute in schema.items()}
         if accepted.get(key):
             return key, self.plugin(path, value, accepted[key])
         # Textures are told apart by their names, so that only the other categories are found without one.
-        expected = [category for name in accepted for category in accepted[name] if category != "texture"]
+        expected = [category for name in accepted for category in accepted[name]
+                    if category != "texture" or name == cls.object_of_any_name]
         is_texture = isinstance(value, XMLObject) and value.category == "texture"
-        if key in schema or is_texture or not expected:
+        if key in schema or (is_texture and cls.object_of_any_name is None) or not expected:
             takes = f"{key!r} is a plain value" if key in schema else nearest(key, schema)
             raise self.error(path, value, f"{parent['type']} does not take an object called {key!r}; {takes}")
         plugin = self.plugin(path, value, list(dict.fromkeys(expected)))
-        return next(name for name in accepted if plugin.category in accepted[name]), plugin
+        category = getattr(plugin, "category", "texture")  # a plain module stands for a texture
+        return next(name for name in accepted if category in accepted[name]), plugin
 
     def value(self, path: tuple[str, ...], key: str, value: Any, node: dict[str, Any], cls: type[Plugin]) -> Any:
         """The attribute `key` of the object `node` at `path`: a plain value or a colour, as its annotation wants it."""

@@ -23,6 +23,11 @@ class Appearance(NamedTuple):
         return any(reader.needs_uv for reader in self.readers)
 
     @property
+    def needs_edges(self) -> bool:
+        """True if a value depends on how something changes along the surface."""
+        return any(reader.needs_edges for reader in self.readers)
+
+    @property
     def outside(self) -> tuple[OutsideReader, ...]:
         """The readers of those values that are given to the functions of a bounce."""
         return tuple(reader for reader in self.readers if reader.outside)

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.lookup import lookup
+from torch_radbp.scene.growth import growth
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import TexturePoint
+from torch_radbp.texture.reader import Edges, TexturePoint
 from torch_radbp.vec import (
     TINY,
     LocalVec3,
@@ -85,14 +86,16 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     shading_cosine = dot(shading, ray.d)
     front = shading_cosine < 0 if front is None else front
     emitter = lookup(triangles.emitter, prim) if layout.lit_surfaces else None
-    uv = None
+    uv, uv_corners = None, None
     if layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv):
-        uv = interpolated(at_corners(vertices.uv, rows), hit.u, hit.v)
-    of_vertices = (interpolated(at_corners(column, rows), hit.u, hit.v) for column in vertices.attributes)
-    of_faces = (lookup(column, prim) for column in triangles.attributes)
+        uv_corners = at_corners(vertices.uv, rows)
+        uv = interpolated(uv_corners, hit.u, hit.v)
+    at_vertices = [at_corners(column, rows) for column in vertices.attributes]
+    of_faces = [lookup(column, prim) for column in triangles.attributes]
     names = (*layout.vertex_attributes, *layout.face_attributes)
+    of_vertices = [interpolated(corners, hit.u, hit.v) for corners in at_vertices]
     point = TexturePoint(uv, dict(zip(names, (*of_vertices, *of_faces))))
-    material, along, side = None, None, None
+    material, along, side, upright = None, None, None, shading
     if appearance is not None:
         material = lookup(triangles.material, prim)
         along = lookup(triangles.along, prim) if appearance.kind.oriented else None
@@ -101,6 +104,11 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
             side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
             shading, shading_cosine = shading * side, shading_cosine * side
     frame = ShadingFrame(shading, along, side)
+    if appearance is not None and appearance.needs_edges:
+        level = tuple((value.map(torch.zeros_like),) * 2 for value in of_faces)
+        changes = dict(zip(names, (*map(along_edges, at_vertices), *level)))
+        point = point._replace(edges=Edges((e1, e2), None if uv is None else along_edges(uv_corners), changes,
+                                           growth(frame, upright, n, e1, e2)))
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
     return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, point, t, cosine,
                               lookup(triangles.clearance, prim))
@@ -152,6 +160,12 @@ def at_corners(table: Vec2 | Vec3, rows: tuple[Tensor, Tensor, Tensor]) -> tuple
 def edges(p0: Vec3, p1: Vec3, p2: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """The first vertices of triangles, and the edges from there to the second and the third."""
     return p0, p1 - p0, p2 - p0
+
+
+def along_edges(corners: tuple[Vec2 | Vec3, ...]) -> tuple[Vec2 | Vec3, Vec2 | Vec3]:
+    """What entries of vertices change by from the first to the second, and to the third."""
+    first, *others = corners
+    return tuple(type(first)(*(end - begin for end, begin in zip(other, first))) for other in others)
 
 
 def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tensor):

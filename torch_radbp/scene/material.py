@@ -47,7 +47,7 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, given: tuple[Given,
     values, of_others = [], iter(given)
     for reader, slot in zip(appearance.readers, scene.materials.slots):
         if reader.outside:
-            values.append(next(of_others).at(reader.place(si.p, si.point.uv)))
+            values.append(reader.value(next(of_others).at(reader.place(si.p, si.point.uv)), si.point))
         else:
             values.append(reader.read(scene.textures[readers.index(reader)], lookup(slot, si.material), si.point))
     return Material(appearance.kind, tuple(values))

@@ -39,6 +39,38 @@ def wrapped(texel: Tensor, size: Tensor, wrap: Tensor) -> tuple[Tensor, Tensor]:
     return inside(first, texel), inside(after, texel + 1)
 
 
+class Texels(NamedTuple):
+    """The four texels around a place, (N,) each, and how far it is from the first."""
+
+    rows: tuple[Tensor, Tensor, Tensor, Tensor]  # of the bank's texels: upper left, upper right, lower left, lower right
+    fx: Tensor  # in [0, 1), attached; 0 of a texture that is read by its nearest texel
+    fy: Tensor
+    width: Tensor  # of the texture
+    height: Tensor
+    nearest: Tensor  # bool
+
+
+def texels_around(bank: TextureBank, texture: Tensor, first: Tensor, uv: Vec2) -> Texels:
+    """The texels around surface coordinates.
+
+    Args:
+        bank, texture: as for `sample_texture`.
+        first: (N,) int32, first texel of the texture.
+        uv: (N,) after the transform of the texture.
+    """
+    width, height, wrap = lookup(bank.width, texture), lookup(bank.height, texture), lookup(bank.wrap, texture)
+    nearest = lookup(bank.nearest, texture)
+    half = torch.where(nearest, 0.0, 0.5).to(uv.x.dtype)
+    x, y = uv.x * width - half, uv.y * height - half
+    left, top = torch.floor(x.detach()), torch.floor(y.detach())
+    fx = torch.where(half > 0, x - left, 0.0)
+    fy = torch.where(half > 0, y - top, 0.0)
+    column, row = left.to(torch.int32), top.to(torch.int32)
+    x0, x1 = wrapped(column, width, wrap)
+    y0, y1 = (row * width + first for row in wrapped(row, height, wrap))
+    return Texels((y0 + x0, y0 + x1, y1 + x0, y1 + x1), fx, fy, width, height, nearest)
+
+
 def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
     """Linear RGB of textures at surface coordinates.
 
@@ -50,17 +82,23 @@ def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
     first = lookup(bank.offset, texture)
     if uv is None:
         return lookup(bank.texels, first)
-    width, height, wrap = lookup(bank.width, texture), lookup(bank.height, texture), lookup(bank.wrap, texture)
+    at = texels_around(bank, texture, first, transformed(lookup(bank.to_u, texture), lookup(bank.to_v, texture), uv))
+    upper_left, upper_right, lower_left, lower_right = (lookup(bank.texels, row) for row in at.rows)
+    upper = upper_left * (1.0 - at.fx) + upper_right * at.fx
+    lower = lower_left * (1.0 - at.fx) + lower_right * at.fx
+    return upper * (1.0 - at.fy) + lower * at.fy
+
+
+def texture_slope(bank: TextureBank, texture: Tensor, uv: Vec2) -> Vec2:
+    """The derivatives of the first channel of textures by u and by v, before their transform: those of bilinear
+    interpolation, which jump at the centres of texels; zero of a texture that is read by its nearest texel. Attached.
+
+    Args: as for `sample_texture`.
+    """
     to_u, to_v = lookup(bank.to_u, texture), lookup(bank.to_v, texture)
-    half = torch.where(lookup(bank.nearest, texture), 0.0, 0.5).to(uv.x.dtype)
-    uv = transformed(to_u, to_v, uv)
-    x, y = uv.x * width - half, uv.y * height - half
-    left, top = torch.floor(x.detach()), torch.floor(y.detach())
-    fx = torch.where(half > 0, x - left, 0.0)
-    fy = torch.where(half > 0, y - top, 0.0)
-    column, row = left.to(torch.int32), top.to(torch.int32)
-    x0, x1 = wrapped(column, width, wrap)
-    y0, y1 = (row * width + first for row in wrapped(row, height, wrap))
-    upper = lookup(bank.texels, y0 + x0) * (1.0 - fx) + lookup(bank.texels, y0 + x1) * fx
-    lower = lookup(bank.texels, y1 + x0) * (1.0 - fx) + lookup(bank.texels, y1 + x1) * fx
-    return upper * (1.0 - fy) + lower * fy
+    at = texels_around(bank, texture, lookup(bank.offset, texture), transformed(to_u, to_v, uv))
+    upper_left, upper_right, lower_left, lower_right = (lookup(bank.texels.x, row) for row in at.rows)
+    smooth = (~at.nearest).to(uv.x.dtype)
+    by_x = ((upper_right - upper_left) * (1.0 - at.fy) + (lower_right - lower_left) * at.fy) * (at.width * smooth)
+    by_y = ((lower_left - upper_left) * (1.0 - at.fx) + (lower_right - upper_right) * at.fx) * (at.height * smooth)
+    return Vec2(by_x * to_u.x + by_y * to_v.x, by_x * to_u.y + by_y * to_v.y)

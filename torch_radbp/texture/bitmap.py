@@ -11,10 +11,10 @@ from torch import Tensor
 
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
-from torch_radbp.texture.bank import TextureBank, sample_texture
+from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
 from torch_radbp.texture.reader import Reader, TableReader, TexturePoint
 from torch_radbp.texture.uv_transform import uv_matrix, uv_rows
-from torch_radbp.vec import Vec3
+from torch_radbp.vec import Vec2, Vec3
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest")
@@ -61,6 +61,10 @@ class BitmapReader(TableReader):
 
     def read(self, bank: TextureBank, row: Tensor, point: TexturePoint) -> Vec3:
         return sample_texture(bank, row, point.uv)
+
+    def rise(self, bank: TextureBank, row: Tensor, point: TexturePoint) -> Vec2:
+        by_u, by_v = texture_slope(bank, row, point.uv)
+        return Vec2(*(by_u * edge.x + by_v * edge.y for edge in point.edges.uv))
 
 
 def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:

@@ -16,7 +16,7 @@ from torch_radbp.texture.mixed import reader_for
 from torch_radbp.texture.reader import TableReader, TexturePoint
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.texture.uv_transform import transformed, uv_matrix, uv_rows
-from torch_radbp.vec import Vec3
+from torch_radbp.vec import Vec2, Vec3
 
 
 class CheckerboardBank(NamedTuple):
@@ -46,9 +46,16 @@ class CheckerboardReader(TableReader):
         return CheckerboardReader(self.colours.of_numbers())
 
     def read(self, bank: CheckerboardBank, row: Tensor, point: TexturePoint) -> Vec3:
+        return self.colours.read(bank.colours, self.row_of_colour(bank, row, point), point)
+
+    def rise(self, bank: CheckerboardBank, row: Tensor, point: TexturePoint) -> Vec2:
+        return self.colours.rise(bank.colours, self.row_of_colour(bank, row, point), point)
+
+    def row_of_colour(self, bank: CheckerboardBank, row: Tensor, point: TexturePoint) -> Tensor:
+        """The row of the colour that each lane meets, in the bank of colours."""
         u, v = transformed(lookup(bank.to_u, row), lookup(bank.to_v, row), point.uv)
         right, lower = u - torch.floor(u) > 0.5, v - torch.floor(v) > 0.5
-        return self.colours.read(bank.colours, 2 * row + (right != lower).to(row.dtype), point)
+        return 2 * row + (right != lower).to(row.dtype)
 
 
 @register("texture", "checkerboard")

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Texture
 from torch_radbp.texture.reader import TableReader, TexturePoint
-from torch_radbp.vec import Vec3
+from torch_radbp.vec import Vec2, Vec3
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,10 @@ class ColourReader(TableReader):
 
     def read(self, bank: Vec3, row: Tensor, point: TexturePoint) -> Vec3:
         return lookup(bank, row)
+
+    def rise(self, bank: Vec3, row: Tensor, point: TexturePoint) -> Vec2:
+        none = torch.zeros_like(lookup(bank.x, row))
+        return Vec2(none, none)
 
 
 class Colour(Texture):

@@ -14,7 +14,7 @@ from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Texture, finite, register
 from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.texture.reader import TableReader, TexturePoint
-from torch_radbp.vec import Vec3
+from torch_radbp.vec import Vec2, Vec3
 
 PREFIXES = ("vertex_", "face_")
 
@@ -40,9 +40,18 @@ class MeshAttributeReader(TableReader):
     def read(self, bank: Vec3, row: Tensor, point: TexturePoint) -> Vec3:
         value = point.attributes[self.name]
         if self.as_number:
-            number = value.x * LUMINANCE[0] + value.y * LUMINANCE[1] + value.z * LUMINANCE[2]
+            number = luminance(value)
             value = Vec3(number, number, number)
         return value * lookup(bank, row)
+
+    def rise(self, bank: Vec3, row: Tensor, point: TexturePoint) -> Vec2:
+        factor, changes = lookup(bank.x, row), point.edges.attributes[self.name]
+        return Vec2(*((luminance(change) if self.as_number else change.x) * factor for change in changes))
+
+
+def luminance(colour: Vec3) -> Tensor:
+    """The luminance of a linear colour."""
+    return colour.x * LUMINANCE[0] + colour.y * LUMINANCE[1] + colour.z * LUMINANCE[2]
 
 
 @register("texture", "mesh_attribute")

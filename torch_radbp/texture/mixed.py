@@ -13,7 +13,7 @@ from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Texture
 from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.reader import TableReader, TexturePoint
-from torch_radbp.vec import Vec3, where
+from torch_radbp.vec import Vec2, Vec3, where
 
 
 class MixedBank(NamedTuple):
@@ -56,6 +56,15 @@ class MixedReader(TableReader):
             found = reader.read(bank.banks[number], torch.where(own, rows, 0), point)
             value = found if value is None else where(own, found, value)
         return value
+
+    def rise(self, bank: MixedBank, row: Tensor, point: TexturePoint) -> Vec2:
+        which, rows = lookup(bank.reader, row), lookup(bank.row, row)
+        rise = None
+        for number, reader in enumerate(self.readers):
+            own = which == number
+            found = reader.rise(bank.banks[number], torch.where(own, rows, 0), point)
+            rise = found if rise is None else Vec2(*(torch.where(own, new, old) for new, old in zip(found, rise)))
+        return rise
 
 
 def reader_for(textures: Sequence[Texture]) -> TableReader:

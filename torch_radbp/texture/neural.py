@@ -33,9 +33,10 @@ class ModuleFunction:
     module: nn.Module
     use: Use
     as_number: bool = False  # values are read as numbers: the luminance if there are three channels, as in Mitsuba
+    as_slope: bool = False  # their derivatives by the place are read instead
 
     def __call__(self, parameters: Sequence[Tensor], place: Tensor) -> Tensor:
-        """(N, 3) values, attached.
+        """(N, 3) values, attached; of slopes the derivatives of the first channel by the place, and zeros.
 
         Args:
             parameters: instead of those of the module, in their order.
@@ -45,6 +46,19 @@ class ModuleFunction:
             TypeError: if the module returns no tensor, or one of another dtype or device.
             ValueError: if it returns a wrong shape, or a value is not finite or not in its domain.
         """
+        return self.slopes(parameters, place) if self.as_slope else self.values(parameters, place)
+
+    def slopes(self, parameters: Sequence[Tensor], place: Tensor) -> Tensor:
+        """(N, 3) derivatives of the first channel by the place. Args as for a call."""
+        recorded = torch.is_grad_enabled()
+        with torch.enable_grad():
+            step = torch.zeros_like(place).requires_grad_()  # not the place itself, which may be a dual tensor
+            height = self.values(parameters, place + step)[:, 0]
+            found = torch.autograd.grad(height.sum(), step, create_graph=recorded)[0]
+        return torch.cat([found, found.new_zeros(len(found), 3 - found.shape[1])], 1)
+
+    def values(self, parameters: Sequence[Tensor], place: Tensor) -> Tensor:
+        """(N, 3) values of the module. Args as for a call."""
         standing_in = dict(zip(map(id, self.module.parameters()), parameters))
         values = with_parameters(self.module, standing_in, {})(place)
         self.check(values, place)

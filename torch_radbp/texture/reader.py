@@ -18,11 +18,21 @@ from torch_radbp.plugin import Texture
 from torch_radbp.vec import Vec2, Vec3
 
 
+class Edges(NamedTuple):
+    """The two edges of the triangle that each lane is on, from its first vertex, and what changes along them; attached."""
+
+    p: tuple[Vec3, Vec3]  # world space
+    uv: tuple[Vec2, Vec2] | None  # None if no texture reads surface coordinates
+    attributes: dict[str, tuple[Vec3, Vec3]]  # those that textures read
+    growth: tuple[Vec3, Vec3]  # of the second and the third barycentric coordinate, see `torch_radbp.scene.growth`
+
+
 class TexturePoint(NamedTuple):
     """What textures are read at, (N,) each; attached."""
 
     uv: Vec2 | None  # surface coordinates; None if no texture reads them
     attributes: dict[str, Vec3]  # of the meshes, by name: those that textures read
+    edges: Edges | None = None  # None if no texture needs them
 
 
 @dataclass(frozen=True)
@@ -30,6 +40,7 @@ class Reader(ABC):
     """Reads the textures of one kind, which lie together in a `bank`: a record of tensors, or None."""
 
     needs_uv: ClassVar[bool] = True  # values depend on surface coordinates
+    needs_edges: ClassVar[bool] = False  # they depend on how these change along the surface
     attributes: ClassVar[tuple[str, ...]] = ()  # of meshes, that values depend on
     outside: ClassVar[bool] = False  # they are computed outside of the functions of a bounce, by an `OutsideReader`
 
@@ -56,6 +67,13 @@ class TableReader(Reader):
             point: (N,) where; it has what the reader needs.
         """
 
+    @abstractmethod
+    def rise(self, bank: Any, row: Tensor, point: TexturePoint) -> Vec2:
+        """The change of the first channel along both of `point.edges`, at the rate that it has at the point; attached.
+
+        Args: as for `read`.
+        """
+
 
 @dataclass(frozen=True)
 class OutsideReader(Reader):
@@ -66,6 +84,10 @@ class OutsideReader(Reader):
     @abstractmethod
     def place(self, p: Vec3, uv: Vec2 | None) -> Vec2 | Vec3:
         """What the values are a function of, from the position and the coordinates of a surface point."""
+
+    def value(self, given: Vec3, point: TexturePoint) -> Vec3:
+        """What the material takes, from the value that was computed at the point."""
+        return given
 
 
 class Given(NamedTuple):

@@ -1,0 +1,75 @@
+"""The slope of a texture along the surface that it lies on: what a bump map takes instead of its values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Texture
+from torch_radbp.texture.neural import ModuleBank, ModuleReader
+from torch_radbp.texture.reader import Edges, OutsideReader, Reader, TableReader, TexturePoint
+from torch_radbp.vec import Vec2, Vec3, dot
+
+
+def along_surface(rise: Vec2, edges: Edges) -> Vec3:
+    """The slope along the surface of what rises by so much along the edges; components as in `torch_radbp.scene.growth`."""
+    of_second, of_third = edges.growth
+    return of_second * rise.x + of_third * rise.y
+
+
+@dataclass(frozen=True)
+class SlopeReader(TableReader):
+    """Reads the slope of the first channel of what `reader` reads. Bank: that of `reader`."""
+
+    reader: TableReader
+    needs_edges: ClassVar[bool] = True
+
+    @property
+    def needs_uv(self) -> bool:
+        return self.reader.needs_uv
+
+    @property
+    def attributes(self) -> tuple[str, ...]:
+        return self.reader.attributes
+
+    def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> Any:
+        return self.reader.bank(textures, dtype, device)
+
+    def read(self, bank: Any, row: Tensor, point: TexturePoint) -> Vec3:
+        return along_surface(self.reader.rise(bank, row, point), point.edges)
+
+    def rise(self, bank: Any, row: Tensor, point: TexturePoint) -> Vec2:
+        raise TypeError("slopes have no slopes")
+
+
+@dataclass(frozen=True)
+class ModuleSlopeReader(OutsideReader):
+    """Makes a slope along the surface of the derivative of a module by the place. Bank: `ModuleBank`."""
+
+    reader: ModuleReader
+    needs_edges: ClassVar[bool] = True
+
+    @property
+    def needs_uv(self) -> bool:
+        return self.reader.needs_uv
+
+    def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> ModuleBank:
+        return self.reader.bank(textures, dtype, device)
+
+    def place(self, p: Vec3, uv: Vec2 | None) -> Vec2 | Vec3:
+        return self.reader.place(p, uv)
+
+    def value(self, given: Vec3, point: TexturePoint) -> Vec3:
+        edges = point.edges
+        if self.reader.of == "position":
+            return along_surface(Vec2(*(dot(given, edge) for edge in edges.p)), edges)
+        return along_surface(Vec2(*(given.x * edge.x + given.y * edge.y for edge in edges.uv)), edges)
+
+
+def slope_reader(reader: Reader) -> Reader:
+    """The reader of the slopes of what another one reads."""
+    return ModuleSlopeReader(reader) if reader.outside else SlopeReader(reader)
