@@ -97,10 +97,10 @@ def test_a_colour_out_of_range_is_found_and_named():
     scene = room()
     with torch.no_grad():
         scene.floor.bsdf.reflectance.color0.value.fill_(-0.2)
-    with pytest.raises(ValueError, match=r"'floor.bsdf.reflectance.color0.value' must be in \[0, 1\], got -0.2"):
+    with pytest.raises(ValueError, match=r"'floor.bsdf.reflectance.color0.value' must be at least 0, got -0.2"):
         rb.render(scene, spp=1)
     wall = {"type": "diffuse", "reflectance": {"type": "checkerboard", "color1": -0.3}}
-    with pytest.raises(rb.SceneError, match="reflectance must be in .*, got -0.3"):
+    with pytest.raises(rb.SceneError, match="reflectance must be at least 0, got -0.3"):
         load(sensor=sensor(), wall=rectangle((0, 0, 0), bsdf=wall))
     neural = {"type": "diffuse", "reflectance": {"type": "checkerboard", "color1": torch.nn.Linear(2, 3)}}
     with pytest.raises(rb.SceneError, match="color1 of Checkerboard must be a colour or a bitmap, got a NeuralTexture"):
