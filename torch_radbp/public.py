@@ -4,6 +4,7 @@ from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint
 from torch_radbp.adjoint.finite import NonFiniteError
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.check import GradientCheck, check_gradient
+from torch_radbp.io.gltf.document import GltfWarning
 from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.write import save
@@ -14,6 +15,6 @@ from torch_radbp.render import Renderer, render
 from torch_radbp.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
 
-__all__ = ["GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "QuadraticAdjoint",
-           "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint", "check_gradient",
-           "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "se3"]
+__all__ = ["GltfWarning", "GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture", "NonFiniteError",
+           "QuadraticAdjoint", "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint",
+           "check_gradient", "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "se3"]

@@ -213,7 +213,7 @@ def test_a_network_cannot_be_written(target):
 @pytest.mark.parametrize(
     "name, error, message",
     [
-        ("scene.json", ValueError, r"written as \.xml, got '\.json'"),
+        ("scene.json", ValueError, r"written as .xml, .glb or .gltf, got '\.json'"),
         ("no/scene.xml", FileNotFoundError, "does not exist; create it first"),
     ],
 )

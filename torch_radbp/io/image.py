@@ -137,7 +137,8 @@ def _check_signature(path: str | os.PathLike, kind: str) -> None:
     raise ValueError(f"{path}: cannot be read as {kind}: the file {found}")
 
 
-def _check_size(width: int, height: int) -> None:
+def check_size(width: int, height: int) -> None:
+    """Raises ValueError if an image is empty or larger than what is read."""
     if not 0 < width * height <= MAX_PIXELS:
         raise ValueError(f"an image may have 1 to {MAX_PIXELS} pixels, this one has {width} x {height}")
 
@@ -145,10 +146,11 @@ def _check_size(width: int, height: int) -> None:
 def _read_with_pillow(path: str | os.PathLike, kind: str) -> np.ndarray:
     """(H, W, C) values in [0, 1]."""
     with Image.open(path, formats=(kind,)) as file:
-        _check_size(*file.size)
+        check_size(*file.size)
         file.verify()  # the check sums of PNG, which reading ignores
     if kind == "PNG":
-        check_pixel_data(path)
+        with opened(path) as file:
+            check_pixel_data(file)
     high = _decode(path)
     if high.dtype == np.uint16:
         return high[:, :, None] / np.float32(65535)
@@ -182,7 +184,7 @@ def _read_exr(path: str | os.PathLike) -> np.ndarray:
     headers = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
     for header in headers:
         low, high = header["dataWindow"]
-        _check_size(*(int(b) - int(a) + 1 for a, b in zip(low, high)))
+        check_size(*(int(b) - int(a) + 1 for a, b in zip(low, high)))
     parts = OpenEXR.File(str(path), separate_channels=True).parts
     if len(parts) < len(headers):  # which it prints and leaves out
         raise ValueError("its pixels are damaged or cut short")
@@ -213,5 +215,5 @@ def _layer_colour(channels: dict[str, OpenEXR.Channel], prefix: str) -> np.ndarr
 
 
 READERS: dict[str, Callable[[str | os.PathLike], np.ndarray]] = {
-    "EXR": _read_exr, "HDR": partial(read_radiance, check_size=_check_size),
-    "PFM": partial(read_pfm, check_size=_check_size)}
+    "EXR": _read_exr, "HDR": partial(read_radiance, check_size=check_size),
+    "PFM": partial(read_pfm, check_size=check_size)}

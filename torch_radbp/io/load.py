@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,32 +11,47 @@ import torch
 
 from torch_radbp.entry import entry
 from torch_radbp.io.build import build_scene
+from torch_radbp.io.gltf.read import read_gltf
 from torch_radbp.io.xml_scene import read_scene
 from torch_radbp.plugin import SceneError
 from torch_radbp.scene.scene import Scene
 
 CPU = torch.device("cpu")
 DTYPES = (torch.float32, torch.float64)
+READERS = {".xml": lambda path, given: build_scene(read_scene(path, given)), ".glb": read_gltf, ".gltf": read_gltf}
 
 
 @entry
 def load(path: str | os.PathLike, **variables: Any) -> Scene:
-    """The scene in a Mitsuba 3 XML file.
+    """The scene in a Mitsuba 3 XML file, or in a glTF 2.0 file.
 
     Its parameters have torch's default dtype, float32 or float64, and lie on the CPU whatever torch's default device is;
     `scene.to()` changes both. `torch.autocast` does not concern it.
 
+    glTF: a material is a `principled` of its name (`gold.roughness.data`), around it `gold_normalmap`, `gold_twosided` and
+    `gold_mask` if it asks for them; a primitive is a mesh of its node's name, with vertices of its own wherever a mesh is
+    used twice. What cannot be read is said in one `GltfWarning`, and so is what is added to a file without a light or a
+    camera. Tangents are not read: they follow from the surface coordinates. Units and extensions:
+    `torch_radbp.io.gltf.lamp` and `torch_radbp.io.gltf.extension`.
+
     Args:
-        path: the .xml file; names inside it are relative to its folder.
-        **variables: values for `$name` in the file, `load("scene.xml", spp=64)`; they win over <default>.
+        path: the .xml, .glb or .gltf file; names inside it are relative to its folder.
+        **variables: XML: values for `$name` in the file, `load("scene.xml", spp=64)`; they win over <default>. glTF: what
+            such a file leaves open, `resolution` (pixels of the longer side; 512), `spp` (16), `max_depth` (-1), `light`
+            (radiance of a constant light, added to those of the file; 1 if it has none), `camera` (False: look at the whole
+            scene from the front instead of through the file's cameras), `scene` (the number of one of several),
+            `lumens_per_watt` (1; 683 undoes what Blender's exporter multiplies lights with), and `strict` (True: an error
+            instead of a warning about what cannot be read).
 
     Raises:
-        SceneError: names file, line and element, and what is supported.
+        SceneError: names the file and the place in it, and what is supported.
         TypeError: if torch's default dtype is another.
     """
-    if Path(path).suffix.lower() != ".xml":
-        raise SceneError(f"{os.fspath(path)}: unknown kind of scene {Path(path).suffix!r}; supported: .xml (Mitsuba 3)")
-    return built(read_scene(path, variables))
+    suffix = Path(path).suffix.lower()
+    if suffix not in READERS:
+        raise SceneError(f"{os.fspath(path)}: unknown kind of scene {suffix!r}; supported: .xml (Mitsuba 3), .glb and .gltf "
+                         f"(glTF 2.0)")
+    return built(lambda: READERS[suffix](path, variables))
 
 
 @entry
@@ -58,14 +74,14 @@ def load_dict(description: dict[str, Any], base_dir: str | os.PathLike | None = 
         SceneError: names the path of keys, such as light.emitter.radiance, and what is supported.
         TypeError: if torch's default dtype is neither float32 nor float64.
     """
-    return built(description, base_dir)
+    return built(lambda: build_scene(description, base_dir))
 
 
-def built(description: dict[str, Any], base_dir: str | os.PathLike | None = None) -> Scene:
-    """The scene in torch's default dtype, on the CPU; errors as `load` says."""
+def built(build: Callable[[], Scene]) -> Scene:
+    """What `build` returns in torch's default dtype, on the CPU; errors as `load` says."""
     dtype = torch.get_default_dtype()
     if dtype not in DTYPES:
         raise TypeError(f"scenes are float32 or float64, but torch's default dtype is {dtype}; load under "
                         f"torch.set_default_dtype(torch.float32)")
     with CPU:
-        return build_scene(description, base_dir).to(CPU, dtype)
+        return build().to(CPU, dtype)

@@ -8,8 +8,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-
-from torch_radbp.io.files import opened
+from typing import BinaryIO
 
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # of each colour type
 WHOLE = ((0, 0, 1, 1),)  # first column and row, steps between them
@@ -17,26 +16,25 @@ INTERLACED = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 
 BLOCK = 1 << 20
 
 
-def check_pixel_data(path: str | os.PathLike) -> None:
+def check_pixel_data(file: BinaryIO) -> None:
     """Raises ValueError or zlib.error if the compressed pixels of a PNG file are damaged or fewer than its header says.
 
     Lengths and check sums of its chunks must be right; what follows the last chunk is ignored.
     """
     stream, found, expected = zlib.decompressobj(), 0, 0
-    with opened(path) as file:
-        file.seek(8)
-        while len(begin := file.read(8)) == 8:
-            length, kind = struct.unpack(">I4s", begin)
-            if kind == b"IEND":
-                break
-            data = file.read(length)
-            file.seek(4, os.SEEK_CUR)  # the check sum
-            if kind == b"IHDR":
-                expected = _size(*struct.unpack(">IIBBBBB", data))
-            elif kind == b"IDAT":
-                while data:
-                    found += len(stream.decompress(data, BLOCK))
-                    data = stream.unconsumed_tail
+    file.seek(8)
+    while len(begin := file.read(8)) == 8:
+        length, kind = struct.unpack(">I4s", begin)
+        if kind == b"IEND":
+            break
+        data = file.read(length)
+        file.seek(4, os.SEEK_CUR)  # the check sum
+        if kind == b"IHDR":
+            expected = _size(*struct.unpack(">IIBBBBB", data))
+        elif kind == b"IDAT":
+            while data:
+                found += len(stream.decompress(data, BLOCK))
+                data = stream.unconsumed_tail
     found += len(stream.flush())
     if found < expected or not stream.eof:
         raise ValueError(f"its pixels take {expected} bytes, it has {found}")

@@ -1,4 +1,4 @@
-"""Writes a scene back out as Mitsuba 3 XML, with the parameters' current values."""
+"""Writes a scene back out as Mitsuba 3 XML or glTF, with the parameters' current values."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch_radbp.entry import entry
 from torch_radbp.io.atomic import check_target, naming
 from torch_radbp.io.attribute_values import is_list, options
+from torch_radbp.io.gltf.write import gltf_files
 from torch_radbp.io.image import save_image
 from torch_radbp.io.mesh_arrays import MeshArrays
 from torch_radbp.io.ply import write_ply
@@ -30,37 +31,52 @@ MESH_PARAMETERS = ("vertex_positions", "vertex_normals", "vertex_texcoords")
 
 
 @entry
-def save(scene: Scene, path: str | os.PathLike) -> None:
-    """Writes a scene as XML that this package and Mitsuba 3 load to the same image.
+def save(scene: Scene, path: str | os.PathLike, strict: bool = False) -> None:
+    """Writes a scene as Mitsuba 3 XML or as glTF 2.0, by the extension of the file's name.
 
-    Bitmaps are written beside it as EXR, and meshes as PLY in world space, where their pose has put them, with the normals
-    that they have now; both named after the scene and the object and both float32 (PLY: of the parameter's dtype). The
-    saved scene needs no file of the original one. Nothing is left half-written: files appear when all of them are
-    complete, the XML last.
+    XML is loaded to the same image by this package and by Mitsuba 3. Bitmaps are written beside it as EXR, and meshes as PLY
+    in world space, where their pose has put them, with the normals that they have now; both named after the scene and the
+    object and both float32 (PLY: of the parameter's dtype). The saved scene needs no file of the original one.
+
+    glTF has shapes as meshes under their pose, materials as metallic-roughness and its extensions, textures as PNG of 8 bits
+    inside the file, lights and cameras, under the names that they have in the scene; a .gltf has a .bin beside it. What glTF
+    cannot say is listed in one `GltfWarning`: `torch_radbp.io.gltf.surface` has the table. Settings of the renderer,
+    samplers and filters are no part of such a file.
+
+    Nothing is left half-written: files appear when all of them are complete, the one called `path` last.
 
     Args:
         scene: as it is now; parameters that are outputs of other modules are evaluated.
-        path: the .xml file; its folder must exist.
+        path: the .xml, .glb or .gltf file; its folder must exist.
+        strict: raise an error about what glTF cannot say, instead of a warning. XML can say everything or raises one.
 
     Raises:
-        SceneError: if something has no counterpart in Mitsuba (a network in the place of a texture), or is not finite.
-        ValueError: if `path` does not end in .xml.
+        SceneError: if something has no counterpart in the format (a network in the place of a texture), or is not finite.
+        ValueError: if `path` has another extension.
         FileNotFoundError: if the folder does not exist.
         OSError: names `path` if a file of the scene cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() != ".xml":
-        raise ValueError(f"{path}: a scene is written as .xml, got {path.suffix!r}")
+    suffix = path.suffix.lower()
+    if suffix not in WRITERS:
+        raise ValueError(f"{path}: a scene is written as .xml, .glb or .gltf, got {path.suffix!r}")
     check_target(path)
     with naming(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-        writer = _Writer(scene, path.stem, Path(folder))
-        with torch.no_grad(), torch.device("cpu"):
-            root = writer.scene_element()
-        ElementTree.indent(root, "    ")
-        xml = Path(folder) / path.name
-        xml.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
-        for file in [*writer.files, xml]:
+        for file in WRITERS[suffix](scene, Path(folder) / path.name, strict):
             os.replace(file, path.parent / file.name)
+
+
+def xml_files(scene: Scene, target: Path, strict: bool) -> list[Path]:
+    """Writes a scene as XML, in a folder of its own; returns all files, `target` last."""
+    writer = _Writer(scene, target.stem, target.parent)
+    with torch.no_grad(), torch.device("cpu"):
+        root = writer.scene_element()
+    ElementTree.indent(root, "    ")
+    target.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+    return [*writer.files, target]
+
+
+WRITERS = {".xml": xml_files, ".glb": gltf_files, ".gltf": gltf_files}
 
 
 class _Writer:

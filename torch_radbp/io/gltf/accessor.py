@@ -1,0 +1,130 @@
+"""Buffers, and the arrays that accessors see in them."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
+
+from torch_radbp.io.files import opened
+from torch_radbp.io.gltf.document import Document, Part
+
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+MAX_NUMBERS = 2**28  # of all accessors together, counted as often as they are read: a small file can ask for any number
+
+
+class Buffers:
+    """The bytes that a document refers to."""
+
+    def __init__(self, document: Document, binary: bytes | None, folder: Path):
+        self.document, self.binary, self.folder = document, binary, folder
+        self.known: dict[int, bytes] = {}
+        self.numbers = 0  # read so far
+
+    def buffer(self, index: int, user: Part) -> bytes:
+        """The bytes of a buffer: those inside the GLB file, of a data URI or of a file beside it."""
+        if index not in self.known:
+            part = self.document.of("buffers", index, user, "buffer")
+            length, uri = part.integer("byteLength"), part.text("uri", None)
+            if uri is not None:
+                content = self.resource(uri, part)
+            elif index == 0 and self.binary is not None:
+                content = self.binary
+            else:
+                raise part.fail("it has no uri, and the file has no binary chunk that it could stand for")
+            if len(content) < length:
+                raise part.fail(f"byteLength is {length}, but there are {len(content)} bytes; is the file cut short?")
+            self.known[index] = content[:length]
+        return self.known[index]
+
+    def resource(self, uri: str, user: Part) -> bytes:
+        """The bytes behind a URI: a data URI, or the name of a file relative to the document."""
+        if uri.startswith("data:"):
+            head, comma, body = uri.partition(",")
+            if not comma or not head.endswith(";base64"):
+                raise user.fail("a data URI must be encoded as base64: data:...;base64,...")
+            try:
+                return base64.b64decode(body, validate=True)
+            except (binascii.Error, ValueError) as error:
+                raise user.fail(f"its data URI is damaged: {error}") from error
+        try:
+            scheme = urlsplit(uri).scheme
+        except ValueError:
+            scheme = ""
+        if scheme or "\0" in uri:
+            raise user.fail(f"the uri {uri[:80]!r} is no file name relative to the document; no other is read")
+        try:
+            with opened(self.folder / unquote(uri)) as file:
+                return file.read()
+        except OSError as error:
+            raise user.fail(str(error)) from error
+
+    def view(self, index: int, user: Part) -> tuple[memoryview, int | None]:
+        """The bytes of a buffer view, and its stride if it has one."""
+        part = self.document.of("bufferViews", index, user, "bufferView")
+        if part.extension("EXT_meshopt_compression") is not None:
+            raise part.fail("EXT_meshopt_compression is not supported; unpack the file, as with `gltfpack -noq`")
+        content = self.buffer(part.integer("buffer"), part)
+        start, length = part.integer("byteOffset", 0), part.integer("byteLength")
+        if start + length > len(content):
+            raise part.fail(f"it ends at byte {start + length} of a buffer of {len(content)} bytes")
+        return memoryview(content)[start:start + length], part.integer("byteStride", None, low=1, high=252)
+
+    def array(self, index: int, user: Part, entry: str, types: tuple[str, ...]) -> np.ndarray:
+        """The elements of an accessor.
+
+        Args:
+            index: its number.
+            user: the object that refers to it, by its entry `entry`.
+            types: those that can stand there, such as VEC3.
+
+        Returns:
+            (N, K), float64 of what are or represent fractions, else int64.
+        """
+        part = self.document.of("accessors", index, user, entry)
+        kind, dtype = part.text("type"), np.dtype(part.choice("componentType", COMPONENTS))
+        if kind not in types:
+            raise part.fail(f"type {kind!r} cannot be the {entry} of {user.place}, which takes {' or '.join(types)}")
+        count, width = part.integer("count", low=1), TYPES[kind]
+        self.numbers += count * width
+        if self.numbers > MAX_NUMBERS:
+            raise part.fail(f"with its {count} elements the scene has more than {MAX_NUMBERS} numbers, counted as often as "
+                            "nodes use them")
+        if part.has("bufferView"):
+            found = self.elements(part, part.integer("bufferView"), count, width, dtype)
+        else:
+            found = np.zeros((count, width), dtype)
+        if part.has("sparse"):
+            found = self.substituted(found.copy(), part.part("sparse"))
+        if dtype.kind == "f":
+            return found.astype(np.float64)
+        if not part.flag("normalized"):
+            return found.astype(np.int64)
+        return np.maximum(found / np.float64(np.iinfo(dtype).max), -1.0)
+
+    def elements(self, part: Part, view: int, count: int, width: int, dtype: np.dtype) -> np.ndarray:
+        """(count, width) elements of a buffer view."""
+        content, stride = self.view(view, part)
+        start, size = part.integer("byteOffset", 0), width * dtype.itemsize
+        stride = size if stride is None else stride
+        if stride < size:
+            raise part.fail(f"its elements of {size} bytes overlap: the byteStride of bufferViews[{view}] is {stride}")
+        end = start + stride * (count - 1) + size
+        if end > len(content):
+            raise part.fail(f"its {count} elements end at byte {end} of bufferViews[{view}], which has {len(content)}")
+        return np.ndarray((count, width), dtype, content, start, (stride, dtype.itemsize))
+
+    def substituted(self, found: np.ndarray, sparse: Part) -> np.ndarray:
+        """`found` with the elements that a sparse accessor replaces."""
+        count = sparse.integer("count", low=1, high=len(found))
+        where, what = sparse.part("indices"), sparse.part("values")
+        dtype = np.dtype(where.choice("componentType", {key: COMPONENTS[key] for key in (5121, 5123, 5125)}))
+        rows = self.elements(where, where.integer("bufferView"), count, 1, dtype)[:, 0].astype(np.int64)
+        if (np.diff(rows) <= 0).any() or rows[-1] >= len(found):
+            raise where.fail(f"indices must increase and be less than {len(found)}")
+        found[rows] = self.elements(what, what.integer("bufferView"), count, found.shape[1], found.dtype)
+        return found

@@ -1,0 +1,192 @@
+"""The materials of shapes, with what they hold and what they emit, as materials of glTF."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from torch_radbp.io.gltf.document import Losses
+from torch_radbp.io.gltf.image_slot import Reading, Slot, joined, quantised, slot, texture_info
+from torch_radbp.io.gltf.names import Names
+from torch_radbp.io.gltf.surface import Surface, constant, surface_of
+from torch_radbp.io.gltf.written import Written
+from torch_radbp.plugin import BSDF, Plugin, SceneError, Shape, Texture
+from torch_radbp.scene.scene import Scene
+
+
+class Peeled(NamedTuple):
+    """A material without those around it."""
+
+    inner: BSDF
+    opacity: Texture | None
+    double_sided: bool
+    normals: Texture | None
+    invisible: bool
+
+
+class Appearance(NamedTuple):
+    """What a primitive needs to know of its material."""
+
+    material: int
+    colours: tuple[str, float] | None  # attribute of the vertices that is the base colour, and a factor
+
+
+class Appearances:
+    """Writes materials; one for each that looks different."""
+
+    def __init__(self, scene: Scene, out: Written, losses: Losses):
+        self.scene, self.out, self.losses, self.names = scene, out, losses, Names()
+        self.known: dict[tuple[int, int, bool], Appearance] = {}
+
+    def of(self, shape: Shape, mirrored: bool) -> Appearance:
+        """The material of a shape; `mirrored`: its image lies the other way round, see `read.is_mirrored`."""
+        peeled = self.peeled(shape.bsdf)
+        key = id(shape.bsdf), id(shape.emitter), mirrored and peeled.normals is not None
+        if key not in self.known:
+            self.known[key] = self.written(shape, peeled, key[2])
+        return self.known[key]
+
+    def peeled(self, bsdf: BSDF) -> Peeled:
+        """The material inside, and what those around it add."""
+        found, name = Peeled(bsdf, None, False, None, False), self.scene.name_of(bsdf)
+        while True:
+            outer = found.inner
+            if not isinstance(outer, Plugin) or not outer.type:
+                raise SceneError(f"{name}: a {type(outer).__name__} cannot be written as glTF, only Mitsuba's plugins can")
+            if outer.type == "twosided":
+                if len(outer.brdf) > 1:
+                    self.losses.add(name, "the material of its back is not written")
+                found = found._replace(inner=outer.brdf[0], double_sided=True)
+            elif outer.type == "mask" and found.opacity is None:
+                found = found._replace(inner=outer.nested_bsdf, opacity=outer.opacity)
+            elif outer.type == "normalmap" and found.normals is None:
+                found = found._replace(inner=outer.nested_bsdf, normals=outer.normalmap)
+            elif outer.type == "null":
+                return found._replace(invisible=True)
+            elif outer.type == "blendbsdf":
+                self.losses.add(name, "of a blendbsdf the first material is written alone")
+                found = found._replace(inner=outer.bsdf_0)
+            elif hasattr(outer, "nested_bsdf"):
+                self.losses.add(name, f"what {outer.type} adds to its material is not written")
+                found = found._replace(inner=outer.nested_bsdf)
+            else:
+                return found
+
+    def written(self, shape: Shape, peeled: Peeled, mirrored: bool) -> Appearance:
+        """A new material."""
+        full = self.scene.name_of(peeled.inner)
+        surface = Surface() if peeled.invisible else surface_of(peeled.inner, full, self.losses)
+        entries: dict[str, Any] = {"name": self.names.free(full)}
+        extensions = {name: dict(values) for name, values in surface.extensions.items()}
+        rough = self.metallic_roughness(entries["name"], surface)
+        if peeled.invisible:
+            rough["baseColorFactor"], entries["alphaMode"] = [1.0, 1.0, 1.0, 0.0], "BLEND"
+        else:
+            self.base(entries, rough, surface, peeled)
+        entries["pbrMetallicRoughness"] = rough
+        if peeled.normals is not None:
+            entries["normalTexture"] = self.normals(entries["name"], peeled.normals, mirrored)
+        if peeled.double_sided:
+            entries["doubleSided"] = True
+        for kind, values in (("transmission", surface.transmission), ("clearcoat", surface.clearcoat)):
+            if values.values.any():
+                own = extensions.setdefault(f"KHR_materials_{kind}", {})
+                own |= self.scalar(f"{entries['name']}_{kind}", kind, values)
+        if shape.emitter is not None:
+            self.emission(entries, extensions, shape)
+        if extensions:
+            entries["extensions"] = {}
+            for name, values in extensions.items():
+                entries["extensions"] |= self.out.extension(name, values)
+        colours = None if surface.colours is None else (surface.colours, surface.base.number())
+        return Appearance(self.out.add("materials", entries), colours)
+
+    def base(self, entries: dict[str, Any], rough: dict[str, Any], surface: Surface, peeled: Peeled) -> None:
+        """Writes base colour and opacity, which share an image."""
+        name = entries["name"]
+        opacity = constant(1.0)
+        if peeled.opacity is not None:
+            opacity = slot(peeled.opacity, f"{name}.opacity", self.losses, as_number=True)
+        base = constant(1.0) if surface.colours is not None else surface.base
+        image = joined({"base_color": base, "opacity": opacity}, name, self.losses)
+        if image is None:
+            factor = [*base.constant.clip(0, 1).tolist(), min(1.0, max(0.0, opacity.number()))]
+            is_cut = factor[3] == 0
+        else:
+            found, reading = image
+            height, width = np.broadcast_shapes(*(values.shape for values in found.values()))[:2]
+            parts = [np.broadcast_to(found["base_color"], (height, width, 3))]
+            if peeled.opacity is not None:
+                parts.append(np.broadcast_to(found["opacity"][..., :1], (height, width, 1)))
+            values = np.concatenate(parts, axis=2).clip(0.0, 1.0)
+            pixels, scale = quantised(values, srgb=True)
+            factor = [*scale.tolist(), 1.0][:4]
+            rough["baseColorTexture"] = texture_info(self.out, pixels, reading, f"{name}_base_color", self.losses)
+            is_cut = reading.nearest and bool(np.isin(values[..., 3:], (0, 1)).all())
+        if factor != [1.0, 1.0, 1.0, 1.0]:
+            rough["baseColorFactor"] = factor
+        if peeled.opacity is not None:
+            entries["alphaMode"] = "MASK" if is_cut else "BLEND"
+
+    def metallic_roughness(self, name: str, surface: Surface) -> dict[str, Any]:
+        """Roughness and metallic share an image, in its green and blue channels."""
+        slots = {"roughness": surface.roughness, "metallic": surface.metallic}
+        image = joined(slots, name, self.losses)
+        numbers = {key: min(1.0, max(0.0, each.number())) for key, each in slots.items()}
+        if image is None:
+            return {f"{key}Factor": number for key, number in numbers.items()}
+        found, reading = image
+        # A constant is a factor of white, so that it keeps all its digits.
+        whole = {key: np.ones_like(found[key]) if each.is_constant else found[key] for key, each in slots.items()}
+        height, width = np.broadcast_shapes(*(values.shape for values in whole.values()))[:2]
+        pixels = np.ones((height, width, 3))
+        pixels[..., 1:2], pixels[..., 2:3] = (values[..., :1].clip(0.0, 1.0) for values in whole.values())
+        pixels, scale = quantised(pixels, srgb=False)
+        factors = {f"{key}Factor": numbers[key] if slots[key].is_constant else float(scale[channel])
+                   for channel, key in ((1, "roughness"), (2, "metallic"))}
+        info = texture_info(self.out, pixels, reading, f"{name}_metallic_roughness", self.losses)
+        return {**factors, "metallicRoughnessTexture": info}
+
+    def scalar(self, name: str, kind: str, values: Slot) -> dict[str, Any]:
+        """A factor, and an image whose red channel it multiplies."""
+        if values.is_constant:
+            return {f"{kind}Factor": min(1.0, max(0.0, values.number()))}
+        pixels, scale = quantised(values.values.clip(0.0, 1.0), srgb=False)
+        return {f"{kind}Factor": float(scale[0]),
+                f"{kind}Texture": texture_info(self.out, pixels, values.reading, name, self.losses)}
+
+    def normals(self, name: str, texture: Texture, mirrored: bool) -> dict[str, Any]:
+        """The texture info of a normal map: unit normals, unless 8 bits hold them as they are."""
+        found = slot(texture, f"{name}.normalmap", self.losses)
+        values = found.values.copy()
+        if mirrored:
+            values[..., 1] = 1.0 - values[..., 1]
+        if np.abs(values * 255 - np.round(values * 255)).max() > 1e-2 or values.min() < 0 or values.max() > 1:
+            vectors = 2.0 * values - 1.0
+            length = np.linalg.norm(vectors, axis=2, keepdims=True)
+            vectors = np.where(length > 1e-6, vectors / np.maximum(length, 1e-6), (0.0, 0.0, 1.0))
+            if (vectors[..., 2] <= 0).any():
+                self.losses.add(name, "normals of its normal map that point inwards are not as glTF wants them")
+            values = 0.5 * vectors + 0.5
+        pixels = np.round(values * 255).clip(0, 255).astype(np.uint8)
+        return texture_info(self.out, pixels, found.reading or Reading(), f"{name}_normal", self.losses)
+
+    def emission(self, entries: dict[str, Any], extensions: dict[str, Any], shape: Shape) -> None:
+        """Writes what a shape emits."""
+        name = f"{self.scene.name_of(shape)}.emitter"
+        if shape.emitter.type != "area":
+            self.losses.add(name, f"a {shape.emitter.type} emitter is written as one that shines into all directions alike")
+        if entries.get("doubleSided"):
+            self.losses.add(name, "it shines from both sides in glTF")
+        found = slot(shape.emitter.radiance, f"{name}.radiance", self.losses)
+        if found.is_constant:
+            factor = found.constant
+        else:
+            pixels, factor = quantised(found.values, srgb=True)
+            title = f"{entries['name']}_emissive"
+            entries["emissiveTexture"] = texture_info(self.out, pixels, found.reading, title, self.losses)
+        strength = max(1.0, float(factor.max()))
+        entries["emissiveFactor"] = (factor / strength).tolist()
+        if strength > 1:
+            extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}

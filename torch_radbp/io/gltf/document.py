@@ -1,0 +1,154 @@
+"""The values of a glTF document, each checked where it is read, with its place for messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from torch_radbp.io.attribute_values import shown
+from torch_radbp.plugin import SceneError, nearest
+
+REQUIRED: Any = object()  # in the place of a default: there is none
+
+
+class GltfWarning(UserWarning):
+    """What a glTF file says and a scene cannot, or the other way round."""
+
+
+class Losses:
+    """What is left out or changed on the way, in the order in which it is met."""
+
+    def __init__(self) -> None:
+        self.found: dict[str, None] = {}
+
+    def add(self, place: str, what: str) -> None:
+        """Notes one; the same one counts once."""
+        self.found.setdefault(f"{place}: {what}")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.found)
+
+
+class Part:
+    """An object of a document, such as `materials[2] 'gold'`."""
+
+    def __init__(self, file: str, place: str, value: Any):
+        self.file, self.place, self.value = file, place, value
+        if not isinstance(value, dict):
+            raise self.fail(f"must be an object, got {shown(value)}")
+
+    def fail(self, message: str) -> SceneError:
+        """An error about this object, for the caller to raise."""
+        return SceneError(f"{self.file}: {self.place}: {message}" if self.place else f"{self.file}: {message}")
+
+    def inside(self, name: str) -> str:
+        """The place of the entry `name`."""
+        return f"{self.place}.{name}" if self.place else name
+
+    def has(self, name: str) -> bool:
+        return name in self.value
+
+    def entry(self, name: str, default: Any) -> Any:
+        """The entry as it is in the document."""
+        if name not in self.value and default is REQUIRED:
+            raise self.fail(f"{name!r} is missing")
+        return self.value.get(name, default)
+
+    def number(self, name: str, default: Any = REQUIRED, low: float = -math.inf, high: float = math.inf) -> float:
+        """A number from `low` to `high`."""
+        value = self.entry(name, default)
+        return default if value is default else self.checked(name, value, low, high)
+
+    def checked(self, name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
+        """`value` as a float within bounds."""
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.fail(f"{name} must be a number, got {shown(value)}")
+        if not (low <= value <= high and abs(value) < 1e300):
+            bounds = "finite" if (low, high) == (-math.inf, math.inf) else f"in [{low:g}, {high:g}]"
+            raise self.fail(f"{name} must be {bounds}, got {shown(value)}")
+        return float(value)
+
+    def numbers(self, name: str, count: int, default: Any = REQUIRED, low: float = -math.inf,
+                high: float = math.inf) -> list[float]:
+        """A list of `count` numbers."""
+        value = self.entry(name, default)
+        if not isinstance(value, (list, tuple)) or len(value) != count:
+            raise self.fail(f"{name} must be a list of {count} numbers, got {shown(value)}")
+        return [self.checked(name, item, low, high) for item in value]
+
+    def integer(self, name: str, default: Any = REQUIRED, low: int = 0, high: int = 2**53) -> int:
+        """An integer from `low` to `high`; some writers give it as 3.0."""
+        value = self.entry(name, default)
+        if value is default:
+            return default
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high or value != int(value):
+            raise self.fail(f"{name} must be an integer from {low} to {high}, got {shown(value)}")
+        return int(value)
+
+    def text(self, name: str, default: Any = REQUIRED) -> str:
+        """A string."""
+        value = self.entry(name, default)
+        if value is not default and not isinstance(value, str):
+            raise self.fail(f"{name} must be a string, got {shown(value)}")
+        return value
+
+    def choice(self, name: str, known: dict[Any, Any], default: Any = REQUIRED) -> Any:
+        """What `known` has for the entry."""
+        value = self.entry(name, default)
+        try:
+            return known[value]
+        except (KeyError, TypeError):
+            raise self.fail(f"{name} {shown(value)} is not known; {nearest(str(value), map(str, known))}") from None
+
+    def flag(self, name: str, default: bool = False) -> bool:
+        """True or false."""
+        value = self.entry(name, default)
+        if not isinstance(value, bool):
+            raise self.fail(f"{name} must be true or false, got {shown(value)}")
+        return value
+
+    def part(self, name: str) -> Part:
+        """The object `name`, without entries if it is missing."""
+        return Part(self.file, self.inside(name), self.entry(name, {}))
+
+    def parts(self, name: str) -> list[Part]:
+        """The objects of a list."""
+        return [Part(self.file, f"{self.inside(name)}[{number}]", item) for number, item in enumerate(self.items(name))]
+
+    def items(self, name: str) -> list[Any]:
+        """A list; the empty one if it is missing."""
+        value = self.entry(name, [])
+        if not isinstance(value, list):
+            raise self.fail(f"{name} must be a list, got {shown(value)}")
+        return value
+
+    def extension(self, name: str) -> Part | None:
+        """The object of an extension, or None."""
+        extensions = self.part("extensions")
+        return extensions.part(name) if extensions.has(name) else None
+
+
+class Document(Part):
+    """The whole document."""
+
+    def __init__(self, file: str, value: Any):
+        super().__init__(file, "", value)
+        version = self.part("asset").text("version")
+        if version.split(".")[0] != "2":
+            raise self.fail(f"glTF version {version!r} is not supported; supported: 2.0")
+
+    def of(self, name: str, index: int, user: Part, entry: str) -> Part:
+        """The object number `index` of the list `name`, to which the entry of another refers."""
+        items = self.items(name)
+        if not 0 <= index < len(items):
+            last = f"0 to {len(items) - 1}" if items else "none"
+            raise user.fail(f"{entry} {index} does not exist; the document has {name} {last}")
+        part = Part(self.file, f"{name}[{index}]", items[index])
+        title = part.text("name", "")
+        return Part(self.file, f"{part.place} {shown(title)}", part.value) if title else part
+
+    def referred(self, name: str, user: Part, entry: str, default: Any = REQUIRED) -> Part | None:
+        """The object of the list `name` that an entry of `user` refers to; None if there is no such entry."""
+        index = user.integer(entry, default)
+        return None if index is None else self.of(name, index, user, entry)

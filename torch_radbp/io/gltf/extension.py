@@ -1,0 +1,142 @@
+"""The extensions of glTF: which are known, and what those of materials mean for `principled`.
+
+| extension | becomes |
+|---|---|
+| KHR_materials_ior | `eta` |
+| KHR_materials_transmission | `spec_trans`, of a solid body; without a thickness glTF means a thin sheet, which is a loss |
+| KHR_materials_volume | that it is solid; absorption is a loss |
+| KHR_materials_anisotropy | `anisotropic` and `roughness`, exactly, if both are numbers and the direction is that of u |
+| KHR_materials_clearcoat | `clearcoat`, `clearcoat_gloss`: the same places and sharpness, a quarter of the strength |
+| KHR_materials_sheen | `sheen`, `sheen_tint`: another curve |
+| KHR_materials_specular | `specular`, which leaves reflections at grazing angles; 0 of what is no metal: `diffuse` |
+| KHR_materials_emissive_strength | a factor of the radiance |
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from torch_radbp.io.gltf.document import Document, Losses, Part
+from torch_radbp.plugin import nearest
+
+READ = ("KHR_lights_punctual", "KHR_materials_anisotropy", "KHR_materials_clearcoat", "KHR_materials_emissive_strength",
+        "KHR_materials_ior", "KHR_materials_sheen", "KHR_materials_specular", "KHR_materials_transmission",
+        "KHR_materials_volume", "KHR_mesh_quantization", "KHR_texture_transform")
+SHARPEST, DULLEST = 0.001, 0.1  # roughness of Disney's clearcoat with gloss 1 and 0, as microfacets count it
+SMALLEST_IOR = 1.0
+
+
+def check_extensions(document: Document, losses: Losses) -> None:
+    """Notes the extensions that a document uses and that are not read.
+
+    Raises:
+        SceneError: if it requires one.
+    """
+    for name in document.items("extensionsRequired"):
+        if name not in READ:
+            raise document.fail(f"it requires the extension {name!r}, which is not supported; {nearest(str(name), READ)}")
+    for name in document.items("extensionsUsed"):
+        if name not in READ:
+            losses.add("extensionsUsed", f"{name!r} is not read")
+
+
+def reflection(material: Part, losses: Losses) -> dict[str, float]:
+    """`eta` or `specular` of the boundary; neither if it has the default of both."""
+    ior, specular = material.extension("KHR_materials_ior"), material.extension("KHR_materials_specular")
+    index = 1.5 if ior is None else ior.number("ior", 1.5, low=0.0)
+    if index < SMALLEST_IOR:
+        losses.add(material.place, f"ior {index:g} is read as 1.5: an index of refraction is at least {SMALLEST_IOR:g} here")
+        index = 1.5
+    factor = 1.0
+    if specular is not None:
+        factor = specular.number("specularFactor", 1.0, low=0.0, high=1.0)
+        for name in ("specularTexture", "specularColorTexture"):
+            if specular.has(name):
+                losses.add(material.place, f"{name} is not read")
+        if specular.numbers("specularColorFactor", 3, [1, 1, 1], low=0.0) != [1, 1, 1]:
+            losses.add(material.place, "specularColorFactor is not read: reflections of what is no metal stay white")
+    if factor == 1.0:
+        return {} if ior is None else {"eta": index}
+    losses.add(material.place, f"specularFactor {factor:g} weakens reflections from above, not at grazing angles")
+    return {"specular": min(1.0, factor * ((index - 1.0) / (index + 1.0)) ** 2 / 0.08)}
+
+
+def is_diffuse(material: Part, metallic: float) -> bool:
+    """True if nothing is left but the diffuse base: no metal, no reflections, no layer."""
+    specular = material.extension("KHR_materials_specular")
+    layers = ("KHR_materials_transmission", "KHR_materials_clearcoat", "KHR_materials_sheen")
+    return (metallic == 0 and specular is not None and specular.number("specularFactor", 1.0) == 0
+            and not specular.has("specularTexture") and all(material.extension(name) is None for name in layers))
+
+
+def anisotropy(material: Part, roughness: float | None, losses: Losses) -> dict[str, float]:
+    """`anisotropic`, and the `roughness` that goes with it; nothing if the material is isotropic.
+
+    Along and across the direction, microfacets have the roughness a + (1 - a) s^2 and a there, with a = roughness^2 and the
+    strength s; here roughness^2 / w and roughness^2 w, with w^2 = 1 - 0.9 anisotropic.
+
+    Args:
+        material: the whole of it.
+        roughness: None if it is a texture.
+    """
+    extension = material.extension("KHR_materials_anisotropy")
+    strength = 0.0 if extension is None else extension.number("anisotropyStrength", 0.0, low=0.0, high=1.0)
+    if strength == 0:
+        return {}
+    if roughness is None or extension.has("anisotropyTexture") or extension.number("anisotropyRotation", 0.0) != 0:
+        losses.add(material.place, "anisotropy is not read: it and the roughness must be numbers, its direction that of u")
+        return {}
+    across = max(roughness * roughness, 1e-6)
+    along = across + (1.0 - across) * strength * strength
+    if across < 0.1 * along:
+        losses.add(material.place, "anisotropy is limited to a ratio of roughness of 10")
+    return {"anisotropic": min(1.0, (1.0 - across / along) / 0.9), "roughness": (along * across) ** 0.25}
+
+
+def transmission(material: Part, losses: Losses) -> Part | None:
+    """The extension KHR_materials_transmission, if it says that light passes."""
+    extension, volume = (material.extension(f"KHR_materials_{name}") for name in ("transmission", "volume"))
+    if extension is None or extension.number("transmissionFactor", 0.0, low=0.0, high=1.0) == 0:
+        return None
+    if volume is None or volume.number("thicknessFactor", 0.0, low=0.0) == 0:
+        losses.add(material.place, "transmission is that of a solid body, not of a thin sheet")
+    elif volume.number("attenuationDistance", math.inf, low=0.0) < math.inf:
+        losses.add(material.place, "attenuation inside of the body is not read")
+    return extension
+
+
+def clearcoat(material: Part, losses: Losses) -> Part | None:
+    """The extension KHR_materials_clearcoat, if there is such a layer."""
+    extension = material.extension("KHR_materials_clearcoat")
+    if extension is None or extension.number("clearcoatFactor", 0.0, low=0.0, high=1.0) == 0:
+        return None
+    losses.add(material.place, "clearcoat is that of principled: a quarter as strong, and the base below is not darker")
+    for name in ("clearcoatRoughnessTexture", "clearcoatNormalTexture"):
+        if extension.has(name):
+            losses.add(material.place, f"{name} is not read")
+    return extension
+
+
+def gloss_of(roughness: float) -> float:
+    """`clearcoat_gloss` of a roughness as glTF counts it."""
+    return min(1.0, max(0.0, (DULLEST - roughness * roughness) / (DULLEST - SHARPEST)))
+
+
+def roughness_of(gloss: float) -> float:
+    """The inverse of `gloss_of`."""
+    return math.sqrt(DULLEST + (SHARPEST - DULLEST) * gloss)
+
+
+def sheen(material: Part, losses: Losses) -> dict[str, Any]:
+    """`sheen` and `sheen_tint`."""
+    extension = material.extension("KHR_materials_sheen")
+    colour = [0.0] if extension is None else extension.numbers("sheenColorFactor", 3, [0, 0, 0], low=0.0, high=1.0)
+    if max(colour) == 0:
+        return {}
+    losses.add(material.place, "sheen is that of principled, which has another curve and no roughness")
+    for name in ("sheenColorTexture", "sheenRoughnessTexture"):
+        if extension.has(name):
+            losses.add(material.place, f"{name} is not read")
+    tinted = max(colour) - min(colour) > 0.01 * max(colour)
+    return {"sheen": max(colour), **({"sheen_tint": 1.0} if tinted else {})}

@@ -1,0 +1,175 @@
+"""Textures of a scene as what glTF has: factors and 8-bit images."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_radbp.io.gltf.document import Losses
+from torch_radbp.io.gltf.written import Written
+from torch_radbp.io.image import linear_to_srgb, srgb_to_linear
+from torch_radbp.plugin import SceneError, Texture
+from torch_radbp.texture.bitmap import Bitmap
+from torch_radbp.texture.checkerboard import Checkerboard
+from torch_radbp.texture.colour import Colour
+
+WRAPS = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
+NEAREST, LINEAR = 9728, 9729
+ON_GRID = 1e-5  # error of values that came from 8 bits and go back
+SHEAR = 1e-5
+
+
+class Reading(NamedTuple):
+    """How an image is read."""
+
+    wrap: str = "repeat"
+    nearest: bool = False
+    to_uv: tuple[float, ...] = (1, 0, 0, 0, 1, 0)  # the rows that give u and v
+
+
+class Slot(NamedTuple):
+    """What a texture of a material holds, linear."""
+
+    values: np.ndarray  # (H, W, 3) float64
+    reading: Reading | None  # None: a constant, of 1 x 1 texels
+
+    @property
+    def is_constant(self) -> bool:
+        return self.reading is None
+
+    @property
+    def constant(self) -> np.ndarray:
+        """(3,) the mean colour."""
+        return self.values.mean((0, 1))
+
+    def number(self) -> float:
+        """The mean of the first channel."""
+        return float(self.values[:, :, 0].mean())
+
+
+def slot(texture: Texture, name: str, losses: Losses, as_number: bool = False) -> Slot:
+    """The values of a texture; of what glTF has no word for, a mean.
+
+    Args:
+        texture: of a material.
+        name: of it, for messages.
+        losses: filled in.
+        as_number: read it as Mitsuba reads a number.
+
+    Raises:
+        SceneError: if it is a module, or has values that are not finite.
+    """
+    if isinstance(texture, Colour):
+        values = texture.scalars().expand(1, 1, 3) if as_number else texture.texels()
+        return Slot(checked(values, name), None)
+    if isinstance(texture, Bitmap):
+        values = texture.scalars()[..., None].expand(-1, -1, 3) if as_number else texture.texels()
+        return Slot(checked(values, name), Reading(texture.wrap_mode, texture.filter_type == "nearest", rows(texture.to_uv)))
+    if isinstance(texture, Checkerboard):
+        names = texture.numbers if as_number else ("color0", "color1")
+        first, second = (slot(getattr(texture, part), f"{name}.{part}", losses, as_number) for part in names)
+        if first.is_constant and second.is_constant:
+            board = np.stack([first.values, second.values, second.values, first.values]).reshape(2, 2, 3)
+            return Slot(board, Reading("repeat", True, rows(texture.to_uv)))
+    if not texture.tabulated:
+        raise SceneError(f"{name}: a {type(texture).__name__} cannot be written as glTF; put a bitmap in its place, or save "
+                         "its `state_dict()` with torch.save or safetensors")
+    losses.add(name, f"a {texture.type} is written as its mean colour")
+    return Slot(checked(texture.texels(), name).mean((0, 1), keepdims=True), None)
+
+
+def checked(values: Tensor, name: str) -> np.ndarray:
+    """`values` as float64.
+
+    Raises:
+        SceneError: if one is not finite.
+    """
+    array = values.detach().cpu().numpy().astype(np.float64)
+    if not np.isfinite(array).all():
+        raise SceneError(f"{name}: not written, it has values that are NaN or infinite")
+    return array
+
+
+def rows(to_uv: Tensor) -> tuple[float, ...]:
+    """The six numbers of a transform of surface coordinates."""
+    matrix = to_uv.detach().cpu().double().numpy()
+    return tuple(float(matrix[row, column]) for row in (0, 1) for column in (0, 1, 3))
+
+
+def quantised(values: np.ndarray, srgb: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Values as bytes times a factor of each channel: 1 if they fit 8 bits, else one that makes the most of them.
+
+    Args:
+        values: (H, W, 3 or 4) of at least 0; a fourth channel is alpha, which is linear.
+        srgb: code the first three as sRGB.
+
+    Returns:
+        (H, W, C) bytes, and (C,) factors.
+    """
+    most = values.max((0, 1))
+    best: tuple[float, np.ndarray, np.ndarray] | None = None
+    for factor in (np.ones_like(most), np.where(most > 0, most, 1.0)):
+        shares = torch.from_numpy((values / factor).clip(0.0, 1.0))
+        coded = torch.cat([linear_to_srgb(shares[..., :3]), shares[..., 3:]], 2) if srgb else shares
+        levels = (coded * 255.0).round()
+        back = levels / 255.0
+        back = torch.cat([srgb_to_linear(back[..., :3]), back[..., 3:]], 2) if srgb else back
+        error = float(np.abs(back.numpy() * factor - values).max())
+        if best is None or error < best[0] - ON_GRID:
+            best = error, levels.to(torch.uint8).numpy(), factor
+    return best[1], best[2]
+
+
+def texture_info(out: Written, pixels: np.ndarray, reading: Reading, name: str, losses: Losses) -> dict[str, Any]:
+    """The texture info of an image."""
+    mode = WRAPS[reading.wrap]
+    sampler = out.once("samplers", {"wrapS": mode, "wrapT": mode, "magFilter": NEAREST if reading.nearest else LINEAR})
+    texture = out.once("textures", {"sampler": sampler, "source": out.image(pixels, name)})
+    transform = uv_transform(reading.to_uv, name, losses)
+    extensions = {"extensions": out.extension("KHR_texture_transform", transform)} if transform else {}
+    return {"index": texture, **extensions}
+
+
+def uv_transform(to_uv: tuple[float, ...], name: str, losses: Losses) -> dict[str, Any]:
+    """The entries of KHR_texture_transform; none of the identity. See `texture.uv_transform`."""
+    a, b, x, c, d, y = to_uv
+    if to_uv == Reading().to_uv:
+        return {}
+    angle = min(math.atan2(-c, a), math.atan2(b, d), key=abs)  # they differ where one axis is mirrored
+    cosine, sine = math.cos(angle), math.sin(angle)
+    across, down = a * cosine - c * sine, b * sine + d * cosine
+    sheared = abs(b - sine * down) + abs(d - cosine * down)
+    if sheared > SHEAR * max(abs(across), abs(down)):
+        losses.add(name, "the shear of its to_uv is not written")
+    return {"offset": [x, y], "rotation": angle, "scale": [across, down]}
+
+
+def joined(slots: dict[str, Slot], name: str, losses: Losses) -> tuple[dict[str, np.ndarray], Reading] | None:
+    """Slots that go into the channels of one image, as arrays of one size; None if all are constant.
+
+    The first that is an image says how it is read. Constants become 1 x 1 arrays. What is read in another way is a loss and
+    becomes its mean; what has another size is resampled.
+    """
+    images = {key: each for key, each in slots.items() if not each.is_constant}
+    if not images:
+        return None
+    reading = next(iter(images.values())).reading
+    height, width = (max(each.values.shape[axis] for each in images.values()) for axis in (0, 1))
+    found = {}
+    for key, each in slots.items():
+        values = each.values
+        if not each.is_constant and each.reading != reading:
+            losses.add(name, f"{key} is written as its mean: glTF reads it in the same way as {next(iter(images))}, from "
+                             "the same image")
+            values = values.mean((0, 1), keepdims=True)
+        if key in images and values.shape[:2] not in ((1, 1), (height, width)):
+            losses.add(name, f"{key} is resampled from {values.shape[1]} x {values.shape[0]} to {width} x {height} texels")
+            mode = "nearest" if reading.nearest else "bilinear"
+            planes = torch.from_numpy(values).permute(2, 0, 1)[None]
+            values = torch.nn.functional.interpolate(planes, (height, width), mode=mode)[0].permute(1, 2, 0).numpy()
+        found[key] = values
+    return found, reading

@@ -1,0 +1,24 @@
+"""Names of a glTF document as names of modules, each used once."""
+
+from __future__ import annotations
+
+from torch import nn
+
+
+class Names:
+    """The names that a scene has given away."""
+
+    def __init__(self) -> None:
+        self.taken: dict[str, int] = {}  # with the last number that was appended
+
+    def free(self, name: str) -> str:
+        """`name`, with dots replaced, or name_1, name_2, ... if it is taken."""
+        name = name.replace(".", "_") or "unnamed"
+        if hasattr(nn.Module, name) or name in ("shapes", "sensors", "emitters", "integrator"):
+            name += "_"
+        free = name
+        while free in self.taken:
+            self.taken[name] += 1
+            free = f"{name}_{self.taken[name]}"
+        self.taken[free] = 0
+        return free

@@ -1,0 +1,90 @@
+"""The nodes of a glTF scene with their places in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from torch_radbp.io.gltf.document import Document, Part
+from torch_radbp.io.transform import scale, translate
+
+MAX_NODES = 100_000
+
+
+class Placed(NamedTuple):
+    """A node and where it is."""
+
+    node: Part
+    to_world: np.ndarray  # (4, 4) float64, column vectors
+
+
+def placed_nodes(document: Document, scene: int | None) -> Iterator[Placed]:
+    """The nodes of a scene, each after its parent.
+
+    Args:
+        document: the whole of it.
+        scene: the number of the scene; None: the one that the document names, or else the first. A document without scenes
+            shows all nodes.
+
+    Raises:
+        SceneError: if a node has two parents or is its own ancestor, or refers to nodes that do not exist.
+    """
+    waiting = [(index, user, np.eye(4)) for index, user in reversed(roots(document, scene))]
+    seen: set[int] = set()
+    while waiting:
+        index, user, parent = waiting.pop()
+        node = document.of("nodes", index, user, "the node")
+        if index in seen:
+            raise node.fail(f"{user.place} refers to it, which is not its only parent, or is one of its own descendants")
+        seen.add(index)
+        if len(seen) > MAX_NODES:
+            raise node.fail(f"the scene has more than {MAX_NODES} nodes")
+        to_world = parent @ local_transform(node)
+        yield Placed(node, to_world)
+        waiting += [(child, node, to_world) for child in reversed(indices(node, "children"))]
+
+
+def roots(document: Document, scene: int | None) -> list[tuple[int, Part]]:
+    """The numbers of the nodes at the top, each with what refers to it."""
+    number = document.integer("scene", 0) if scene is None else scene
+    if scene is None and not document.items("scenes"):
+        children = {child for node in document.parts("nodes") for child in indices(node, "children")}
+        return [(index, document) for index in range(len(document.items("nodes"))) if index not in children]
+    part = document.of("scenes", number, document, "scene")
+    return [(index, part) for index in indices(part, "nodes")]
+
+
+def indices(part: Part, name: str) -> list[int]:
+    """A list of numbers of other objects."""
+    items = part.items(name)
+    for item in items:
+        if isinstance(item, bool) or not isinstance(item, int) or item < 0:
+            raise part.fail(f"{name} must be indices, got {item!r:.60}")
+    return items
+
+
+def local_transform(node: Part) -> np.ndarray:
+    """(4, 4) the node's own transform: its matrix, or translation times rotation times scale."""
+    if node.has("matrix"):
+        matrix = np.reshape(node.numbers("matrix", 16), (4, 4)).T  # column after column
+        if not np.allclose(matrix[3], (0, 0, 0, 1)):
+            raise node.fail(f"matrix must be affine, its last row 0, 0, 0, 1, got {matrix[3].tolist()}")
+        return matrix
+    return (translate(node.numbers("translation", 3, [0, 0, 0])) @ turned(node)
+            @ scale(node.numbers("scale", 3, [1, 1, 1])))
+
+
+def turned(node: Part) -> np.ndarray:
+    """(4, 4) the rotation of a node, of a quaternion x, y, z, w of any length."""
+    x, y, z, w = quaternion = np.asarray(node.numbers("rotation", 4, [0, 0, 0, 1]))
+    length = np.linalg.norm(quaternion)
+    if not length > 1e-12:
+        raise node.fail(f"rotation must be a quaternion of length 1, got {quaternion.tolist()}")
+    x, y, z, w = quaternion / length
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                      [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                      [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]
+    return matrix

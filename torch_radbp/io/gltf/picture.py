@@ -1,0 +1,61 @@
+"""The images of a glTF document: PNG and JPEG, in files, data URIs and buffers."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from PIL import Image
+
+from torch_radbp.io.gltf.accessor import Buffers
+from torch_radbp.io.gltf.document import Document, Part
+from torch_radbp.io.image import SIGNATURES, check_size
+from torch_radbp.io.png import check_pixel_data
+
+KINDS = ("PNG", "JPEG")  # by their first bytes; what mimeType and file names say does not count
+MAX_TEXELS = 2**28  # of all images together
+
+
+class Pictures:
+    """The decoded images of a document."""
+
+    def __init__(self, document: Document, buffers: Buffers):
+        self.document, self.buffers = document, buffers
+        self.known: dict[int, np.ndarray] = {}
+        self.texels = 0  # so far
+
+    def pixels(self, index: int, user: Part) -> np.ndarray:
+        """(H, W, 4) bytes of an image as they are coded, alpha last; row 0 is at the top."""
+        if index not in self.known:
+            part = self.document.of("images", index, user, "source")
+            uri = part.text("uri", None)
+            content = (self.buffers.resource(uri, part) if uri is not None
+                       else bytes(self.buffers.view(part.integer("bufferView"), part)[0]))
+            self.known[index] = self.decoded(content, part)
+        return self.known[index]
+
+    def decoded(self, content: bytes, part: Part) -> np.ndarray:
+        """(H, W, 4) bytes; of 16 bits the high ones."""
+        kind = next((kind for kind in KINDS if content.startswith(SIGNATURES[kind])), None)
+        if kind is None:
+            raise part.fail(f"an image must be PNG or JPEG, this one begins with {content[:8]!r}")
+        try:
+            with Image.open(io.BytesIO(content), formats=(kind,)) as image:
+                check_size(*image.size)
+                self.texels += image.size[0] * image.size[1]
+                image.verify()
+            if kind == "PNG":
+                check_pixel_data(io.BytesIO(content))
+            if self.texels > MAX_TEXELS:
+                raise ValueError(f"the images have more than {MAX_TEXELS} pixels together")
+            with Image.open(io.BytesIO(content), formats=(kind,)) as image:
+                if image.mode.startswith("I"):  # 16 bits of grey, which `convert` would cut off
+                    grey = (np.array(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
+                    return np.stack([grey, grey, grey, np.full_like(grey, 255)], axis=2)
+                return np.array(image.convert("RGBA"))
+        except MemoryError:
+            raise
+        except Exception as error:  # the library raises whatever its decoders stumble over
+            inner = isinstance(error, (LookupError, ArithmeticError, UnicodeError))  # whose messages speak of their own code
+            reason = "its content is damaged" if inner else " ".join(str(error).split())
+            raise part.fail(f"cannot be read as {kind}: {reason}") from error

@@ -1,0 +1,101 @@
+"""The primitives of a glTF mesh, as triangles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from torch_radbp.io.gltf.accessor import Buffers
+from torch_radbp.io.gltf.document import Losses, Part
+from torch_radbp.shape.normals import angle_weighted_normals
+
+TRIANGLES, STRIP, FAN = 4, 5, 6
+MODES = {0: "points", 1: "lines", 2: "line loops", 3: "line strips"}
+SETS = 2  # of surface coordinates: TEXCOORD_0 and TEXCOORD_1
+SHORTEST = 1e-6  # of normals
+
+
+class Primitive(NamedTuple):
+    """Triangles in the node's own frame, float64 and int64."""
+
+    positions: np.ndarray  # (V, 3)
+    faces: np.ndarray  # (F, 3)
+    normals: np.ndarray | None  # (V, 3)
+    uv: tuple[np.ndarray | None, ...]  # (V, 2) of each set
+    colour: np.ndarray | None  # (V, 3) linear RGB
+    own: dict[str, np.ndarray]  # (V, 1 or 3) attributes that begin with an underscore, by lower-case names without it
+
+
+def read_primitive(part: Part, buffers: Buffers, losses: Losses) -> Primitive | None:
+    """The triangles of a primitive; None of points and lines, which are a loss."""
+    mode = part.integer("mode", TRIANGLES, high=6)
+    if mode in MODES:
+        losses.add(part.place, f"{MODES[mode]} are not read")
+        return None
+    attributes = part.part("attributes")
+
+    def array(name: str, *types: str) -> np.ndarray | None:
+        found = buffers.array(attributes.integer(name), attributes, name, types) if attributes.has(name) else None
+        if found is not None and len(found) != len(positions):
+            raise attributes.fail(f"{name} has {len(found)} elements, POSITION has {len(positions)}")
+        return found
+
+    positions = buffers.array(attributes.integer("POSITION"), attributes, "POSITION", ("VEC3",)).astype(np.float64)
+    corners = np.arange(len(positions))
+    if part.has("indices"):
+        corners = buffers.array(part.integer("indices"), part, "indices", ("SCALAR",))[:, 0]
+        least, greatest = corners.min(), corners.max()
+        if corners.dtype.kind != "i" or least < 0 or greatest >= len(positions):
+            raise part.fail(f"indices must be integers from 0 to {len(positions) - 1}, got {least} to {greatest}")
+    faces = triangles(part, corners, mode)
+    colour = array("COLOR_0", "VEC3", "VEC4")
+    if colour is not None:
+        if colour.dtype.kind != "f" or colour.min() < 0 or colour.max() > 1:
+            raise attributes.fail(f"COLOR_0 must be in [0, 1], got {colour.min():g} to {colour.max():g}")
+        if colour.shape[1] == 4 and (colour[:, 3] != 1).any():
+            losses.add(part.place, "the opacity of vertices (alpha of COLOR_0) is not read")
+    own = {name[1:].lower(): array(name, "SCALAR", "VEC3").astype(np.float64) for name in attributes.value
+           if name.startswith("_") and is_own(name)}
+    for name in attributes.value:
+        if name.startswith(("JOINTS_", "COLOR_")) and name != "COLOR_0" or name in ("TEXCOORD_2", "TEXCOORD_3"):
+            losses.add(part.place, f"{name} is not read")
+    if part.has("targets"):
+        losses.add(part.place, "morph targets are not read: the mesh has its basic form")
+    uv = tuple(array(f"TEXCOORD_{number}", "VEC2") for number in range(SETS))
+    return Primitive(positions, faces, usable(array("NORMAL", "VEC3"), positions, faces, part, losses), uv,
+                     None if colour is None else colour[:, :3], own)
+
+
+def is_own(name: str) -> bool:
+    """True for the name of an attribute of an application that can be the name of a parameter here."""
+    return name[1:].isidentifier() and name[1:].lower() not in ("positions", "normals", "texcoords", "color")
+
+
+def triangles(part: Part, corners: np.ndarray, mode: int) -> np.ndarray:
+    """(F, 3) of a list, a strip or a fan of triangles."""
+    if len(corners) < 3 or (mode == TRIANGLES and len(corners) % 3):
+        raise part.fail(f"triangles need a multiple of 3 corners, strips and fans at least 3, got {len(corners)}")
+    if mode == TRIANGLES:
+        return corners.reshape(-1, 3)
+    if mode == FAN:
+        return np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
+    odd = np.arange(len(corners) - 2) % 2
+    first = np.arange(len(corners) - 2)
+    return corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
+
+
+def usable(normals: np.ndarray | None, positions: np.ndarray, faces: np.ndarray, part: Part,
+           losses: Losses) -> np.ndarray | None:
+    """The normals, with those of the triangles around a vertex where one has no direction."""
+    if normals is None:
+        return None
+    normals = normals.astype(np.float64)
+    if not np.isfinite(normals).all():
+        raise part.fail(f"NORMAL must be finite, {int((~np.isfinite(normals)).any(axis=1).sum())} are not")
+    short = np.linalg.norm(normals, axis=1) < SHORTEST
+    if short.any() and np.isfinite(positions).all():
+        losses.add(part.place, f"{int(short.sum())} of {len(short)} normals are zero, and made from the triangles around")
+        normals[short] = angle_weighted_normals(torch.from_numpy(positions), torch.from_numpy(faces)).numpy()[short]
+    return normals

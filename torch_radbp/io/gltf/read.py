@@ -1,0 +1,261 @@
+"""Reads a glTF file into a scene."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from torch_radbp.emitter.area import Area
+from torch_radbp.emitter.constant import Constant
+from torch_radbp.io.gltf.accessor import Buffers
+from torch_radbp.io.gltf.container import read_container
+from torch_radbp.io.gltf.document import Document, GltfWarning, Losses, Part
+from torch_radbp.io.gltf.extension import check_extensions
+from torch_radbp.io.gltf.lamp import camera, light, overview
+from torch_radbp.io.gltf.material import VERTEX_COLOUR, Materials
+from torch_radbp.io.gltf.names import Names
+from torch_radbp.io.gltf.nodes import Placed, placed_nodes
+from torch_radbp.io.gltf.picture import Pictures
+from torch_radbp.io.gltf.primitive import Primitive, read_primitive
+from torch_radbp.io.gltf.texture import Textures
+from torch_radbp.plugin import Integrator, Plugin, SceneError, nearest
+from torch_radbp.scene.integrator import Path as PathIntegrator
+from torch_radbp.scene.scene import Scene
+from torch_radbp.shape.mesh import Mesh, TensorMesh
+
+LISTED = 20  # losses in a message
+
+
+class Options(NamedTuple):
+    """What a glTF file leaves open."""
+
+    resolution: int | None = None  # pixels of the longer side of the image; None: as `save` has noted, or 512
+    spp: int = 16  # samples per pixel
+    max_depth: int = -1  # see the integrator `path`
+    light: float | None = None  # radiance from all around; None: 1 if the file has no light, else nothing
+    camera: bool = True  # False: leave the file's cameras out, and look at the scene
+    scene: int | None = None  # number of the scene in the file
+    lumens_per_watt: float = 1.0  # see `lamp`
+    strict: bool = False  # an error instead of a warning about what cannot be read
+
+
+def options(file: str, given: dict[str, Any]) -> Options:
+    """The options from keyword arguments, or from text on a command line.
+
+    Raises:
+        SceneError: on unknown names and values of another type.
+    """
+    values = {}
+    for name, value in given.items():
+        if name not in Options._fields:
+            raise SceneError(f"{file}: a glTF file has no variables, and there is no option {name!r}; "
+                             f"{nearest(name, Options._fields)}")
+        values[name] = option(file, name, value)
+    return Options(**values)
+
+
+def option(file: str, name: str, value: Any) -> Any:
+    """One option."""
+    if name in ("camera", "strict"):
+        words = {"true": True, "false": False}
+        value = words.get(value, value) if isinstance(value, str) else value
+        if not isinstance(value, bool):
+            raise SceneError(f"{file}: the option {name} must be true or false, got {value!r}")
+        return value
+    kind, word = (float, "a number") if name in ("light", "lumens_per_watt") else (int, "an integer")
+    try:
+        if isinstance(value, bool) or (kind is int and isinstance(value, float)):
+            raise ValueError
+        number = kind(value)
+    except (TypeError, ValueError):
+        raise SceneError(f"{file}: the option {name} must be {word}, got {value!r}") from None
+    least = {"max_depth": -1, "light": 0, "scene": 0, "lumens_per_watt": 1e-6}.get(name, 1)
+    if not least <= number < 1e6:
+        raise SceneError(f"{file}: the option {name} must be at least {least}, got {value!r}")
+    return number
+
+
+def read_gltf(path: str | os.PathLike, given: dict[str, Any]) -> Scene:
+    """The scene in a glTF file.
+
+    Args:
+        path: the .glb or .gltf file.
+        given: see `Options`.
+
+    Raises:
+        SceneError: names the file and the place in its document.
+    """
+    file = os.fspath(path)
+    chosen = options(file, given)
+    return _Reader(file, chosen).scene()
+
+
+class _Reader:
+    def __init__(self, file: str, chosen: Options):
+        container = read_container(file)
+        self.file, self.options, self.losses = file, chosen, Losses()
+        self.document = Document(file, container.document)
+        check_extensions(self.document, self.losses)
+        self.buffers = Buffers(self.document, container.binary, Path(file).parent)
+        self.children: dict[str, Plugin] = {}
+        self.names = Names()
+        textures = Textures(self.document, Pictures(self.document, self.buffers), self.losses)
+        self.materials = Materials(self.document, textures, self.losses, self.names, self.children)
+        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def scene(self) -> Scene:
+        """All of it; what is missing is added, and what is lost is said in one warning."""
+        placed = [place for place in placed_nodes(self.document, self.options.scene) if not self.is_hidden(place)]
+        for place in placed:
+            self.add_shapes(place)
+        if not np.isfinite(self.low).all():
+            raise SceneError(f"{self.file}: the scene has no triangles")
+        for place in placed:
+            self.add_light(place)
+            if self.options.camera:
+                self.add_camera(place)
+        if self.document.items("animations"):
+            self.losses.add("animations", "are not read: nodes stand where they begin")
+        losses, added = list(self.losses), self.complete()
+        if losses and self.options.strict:
+            raise SceneError(f"{self.file}: {said(losses)}")
+        if losses or added:
+            warnings.warn(f"{self.file}: {said([*losses, *added])}", GltfWarning, stacklevel=7)
+        integrator: Integrator = PathIntegrator(max_depth=self.options.max_depth)
+        try:
+            return Scene(self.children, integrator)
+        except ValueError as error:
+            raise SceneError(f"{self.file}: {error}") from error
+
+    def is_hidden(self, place: Placed) -> bool:
+        """True if a node flattens space, as some writers do to hide what hangs on it."""
+        linear = place.to_world[:3, :3]
+        flat = abs(np.linalg.det(linear)) <= 1e-30 or not np.isfinite(linear).all()
+        if flat:
+            self.losses.add(place.node.place, "is left out: its transform flattens space")
+        return flat
+
+    def name(self, part: Part, other: Part, fallback: str) -> str:
+        """A free name for what a node holds: the node's, or that of what it refers to."""
+        return self.names.free(part.text("name", "") or other.text("name", "") or fallback)
+
+    def add_shapes(self, place: Placed) -> None:
+        """One shape for each primitive of the node's mesh. A mesh of several nodes is copied: each has its vertices."""
+        mesh = self.document.referred("meshes", place.node, "mesh", None)
+        if mesh is None:
+            return
+        if place.node.has("skin"):
+            self.losses.add(place.node.place, "its skin is not read: the mesh has the pose in which it was bound")
+        parts = mesh.parts("primitives")
+        title = place.node.text("name", "") or mesh.text("name", "") or f"mesh_{place.node.integer('mesh')}"
+        for number, part in enumerate(parts):
+            primitive = read_primitive(part, self.buffers, self.losses)
+            if primitive is None:
+                continue
+            look = self.materials.look(part, primitive.colour is not None, self.is_mirrored(part, primitive))
+            name = self.names.free(title if len(parts) == 1 else f"{title}_{number}")
+            uv = primitive.uv[look.uv_set] if look.uv_set < len(primitive.uv) else None
+            try:
+                shape = self.shape(primitive, place.to_world, uv, look.bsdf)
+                if look.radiance is not None:
+                    shape.emitter = Area(radiance=look.radiance)
+                if primitive.colour is not None:
+                    shape.add_attribute(VERTEX_COLOUR, torch.from_numpy(primitive.colour * look.factor))
+            except (ValueError, RuntimeError) as error:
+                raise part.fail(f"{place.node.place}: {error}") from error
+            self.children[name] = shape
+            corners = shape.vertex_positions.detach().double().numpy()
+            self.low, self.high = np.minimum(self.low, corners.min(0)), np.maximum(self.high, corners.max(0))
+
+    def shape(self, primitive: Primitive, to_world: np.ndarray, uv: np.ndarray | None, bsdf: Plugin) -> Mesh:
+        """A mesh. A transform that mirrors turns its triangles round, so that they face outwards still."""
+        faces = primitive.faces[:, [0, 2, 1]] if np.linalg.det(to_world[:3, :3]) < 0 else primitive.faces
+        moved = not np.array_equal(to_world, np.eye(4))
+        shape = TensorMesh(
+            vertex_positions=torch.from_numpy(primitive.positions), faces=torch.from_numpy(np.ascontiguousarray(faces)),
+            vertex_normals=None if primitive.normals is None else torch.from_numpy(primitive.normals),
+            vertex_texcoords=None if uv is None else torch.from_numpy(np.asarray(uv, dtype=np.float64)),
+            to_world=torch.from_numpy(to_world) if moved else None, bsdf=bsdf)
+        for name, values in primitive.own.items():
+            shape.add_attribute(f"vertex_{name}", torch.from_numpy(values))
+        return shape
+
+    def is_mirrored(self, part: Part, primitive: Primitive) -> bool:
+        """True if the normal map of a primitive lies mirrored on most of its triangles.
+
+        The y of a normal map points to where v falls in glTF, and across the direction of u here: that is the same where
+        corners that are counter-clockwise on the surface are so in the image.
+        """
+        material = self.materials.material(part)
+        number = material.part("normalTexture").integer("texCoord", 0)
+        uv = primitive.uv[number] if number < len(primitive.uv) and material.has("normalTexture") else None
+        if uv is None:
+            return False
+        first, second, third = (uv[primitive.faces[:, corner]] for corner in range(3))
+        (a, b), (c, d) = (second - first).T, (third - first).T
+        mirrored = a * d - b * c > 0  # v points down
+        most = bool(2 * mirrored.sum() > len(mirrored))
+        others = int((mirrored != most).sum())
+        if others:
+            self.losses.add(part.place, f"the normal map is read wrongly on {others} of {len(mirrored)} triangles, where it "
+                                        "lies the other way round")
+        return most
+
+    def add_light(self, place: Placed) -> None:
+        """The light of a node."""
+        reference, lights = (part.extension("KHR_lights_punctual") for part in (place.node, self.document))
+        if reference is None:
+            return
+        if lights is None:
+            raise place.node.fail("it refers to a light, but the document has no KHR_lights_punctual")
+        number, known = reference.integer("light"), lights.parts("lights")
+        if number >= len(known):
+            raise reference.fail(f"light {number} does not exist; there are {len(known)}")
+        part = known[number]
+        name = self.name(place.node, part, f"light_{number}")
+        self.children[name] = self.checked(part, light, place.to_world, self.options.lumens_per_watt, self.losses)
+
+    def add_camera(self, place: Placed) -> None:
+        """The camera of a node."""
+        part = self.document.referred("cameras", place.node, "camera", None)
+        if part is None:
+            return
+        reach = 4 * float(np.abs([self.low - place.to_world[:3, 3], self.high - place.to_world[:3, 3]]).max())
+        name = self.name(place.node, part, f"camera_{place.node.integer('camera')}")
+        self.children[name] = self.checked(part, camera, place.to_world, self.options.resolution, self.options.spp, reach)
+
+    def checked(self, part: Part, make, *arguments) -> Plugin:
+        """The plugin that `make` makes of a part; its errors name the place."""
+        try:
+            return make(part, *arguments)
+        except SceneError:
+            raise
+        except (ValueError, RuntimeError) as error:
+            raise part.fail(str(error)) from error
+
+    def complete(self) -> list[str]:
+        """Adds what a scene needs and the file lacks; says what that is."""
+        found, added = {child.category for child in self.children.values()}, []
+        emits = "emitter" in found or any(getattr(child, "emitter", None) is not None for child in self.children.values())
+        if self.options.light is not None or not emits:
+            radiance = 1.0 if self.options.light is None else self.options.light
+            self.children[self.names.free("sky")] = Constant(radiance=radiance)
+            if self.options.light is None:
+                added.append(f"it has no light: a constant light of radiance {radiance:g} is added (option light)")
+        if "sensor" not in found:
+            name = self.names.free("camera")
+            self.children[name] = overview(self.low, self.high, self.options.resolution, self.options.spp)
+            if self.options.camera:
+                added.append(f"it has no camera: {name!r} is added, which looks at all of it from the front")
+        return added
+
+
+def said(losses: list[str]) -> str:
+    """One message of several, cut where it gets long."""
+    more = f"; and {len(losses) - LISTED} more" if len(losses) > LISTED else ""
+    return "; ".join(losses[:LISTED]) + more

@@ -1,0 +1,148 @@
+"""Writes a scene as glTF 2.0."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from torch_radbp.io.gltf import lamp_out
+from torch_radbp.io.gltf.appearance import Appearances
+from torch_radbp.io.gltf.container import glb
+from torch_radbp.io.gltf.document import GltfWarning, Losses
+from torch_radbp.io.gltf.image_slot import checked
+from torch_radbp.io.gltf.lamp_out import column_major, matrix_of
+from torch_radbp.io.gltf.read import said
+from torch_radbp.io.gltf.written import Written
+from torch_radbp.plugin import Plugin, SceneError, Shape
+from torch_radbp.scene.scene import Scene
+from torch_radbp.shape.surface import Triangles
+
+SHEAR = 1e-5  # cosine between axes: what glTF's nodes cannot say
+
+
+def gltf_files(scene: Scene, target: Path, strict: bool) -> list[Path]:
+    """Writes a scene; a `.gltf` has its buffer in a `.bin` beside it. See `torch_radbp.save`.
+
+    Args:
+        scene: as it is now.
+        target: where to write, in a folder of its own.
+        strict: an error instead of a warning about what glTF cannot say.
+
+    Returns:
+        All files, `target` last.
+    """
+    writer = _Writer(scene)
+    with torch.no_grad(), torch.device("cpu"):
+        writer.write()
+    losses = list(writer.losses)
+    if losses and strict:
+        raise SceneError(f"{target.name}: {said(losses)}")
+    if losses:
+        warnings.warn(f"{target.name}: {said(losses)}", GltfWarning, stacklevel=4)
+    if target.suffix.lower() == ".glb":
+        target.write_bytes(glb(writer.out.document(None), bytes(writer.out.binary)))
+        return [target]
+    buffer = target.with_suffix(".bin")
+    buffer.write_bytes(bytes(writer.out.binary))
+    target.write_text(json.dumps(writer.out.document(buffer.name), indent=1, allow_nan=False))
+    return [buffer, target]
+
+
+class _Writer:
+    def __init__(self, scene: Scene):
+        self.scene, self.out, self.losses = scene, Written(), Losses()
+        self.appearances = Appearances(scene, self.out, self.losses)
+
+    def write(self) -> None:
+        """Fills the document: a node for each shape, light and camera."""
+        for name, child in self.scene.named_children():
+            if not isinstance(child, Plugin) or not child.type:
+                raise SceneError(f"{name}: a {type(child).__name__} cannot be written as glTF, only Mitsuba's plugins can")
+            if child.category == "shape":
+                self.add_shape(name, child)
+            elif child.category == "emitter":
+                self.add_light(name, child)
+            elif child.category == "sensor":
+                self.add_camera(name, child)
+
+    def add_shape(self, name: str, shape: Shape) -> None:
+        """A node with a mesh, in the frame that the shape's pose gives."""
+        surface = shape.oriented()
+        if surface.ball is not None:
+            self.losses.add(name, f"a {shape.type} is written as {len(surface.faces)} triangles")
+        pose = matrix_of(shape.to_world) if isinstance(getattr(shape, "to_world", None), torch.Tensor) else np.eye(4)
+        if is_sheared(pose):
+            pose = np.eye(4)
+        appearance = self.appearances.of(shape, is_upright_in_v(surface))
+        attributes = self.geometry(name, surface, pose) | self.attributes(name, surface, appearance.colours)
+        faces = surface.faces.cpu().numpy()
+        faces = faces[:, [0, 2, 1]] if np.linalg.det(pose[:3, :3]) < 0 else faces
+        primitive = {"attributes": attributes, "indices": self.out.indices(faces, len(surface.vertices)),
+                     "material": appearance.material}
+        mesh = self.out.add("meshes", {"name": name, "primitives": [primitive]})
+        self.out.add("nodes", {"name": name, "mesh": mesh, **column_major(pose)})
+
+    def geometry(self, name: str, surface: Triangles, pose: np.ndarray) -> dict[str, int]:
+        """Positions, normals and surface coordinates."""
+        inverse = np.linalg.inv(pose)
+        positions = checked(surface.vertices, f"{name}.vertex_positions") @ inverse[:3, :3].T + inverse[:3, 3]
+        found = {"POSITION": self.out.vertices(positions, bounds=True)}
+        if surface.normals is not None:
+            normals = checked(surface.normals, f"{name}.vertex_normals") @ pose[:3, :3]
+            length = np.linalg.norm(normals, axis=1, keepdims=True)
+            found["NORMAL"] = self.out.vertices(normals / np.where(length > 0, length, 1.0))
+        if surface.uv is not None:
+            found["TEXCOORD_0"] = self.out.vertices(checked(surface.uv, f"{name}.vertex_texcoords"))
+        return found
+
+    def attributes(self, name: str, surface: Triangles, colours: tuple[str, float] | None) -> dict[str, int]:
+        """The attributes of vertices: the base colour, and others under names of an application."""
+        found: dict[str, int] = {}
+        for attribute, tensor in surface.attributes:
+            values = checked(tensor, f"{name}.{attribute}")
+            own = attribute.removeprefix("vertex_")
+            if colours is not None and attribute == colours[0]:
+                linear = np.broadcast_to(values * colours[1], (len(values), 3))
+                found["COLOR_0"] = self.out.vertices(linear.clip(0.0, 1.0))
+            elif attribute.startswith("vertex_") and own == own.lower() and own != "color" and own.isidentifier():
+                found[f"_{own.upper()}"] = self.out.vertices(values)
+            else:
+                self.losses.add(f"{name}.{attribute}", "is not written: glTF has attributes of vertices, in capital letters")
+        if colours is not None and "COLOR_0" not in found:
+            raise SceneError(f"{name}: it has no attribute {colours[0]!r}, which its material reads")
+        return found
+
+    def add_light(self, name: str, emitter: Plugin) -> None:
+        """A node with a light."""
+        written = lamp_out.light(emitter, name, self.losses)
+        if written is not None:
+            entries, place = written
+            extensions = self.out.light({"name": name, **entries})
+            self.out.add("nodes", {"name": name, "extensions": extensions, **column_major(place)})
+
+    def add_camera(self, name: str, sensor: Plugin) -> None:
+        """A node with a camera."""
+        written = lamp_out.camera(sensor, name, self.losses)
+        if written is not None:
+            entries, place = written
+            number = self.out.add("cameras", {"name": name, **entries})
+            self.out.add("nodes", {"name": name, "camera": number, **column_major(place)})
+
+
+def is_sheared(pose: np.ndarray) -> bool:
+    """True if a transform is no scale, rotation and translation, which is what a node may have."""
+    columns = pose[:3, :3] / np.linalg.norm(pose[:3, :3], axis=0)
+    return bool(np.abs(columns.T @ columns - np.eye(3)).max() > SHEAR)
+
+
+def is_upright_in_v(surface: Triangles) -> bool:
+    """True if most triangles are counter-clockwise in (u, v), where v points down in glTF; see `read.is_mirrored`."""
+    if surface.uv is None:
+        return False
+    uv = surface.uv.detach().cpu().double()[surface.faces.cpu()]
+    (a, b), (c, d) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
+    return bool(2 * (a * d - b * c > 0).sum() > len(uv))
