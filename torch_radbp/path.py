@@ -27,6 +27,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
+    BounceKey,
     LaneKey,
     SampleKey,
     bounce_key,
@@ -37,7 +38,6 @@ from torch_radbp.sampling.sampler import (
 from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import (
-    LightNumbers,
     LightSample,
     emitted,
     emitted_by_surface,
@@ -45,7 +45,10 @@ from torch_radbp.scene.light import (
     pdf_of_surface,
     sample_light,
     shadow_ray,
+    vantage,
 )
+from torch_radbp.scene.light_choice import LightNumbers, LightPick, TreeChoice, chance_of_emitter, drawn_element
+from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
@@ -81,6 +84,7 @@ class PathState(NamedTuple):
     pdf: Tensor  # density over solid angle of the ray's direction; infinite: not left to chance
     key: LaneKey  # of the lane's random numbers
     lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
+    vantage: Vantage | None = None  # where the ray begins; None if no light is picked with regard to that
 
 
 class Arrival(NamedTuple):
@@ -89,6 +93,7 @@ class Arrival(NamedTuple):
     state: PathState
     hit: Hit
     front: Tensor | None  # bool: they meet the side of the shading normal; None: not needed to tell appearances apart
+    picked: LightPick | None = None  # None: lights are picked by probabilities that are the same everywhere
 
 
 class Scattering(NamedTuple):
@@ -137,11 +142,15 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor,
     return camera.ray(column, row, u, v), lane
 
 
-def start_path(ray: Ray, key: LaneKey) -> PathState:
-    """The state before the first bounce: throughput 1, every lane in its place."""
+def start_path(ray: Ray, key: LaneKey, from_places: bool = False) -> PathState:
+    """The state before the first bounce: throughput 1, every lane in its place.
+
+    `from_places`: paths remember where their rays begin.
+    """
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
-    return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane)
+    return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane,
+                     Vantage(ray.o.detach(), ray.d.detach()) if from_places else None)
 
 
 class Place(NamedTuple):
@@ -190,8 +199,9 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     Returns:
         The M vertices. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
     """
-    state, hit, front = rows(arrival, lanes)
-    local = scattering(scene, proposal, Arrival(state, hit, front), at, settings, given)
+    arrival = rows(arrival, lanes)
+    state = arrival.state
+    local = scattering(scene, proposal, arrival, at, settings, given)
 
     # Aim the shadow ray at the light sample.
     zero = torch.zeros_like(state.pdf)
@@ -202,8 +212,9 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
         return Vertex(local.Le, local.Ld, Vec3(zero, zero, zero), shadow, distance, state, local.survives)
     F = local.sample.weight * local.thinning
     ray = departure(local.si, local.sample.wo)
+    here = None if state.vantage is None else vantage(local.si)
     return Vertex(local.Le, local.Ld, F, shadow, distance,
-                  PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane), local.survives)
+                  PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane, here), local.survives)
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
@@ -221,8 +232,8 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
         Le = emitted(scene, state.ray, si) if scene.appearance is None else emitted_by_surface(scene, si)
     if settings.nee:
         geometry = scene if settings.sampling == "attached" else proposal
-        other = (emitted_pdf(geometry, state.ray, si, proposal) if scene.appearance is None
-                 else pdf_of_surface(geometry, si, proposal))
+        other = (emitted_pdf(geometry, state.ray, si, proposal, arrival.picked) if scene.appearance is None
+                 else pdf_of_surface(geometry, si, proposal, arrival.picked))
         Le = Le * mis_weight(state.pdf, other, settings)
     if scene.appearance is None:
         return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
@@ -235,8 +246,7 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     number = partial(uniform, key, dtype=zero.dtype)
     light, Ld = None, none
     if settings.nee:
-        numbers = LightNumbers(*(random_bits(key, dimension) for dimension in (LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V)))
-        light = sample_light(scene, proposal, si, numbers)
+        light = sample_light(scene, proposal, si, light_numbers(key), arrival.picked)
         light, Ld = next_event(material, si, light, settings)
 
     # Sample the BSDF for the next direction.
@@ -248,6 +258,31 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
     survives = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
     return Scattering(Le, Ld, si, light, material, chosen, 1.0 / survival, survives)
+
+
+def light_numbers(key: BounceKey) -> LightNumbers:
+    """The random numbers of the light samples of a bounce."""
+    return LightNumbers(*(random_bits(key, dimension) for dimension in (LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V)))
+
+
+def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Position) -> tuple[Tensor, Tensor]:
+    """The elements of the light table that next-event estimation takes at the surfaces that rays meet, and their
+    probabilities; `LightPick.element` and `LightPick.pmf`.
+
+    Args:
+        scene: detached; any part of it.
+        choice: of the scene.
+        arrival: the paths that reach a bounce.
+        at: its depth.
+    """
+    seen = vantage(surface_met(scene, arrival, Settings()))
+    return drawn_element(choice, seen, light_numbers(bounce_key(arrival.state.key, at.counter)))
+
+
+def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, lanes: Tensor) -> Tensor:
+    """`LightPick.chance` of those paths, (M,), that meet an emitter in the tree. Args as for `pick_light` and `bounce`."""
+    state, hit = rows((arrival.state, arrival.hit), lanes)
+    return chance_of_emitter(choice, state.vantage, lookup(scene.triangles.emitter, hit.prim))
 
 
 def next_event(material: Material, si: SurfaceInteraction, light: LightSample,

@@ -12,6 +12,7 @@ from torch_radbp.adjoint.memory import parse_budget
 from torch_radbp.plugin import Sensor, boolean, integer, nearest
 from torch_radbp.scene import Scene
 from torch_radbp.scene.integrator import depths
+from torch_radbp.scene.light_choice import CHOICES
 
 SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
 
@@ -48,6 +49,9 @@ def check_settings(renderer: nn.Module) -> None:
     renderer.memory_budget = None if renderer.memory_budget is None else parse_budget(renderer.memory_budget)
     if not isinstance(renderer.adjoint, STRATEGIES):
         raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {renderer.adjoint!r}")
+    if renderer.light_choice not in (None, *CHOICES):
+        raise ValueError(f"light_choice={renderer.light_choice!r} is not known; "
+                         f"{nearest(str(renderer.light_choice), CHOICES)}")
     if renderer.sampling not in SAMPLINGS:
         raise ValueError(f"sampling={renderer.sampling!r} is not known; {nearest(str(renderer.sampling), SAMPLINGS)}")
 

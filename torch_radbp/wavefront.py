@@ -17,6 +17,7 @@ from torch import Tensor
 from torch_radbp.differentiated import any_differentiated
 from torch_radbp.given import given_values
 from torch_radbp.jit.order import chosen, put
+from torch_radbp.lookup import lookup
 from torch_radbp.path import Arrival, PathState, Place, Position, Settings, Vertex
 from torch_radbp.queues import NOTHING, Queue, queues_by
 from torch_radbp.raycast.protocol import Hit, RayCaster
@@ -24,6 +25,7 @@ from torch_radbp.record import joined, leaves_of
 from torch_radbp.sampling.sampler import depth_counter
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.camera_hit import camera_hit
+from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.scene.part import part_of
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
@@ -45,6 +47,11 @@ class Step(NamedTuple):
     queues: tuple[Queue, ...]
     visible: Tensor  # (M,) bool: the shadow ray was free
     survives: Tensor  # (M,) bool: the path goes on
+    picked: LightPick | None = None  # (N,) None: lights are picked by probabilities that are the same everywhere
+
+    def arrival(self, state: PathState) -> Arrival:
+        """The paths that reach the bounce, and what they meet."""
+        return Arrival(state, self.hit, self.front, self.picked)
 
 
 class Stages(NamedTuple):
@@ -54,6 +61,8 @@ class Stages(NamedTuple):
     bounce: Callable
     bounce_adjoint: Callable
     places: Callable
+    pick_light: Callable
+    chance_of_light: Callable
     appearance_met: Callable
     shines: Callable
     rows: Callable
@@ -144,7 +153,8 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
-        step = Step(hit, *queued(integrand, state.ray, hit, integrand.is_last(depth)), undecided, undecided)
+        step = Step(hit, *queued(integrand, state.ray, hit, integrand.is_last(depth)), undecided, undecided,
+                    picked_lights(integrand, state, hit, depth))
         vertex = bounce_queues(integrand, state, depth, step)
         connects = integrand.settings.nee and not integrand.is_last(depth)
         visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
@@ -156,7 +166,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
 def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step) -> Vertex:
     """The vertices of all lanes, each queue by the functions of its appearance."""
     settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
-    arrival, at = Arrival(state, step.hit, step.front), integrand.at(depth)
+    arrival, at = step.arrival(state), integrand.at(depth)
 
     def arguments(queue: Queue) -> tuple:
         part, lanes = integrand.part(queue), step.order[queue.first:queue.last]
@@ -175,13 +185,30 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
 def room_for_vertices(state: PathState, lanes: int) -> Vertex:
     """Vertices to write into."""
     def room(part):
-        return part.new_empty(lanes) if isinstance(part, Tensor) else type(part)(*map(room, part))
+        if part is None or isinstance(part, Tensor):
+            return None if part is None else part.new_empty(lanes)
+        return type(part)(*map(room, part))
 
     def number() -> Tensor:
         return state.pdf.new_empty(lanes)
 
     Le, Ld, F = (Vec3(number(), number(), number()) for _ in range(3))
     return Vertex(Le, Ld, F, room(state.ray), number(), room(state), number().new_empty(lanes, dtype=torch.bool))
+
+
+def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> LightPick | None:
+    """The decisions about lights of paths that met `hit`; None if there are none to make."""
+    choice = integrand.proposal.lights.choice
+    if not integrand.settings.nee or not integrand.proposal.lights.by_place:
+        return None
+    scene, arrival = integrand.part(NOTHING).proposal, Arrival(state, hit, None)
+    chance = torch.zeros_like(state.pdf)
+    lit = chosen((hit.prim >= 0) & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0))
+    if len(lit) and depth > 0:
+        chance.index_copy_(0, lit.long(), integrand.stages.chance_of_light(scene, choice, arrival, lit))
+    if integrand.is_last(depth):
+        return LightPick(torch.zeros_like(hit.prim), chance, chance)
+    return LightPick(*integrand.stages.pick_light(scene, choice, arrival, integrand.at(depth)), chance)
 
 
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:

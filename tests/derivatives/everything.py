@@ -7,8 +7,8 @@ from typing import Any
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.scenes import SCENES, SUBJECT, beam, bitmap, camera, floor, lamp, parallel, sky, turned
-from tests.scenes import load, rgb
+from tests.derivatives.scenes import SCENES, SUBJECT, beam, bitmap, camera, floor, lamp, lamps, parallel, sky, turned
+from tests.scenes import diffuse, load, rgb
 
 MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
              "brushed glass beckmann", "plastic", "rough plastic ggx", "principled", "principled glass", "principled sheet",
@@ -74,7 +74,14 @@ def textures() -> dict[str, Any]:
             f"{SUBJECT}_glow": objects("glowing body")[SUBJECT]}
 
 
-EVERYTHING = {"materials": materials, "shapes": shapes, "textures": textures}
+def many_lamps() -> dict[str, Any]:
+    """More lamps than are picked without regard to where they are, and a sky."""
+    found = {f"{SUBJECT}_{name}": lamp for name, lamp in lamps().items()}
+    return {f"{SUBJECT}_sensor": camera(16, 50), "floor": floor(), "dark": diffuse(0.1, 0.2, 0.1), **found,
+            f"{SUBJECT}_plane": objects("rectangle")[SUBJECT], f"{SUBJECT}_beam": beam(), f"{SUBJECT}_sky": sky(0.3)}
+
+
+EVERYTHING = {"materials": materials, "shapes": shapes, "textures": textures, "lamps": many_lamps}
 
 
 def build_everything(name: str, dtype: torch.dtype = torch.float64) -> rb.Scene:

@@ -29,7 +29,7 @@ from torch_radbp.scene.tensors import SceneTensors
 # Functions inside of which something is detached on behalf of a discrete choice: of a lobe, of a light. Of the whole scene
 # that the second one detaches, only the tables from which lights are chosen.
 PROPOSAL = "make_integrand"
-CHOICES = frozenset({"choose", "chance_of_lobe", "values_for_choice", "relative_chance", PROPOSAL})
+CHOICES = frozenset({"choose", "chance_of_lobe", "values_for_choice", "relative_chance", "vantage", PROPOSAL})
 DEEPEST_CALL = 40  # frames between such a function and what it detaches
 
 

@@ -171,6 +171,19 @@ def turned(at, *angles: float, size: float = 1.0, **attributes: Any) -> dict[str
     return {"to_world": pose} | attributes
 
 
+def lamps() -> dict[str, Any]:
+    """More lamps of all kinds than are picked without regard to where they are, in front of the planes of `light`."""
+    found = {}
+    for number in range(9):
+        x, y, z = 1.1 * (number % 3 - 1.1), 1.3 + 0.4 * (number // 3), 2.3 - 0.1 * number
+        name, pose = f"lamp_{number}", look_at((x, y, z), (0.1 * x, 0.05, 0), (0.1, 1, 0.2))
+        found[name] = ({"type": "rectangle", "to_world": pose @ scale((0.2, 0.3, 1)), "bsdf": {"type": "ref", "id": "dark"},
+                        "emitter": {"type": "area", "radiance": bitmap(factor=20.0, seed=number)}},
+                       {"type": "point", "position": [x, y, z], "intensity": rgb(0.9, 0.8, 0.7), "sampling_weight": 2.0},
+                       {"type": "spot", "to_world": pose, "intensity": rgb(1, 2, 1), "cutoff_angle": 50.0})[number % 3]
+    return found
+
+
 AIMED = look_at((0.9, 1.5, 2.8), (0.1, 0.05, 0), (0.1, 1, 0.2))
 METAL = {"eta": rgb(0.2, 0.9, 1.1), "k": rgb(3.9, 2.4, 2.2), "specular_reflectance": rgb(0.9, 0.6, 0.8)}
 ROUGH_METAL = {"eta": 0.9, "k": 2.4, "specular_reflectance": 0.8}
@@ -261,6 +274,9 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
         smooth=False, vertex_positions=[[-0.6, 1.9, 1.6], [0.9, 2.3, 1.5], [0.8, 2.2, 2.7], [-0.7, 2.0, 2.8]],
         emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={"type": "ref", "id": "dark"})),
     "directionalarea": light(**beam(bsdf={"type": "ref", "id": "dark"})),
+    "one of many lamps": light(**lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)}, bsdf={
+        "type": "ref", "id": "dark"})) | lamps(),
+    "many lamps and a sky": light(**sky()) | lamps(),
     "constant": light(type="constant", radiance=rgb(0.6, 0.9, 1.4)),
     "directional": light(type="directional", direction=[-0.3, -1.0, -0.9], irradiance=rgb(2.8, 2.7, 2.4)),
     "envmap": light(**sky()),

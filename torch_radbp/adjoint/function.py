@@ -72,7 +72,8 @@ def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
     sample = torch.arange(chunk.samples, dtype=torch.int32, device=device) + chunk.first_sample
     view = call.views[chunk.sensor]
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    return start_path(*call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key))
+    return start_path(*call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key),
+                      call.scene.lights.by_place)
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
@@ -81,7 +82,8 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    return start_path(*call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0]))
+    return start_path(*call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0]),
+                      call.scene.lights.by_place)
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:

@@ -22,8 +22,9 @@ from torch_radbp.path import PathState
 from torch_radbp.wavefront import Integrand, trace
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
-STATE = (10, 12)  # `PathState`: ray, throughput, density; key and lane
-STEP = (3, 11)  # `Step`: barycentrics and distance; triangle, side, order, visibility and survival
+STATE = {False: (10, 12), True: (16, 12)}  # `PathState`: ray, throughput, density, perhaps vantage; key and lane
+# `Step`: barycentrics and distance, perhaps probabilities of lights; triangle, side, order, visibility, survival, lights.
+STEP = {False: (3, 11), True: (5, 15)}
 RADIANCE = (3, 0)  # a `Vec3`
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
@@ -94,6 +95,7 @@ class Workload(NamedTuple):
     workers: int = 1  # chunks that are traced side by side
     moving: bool = False  # whether rays carry derivatives
     triangles: bool = False  # whether triangles do, each for two bounces
+    by_place: bool = False  # whether lights are picked with regard to the place that they are to illuminate
     measured: WorkingSet | None = None  # of a bounce; None: the least that it may be
 
     @property
@@ -127,15 +129,15 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
         return MemoryPlan(chunk, adjoint, False, kept, int(together * (WASTE * bounce.per_lane + spare)))
     depths = adjoint.kept(bounces, work.max_depth)
-    per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * size(STATE)
-    per_lane += sum(fractions) * size(STEP) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
+    per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * size(STATE[work.by_place])
+    per_lane += sum(fractions) * size(STEP[work.by_place]) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
     replayed = most = 0.0
     if isinstance(adjoint, MemoizedAdjoint):
         for action in backward_plan(bounces, depths, adjoint.stride):
             if action.depth not in depths:
-                replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE)
+                replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE[work.by_place])
                 most = max(most, replayed)
-    held = size(RADIANCE) + size(MEMO[work.moving]) + size(CORNERS[work.triangles]) + size(STATE)
+    held = size(RADIANCE) + size(MEMO[work.moving]) + size(CORNERS[work.triangles]) + size(STATE[work.by_place])
     share = COMPILED if work.compiled else 1.0
     swept = share * (sweep.per_lane - outside.per_lane) + outside.per_lane
     busy = max(WASTE * (swept + held), WASTE * share * bounce.per_lane) + spare

@@ -88,7 +88,8 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
         The memo for the bounce above, of these lanes, for each wanted leaf what its reads add to its gradient, and the
         adjoints of the values that were given.
     """
-    state, hit, front = rows(arrival, lanes)
+    arrival = rows(arrival, lanes)
+    state, hit = arrival.state, arrival.hit
     memo = rows(memo, state.lane)
     adj_L = rows(adj_L, state.lane) * state.beta
     taps: list[Tap] = []
@@ -105,7 +106,8 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
     given = tuple(texture._replace(value=texture.value.map(as_leaf)) for texture in given)
     values = [channel for texture in given for channel in texture.value]
     with torch.enable_grad():
-        local = local_map(attached, scene, Arrival(state, hit, front), verdict, memo.hit, at, settings, given, here, there)
+        arrival = arrival._replace(state=state)
+        local = local_map(attached, scene, arrival, verdict, memo.hit, at, settings, given, here, there)
         outputs, adjoints = [*local.E, *local.F], [*adj_L, *(adj_L * memo.L)]
         if local.ray is not None:
             outputs += [*local.ray.o, *local.ray.d, local.pdf]
@@ -224,7 +226,7 @@ class Sweep:
         step = self.record.steps.get(depth)
         if step is None:
             _, step = take_step(self.integrand, state, depth)
-        integrand, arrival = self.integrand, Arrival(state, step.hit, step.front)
+        integrand, arrival = self.integrand, step.arrival(state)
         at, settings = integrand.at(depth), integrand.settings_at(depth)
         for queue in step.queues:
             here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_map
+from torch.utils._pytree import tree_map_only
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.given import given_values
-from torch_radbp.path import Arrival, PathState, places_of
+from torch_radbp.path import PathState, places_of
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, rows_between
 from torch_radbp.vec import Vec3, rows
@@ -42,7 +42,7 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
         alive, last = surviving(step), integrand.is_last(depth)
         hit = None if last else fixed.caster.intersect(rows(vertex.next.ray, alive))
         following = spread(hit, alive, vertex.shadow_distance)
-        arrival, verdict = rows(Arrival(state, step.hit, step.front), step.order), Verdict(step.visible, step.survives)
+        arrival, verdict = rows(step.arrival(state), step.order), Verdict(step.visible, step.survives)
         ahead = []
         for queue in step.queues:
             here, decided, there = (rows_between(record, queue.first, queue.last)
@@ -54,14 +54,15 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
             local = local_map(part.scene, part.proposal, here, decided, there, integrand.at(depth), settings, given)
             add_at(L, then.lane, then.beta * local.E)
             ahead.append(then if local.ray is None else
-                         PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane))
+                         PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane,
+                                   rows_between(vertex.next.vantage, queue.first, queue.last)))
         state, depth = rows(joined(ahead), alive), depth + 1
     return L
 
 
 def detached(state: PathState) -> PathState:
     """The state without derivatives."""
-    return tree_map(Tensor.detach, state)
+    return tree_map_only(Tensor, Tensor.detach, state)
 
 
 def spread(hit: Hit | None, alive: Tensor, like: Tensor) -> Hit | None:

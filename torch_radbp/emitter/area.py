@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
+from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import NEAREST, Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind
 from torch_radbp.emitter.surface import SurfaceLight
 from torch_radbp.lookup import lookup
@@ -27,6 +31,22 @@ class AreaKind(SurfaceKind):
 
     Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4; Worchel et al. 2025.
     """
+
+    bounded: ClassVar[bool] = True
+
+    def bounds(self, table: EmittingTriangles, luminance: Tensor) -> LightBounds:
+        def fine(v: Vec3) -> Vec3:
+            return v.map(lambda c: c.to(luminance))
+
+        corners, n = tuple(map(fine, table.p)), fine(table.n)
+        middle = (corners[0] + corners[1] + corners[2]) * (1.0 / 3.0)
+        radius = functools.reduce(torch.maximum, (dot(corner - middle, corner - middle) for corner in corners)).sqrt()
+        area = table.inverse_area.to(luminance)
+        area = torch.where(area > 0, 1.0 / torch.where(area > 0, area, 1.0), 0.0)
+        spread = torch.zeros_like(area)
+        for shading in table.shading or ():
+            spread = torch.maximum(spread, torch.acos(dot(fine(shading), n).clamp(-1.0, 1.0)))
+        return LightBounds(middle, radius, luminance * area, n, spread, torch.full_like(area, math.pi / 2))
 
     def aim(self, table: EmittingTriangles, proposal: EmittingTriangles, p: Vec3, pick: Pick) -> Aim:
         row, b = pick.row, square_to_uniform_triangle(unit(pick.u, p.x.dtype), unit(pick.v, p.x.dtype))

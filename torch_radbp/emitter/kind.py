@@ -19,6 +19,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Emitter
 from torch_radbp.vec import Vec2, Vec3, interpolated
@@ -82,10 +83,20 @@ class LightKind(ABC):
     distant: ClassVar[bool] = False  # a direction rather than a point
     surround: ClassVar[bool] = False  # see `SurroundKind`
     on_surface: ClassVar[bool] = False  # see `SurfaceKind`
+    bounded: ClassVar[bool] = False  # it lies in a place, and its light falls with the square of the distance: see `bounds`
 
     def table(self, emitters: Sequence[Light], like: Tensor) -> Table:
         """The table of all emitters of this kind in a scene, attached; `like` gives dtype and device."""
         return stacked([emitter.row() for emitter in emitters], like)
+
+    def bounds(self, table: Table, luminance: Tensor) -> LightBounds:
+        """The bounds of the light of each row, detached, in the dtype of `luminance`. Of kinds that are `bounded`.
+
+        Args:
+            table: detached.
+            luminance: (rows,) mean of the light's texture.
+        """
+        raise TypeError(f"{type(self).__name__} has no bounds")
 
     @abstractmethod
     def aim(self, table: Table, proposal: Table, p: Vec3, pick: Pick) -> Aim:

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from torch_radbp.domain import AMOUNT, POINT, Domain
 from torch_radbp.emitter.attributes import colour, weight
+from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, at
 from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
@@ -25,6 +27,9 @@ class PointTable(NamedTuple):
 @dataclass(frozen=True)
 class PointKind(PositionalKind):
     """The same intensity in every direction."""
+
+    def bounds(self, table: PointTable, luminance: Tensor) -> LightBounds:
+        return LightBounds.at(table.place.map(lambda c: c.to(luminance)), luminance)
 
 
 @register("emitter", "point")

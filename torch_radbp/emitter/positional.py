@@ -21,6 +21,7 @@ class PositionalKind(LightKind):
     """Light from the column `place` of the table, whose intensity falls with the square of the distance."""
 
     delta: ClassVar[bool] = True
+    bounded: ClassVar[bool] = True
 
     def aim(self, table: Table, proposal: Table, p: Vec3, pick: Pick) -> Aim:
         light = lookup(table, pick.row)

@@ -6,17 +6,19 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torch_radbp.domain import AMOUNT, POSE, Domain
 from torch_radbp.emitter.attributes import FACTOR, Scaled, factor, weight
+from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.sensor.perspective import field_of_view, horizontal_fov
 from torch_radbp.shape.surface import affine
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Frame, Vec2, Vec3
+from torch_radbp.vec import Frame, Vec2, Vec3, normalize
 
 
 class ProjectorTable(NamedTuple):
@@ -30,6 +32,11 @@ class ProjectorTable(NamedTuple):
 @dataclass(frozen=True)
 class ProjectorKind(PositionalKind):
     """The intensity of a flat, evenly lit screen: 1 / cos^3 of the angle with the axis, where the image is."""
+
+    def bounds(self, table: ProjectorTable, luminance: Tensor) -> LightBounds:
+        place, axis = (v.map(lambda c: c.to(luminance)) for v in (table.place, normalize(table.to_local.n)))
+        corner = torch.atan(0.5 * torch.hypot(1.0 / table.to_uv.x, 1.0 / table.to_uv.y)).to(luminance)
+        return LightBounds(place, torch.zeros_like(luminance), luminance, axis, corner, torch.zeros_like(luminance))
 
     def profile(self, light: ProjectorTable, d: Vec3) -> tuple[Tensor, Vec2]:
         _, ahead, uv, inside = Screen.of(light.to_local, light.to_uv, d)

@@ -11,12 +11,13 @@ from torch import Tensor
 
 from torch_radbp.domain import AMOUNT, NUMBER, POSE, Domain
 from torch_radbp.emitter.attributes import Scaled, colour, weight
+from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.shape.surface import affine
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Frame, Vec2, Vec3
+from torch_radbp.vec import Frame, Vec2, Vec3, normalize
 
 CUTOFF = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, unit=" degrees")
 
@@ -38,6 +39,11 @@ class SpotKind(PositionalKind):
     def table(self, emitters: Sequence[Spot], like: Tensor) -> SpotTable:
         table = super().table(emitters, like)
         return table if any(emitter.texture is not None for emitter in emitters) else table._replace(to_uv=None)
+
+    def bounds(self, table: SpotTable, luminance: Tensor) -> LightBounds:
+        place, axis = (v.map(lambda c: c.to(luminance)) for v in (table.place, normalize(table.to_local.n)))
+        cutoff, width = table.cutoff.to(luminance), 1.0 / table.sharpness.to(luminance)
+        return LightBounds(place, torch.zeros_like(luminance), luminance, axis, cutoff - width, width)
 
     def profile(self, light: SpotTable, d: Vec3) -> tuple[Tensor, Vec2 | None]:
         if light.to_uv is None:

@@ -12,6 +12,8 @@ from torch_radbp.emitter.kind import Aim, LightKind, Pick
 from torch_radbp.lookup import lookup
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.scene.interaction import SurfaceInteraction
+from torch_radbp.scene.light_choice import LightNumbers, LightPick
+from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import TexturePoint
 from torch_radbp.vec import TINY, Ray, Vec3, dot, masked, where
@@ -32,13 +34,9 @@ class LightSample(NamedTuple):
     distant: Tensor | None  # bool: it is a direction rather than a point; None: it never is
 
 
-class LightNumbers(NamedTuple):
-    """The random numbers of a light sample, (N,) int32 random bits each."""
-
-    choice: Tensor  # picks an element
-    split: Tensor  # decides between it and its other
-    u: Tensor  # picks a point on it
-    v: Tensor
+def vantage(si: SurfaceInteraction) -> Vantage:
+    """The place from which lights are picked, detached: the choice of a light is discrete."""
+    return Vantage(si.p.detach(), si.frame.n.detach())
 
 
 class Case(NamedTuple):
@@ -96,7 +94,8 @@ def emitted_by_surround(scene: SceneTensors, ray: Ray) -> Vec3:
     return kind.radiance(scene.lights.tables[number], ray.d)
 
 
-def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal: SceneTensors | None = None) -> Tensor:
+def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal: SceneTensors | None = None,
+                picked: LightPick | None = None) -> Tensor:
     """Density over solid angle with which next-event estimation at the ray's origin would have found this point.
 
     For weights only: of the surround it is `SurroundKind.weighing`.
@@ -105,21 +104,24 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
         scene: gives geometry.
         ray, si: what the ray meets. The density is attached if these arguments are.
         proposal: gives the probabilities of picking a light, and the surround; None: `scene`.
+        picked: has the probability of picking the emitter, if it depends on where that is done.
     """
     proposal = scene if proposal is None else proposal
-    pdf = pdf_of_surface(scene, si, proposal)
+    pdf = pdf_of_surface(scene, si, proposal, picked)
     if scene.layout.surround is None:
         return pdf
     return torch.where(si.valid, pdf, pdf_of_surround(proposal, ray))
 
 
-def pdf_of_surface(scene: SceneTensors, si: SurfaceInteraction, proposal: SceneTensors) -> Tensor:
+def pdf_of_surface(scene: SceneTensors, si: SurfaceInteraction, proposal: SceneTensors,
+                   picked: LightPick | None = None) -> Tensor:
     """`emitted_pdf` of rays that meet a surface."""
     pdf = torch.zeros_like(si.t)
     if not scene.layout.visible_surfaces:
         return pdf
     element = si.emitter.clamp_min(0)
-    pmf = lookup(proposal.lights.choice.pmf, element) * (si.emitter >= 0).to(pdf.dtype)
+    pmf = lookup(proposal.lights.choice.pmf, element) * (
+        (si.emitter >= 0).to(pdf.dtype) if picked is None else picked.chance)
     for case in visible_cases(scene, element):
         row = rows_of(scene, element, case)
         density = case.kind.density(scene.lights.tables[case.number], row, pmf, si.t, si.cosine)
@@ -135,7 +137,8 @@ def pdf_of_surround(proposal: SceneTensors, ray: Ray) -> Tensor:
     return proposal.lights.surround_pmf * kind.weighing(proposal.lights.tables[number], ray.d)
 
 
-def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, numbers: LightNumbers) -> LightSample:
+def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, numbers: LightNumbers,
+                 picked: LightPick | None = None) -> LightSample:
     """Picks a light element, and a point on it.
 
     Element and point, or direction, are decided by `proposal`; the point then moves with `scene`.
@@ -145,10 +148,14 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
         proposal: detached; gives every choice.
         si: where the light is wanted, attached or not.
         numbers: decide.
+        picked: the element, if that has been decided before.
     """
     lights = proposal.lights
-    element = lights.choice.sample(numbers.choice, unit(numbers.split, si.p.x.dtype))
-    pmf = lookup(lights.choice.pmf, element)
+    if picked is None:
+        element = lights.choice.sample(numbers.choice, unit(numbers.split, si.p.x.dtype))
+        pmf = lookup(lights.choice.pmf, element)
+    else:
+        element, pmf = picked.element, picked.pmf
 
     # Let each kind of light that there is decide where to look.
     found = cases(scene, element, dict(enumerate(scene.layout.lights)))

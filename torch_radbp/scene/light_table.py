@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Hashable, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import EmittingTriangles, Light, LightKind, SurfaceKind, Table
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.scene.interaction import edges
 from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.light_choice import MANY, TreeChoice, bounds_of_kind, tree_choice
 from torch_radbp.scene.tensors import Layout, LightTable, TriangleTable
+from torch_radbp.texture.reader import TableReader
 from torch_radbp.vec import attached, cross, rows, unit_normal
 
 SMALLEST_SHARE = 1e-12  # of a lamp's area: smaller triangles are never picked
@@ -35,7 +38,7 @@ class Emission(NamedTuple):
 
 
 def light_table(kept: Kept, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
-                layout: Layout) -> LightTable:
+                layout: Layout, radiance: Any, light_choice: str | None) -> LightTable:
     """The elements that next-event estimation picks from.
 
     Args:
@@ -44,6 +47,8 @@ def light_table(kept: Kept, triangles: TriangleTable, emissions: tuple[Emission,
         emissions: of all emitters, those on surfaces first.
         lamps: twins of the others.
         layout: gives the kinds of emitters.
+        radiance: the bank of their textures.
+        light_choice: one of `CHOICES`; None: what suits the number of emitters.
 
     Raises:
         ValueError: if no emitter can be picked, or a surface cannot carry its emitter.
@@ -52,11 +57,62 @@ def light_table(kept: Kept, triangles: TriangleTable, emissions: tuple[Emission,
     weights = kept(weights_of, emissions, kept.frozen("areas of emitters", area))
     surfaces = kept(with_inverse_areas, surfaces, area, weights)
     kind, row, texture = kept(element_columns, layout.lights, emissions, area.device)
+    tables = tuple(kept(surface_table, each, surfaces, kind, number) if each.on_surface else
+                   kept(lamp_table, each, tuple(lamp for lamp in lamps if lamp.kind() == each), weights)
+                   for number, each in enumerate(layout.lights))
+    if takes_tree(light_choice, emissions):
+        bounds = kept(bounds_of_lights, layout.lights, layout.radiance, tables, radiance, kind, texture)
+        bounds = tuple(each and LightBounds(*frozen(kept, ("bounds of lights", number), each))
+                       for number, each in enumerate(bounds))
+        choice = kept(choice_by_tree, bounds, emissions, kind, weights)
+        return LightTable(choice, kind, row, texture, tables, kept(pmf_of_surround_beside, emissions, choice))
     choice = kept(alias_table, weights)
-    tables = [kept(surface_table, each, surfaces, kind, number) if each.on_surface else
-              kept(lamp_table, each, tuple(lamp for lamp in lamps if lamp.kind() == each), weights)
-              for number, each in enumerate(layout.lights)]
-    return LightTable(choice, kind, row, texture, tuple(tables), kept(pmf_of_surround, emissions, choice.pmf))
+    return LightTable(choice, kind, row, texture, tables, kept(pmf_of_surround, emissions, choice.pmf))
+
+
+def takes_tree(light_choice: str | None, emissions: tuple[Emission, ...]) -> bool:
+    """True if lights are picked by a tree; never where none would be in it."""
+    bounded = sum(emission.kind.bounded for emission in emissions)
+    return bounded > 0 and (light_choice == "tree" or (light_choice is None and bounded >= MANY))
+
+
+def frozen(kept: Kept, place: Hashable, record: tuple) -> tuple:
+    """A record with the copies of its tensors that `kept` has."""
+    return tuple(type(part)(*frozen(kept, (place, number), part)) if isinstance(part, tuple) else
+                 kept.frozen((place, number), part) for number, part in enumerate(record))
+
+
+def bounds_of_lights(kinds: tuple[LightKind, ...], reader: TableReader, tables: tuple[Table, ...], radiance: Any,
+                     kind: Tensor, texture: Tensor) -> tuple[LightBounds | None, ...]:
+    """The bounds of the elements of each kind, detached; None: it has none."""
+    return tuple(bounds_of_kind(each, tables[number], reader, radiance, texture[kind == number]) if each.bounded else None
+                 for number, each in enumerate(kinds))
+
+
+def choice_by_tree(bounds: tuple[LightBounds | None, ...], emissions: tuple[Emission, ...], kind: Tensor,
+                   weights: Tensor) -> TreeChoice:
+    """The distribution of elements by a tree of the emitters that have bounds.
+
+    Args:
+        bounds: of the elements of each kind.
+        emissions: of all emitters.
+        kind: (E,) of each element.
+        weights: (E,) from `weights_of`.
+    """
+    repeats = torch.tensor([elements(emission) for emission in emissions], device=kind.device)
+    sampling_weight = torch.tensor([emission.sampling_weight for emission in emissions], dtype=torch.float64,
+                                   device=kind.device)
+    return tree_choice(bounds, repeats, sampling_weight, weights, [(kind == number).nonzero().squeeze(1)
+                                                                   for number in range(len(bounds))])
+
+
+def pmf_of_surround_beside(emissions: tuple[Emission, ...], choice: TreeChoice) -> Tensor:
+    """The probability of picking the surround, (), which stands beside the tree; 0 if there is none."""
+    surround = [number for number, emission in enumerate(emissions) if emission.kind.surround]
+    if not surround or choice.beside is None:
+        return choice.pmf.new_zeros(())
+    own = (choice.beside.emitter == surround[0]).to(choice.pmf)
+    return (own * choice.beside.pmf).sum() * choice.beside.share.to(choice.pmf)
 
 
 def element_columns(kinds: tuple[LightKind, ...], emissions: tuple[Emission, ...],

@@ -53,12 +53,13 @@ class BankBuilder:
         return any(reader_of(texture).needs_uv for texture in self.textures)
 
 
-def pack(scene: Scene, kept: Kept | None = None) -> SceneTensors:
+def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None) -> SceneTensors:
     """The tensors of a scene, attached to its parameters.
 
     Args:
         scene: as it is now.
         kept: what is known from the last rendering.
+        light_choice: how next-event estimation picks a light; see `Renderer`.
 
     Raises:
         ValueError: if a parameter is not in its domain; the message names it.
@@ -99,9 +100,9 @@ def pack(scene: Scene, kept: Kept | None = None) -> SceneTensors:
     carriers = [emission(shape.emitter, len(own.faces)) for shape, own in zip(scene.shapes, placed)
                 if shape.emitter is not None]
     lamps = [emitter for emitter in scene.emitters if not emitter.kind().on_surface]
-    lights = light_table(kept, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
-                         tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout)
     lit = kept(bank_of, layout.radiance, twins(kept, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
+    lights = light_table(kept, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
+                         tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout, lit, light_choice)
     return SceneTensors(triangles, materials, banks, lights, lit, layout)
 
 

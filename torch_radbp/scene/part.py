@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from torch_radbp.record import leaves_of
 from torch_radbp.scene.appearance import Appearance
+from torch_radbp.scene.light_choice import TreeChoice
 from torch_radbp.scene.tensors import Layout, SceneTensors
 
 
@@ -43,8 +44,11 @@ def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) 
     if not (appearance is not None and appearance.kind.oriented):
         triangles = triangles._replace(along=None)
     readers = () if appearance is None else appearance.readers
+    lights = scene.lights
+    if isinstance(lights.choice, TreeChoice):  # the choice is made before the functions of the bounce run
+        lights = lights._replace(choice=TreeChoice(lights.choice.pmf, *(None for _ in TreeChoice._fields[1:])))
     return scene._replace(
-        triangles=triangles, materials=scene.materials._replace(slots=scene.materials.slots[:len(readers)]),
+        lights=lights, triangles=triangles, materials=scene.materials._replace(slots=scene.materials.slots[:len(readers)]),
         textures=tuple(() if reader.outside else scene.textures[layout.readers.index(reader)]
                        for reader in dict.fromkeys(readers)))
 

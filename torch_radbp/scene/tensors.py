@@ -10,6 +10,7 @@ from torch import Tensor
 from torch_radbp.emitter.kind import LightKind, Table
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.scene.appearance import Appearance
+from torch_radbp.scene.light_choice import TreeChoice
 from torch_radbp.shape.ball import Balls
 from torch_radbp.texture.reader import Reader, TableReader
 from torch_radbp.vec import Vec2, Vec3
@@ -99,12 +100,17 @@ class LightTable(NamedTuple):
     Those of one kind are the rows of its table, in order.
     """
 
-    choice: AliasTable
+    choice: AliasTable | TreeChoice
     kind: Tensor  # (E,) int32, of `Layout.lights`
     row: Tensor  # (E,) int32, of the table of the kind
     radiance: Tensor  # (E,) int32 texture of the light bank; 0 of a kind that reads none
     tables: tuple[Table, ...]  # of `Layout.lights`
     surround_pmf: Tensor  # () probability of picking the surround
+
+    @property
+    def by_place(self) -> bool:
+        """True if lights are picked with regard to the place that they are to illuminate."""
+        return isinstance(self.choice, TreeChoice)
 
 
 class SceneTensors(NamedTuple):

@@ -1,0 +1,202 @@
+"""How next-event estimation picks a light where a scene has many: by a tree, with regard to the place to be illuminated.
+
+An emitter is picked first, then one of its elements (triangles) by area. Emitters without a place of their own, or whose
+light does not fall with distance (the surround, directional light, beams), stand beside the tree, and all that is in the
+tree together counts as one of them.
+
+The choice is a decision like the hit of a ray: it is made once, before the functions of the bounce run, and recorded. Its
+probabilities carry no derivative, nor need they, in attached sampling either: where a surface point moves, they change for
+next-event estimation and for the weight of what the BSDF finds alike, and whatever they are, the two add up to the same. So
+it is enough that the derivative takes the same constants in both. (Inside of an emitter they do not depend on the point that
+is met, which may move, too.)
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.emitter.bounds import LightBounds, bounds_of_groups
+from torch_radbp.emitter.kind import EmittingTriangles, LightKind, Table
+from torch_radbp.lookup import lookup
+from torch_radbp.record import leaves_of, with_leaves
+from torch_radbp.sampling.sampler import fine_unit
+from torch_radbp.scene.light_tree import LightTree, Vantage, chance_of_leaf, drawn_leaf, light_tree
+from torch_radbp.texture.bitmap import LUMINANCE
+from torch_radbp.texture.reader import TableReader, TexturePoint
+from torch_radbp.vec import Vec2, Vec3, interpolated
+
+CHOICES = ("uniform", "tree")
+MANY = 8  # emitters with bounds, from which on the tree is the default
+LEAST_INTENSITY = 1e-2  # of the mean: a lamp that is dark has derivatives all the same
+GRID = 4  # points along each side of a texture, and of a triangle, at which radiance is looked up for bounds
+ALMOST_ONE = 1.0 - 2.0**-33
+
+
+class Beside(NamedTuple):
+    """The emitters beside the tree."""
+
+    share: Tensor  # () float64, probability of picking one of them
+    cumulative: Tensor  # (B,) float64
+    pmf: Tensor  # (B,) among them
+    emitter: Tensor  # (B,) int32
+
+
+class TreeChoice(NamedTuple):
+    """The distribution of E elements, which depends on the place to be illuminated; in the stead of an `AliasTable`."""
+
+    pmf: Tensor  # (E,) probability of each element among those of its emitter
+    cumulative: Tensor  # (E,) float64, number of the emitter plus the probability of its elements up to and with this one
+    last: Tensor  # () int64, E - 1
+    leaf: Tensor  # (E,) int32, of its emitter
+    tree: LightTree
+    beside: Beside | None
+
+
+class LightPick(NamedTuple):
+    """The decisions about lights at a bounce; (N,), detached."""
+
+    element: Tensor  # int32, that next-event estimation takes
+    pmf: Tensor  # with which probability
+    chance: Tensor  # of the emitter that the path has met, to be picked from the vertex before; 0: it has met none
+
+
+class LightNumbers(NamedTuple):
+    """The random numbers of a light sample, (N,) int32 random bits each."""
+
+    choice: Tensor  # picks an element
+    split: Tensor  # decides between it and its other, or which element of an emitter it is
+    u: Tensor  # picks a point on it
+    v: Tensor
+
+
+def drawn_element(choice: TreeChoice, seen: Vantage, numbers: LightNumbers) -> tuple[Tensor, Tensor]:
+    """Elements drawn from the distribution, (N,) int32, and their probabilities."""
+    u, beside = fine_unit(numbers.choice), choice.beside
+    if beside is None:
+        leaf, chance = drawn_leaf(choice.tree, seen, u)
+        emitter = lookup(choice.tree.emitter, leaf)
+    else:
+        off, rest = u < beside.share, 1.0 - beside.share
+        leaf, chance = drawn_leaf(choice.tree, seen, torch.where(off, 0.5, (u - beside.share) / rest))
+        other = torch.searchsorted(beside.cumulative, torch.where(off, u / beside.share, 0.5).clamp_max(ALMOST_ONE),
+                                   right=True)
+        emitter = torch.where(off, lookup(beside.emitter, other), lookup(choice.tree.emitter, leaf))
+        chance = torch.where(off, lookup(beside.pmf, other) * beside.share.to(chance.dtype), chance * rest.to(chance.dtype))
+    element = torch.searchsorted(choice.cumulative, emitter + fine_unit(numbers.split), right=True)
+    element = torch.minimum(element, choice.last).to(torch.int32)
+    return element, chance * lookup(choice.pmf, element)
+
+
+def chance_of_emitter(choice: TreeChoice, seen: Vantage, element: Tensor) -> Tensor:
+    """The probability with which `drawn_element` takes one of the elements of an emitter in the tree, (N,).
+
+    Args:
+        element: (N,) int32, any of them.
+    """
+    chance = chance_of_leaf(choice.tree, seen, lookup(choice.leaf, element))
+    return chance if choice.beside is None else chance * (1.0 - choice.beside.share).to(chance.dtype)
+
+
+def tree_choice(bounds: list[LightBounds | None], repeats: Tensor, sampling_weight: Tensor, within: Tensor,
+                elements: list[Tensor]) -> TreeChoice:
+    """The distribution of the elements of a scene.
+
+    Args:
+        bounds: of the lights of each kind, float64.
+        repeats: (K,) int64, the number of elements of each emitter.
+        sampling_weight: (K,) of the emitters, float64.
+        within: (E,) weights of elements beside those of the same emitter; gives the dtype.
+        elements: of each kind, int64.
+    """
+    owner = torch.arange(len(repeats), device=repeats.device).repeat_interleave(repeats)
+    picked = [(each, own) for each, own in zip(bounds, elements) if each is not None]
+    grouped = bounds_of_groups(concatenated([each for each, _ in picked]), owner[torch.cat([own for _, own in picked])],
+                               len(repeats))
+    local = torch.zeros_like(sampling_weight, dtype=torch.bool)
+    local[owner[torch.cat([own for _, own in picked])]] = True
+    intensity = grouped.intensity[local]
+    floor = LEAST_INTENSITY * intensity.mean()
+    intensity = torch.where(floor > 0, torch.maximum(intensity, floor), 1.0) * sampling_weight[local]
+    inside = [part[local] if isinstance(part, Tensor) else part.map(lambda c: c[local]) for part in grouped]
+    tree, place = light_tree(LightBounds(*inside)._replace(intensity=intensity / intensity.mean().clamp_min(1e-300)), within)
+    number = local.nonzero().squeeze(1)
+    leaf = torch.zeros(len(repeats), dtype=torch.int32, device=repeats.device)
+    leaf[number] = place
+    tree = tree._replace(emitter=number.to(torch.int32)[tree.emitter.long()])
+    pmf, cumulative = within_emitters(within.double(), owner, repeats)
+    return TreeChoice(pmf.to(within), cumulative, torch.tensor(len(owner) - 1, device=owner.device), leaf[owner], tree,
+                      beside_tree(sampling_weight, local, within))
+
+
+def within_emitters(weights: Tensor, owner: Tensor, repeats: Tensor) -> tuple[Tensor, Tensor]:
+    """`TreeChoice.pmf` and `TreeChoice.cumulative` in float64."""
+    total = weights.new_zeros(len(repeats)).index_add_(0, owner, weights)
+    pmf = torch.where(total[owner] > 0, weights / total[owner].clamp_min(1e-300), (1.0 / repeats.double())[owner])
+    summed = pmf.cumsum(0)
+    ends = repeats.cumsum(0)
+    before = torch.cat([summed.new_zeros(1), summed[ends[:-1] - 1]])
+    inside = (summed - before[owner]).clamp(0.0, 1.0)
+    inside[ends - 1] = 1.0
+    return pmf, owner + inside
+
+
+def beside_tree(sampling_weight: Tensor, local: Tensor, like: Tensor) -> Beside | None:
+    """The emitters that are not in the tree; None: all are."""
+    weights = sampling_weight[~local]
+    if not bool(weights.any()):
+        return None
+    of_tree = sampling_weight[local]
+    of_tree = of_tree[of_tree > 0].mean() if bool(of_tree.any()) else of_tree.new_zeros(())
+    pmf = weights / weights.sum()
+    cumulative = pmf.cumsum(0)
+    cumulative[pmf.nonzero().max():] = 1.0
+    return Beside(weights.sum() / (weights.sum() + of_tree), cumulative, pmf.to(like),
+                  (~local).nonzero().squeeze(1).to(torch.int32))
+
+
+def concatenated(parts: list[LightBounds]) -> LightBounds:
+    """The bounds of several kinds of light, one after the other."""
+    columns = [torch.cat(column) for column in zip(*(leaves_of(part) for part in parts))]
+    return with_leaves(parts[0], columns)
+
+
+def bounds_of_kind(kind: LightKind, table: Table, reader: TableReader, bank, texture: Tensor) -> LightBounds | None:
+    """The bounds of the lights of one kind, float64, detached.
+
+    Args:
+        table: of the kind.
+        reader, bank: of the textures of emitters.
+        texture: (rows,) int32, of each.
+    """
+    table, bank = (with_leaves(record, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(record)])
+                   for record in (table, bank))
+    return kind.bounds(table, mean_luminance(kind, table, reader, bank, texture))
+
+
+def mean_luminance(kind: LightKind, table: Table, reader: TableReader, bank, texture: Tensor) -> Tensor:
+    """The luminance of the texture of each light, float64: the mean over some points of it."""
+    places = [(i + 0.5) / GRID for i in range(GRID)]
+    points = [(u, v) for u in places for v in places if not kind.on_surface or u + v < 1.0]
+    if not reader.needs_uv and not reader.attributes:
+        points = points[:1]
+    row = torch.arange(len(texture), dtype=torch.int32, device=texture.device)
+    total = torch.zeros(len(texture), dtype=torch.float64, device=texture.device)
+    for u, v in points:
+        light = reader.read(bank, texture, point_on(table, row, u, v, reader))
+        total += sum(factor * channel.double() for factor, channel in zip(LUMINANCE, light))
+    return total / len(points)
+
+
+def point_on(table: Table, row: Tensor, u: float, v: float, reader: TableReader) -> TexturePoint:
+    """The point at which the textures of lights are read, at the same coordinates on each."""
+    if isinstance(table, EmittingTriangles):
+        like = table.inverse_area
+        u, v = torch.full_like(like, u), torch.full_like(like, v)
+        uv = None if table.uv is None else interpolated(lookup(table.uv, row), u, v)
+        return TexturePoint(uv, dict(zip(reader.attributes, table.attributes_at(row, u, v))))
+    like = next(leaf for leaf in leaves_of(table) if isinstance(leaf, Tensor))
+    like = like.new_zeros(len(row))
+    return TexturePoint(Vec2(like + u, like + v), {name: Vec3(like, like, like) for name in reader.attributes})
