@@ -111,17 +111,20 @@ def quantised(values: np.ndarray, srgb: bool) -> tuple[np.ndarray, np.ndarray]:
         (H, W, C) bytes, and (C,) factors.
     """
     most = values.max((0, 1))
-    best: tuple[float, np.ndarray, np.ndarray] | None = None
-    for factor in (np.ones_like(most), np.where(most > 0, most, 1.0)):
-        shares = torch.from_numpy((values / factor).clip(0.0, 1.0))
-        coded = torch.cat([linear_to_srgb(shares[..., :3]), shares[..., 3:]], 2) if srgb else shares
-        levels = (coded * 255.0).round()
-        back = levels / 255.0
-        back = torch.cat([srgb_to_linear(back[..., :3]), back[..., 3:]], 2) if srgb else back
-        error = float(np.abs(back.numpy() * factor - values).max())
-        if best is None or error < best[0] - ON_GRID:
-            best = error, levels.to(torch.uint8).numpy(), factor
-    return best[1], best[2]
+    whole, part = np.ones_like(most), np.where(most > 0, most, 1.0)
+    levels, errors = zip(*(levels_of(values, factor, srgb) for factor in (whole, part)))
+    better = errors[1] < errors[0] - ON_GRID
+    return np.where(better, levels[1], levels[0]), np.where(better, part, whole)
+
+
+def levels_of(values: np.ndarray, factor: np.ndarray, srgb: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Values as bytes times a given factor of each channel, and the largest error in each, (C,)."""
+    shares = torch.from_numpy((values / factor).clip(0.0, 1.0))
+    coded = torch.cat([linear_to_srgb(shares[..., :3]), shares[..., 3:]], 2) if srgb else shares
+    levels = (coded * 255.0).round()
+    back = levels / 255.0
+    back = torch.cat([srgb_to_linear(back[..., :3]), back[..., 3:]], 2) if srgb else back
+    return levels.to(torch.uint8).numpy(), np.abs(back.numpy() * factor - values).max((0, 1))
 
 
 def texture_info(out: Written, pixels: np.ndarray, reading: Reading, name: str, losses: Losses) -> dict[str, Any]:

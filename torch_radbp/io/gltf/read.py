@@ -157,6 +157,8 @@ class _Reader:
             primitive = read_primitive(part, self.buffers, self.losses)
             if primitive is None:
                 continue
+            if np.linalg.det(place.to_world[:3, :3]) < 0:  # which mirrors: triangles face outwards still
+                primitive = primitive._replace(faces=primitive.faces[:, [0, 2, 1]])
             look = self.materials.look(part, primitive.colour is not None, self.is_mirrored(part, primitive))
             name = self.names.free(title if len(parts) == 1 else f"{title}_{number}")
             uv = primitive.uv[look.uv_set] if look.uv_set < len(primitive.uv) else None
@@ -173,11 +175,10 @@ class _Reader:
             self.low, self.high = np.minimum(self.low, corners.min(0)), np.maximum(self.high, corners.max(0))
 
     def shape(self, primitive: Primitive, to_world: np.ndarray, uv: np.ndarray | None, bsdf: Plugin) -> Mesh:
-        """A mesh. A transform that mirrors turns its triangles round, so that they face outwards still."""
-        faces = primitive.faces[:, [0, 2, 1]] if np.linalg.det(to_world[:3, :3]) < 0 else primitive.faces
+        """A mesh."""
         moved = not np.array_equal(to_world, np.eye(4))
         shape = TensorMesh(
-            vertex_positions=torch.from_numpy(primitive.positions), faces=torch.from_numpy(np.ascontiguousarray(faces)),
+            vertex_positions=torch.from_numpy(primitive.positions), faces=torch.from_numpy(np.ascontiguousarray(primitive.faces)),
             vertex_normals=None if primitive.normals is None else torch.from_numpy(primitive.normals),
             vertex_texcoords=None if uv is None else torch.from_numpy(np.asarray(uv, dtype=np.float64)),
             to_world=torch.from_numpy(to_world) if moved else None, bsdf=bsdf)

@@ -159,7 +159,7 @@ def metal(read: Reader) -> Surface:
         textured = None if factor.is_constant else factor
     above = ((eta.values - 1) ** 2 + k.values**2) / ((eta.values + 1) ** 2 + k.values**2) * factor.values
     surface.base = Slot(above, None if textured is None else textured.reading)
-    if not (eta.is_constant and k.is_constant and not eta.values.any()):  # such a metal reflects the same from everywhere
+    if (above != 1).any() or (eta.values != 0).any():  # else all light is reflected, from everywhere
         read.lose("its reflectance by angle is written as Schlick's")
     rough(surface, read)
     return surface
