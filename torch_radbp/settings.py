@@ -9,7 +9,7 @@ from torch import nn
 
 from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.adjoint.memory import parse_budget
-from torch_radbp.plugin import Sensor, boolean, integer, nearest
+from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
 from torch_radbp.scene import Scene
 from torch_radbp.scene.integrator import depths
 from torch_radbp.scene.light_choice import CHOICES
@@ -30,7 +30,8 @@ def checked_scene(scene: Scene) -> Scene:
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a torch_radbp.Scene (from load or load_dict), got {type(scene).__name__}")
     if not scene.shapes:
-        raise ValueError("the scene has no shape to render: add a rectangle, cube, sphere, disk, obj, ply or mesh")
+        raise ValueError(f"the scene has no shape to render: add a rectangle, cube or another of "
+                         f"{', '.join(sorted(REGISTRY['shape']))}")
     return scene
 
 

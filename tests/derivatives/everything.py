@@ -13,7 +13,7 @@ from tests.scenes import diffuse, load, rgb
 MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
              "brushed glass beckmann", "plastic", "rough plastic ggx", "principled", "principled glass", "principled sheet",
              "blend", "mask", "normal map", "bump map")
-SHAPES = ("rectangle", "disk", "sphere", "cube", "mesh", "obj", "ply")
+SHAPES = ("rectangle", "disk", "sphere", "cylinder", "cube", "mesh", "obj", "ply", "serialized")
 LIGHTS = ("directional", "point", "projector", "spot")
 TEXTURES = ("spectra", "metal by spectra", "named constants", "raw constant", "checkerboard", "rough checkerboard")
 
@@ -53,7 +53,7 @@ def shapes() -> dict[str, Any]:
     """Every shape, under all other lights."""
     found = {}
     for number, name in enumerate(SHAPES):
-        size = 0.2 if name in ("mesh", "obj", "ply") else 0.42
+        size = 0.2 if name in ("mesh", "obj", "ply", "serialized") else 0.42
         found[f"{SUBJECT}_{name}"] = objects(name)[SUBJECT] | turned(
             place(number), 20 + 7 * number, 30 - 5 * number, 10, size=size)
     return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_parallel": parallel(1.2, 16), "floor": floor(), **found,

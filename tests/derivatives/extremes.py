@@ -235,6 +235,8 @@ def places() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
         "sphere, constant sky": lambda dtype: crowd(
             BRUSHED, dtype, sky={"type": "constant", "radiance": rgb(1, 1, 1)}, tent=None, cube=None,
             camera=parallel(2.0), ball={"type": "sphere", "radius": 0.5, "bsdf": BRUSHED},
+            pipe={"type": "cylinder", "p0": [-0.7, 0.1, 0.2], "p1": [-0.7, 0.1001, 0.2], "radius": 0.3, "bsdf": BRUSHED},
+            needle={"type": "cylinder", "p0": [0.7, -9, 0.2], "p1": [0.7, 9, 0.2], "radius": 1e-4, "bsdf": BRUSHED},
             beam=rectangle((0.2, 2.2, 0.3), 0.9, (1, 0.1, 0.2), 100, emitter=GLOW | {"type": "directionalarea"})),
     }
 

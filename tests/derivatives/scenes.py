@@ -15,6 +15,7 @@ from typing import Any
 import torch
 
 import torch_radbp as rb
+from tests.io.serialized_files import mesh, serialized
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -123,6 +124,9 @@ def coloured_file(faces: bool = True) -> str:
 def mesh_file(suffix: str) -> str:
     """The quadrilateral in a file."""
     path = Path(folder().name) / f"quadrilateral.{suffix}"
+    if suffix == "serialized":
+        path.write_bytes(serialized(mesh(CORNERS, FACES, double=True, normals=NORMALS, uv=TEXCOORDS)))
+        return str(path)
 
     def lines(prefix: str, rows) -> list[str]:
         return [" ".join([prefix, *map(str, row)]).strip() for row in rows]
@@ -202,12 +206,16 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "disk": shape(type="disk", **turned((0.1, -0.2, 0), 21, 17, 31, bsdf=printed(wrap_mode="mirror"))),
     "sphere": {"sensor": camera(fov=16), "sky": sky(),
                SUBJECT: {"type": "sphere", **turned((0.1, -0.05, 0.1), 11, 23, 37), "bsdf": printed()}},
+    "cylinder": {"sensor": camera(fov=16), "sky": sky(), SUBJECT: {
+        "type": "cylinder", "p0": [0.1, -0.9, -0.2], "p1": [-0.2, 1.0, 0.1], "radius": 0.7,
+        **turned((0.1, -0.05, 0.1), 11, 23, 7), "bsdf": printed()}},
     "cube": shape(type="cube", **turned((0.1, -0.1, -1.1), 24, 33, 13), bsdf=printed()) | {"sensor": camera(fov=20)},
     "mesh": shape(**quadrilateral(bsdf=printed(wrap_mode="clamp"))),
     "flat mesh": shape(type="mesh", vertex_positions=CORNERS, faces=FACES, bsdf=diffuse(0.7, 0.5, 0.3)),
     "smooth mesh": shape(**quadrilateral(smooth=False, recompute_normals=True, bsdf=printed())),
     "obj": lambda: shape(type="obj", filename=mesh_file("obj"), bsdf=printed()),
     "ply": lambda: shape(type="ply", filename=mesh_file("ply"), bsdf=printed()),
+    "serialized": lambda: shape(type="serialized", filename=mesh_file("serialized"), bsdf=printed()),
     "attributes": lambda: shape(type="ply", filename=coloured_file(), bsdf={
         "type": "roughplastic", "distribution": "ggx", "alpha": 0.3, "diffuse_reflectance": ATTRIBUTE,
         "specular_reflectance": {"type": "mesh_attribute", "name": "face_shine"}}),

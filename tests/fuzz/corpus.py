@@ -14,6 +14,7 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
+from tests.io.serialized_files import mesh, serialized
 from tests.peer.cases import CASES
 from tests.peer.scene_files import Folder
 from tests.texture.meshes import PLY as COLOURED
@@ -21,7 +22,8 @@ from tests.training.conftest import RECIPE, SCENE
 from torch_radbp.plugin import REGISTRY, attributes
 
 ROOT = Path(__file__).parents[2]
-FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "exr", "png", "bmp", "tga", "hdr", "pfm", "toml")}
+FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "exr", "png", "bmp", "tga", "hdr", "pfm",
+                                          "toml")}
 
 
 class Seed(NamedTuple):
@@ -45,6 +47,7 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
         "xml": _scenes(root),
         "obj": [Seed(folders["meshes"], text.encode()) for text in OBJ],
         "ply": [Seed(folders["meshes"], content) for content in (PLY, _binary_ply("<"), _binary_ply(">"))],
+        "serialized": [Seed(folders["meshes"], content) for content in SERIALIZED],
         **image_seeds,
         "toml": _recipes(root, folders["recipe"]),
     }
@@ -205,6 +208,13 @@ f -6/1/-1 -5/2/-1 -1/3/-1 -2/4/-1
 """,
     "v 0 0 0 1\nv 1 0 0 .5 .5 .5\nv 1 1 0\nv 0 1 0.25\nvn 0 0 1\nvn .1 0 1\nf 1//1 2//2 3//1\nf 1//1 \\\n 3//1 4//2\n",
     "v 0 0 0\r\nv 1 0 0\r\nv 1 1 0\r\nv 0 1 0\r\nvt 0 0\r\nvt 1 .5 0\r\nf 1/1 2/2 3/1 4/2\r\nl 1 2\r\np 3\r\n",
+]
+CORNERS, UV = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]], [[0, 0], [1, 0], [1, 1], [0, 1]]
+FACES, NORMALS = [[0, 1, 2], [0, 2, 3]], [[0, 0, 1], [0, 1, 1], [0.1, 1, 1], [0, 0, 1]]
+SERIALIZED = [
+    serialized(mesh(CORNERS, FACES, 3), mesh(CORNERS, FACES, 3, double=True, normals=NORMALS)),
+    serialized(mesh(CORNERS, FACES, normals=NORMALS, uv=UV, colours=NORMALS)),
+    mesh(CORNERS, FACES, flags=0x10),
 ]
 PLY = b"""ply
 format ascii 1.0

@@ -92,8 +92,10 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
     sensor = {"type": "perspective", "film": film, "to_world": rb.look_at([0.5, 0.4, 3], [0.5, 0.5, 0], [0, 1, 0])}
     scene = {"type": "scene", "sensor": sensor}
-    if family in ("obj", "ply"):
+    if family in ("obj", "ply", "serialized"):
         mesh = {"type": family, "filename": str(path), **one_of(MESH_OPTIONS, path)}
+        if family == "serialized":
+            mesh.pop("flip_tex_coords", None)  # which it lacks
         return rb.load_dict({**scene, "sky": {"type": "constant"}, "mesh": mesh})
     picture = {"type": "bitmap", "filename": str(path)}
     return rb.load_dict({**scene, "sky": {"type": "envmap", "filename": str(path)},

@@ -179,11 +179,19 @@ def of_chunks(source: random.Random, content: bytes, others: list[bytes]) -> byt
                                   for kind, data in chunks)
 
 
+def of_inflated(source: random.Random, content: bytes, others: list[bytes]) -> bytes:
+    """The first mesh of a serialized file with bytes of what is compressed in it changed."""
+    inflater = zlib.decompressobj()
+    inflated = inflater.decompress(content[4:])
+    return content[:4] + zlib.compress(of_bytes(source, inflated, [inflated])) + inflater.unused_data
+
+
 MUTATIONS: dict[str, list[Mutation]] = {
     "xml": [of_values, of_values, of_values, of_xml, of_xml, of_words, of_bytes],
     "obj": [of_values, of_values, of_words, of_lines, of_bytes],
     "ply": [of_values, of_words, of_lines, of_header, of_header, of_bytes],
     **{name: [of_bytes] for name in ("exr", "bmp", "tga", "hdr", "pfm")},
     "png": [of_chunks, of_bytes],
+    "serialized": [of_inflated, of_inflated, of_bytes],
     "toml": [of_values, of_values, of_words, of_lines, of_bytes],
 }

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tests.io.documents import scene_dict, write_scene
+from tests.io.serialized_files import mesh, serialized
 from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.write import save
@@ -30,6 +31,11 @@ EVERYTHING = """
 <shape type="sphere" id="ball"><point name="center" x="1" y="0.5" z="0.2"/><float name="radius" value="0.5"/>
   <bsdf type="diffuse"><texture name="reflectance" type="bitmap"><string name="filename" value="t.png"/>
     <string name="filter_type" value="nearest"/></texture></bsdf></shape>
+<shape type="cylinder" id="pipe"><point name="p0" value="0.1, 0.2, 0.3"/><point name="p1" value="0.4, 0.9, 0.2"/>
+  <float name="radius" value="0.1"/><transform name="to_world"><scale value="1.2"/></transform></shape>
+<shape type="cube" id="die"><boolean name="face_normals" value="true"/>
+  <transform name="to_world"><scale value="0.2"/></transform></shape>
+<shape type="serialized" id="packed"><string name="filename" value="m.dat"/><integer name="shape_index" value="1"/></shape>
 <shape type="obj"><string name="filename" value="m.obj"/><transform name="to_world"><translate x="-1.5"/></transform>
   <bsdf type="diffuse" id="nested"><spectrum name="reflectance" value="0.3"/></bsdf></shape>
 <shape type="ply" id="flat"><string name="filename" value="m.ply"/><boolean name="face_normals" value="true"/>
@@ -54,6 +60,7 @@ SURROUNDS = {
       <boolean name="mis_compensation" value="true"/></emitter>""",
 }
 SEAM = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 .5\nvt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3\nf 1/2 3/3 4/1\n"
+CORNERS = [[0.1, 0, 1], [1, 0, 1], [0, 1, 1]]
 PLY = """ply
 format ascii 1.0
 element vertex 3
@@ -78,6 +85,7 @@ def everything(request, tmp_path):
     save_image(folder / "t.png", torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0)))
     (folder / "m.obj").write_text(SEAM)
     (folder / "m.ply").write_text(PLY)
+    (folder / "m.dat").write_bytes(serialized(mesh(CORNERS, [[0, 1, 2]]), mesh(CORNERS, [[0, 1, 2]], normals=CORNERS)))
     save_image(folder / "sky.exr", torch.rand(3, 5, 8, generator=torch.Generator().manual_seed(1)))
     return write_scene(folder, EVERYTHING + SURROUNDS[request.param], complete=False)
 

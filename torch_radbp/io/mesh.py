@@ -1,4 +1,4 @@
-"""Triangle meshes from OBJ and PLY files, numbered as Mitsuba numbers them."""
+"""Triangle meshes from OBJ, PLY and serialized files, numbered as Mitsuba numbers them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from torch_radbp.io.files import opened
 from torch_radbp.io.mesh_arrays import MeshArrays
 from torch_radbp.io.obj import read_obj
 from torch_radbp.io.ply import read_ply
+from torch_radbp.io.serialized import read_serialized
 
-READERS = {".obj": read_obj, ".ply": read_ply}
+READERS = {".obj": read_obj, ".ply": read_ply, ".serialized": read_serialized}
 
 
-def read_mesh(path: str | os.PathLike, want_normals: bool = True) -> MeshArrays:
+def read_mesh(path: str | os.PathLike, want_normals: bool = True, shape_index: int | None = None) -> MeshArrays:
     """Reads a mesh; all objects and groups of a file become one, polygons become fans of triangles.
 
     An OBJ vertex that is used with several normals or uv becomes several vertices, in the order in which the faces
@@ -23,8 +24,9 @@ def read_mesh(path: str | os.PathLike, want_normals: bool = True) -> MeshArrays:
     and colours in the file are not read.
 
     Args:
-        path: the .obj or .ply file.
+        path: the .obj, .ply or .serialized file.
         want_normals: False leaves out the file's normals; then it does not matter whether they are usable.
+        shape_index: which mesh of a serialized file, whatever its extension; None: the extension tells the kind of file.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -33,11 +35,13 @@ def read_mesh(path: str | os.PathLike, want_normals: bool = True) -> MeshArrays:
             finite; on unknown extensions, meshes without faces, normals without a direction, and meshes whose triangles
             all have area 0.
     """
-    suffix = Path(path).suffix.lower()
+    suffix, which = Path(path).suffix.lower(), ()
+    if shape_index is not None:
+        suffix, which = ".serialized", (shape_index,)
     if suffix not in READERS:
         raise ValueError(f"{path}: unknown kind of mesh {suffix!r}; supported: {', '.join(READERS)}")
     with opened(path) as file:
-        mesh = READERS[suffix](file, os.fspath(path), want_normals)
+        mesh = READERS[suffix](file, os.fspath(path), want_normals, *which)
     if _is_degenerate(mesh):
         raise ValueError(f"{path}: all {len(mesh.faces)} triangles are degenerate (area 0)")
     return mesh

@@ -195,9 +195,11 @@ def _is_as_constructed(plugin: Plugin) -> bool:
 
     def made_in(dtype: torch.dtype) -> bool:
         matrix = plugin.to_world.detach().cpu().to(dtype)
-        made = (transform_points(matrix, fresh.vertex_positions.to(dtype)),
-                transform_normals(matrix, fresh.vertex_normals.to(dtype)), fresh.vertex_texcoords, fresh.faces)
-        return all(_equal(getattr(plugin, name), value) for name, value in zip((*MESH_PARAMETERS, "faces"), made))
+        made = {"vertex_positions": transform_points(matrix, fresh.vertex_positions.to(dtype)),
+                "vertex_texcoords": fresh.vertex_texcoords, "faces": fresh.faces}
+        if fresh.has_normals:
+            made["vertex_normals"] = transform_normals(matrix, fresh.vertex_normals.to(dtype))
+        return all(_equal(getattr(plugin, name), value) for name, value in made.items())
 
     return made_in(torch.float32) or made_in(torch.float64)
 

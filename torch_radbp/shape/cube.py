@@ -20,11 +20,16 @@ FACES = (
 
 @register("shape", "cube")
 class Cube(Mesh):
-    """A cube of six faces with their own vertices, normals and uv, numbered as in Mitsuba. Parameters: see `Mesh`."""
+    """A cube of six faces with their own vertices, normals and uv, numbered as in Mitsuba. Parameters: see `Mesh`.
 
-    def __init__(self, *, to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
-                 emitter: Emitter | None = None):
+    Args:
+        face_normals: leaves `vertex_normals` out, so that faces are shaded flat wherever their vertices move.
+    """
+
+    def __init__(self, *, face_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
+                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+        self.face_normals = face_normals
         square = torch.tensor([[0.0, 1], [1, 1], [1, 0], [0, 0]])
         positions, normals = [], []
         for face in FACES:
@@ -33,4 +38,4 @@ class Cube(Mesh):
             normals.append(n.expand(4, 3))
         corner = 4 * torch.arange(6)[:, None]
         faces = torch.cat([corner + torch.tensor([0, 1, 2]), corner + torch.tensor([3, 0, 2])])
-        self.hold(torch.cat(positions), faces, torch.cat(normals), square.repeat(6, 1), to_world)
+        self.hold(torch.cat(positions), faces, None if face_normals else torch.cat(normals), square.repeat(6, 1), to_world)

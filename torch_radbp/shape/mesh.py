@@ -151,19 +151,20 @@ class FileMesh(Mesh):
         face_normals: shade flat; else the file's vertex normals are used, or smooth ones if it has none, as in Mitsuba.
         flip_tex_coords: use 1 - v, as Mitsuba does.
         recompute_normals: see `Mesh`; instead of the file's vertex normals.
+        shape_index: which mesh of a serialized file; None: the file is of another kind.
 
     Raises:
         ValueError: if both `face_normals` and `recompute_normals` are asked for.
     """
 
     def read(self, filename: str, face_normals: bool, flip_tex_coords: bool, recompute_normals: bool,
-             to_world: Tensor | None) -> None:
+             to_world: Tensor | None, shape_index: int | None = None) -> None:
         from torch_radbp.io.mesh import read_mesh  # io reads files for every layer above `vec`
 
         if face_normals and recompute_normals:
             raise ValueError("face_normals shades flat and recompute_normals shades smooth: choose one")
         self.filename, self.face_normals, self.flip_tex_coords = filename, face_normals, flip_tex_coords
-        arrays = read_mesh(filename, want_normals=not (face_normals or recompute_normals))
+        arrays = read_mesh(filename, not (face_normals or recompute_normals), shape_index)
         vertices, faces, normals, uv, attributes = arrays
         if flip_tex_coords and uv is not None:
             uv = uv.copy()

@@ -11,11 +11,15 @@ class Rectangle(Tessellated):
     """A rectangle: the canonical square under `to_world`; uv runs from 0 to 1 along x and y.
 
     Parameters: `to_world` (4, 4).
+
+    Args:
+        face_normals: without effect, as in Mitsuba: it is flat.
     """
 
-    def __init__(self, *, to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
-                 emitter: Emitter | None = None):
+    def __init__(self, *, face_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
+                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+        self.face_normals = face_normals
         uv, faces = grid(1, 1)
         vertices = uv.new_zeros(len(uv), 3)
         vertices[:, :2] = 2 * uv - 1

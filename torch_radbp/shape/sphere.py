@@ -16,7 +16,7 @@ class Sphere(Tessellated):
     """A sphere with exact shading normals; uv = (azimuth / 2 pi, polar angle / pi) around local z.
 
     Parameters: `to_world` (4, 4), which includes `center` and `radius`. Tessellated into 192 x 96 facets; the deviation
-    from the exact surface is 1.4e-4 of the radius.
+    from the exact surface is 1.4e-4 of the radius. If `to_world` mirrors, the normals point inwards, as in Mitsuba.
     """
 
     def __init__(self, *, center: Point3 | None = None, radius: float = 1.0, to_world: Matrix4 | None = None,
@@ -31,10 +31,10 @@ class Sphere(Tessellated):
         self.place(matrix, unit_sphere())
 
     center, radius = None, 1.0  # resolved into `to_world`
+    turned_by_mirrors = True
 
     def triangles(self) -> Triangles:
-        surface = super().triangles()
-        return surface._replace(ball=Ball(self.to_world, turned=surface.faces is not self.faces))
+        return super().triangles()._replace(ball=Ball(self.to_world, turned=False))
 
 
 def unit_sphere() -> Triangles:

@@ -56,11 +56,21 @@ def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
     return torch.nn.functional.normalize(turned, dim=-1)
 
 
+def mirrors(matrix: Tensor) -> bool:
+    """True if an affine (4, 4) matrix exchanges left and right."""
+    return bool(torch.linalg.det(matrix.detach()[:3, :3]) < 0)
+
+
+def turned(faces: Tensor) -> Tensor:
+    """(F, 3) faces turned inside out."""
+    return faces[:, [0, 2, 1]]
+
+
 class Surface(Shape):
     """A shape with a material, and perhaps an area emitter; without a material it is grey, or black if it emits light.
 
     A mirroring transform turns faces inside out. Mitsuba keeps the normal of the untransformed surface then, and so do the
-    analytic shapes here.
+    analytic shapes here, but for the sphere, whose normals it turns there and here.
     """
 
     faces: Tensor  # (F, 3) int64, a buffer: `triangles()` has as many, in the same order
@@ -85,7 +95,7 @@ class Surface(Shape):
             return surface
         normals = None if surface.normals is None else -surface.normals
         ball = None if surface.ball is None else surface.ball._replace(turned=not surface.ball.turned)
-        return surface._replace(faces=surface.faces[:, [0, 2, 1]], normals=normals, ball=ball)
+        return surface._replace(faces=turned(surface.faces), normals=normals, ball=ball)
 
 
 class Tessellated(Surface):
@@ -93,6 +103,8 @@ class Tessellated(Surface):
 
     Parameters: `to_world` (4, 4).
     """
+
+    turned_by_mirrors = False  # a mirroring transform turns the normals to the other side
 
     def domains(self) -> dict[str, Domain]:
         return {"to_world": POSE}
@@ -112,8 +124,10 @@ class Tessellated(Surface):
         normals = self.canonical_normals
         if normals is not None:
             normals = transform_normals(self.to_world, normals)
-        mirrored = bool(torch.linalg.det(self.to_world.detach()[:3, :3]) < 0)
-        faces = self.faces[:, [0, 2, 1]] if mirrored else self.faces
+        faces = self.faces
+        if mirrors(self.to_world):
+            faces = faces if self.turned_by_mirrors else turned(faces)
+            normals = -normals if self.turned_by_mirrors and normals is not None else normals
         return Triangles(vertices, faces, normals, self.canonical_uv)
 
 
