@@ -45,8 +45,8 @@ def _table(title: str, *headings: str) -> Table:
 def _shapes(scene) -> Table:
     table = _table("SHAPES", "name", "type", "triangles", "bsdf", "emits")
     total = 0
-    for shape in scene.shapes:
-        triangles = len(shape.faces)
+    for shape, instances in zip(scene.shapes, scene.shown_by):
+        triangles = len(shape.faces) * (1 if instances is None else len(instances))
         total += triangles
         bsdf = f"{scene.name_of(shape.bsdf)} ({shape.bsdf.type})"
         table.add_row(scene.name_of(shape), shape.type, f"{triangles:,}", bsdf, "" if shape.emitter is None else "yes")

@@ -197,6 +197,7 @@ PLASTIC = {"int_ior": 1.6, "diffuse_reflectance": rgb(0.3, 0.5, 0.7), "specular_
 PRINCIPLED = {"type": "principled", "base_color": rgb(0.3, 0.6, 0.4), "roughness": 0.5, "anisotropic": 0.4, "metallic": 0.3,
               "spec_tint": 0.3, "sheen": 0.5, "sheen_tint": 0.4, "clearcoat": 0.6, "clearcoat_gloss": 0.2, "flatness": 0.3}
 BRUSHED = {"alpha_u": 0.25, "alpha_v": 0.5}
+GROUP = {"type": "ref", "id": SUBJECT}
 ATTRIBUTE = {"type": "mesh_attribute", "name": "vertex_color", "scale": 0.9}
 REGULAR = {"type": "regular", "wavelength_min": 390.0, "wavelength_max": 720.0, "values": [0.2, 0.5, 0.4, 0.7]}
 IRREGULAR = {"type": "irregular", "wavelengths": [380.0, 470, 520, 710], "values": [0.6, 0.3, 0.5, 0.4]}
@@ -216,6 +217,10 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "obj": lambda: shape(type="obj", filename=mesh_file("obj"), bsdf=printed()),
     "ply": lambda: shape(type="ply", filename=mesh_file("ply"), bsdf=printed()),
     "serialized": lambda: shape(type="serialized", filename=mesh_file("serialized"), bsdf=printed()),
+    "instances": shape(type="shapegroup", sheet=quadrilateral(bsdf=printed()), ball=turned(
+        (0.4, 0.3, 0.5), 20, -30, 10, size=0.3, type="sphere", bsdf=printed(seed=9))) | {
+            f"{SUBJECT}_instance": turned((0.1, -0.1, -0.4), 14, -23, 31, size=0.7, type="instance", group=GROUP),
+            f"{SUBJECT}_mirrored": {"type": "instance", "group": GROUP, "to_world": rotate((1, 2, 0.4), 15) @ scale((-1, 1, 0.8))}},
     "attributes": lambda: shape(type="ply", filename=coloured_file(), bsdf={
         "type": "roughplastic", "distribution": "ggx", "alpha": 0.3, "diffuse_reflectance": ATTRIBUTE,
         "specular_reflectance": {"type": "mesh_attribute", "name": "face_shine"}}),

@@ -34,6 +34,7 @@ from .scenes import (
     sky,
     spots,
 )
+from .shape_scenes import instances, tubes
 from .texture_scenes import textures
 
 BOX = '<rfilter type="box"/>'
@@ -106,6 +107,8 @@ CASES = {
        for depth in (1, 2, 3, 8)},
     "cornell_roulette": Case(cornell_box, {"resolution": 32, "max_depth": -1, "rr_depth": 1}),
     "shapes": Case(shapes),
+    "tubes": Case(tubes),
+    "instances": Case(instances),
     "bitmaps": Case(bitmaps),
     "textures": Case(textures),
     "sky": Case(sky, thin=3),

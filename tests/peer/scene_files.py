@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import OpenEXR
 import trimesh
 from PIL import Image
+
+from tests.io.serialized_files import mesh, serialized
 
 
 class Folder:
@@ -23,6 +25,12 @@ class Folder:
     def text(self, name: str, text: str) -> Path:
         self.contents.update(f"{name}\0{text}\0".encode())
         (self.path / name).write_text(text)
+        return self.path / name
+
+    def serialized(self, name: str, *meshes: dict[str, Any]) -> Path:
+        """Serialized meshes, of which each is the arguments of `serialized_files.mesh`: lists of rounded numbers."""
+        self.contents.update(f"{name}\0{meshes!r}\0".encode())
+        (self.path / name).write_bytes(serialized(*(mesh(**arguments) for arguments in meshes)))
         return self.path / name
 
     def pixels(self, name: str, values: np.ndarray, **options) -> Path:

@@ -52,7 +52,13 @@ class Rendering(NamedTuple):
 
     def counts(self) -> list[int]:
         """The number of triangles of each shape; the caster has them in the order of the shapes."""
-        return [len(shape.faces) for shape in self.scene.shapes]
+        return [len(shape.faces) * (1 if instances is None else len(instances))
+                for shape, instances in zip(self.scene.shapes, self.scene.shown_by)]
+
+    def movers(self) -> list[list[str]]:
+        """For each shape, the parameters that move it, of those with derivatives."""
+        return [[name for plugin in (shape, *(instances or ())) for name in moving(self.scene, plugin, MOVE_SHAPES)]
+                for shape, instances in zip(self.scene.shapes, self.scene.shown_by)]
 
 
 class JumpWatch:
@@ -91,7 +97,7 @@ class JumpWatch:
         Parameters that move silhouettes too are left out. Shadows are searched once for each parameter, by casting rays.
         """
         scene, vertices, faces = rendering.scene, rendering.caster.vertices, rendering.caster.faces
-        shapes = [moving(scene, shape, MOVE_SHAPES) for shape in scene.shapes]
+        shapes = rendering.movers()
         names = {name for plugin in scene.emitters for name in moving(scene, plugin, MOVE_LIGHTS)}.union(*shapes)
         if names <= self.looked_at:
             return None
@@ -124,8 +130,9 @@ class JumpWatch:
         """
         scene, sensors, sampling = rendering.scene, rendering.sensors, rendering.sampling
         jumping = [bsdf for bsdf in one_sided(scene.bsdfs()) if bsdf.kind().jumps and sampling != "attached"]
-        turning = [name for plugins, attributes in ((scene.shapes, MOVE_SHAPES), (sensors, None), (jumping, ("eta",)))
+        turning = [name for plugins, attributes in ((sensors, None), (jumping, ("eta",)))
                    for plugin in plugins for name in moving(scene, plugin, attributes)]
+        turning = [*(name for names in rendering.movers() for name in names), *turning]
         if not (jumping and turning):
             return None
         bsdf = f"{jumping[0].type} `{scene.name_of(jumping[0])}`"
@@ -147,10 +154,10 @@ class JumpWatch:
                 turning |= {texture_name(scene, bsdf.textures()[slot]): not bsdf.kind().smooth
                             for slot in turning_values(bsdf.kind(), sampling)
                             if any(map(asks_for_derivatives, bsdf.textures()[slot].sources()))}
-        for shape in scene.shapes:
+        for shape, names in zip(scene.shapes, rendering.movers()):
             delta = [bsdf.kind().delta for bsdf in one_sided([shape.bsdf]) if followed(bsdf.kind(), sampling)]
             turning |= {name: all(delta) for name in moving(scene, shape, ("vertex_normals",)) if delta}
-            turning |= {name: True for name in moving(scene, shape, MOVE_SHAPES) if any(delta)}
+            turning |= {name: True for name in names if any(delta)}
         if any(bsdf.kind().delta and followed(bsdf.kind(), sampling) for bsdf in one_sided(scene.bsdfs())):
             turning |= {name: True for sensor in rendering.sensors for name in moving(scene, sensor)}
         named = self.missing(rendering) if turning else {}
@@ -167,8 +174,7 @@ class JumpWatch:
         """The parameters that move silhouettes in view, each with the number of edges found."""
         scene, missing = rendering.scene, {}
         vertices, faces, counts = rendering.caster.vertices, rendering.caster.faces, rendering.counts()
-        for shape, own in zip(scene.shapes, faces.split(counts)):
-            names = moving(scene, shape, MOVE_SHAPES)
+        for shape, names, own in zip(scene.shapes, rendering.movers(), faces.split(counts)):
             if names:
                 count = number_in_view(self.edges(id(shape), vertices, own, [len(own)]), vertices, rendering.sights)
                 missing |= {name: count for name in names}

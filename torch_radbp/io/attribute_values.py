@@ -30,9 +30,14 @@ def is_list(annotation: Any) -> bool:
     return any(typing.get_origin(option) is list for option in options(annotation))
 
 
+def is_named(annotation: Any) -> bool:
+    """True if an attribute takes several plugins by their names, dict[str, Shape]."""
+    return any(typing.get_origin(option) is dict for option in options(annotation))
+
+
 def plugin_categories(annotation: Any) -> list[str]:
     """The categories of plugins that an attribute accepts; empty if it takes plain values only."""
-    members = [(typing.get_args(option) or (option,))[0] for option in options(annotation)]
+    members = [(typing.get_args(option) or (option,))[-1] for option in options(annotation)]
     return [member.category for member in members if isinstance(member, type) and issubclass(member, Plugin)]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from torch import nn
 
-from torch_radbp.io.attribute_values import convert, is_list, options, plugin_categories, shown, with_article
+from torch_radbp.io.attribute_values import convert, is_list, is_named, options, plugin_categories, shown, with_article
 from torch_radbp.io.colour_values import colour_value, is_colour
 from torch_radbp.io.spd import read_spectrum
 from torch_radbp.io.xml_scene import XMLObject, find_file
@@ -186,6 +186,9 @@ class _Builder:
                 name, nested = self.nested((*path, key), key, value, node, cls)
                 if is_list(schema[name].annotation):
                     arguments.setdefault(name, []).append(nested)
+                    continue
+                if is_named(schema[name].annotation):
+                    arguments.setdefault(name, {})[_given_id(value) or key] = nested
                     continue
                 if name in arguments:
                     raise self.error((*path, key), value, f"{node['type']} takes one {name}, and has one already")

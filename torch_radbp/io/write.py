@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from torch_radbp.entry import entry
 from torch_radbp.io.atomic import check_target, naming
-from torch_radbp.io.attribute_values import is_list, options
+from torch_radbp.io.attribute_values import is_list, is_named, options
 from torch_radbp.io.gltf.write import gltf_files
 from torch_radbp.io.image import save_image
 from torch_radbp.io.mesh_arrays import MeshArrays
@@ -152,6 +152,10 @@ class _Writer:
         if is_list(annotation):
             for number, item in enumerate(value):
                 element.append(self.nested(item, attribute, f"{name}.{attribute}_{number}"))
+        elif is_named(annotation):
+            for key, item in value.items():
+                element.append(self.nested(item, attribute, f"{name}.{key}"))
+                element[-1].set("name", _text(key))
         elif isinstance(value, nn.Module):
             element.append(self.nested(value, attribute, f"{name}.{attribute}"))
         elif value is not None and Filename not in options(annotation) and not _is_default(value, annotation, default):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -14,7 +14,8 @@ from torch_radbp.plugin import Shape
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.tensors import TriangleTable, VertexTable
-from torch_radbp.shape.ball import Ball, Balls
+from torch_radbp.shape.ball import TRIANGLES, Ball, Balls
+from torch_radbp.shape.instance import Instance, instanced
 from torch_radbp.shape.surface import Triangles
 from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
 
@@ -44,16 +45,20 @@ class Columns(NamedTuple):
     emitting: tuple[bool, ...]  # whether each shape belongs to an emitter
 
 
-def placed_shape(kept: Kept, shape: Shape, dtype: torch.dtype) -> PlacedShape:
-    """A shape as it is now."""
+def placed_shape(kept: Kept, shape: Shape, instances: Sequence[Instance] | None, dtype: torch.dtype) -> PlacedShape:
+    """A shape as it is now; where instances show it, if it belongs to a group."""
     surface = kept(without_flat_normals, kept(oriented, kept.twin(id(shape), shape)))
-    return PlacedShape(surface, kept.frozen((id(shape), "vertices"), surface.vertices.to(dtype)),
-                       kept.frozen((id(shape), "faces"), surface.faces), frozen_ball(kept, shape, surface.ball))
+    if instances is not None:
+        poses = tuple(kept.part((id(instance), "to_world"), instance.to_world) for instance in instances)
+        surface = kept(instanced, surface, poses)
+    place = id(shape), instances is not None
+    return PlacedShape(surface, kept.frozen((place, "vertices"), surface.vertices.to(dtype)),
+                       kept.frozen((place, "faces"), surface.faces), frozen_ball(kept, place, surface.ball))
 
 
-def frozen_ball(kept: Kept, shape: Shape, ball: Ball | None) -> Ball | None:
-    """The ball that a shape is, detached."""
-    return None if ball is None else kept(Ball, kept.frozen((id(shape), "ball"), ball.placement), ball.turned)
+def frozen_ball(kept: Kept, place: Hashable, ball: Ball | None) -> Ball | None:
+    """The ball that a shape is, detached; `place` tells which of the last rendering to compare with."""
+    return None if ball is None else kept(Ball, kept.frozen((place, "ball"), ball.placement), ball.turned)
 
 
 def oriented(shape: Shape) -> Triangles:
@@ -109,12 +114,13 @@ def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: tor
         device: of the result.
     """
     firsts = list(itertools.accumulate(counts, initial=0))
-    found = [(first, *ball) for first, ball in zip(firsts, balls) if ball is not None]
+    found = [(first, ball) for first, ball in zip(firsts, balls) if ball is not None]
     if not found:
         return None
-    first, placement, turned = zip(*found)
+    first = [first + number * TRIANGLES for first, ball in found for number in range(len(ball.turned))]
+    turned = [own for _, ball in found for own in ball.turned]
     return Balls(torch.tensor(first, dtype=torch.int32, device=device), torch.tensor(turned, device=device),
-                 torch.stack(placement).to(device, torch.float64))
+                 torch.cat([ball.placement for _, ball in found]).to(device, torch.float64))
 
 
 def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, attributes: tuple[str, ...], dtype: torch.dtype,

@@ -71,7 +71,7 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     radiance = BankBuilder()
     bsdfs = list(scene.bsdfs())
     materials, appearances, readers, banks = material_tables(kept, bsdfs, dtype, device)
-    placed = [placed_shape(kept, shape, dtype) for shape in scene.shapes]
+    placed = [placed_shape(kept, shape, instances, dtype) for shape, instances in zip(scene.shapes, scene.shown_by)]
     check_extent(scene, [kept(largest_coordinate, shape.vertices) for shape in placed])
     radiated = {id(emitter): emitter.radiated() for emitter in scene.emitters}
     textures = {name: 0 if texture is None else radiance.add(texture) for name, texture in radiated.items()}

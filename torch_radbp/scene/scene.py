@@ -7,8 +7,10 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, Shape, nearest
+from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, nearest
 from torch_radbp.scene.integrator import Path
+from torch_radbp.shape.instance import Instance
+from torch_radbp.shape.surface import Surface
 
 
 class Scene(nn.Module):
@@ -88,8 +90,25 @@ class Scene(nn.Module):
         return self.integrator_defaults[0]
 
     @property
-    def shapes(self) -> list[Shape]:
-        return [child for child in self._modules.values() if isinstance(child, Shape)]
+    def shapes(self) -> list[Surface]:
+        """All surfaces: those of the scene, then those of the groups that instances show."""
+        own = [child for child in self._modules.values() if isinstance(child, Surface)]
+        return own + [shape for group in self.groups.values() for shape in group[0].shapegroup.shapes.values()]
+
+    @property
+    def groups(self) -> dict[int, list[Instance]]:
+        """The instances of each group that has any, by its id."""
+        found: dict[int, list[Instance]] = {}
+        for child in self._modules.values():
+            if isinstance(child, Instance):
+                found.setdefault(id(child.shapegroup), []).append(child)
+        return found
+
+    @property
+    def shown_by(self) -> list[list[Instance] | None]:
+        """For each of `shapes`, the instances that show it; None for those of the scene itself."""
+        shown = [group for group in self.groups.values() for _ in group[0].shapegroup.shapes]
+        return [None] * (len(self.shapes) - len(shown)) + shown
 
     @property
     def sensors(self) -> list[Sensor]:

@@ -1,3 +1,13 @@
 """Shapes: all become triangles; analytic shapes are tessellated finely and keep their exact normals."""
 
-from torch_radbp.shape import cube, cylinder, disk, mesh, rectangle, serialized, sphere  # noqa: F401 (registers the plugins)
+from torch_radbp.shape import (  # noqa: F401 (registers the plugins)
+    cube,
+    cylinder,
+    disk,
+    instance,
+    mesh,
+    rectangle,
+    serialized,
+    shapegroup,
+    sphere,
+)

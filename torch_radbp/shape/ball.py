@@ -15,10 +15,10 @@ TRIANGLES = 2 * SEGMENTS * (RINGS - 1)
 
 
 class Ball(NamedTuple):
-    """A surface that is one."""
+    """A surface that is one, or one for each of its instances."""
 
-    placement: Tensor  # (4, 4) from the unit sphere to the world
-    turned: bool  # the second and third corner of every triangle are exchanged
+    placement: Tensor  # (B, 4, 4) from the unit sphere to the world
+    turned: tuple[bool, ...]  # of each: the second and third corner of every triangle are exchanged
 
 
 class Balls(NamedTuple):

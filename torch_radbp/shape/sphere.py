@@ -34,7 +34,7 @@ class Sphere(Tessellated):
     turned_by_mirrors = True
 
     def triangles(self) -> Triangles:
-        return super().triangles()._replace(ball=Ball(self.to_world, turned=False))
+        return super().triangles()._replace(ball=Ball(self.to_world[None], turned=(False,)))
 
 
 def unit_sphere() -> Triangles:

@@ -20,7 +20,7 @@ class Triangles(NamedTuple):
     faces: Tensor  # (F, 3) int64
     normals: Tensor | None  # (V, 3) unit shading normals, or None for flat faces
     uv: Tensor | None  # (V, 2)
-    ball: Ball | None = None  # what they tessellate, if it is a sphere
+    ball: Ball | None = None  # what they tessellate, if it is a sphere; or several, one after the other
     attributes: tuple[tuple[str, Tensor], ...] = ()  # (V, 1 or 3) or (F, 1 or 3), by names that begin with vertex_ or face_
 
 
@@ -39,21 +39,22 @@ def affine(name: str, matrix: Tensor | None) -> Tensor:
 
 
 def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
-    """(V, 3) points under an affine (4, 4) matrix.
+    """(V, 3) points under an affine (4, 4) matrix; under several, (I, 4, 4), once for each: (I, V, 3).
 
     Sums instead of a matrix product: that would be rounded to bfloat16 by a backward pass under `torch.autocast`, and by
     `torch.set_float32_matmul_precision("medium")`.
     """
     x, y, z = points.unbind(1)
-    return torch.stack([row[0] * x + row[1] * y + row[2] * z + row[3] for row in matrix[:3]], 1)
+    rows = (row[..., None].unbind(-2) for row in matrix[..., :3, :].unbind(-2))
+    return torch.stack([a * x + b * y + c * z + d for a, b, c, d in rows], -1)
 
 
 def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
-    """(V, 3) normals under an affine (4, 4) matrix, normalised."""
-    inverse = torch.linalg.inv(matrix[:3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
+    """(V, 3) normals under an affine (4, 4) matrix, normalised; under several, (I, 4, 4), once for each: (I, V, 3)."""
+    inverse = torch.linalg.inv(matrix[..., :3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
     x, y, z = normals.unbind(1)
-    turned = torch.stack([column[0] * x + column[1] * y + column[2] * z for column in inverse.T], 1)
-    return torch.nn.functional.normalize(turned, dim=-1)
+    columns = (column[..., None].unbind(-2) for column in inverse.unbind(-1))
+    return torch.nn.functional.normalize(torch.stack([a * x + b * y + c * z for a, b, c in columns], -1), dim=-1)
 
 
 def mirrors(matrix: Tensor) -> bool:
@@ -94,7 +95,7 @@ class Surface(Shape):
         if not self.flip_normals:
             return surface
         normals = None if surface.normals is None else -surface.normals
-        ball = None if surface.ball is None else surface.ball._replace(turned=not surface.ball.turned)
+        ball = None if surface.ball is None else surface.ball._replace(turned=tuple(not own for own in surface.ball.turned))
         return surface._replace(faces=turned(surface.faces), normals=normals, ball=ball)
 
 

@@ -1,0 +1,54 @@
+"""A place where the shapes of a group are seen."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.domain import POSE, Domain
+from torch_radbp.plugin import Matrix4, Shape, register
+from torch_radbp.shape.ball import Ball
+from torch_radbp.shape.shapegroup import ShapeGroup
+from torch_radbp.shape.surface import Triangles, affine, transform_normals, transform_points, turned
+
+
+@register("shape", "instance")
+class Instance(Shape):
+    """The shapes of a group, under `to_world`.
+
+    Parameters: `to_world` (4, 4). A mirroring one keeps the normals on their side of the surface, as in Mitsuba.
+
+    Args:
+        shapegroup: what is shown; usually a reference to an object of the scene.
+
+    Raises:
+        ValueError: if it is no `shapegroup`.
+    """
+
+    def __init__(self, *, shapegroup: Shape, to_world: Matrix4 | None = None):
+        super().__init__()
+        if not isinstance(shapegroup, ShapeGroup):
+            raise ValueError(f"an instance shows a shapegroup, got a shape of type {shapegroup.type}: put it into one")
+        self.shapegroup = shapegroup
+        self.freeze("to_world", affine("to_world", to_world))
+
+    def domains(self) -> dict[str, Domain]:
+        return {"to_world": POSE}
+
+
+def instanced(surface: Triangles, poses: tuple[Tensor, ...]) -> Triangles:
+    """A surface once for each of I instances, (4, 4) transforms each; attached to both."""
+    matrices = torch.stack(poses)
+    count, size = len(poses), len(surface.vertices)
+    mirrored = torch.linalg.det(matrices.detach()[:, :3, :3]) < 0
+    faces = torch.where(mirrored[:, None, None], turned(surface.faces), surface.faces)
+    faces = faces + size * torch.arange(count, device=faces.device)[:, None, None]
+    normals, ball = surface.normals, surface.ball
+    if normals is not None:
+        normals = transform_normals(matrices, normals).flatten(0, 1)
+    if ball is not None:
+        ball = Ball(matrices @ ball.placement, tuple((mirrored ^ ball.turned[0]).tolist()))
+    uv = None if surface.uv is None else surface.uv.repeat(count, 1)
+    attributes = tuple((name, values.repeat(count, 1)) for name, values in surface.attributes)
+    return Triangles(transform_points(matrices, surface.vertices).flatten(0, 1), faces.flatten(0, 1), normals, uv, ball,
+                     attributes)
