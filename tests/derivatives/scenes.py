@@ -219,8 +219,9 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "serialized": lambda: shape(type="serialized", filename=mesh_file("serialized"), bsdf=printed()),
     "instances": shape(type="shapegroup", sheet=quadrilateral(bsdf=printed()), ball=turned(
         (0.4, 0.3, 0.5), 20, -30, 10, size=0.3, type="sphere", bsdf=printed(seed=9))) | {
-            f"{SUBJECT}_instance": turned((0.1, -0.1, -0.4), 14, -23, 31, size=0.7, type="instance", group=GROUP),
-            f"{SUBJECT}_mirrored": {"type": "instance", "group": GROUP, "to_world": rotate((1, 2, 0.4), 15) @ scale((-1, 1, 0.8))}},
+            f"{SUBJECT}_instance": turned((0.7, -0.5, 1.2), 14, -23, 31, size=0.3, type="instance", group=GROUP),
+            f"{SUBJECT}_mirrored": {"type": "instance", "group": GROUP,
+                                    "to_world": rotate((1, 2, 0.4), 15) @ scale((-1, 1, 0.8))}},
     "attributes": lambda: shape(type="ply", filename=coloured_file(), bsdf={
         "type": "roughplastic", "distribution": "ggx", "alpha": 0.3, "diffuse_reflectance": ATTRIBUTE,
         "specular_reflectance": {"type": "mesh_attribute", "name": "face_shine"}}),

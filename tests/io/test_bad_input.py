@@ -28,7 +28,7 @@ XML = {
             'line 2: <shape type="rectangel" id="wall">',
             "'rectangel' is not supported",
             "did you mean 'rectangle'",
-            "known: cube, disk",
+            "known: cube, cylinder, disk",
         ],
     ),
     "plugin of another category": (

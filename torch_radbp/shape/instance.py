@@ -47,8 +47,16 @@ def instanced(surface: Triangles, poses: tuple[Tensor, ...]) -> Triangles:
     if normals is not None:
         normals = transform_normals(matrices, normals).flatten(0, 1)
     if ball is not None:
-        ball = Ball(matrices @ ball.placement, tuple((mirrored ^ ball.turned[0]).tolist()))
+        ball = Ball(placed(matrices.detach().double(), ball.placement.detach().double()),
+                    tuple((mirrored ^ ball.turned[0]).tolist()))
     uv = None if surface.uv is None else surface.uv.repeat(count, 1)
     attributes = tuple((name, values.repeat(count, 1)) for name, values in surface.attributes)
     return Triangles(transform_points(matrices, surface.vertices).flatten(0, 1), faces.flatten(0, 1), normals, uv, ball,
                      attributes)
+
+
+def placed(outer: Tensor, inner: Tensor) -> Tensor:
+    """The products of affine (I, 4, 4) and (1, 4, 4) matrices; of their last rows nothing is read, as for vertices."""
+    upper = outer[:, :3, :3] @ inner[:, :3, :]
+    upper = torch.cat([upper[..., :3], upper[..., 3:] + outer[:, :3, 3:]], -1)
+    return torch.cat([upper, upper.new_tensor([[[0.0, 0.0, 0.0, 1.0]]]).expand(len(outer), 1, 4)], 1)
