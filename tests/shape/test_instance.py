@@ -198,6 +198,22 @@ def test_saved_and_loaded_it_is_the_same(tmp_path, mi):
     np.testing.assert_allclose(peer, rb.render(scene, **settings(spp=64))[0].mean((1, 2)).numpy(), rtol=0.03)
 
 
+def test_gltf_has_copies(tmp_path):
+    """At the same places, on the same side: seen from the camera they look the same."""
+    scene = load(**{name: value for name, value in SURROUNDINGS.items() if name in ("camera", "floor", "red")},
+                 lamp={"type": "point", "position": [0.4, 2.2, 1.5], "intensity": rgb(9, 9, 9)},
+                 group={"type": "shapegroup", "box": INSIDE["box"]},
+                 **{f"i{number}": {"type": "instance", "to_world": place, "group": GROUP}
+                    for number, place in enumerate(PLACES)})
+    with pytest.warns(UserWarning, match="i0.box: is written as a copy"):
+        rb.save(scene, tmp_path / "scene.glb")
+    other = rb.load(tmp_path / "scene.glb")
+    assert {"i0_box", "i1_box"} <= {scene.name_of(shape) for scene in [other] for shape in other.shapes}
+    images = [rb.render(each.double(), **settings(max_depth=2, spp=64)) for each in (scene, other)]
+    assert images[0].max() > 0.05
+    torch.testing.assert_close(images[1].mean((2, 3)), images[0].mean((2, 3)), rtol=0.05, atol=0)
+
+
 INSTANCE = {"type": "instance", "g": {"type": "ref", "id": "group"}}
 
 

@@ -50,7 +50,7 @@ class Scene(nn.Module):
 
     def _check_places(self) -> None:
         """Raises SceneError unless every emitter on a surface is on one."""
-        carriers: dict[int, Shape] = {}
+        carriers: dict[int, Surface] = {}
         for shape in self.shapes:
             if shape.emitter is None:
                 continue

@@ -19,6 +19,8 @@ from torch_radbp.io.gltf.read import said
 from torch_radbp.io.gltf.written import Written
 from torch_radbp.plugin import Plugin, SceneError, Shape
 from torch_radbp.scene.scene import Scene
+from torch_radbp.shape.instance import Instance, instanced
+from torch_radbp.shape.shapegroup import ShapeGroup
 from torch_radbp.shape.surface import Triangles
 
 SHEAR = 1e-5  # cosine between axes: what glTF's nodes cannot say
@@ -62,19 +64,25 @@ class _Writer:
         for name, child in self.scene.named_children():
             if not isinstance(child, Plugin) or not child.type:
                 raise SceneError(f"{name}: a {type(child).__name__} cannot be written as glTF, only Mitsuba's plugins can")
-            if child.category == "shape":
+            if isinstance(child, Instance):
+                for own, shape in child.shapegroup.shapes.items():
+                    self.losses.add(f"{name}.{own}", "is written as a copy: instances are not shared")
+                    self.add_shape(f"{name}_{own}", shape, child)
+            elif child.category == "shape" and not isinstance(child, ShapeGroup):
                 self.add_shape(name, child)
             elif child.category == "emitter":
                 self.add_light(name, child)
             elif child.category == "sensor":
                 self.add_camera(name, child)
 
-    def add_shape(self, name: str, shape: Shape) -> None:
-        """A node with a mesh, in the frame that the shape's pose gives."""
+    def add_shape(self, name: str, shape: Shape, instance: Instance | None = None) -> None:
+        """A node with a mesh, in the frame that the shape's pose gives; where an instance shows it, if it does."""
         surface = shape.oriented()
         if surface.ball is not None:
             self.losses.add(name, f"a {shape.type} is written as {len(surface.faces)} triangles")
         pose = matrix_of(shape.to_world) if isinstance(getattr(shape, "to_world", None), torch.Tensor) else np.eye(4)
+        if instance is not None:
+            surface, pose = instanced(surface, (instance.to_world,)), matrix_of(instance.to_world) @ pose
         if is_sheared(pose):
             pose = np.eye(4)
         appearance = self.appearances.of(shape, is_upright_in_v(surface))
