@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torch_radbp.adjoint.schedule import ADJOINT, ADVANCE, DROP, KEEP, LOAD, backward_plan, kept_depths
@@ -55,6 +56,21 @@ class MemoizedAdjoint:
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         """Depths whose state the forward pass keeps after `bounces` bounces of `most` that there may be."""
         return kept_depths(bounces, self.stride, most)
+
+    def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
+        """States of a camera path that `backward` holds at once beside those kept.
+
+        Args:
+            reaching: for each bounce, the share of the camera paths that reach it.
+            kept: depths whose states the forward pass has kept.
+            moving: whether rays carry derivatives.
+        """
+        held = most = 0.0
+        for action in backward_plan(len(reaching), kept, self.stride):
+            if action.depth not in kept:
+                held += {KEEP: 1, DROP: -1}.get(action.kind, 0) * reaching[action.depth]
+                most = max(most, held)
+        return most
 
     def backward(self, sweep: Sweep) -> None:
         """Runs the plan of the schedule."""

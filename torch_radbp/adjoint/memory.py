@@ -15,7 +15,6 @@ from typing import NamedTuple
 import torch
 
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
-from torch_radbp.adjoint.schedule import DROP, KEEP, backward_plan
 from torch_radbp.adjoint.tape import TapeAdjoint
 from torch_radbp.adjoint.working_set import Growth, WorkingSet
 from torch_radbp.path import PathState
@@ -131,17 +130,13 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     depths = adjoint.kept(bounces, work.max_depth)
     per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * size(STATE[work.by_place])
     per_lane += sum(fractions) * size(STEP[work.by_place]) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
-    replayed = most = 0.0
-    if isinstance(adjoint, MemoizedAdjoint):
-        for action in backward_plan(bounces, depths, adjoint.stride):
-            if action.depth not in depths:
-                replayed += {KEEP: 1, DROP: -1}.get(action.kind, 0) * fractions[action.depth] * size(STATE[work.by_place])
-                most = max(most, replayed)
+    replayed = adjoint.replayed(fractions, depths, work.moving) * size(STATE[work.by_place])
     held = size(RADIANCE) + size(MEMO[work.moving]) + size(CORNERS[work.triangles]) + size(STATE[work.by_place])
+    held += size(STEP[work.by_place]) * (not adjoint.keep_hits)
     share = COMPILED if work.compiled else 1.0
     swept = share * (sweep.per_lane - outside.per_lane) + outside.per_lane
     busy = max(WASTE * (swept + held), WASTE * share * bounce.per_lane) + spare
-    working = max(together * (busy * max(fractions) + most) + work.workers * sweep.fixed, WASTE * tables.packing)
+    working = max(together * (busy * max(fractions) + replayed) + work.workers * sweep.fixed, WASTE * tables.packing)
     working += work.workers * tables.totals
     kept = int((together if retrace else lanes) * per_lane)
     return MemoryPlan(chunk, adjoint, retrace, kept, int(working))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -34,6 +35,10 @@ class QuadraticAdjoint:
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         return ()
+
+    def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
+        """As in `MemoizedAdjoint`."""
+        return sum(reaching) + 2 * max(reaching)  # the stack, and a bounce and the next below it
 
     def backward(self, sweep: Sweep) -> None:
         """Walks down the path and, as the recursion `d_Li` does, differentiates each bounce on the way back."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -35,6 +36,10 @@ class ReplayAdjoint:
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         return ()
+
+    def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
+        """As in `MemoizedAdjoint`."""
+        return sum(reaching) if moving else 2 * max(reaching)  # that of a bounce and the next
 
     def backward(self, sweep: Sweep) -> None:
         """Walks down the path with what remains of L."""

@@ -225,7 +225,7 @@ class Sweep:
         """Differentiates one bounce and moves the memo from L_{k+1} to L_k."""
         step = self.record.steps.get(depth)
         if step is None:
-            _, step = take_step(self.integrand, state, depth)
+            step = take_step(self.integrand, state, depth)[1]
         integrand, arrival = self.integrand, step.arrival(state)
         at, settings = integrand.at(depth), integrand.settings_at(depth)
         for queue in step.queues:

@@ -1,4 +1,7 @@
-"""Tests of every ball against a vector of rays, beside what another kernel does with the other triangles, as LLVM's text.
+"""Meetings of vectors of rays with balls, beside what another kernel does with the other triangles, as LLVM's text.
+
+Every ray is tested against the spheres around all balls. Then each meets the ball of the nearest sphere, whichever that is,
+until it hits a ball before the next sphere.
 
 For a point p, relative to the unit sphere, let n be the normal of the facet that the line from the centre through p meets,
 scaled so that n . x = 1 in the facet's plane. Then n . p is a convex function of p, which is 1 on the ball's surface (its
@@ -36,7 +39,6 @@ class Facet(NamedTuple):
 
     row: str  # i32, of polar angles
     column: str  # i32, of azimuths
-    middle: list[str]  # cosine and sine of the azimuth of its middle
     n: list[str]  # n . x = 1 in its plane
 
 
@@ -49,6 +51,22 @@ class Local(NamedTuple):
     def at(self, code: Vectors, t: str) -> list[str]:
         """The points at distances `t`."""
         return [code.add(o, code.mul(d, t)) for o, d in zip(self.o, self.d)]
+
+
+class Sphere(NamedTuple):
+    """Where rays meet the sphere around a ball."""
+
+    start: str  # of the search for the ball: where the ray enters, or 0 if its origin is near
+    leave: str
+    near: str  # flags: the origin is inside, or near
+    met: str  # flags: it lies ahead
+
+
+class Nearest(NamedTuple):
+    """The ball that each ray is to meet next."""
+
+    number: str  # i32; 0 where there is none
+    some: str  # flags
 
 
 def beside(kernel: Kernel) -> Kernel:
@@ -67,95 +85,147 @@ def beside(kernel: Kernel) -> Kernel:
 
     def prepare(code: Vectors) -> None:
         kernel.prepare(code)
-        code.lay("%ball_count = load i64, ptr %ball_count_at")
+        code.lay("%ball_count = load i64, ptr %ball_count_at", f"%starts = alloca {code.numbers}, i64 %ball_count")
 
     return Kernel((*kernel.inputs, *INPUTS), prepare, closest, occluded)
 
 
 def closest_ball(code: Vectors, rays: Rays, before: tuple[str, str, str, str]) -> tuple[str, str, str, str]:
     """prim, u, v and t of the closest hit of balls, or of what was found before: t, which bounds the search, prim, u, v."""
-    kinds = (code.numbers, code.integers, code.numbers, code.numbers)
-    names = ("ball.t", "ball.prim", "ball.u", "ball.v")
-    code.lay("br label %balls", "balls:", "br label %ball",
-             "ball:", "%b = phi i64 [ 0, %balls ], [ %b.next, %next_ball ]",
-             *(f"%{name} = phi {kind} [ {first}, %balls ], [ %{name}.next, %next_ball ]"
-               for name, kind, first in zip(names, kinds, before)))
-    local, hit, t, facet = meet_ball(code, rays, "%ball.t")
-    prim, u, v = place_on_facet(code, local.at(code, t), facet)
-    known = zip(names, ("float", "i32", "float", "float"), (t, prim, u, v))
-    chosen = [(name, code.choose(hit, new, f"%{name}", "i32" if kind == "i32" else "")) for name, kind, new in known]
-    code.lay("br label %next_ball", "next_ball:",
-             *(f"%{name}.next = phi {kind} [ %{name}, %ball ], [ {new}, %settled ]"
-               for (name, new), kind in zip(chosen, kinds)))
-    next_ball(code)
-    found = code.line(f"icmp sge {code.integers} %ball.prim.next, {ZERO}")
-    return ("%ball.prim.next", "%ball.u.next", "%ball.v.next", code.choose(found, "%ball.t.next", ZERO))
+    farthest, *others = before
+    carried = [("ball.t", code.numbers, farthest),
+               *((f"ball.{name}", code.integers, "splat (i32 -1)") for name in ("met", "row", "column"))]
+    begin_search(code, rays, carried)
+    ball = next_ball(code, "%ball.t")
+    _, hit, t, facet = meet_ball(code, rays, ball, "%ball.t")
+    for (name, kind, _), new in zip(carried, (t, ball.number, facet.row, facet.column)):
+        code.lay(f"%{name}.next = select {code.flags} {hit}, {kind} {new}, {kind} %{name}")
+    code.lay("br label %search", "all_balls:")
+    met = code.line(f"icmp sge {code.integers} %ball.met, {ZERO}")
+    branch_if_any(code, met, "place", "placed")
+    ball = Nearest(code.choose(met, "%ball.met", ZERO, "i32"), met)
+    found = place_on_facet(code, local_of(code, rays, ball).at(code, "%ball.t"), ball,
+                           *(code.choose(met, f"%ball.{name}", ZERO, "i32") for name in ("row", "column")))
+    kinds = ("i32", code.scalar, code.scalar)
+    found = [code.choose(met, *values, kind) for *values, kind in zip(found, others, kinds)]
+    code.lay("br label %placed", "placed:")
+    prim, u, v = (code.line(f"phi {code.vector(kind)} [ {old}, %all_balls ], [ {new}, %place ]")
+                  for old, new, kind in zip(others, found, kinds))
+    struck = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    return prim, u, v, code.choose(struck, "%ball.t", ZERO)
 
 
 def any_ball(code: Vectors, rays: Rays, before: str, tmax: str) -> str:
     """Flags of rays that were met before, or meet a ball at 0 < t <= tmax."""
-    code.lay("br label %balls", "balls:")
-    left = code.choose(before, ZERO, tmax)
-    code.lay("br label %ball", "ball:", "%b = phi i64 [ 0, %balls ], [ %b.next, %next_ball ]",
-             f"%left = phi {code.numbers} [ {left}, %balls ], [ %left.next, %next_ball ]")
-    _, hit, _, _ = meet_ball(code, rays, "%left")
-    rest = code.choose(hit, ZERO, "%left")
-    code.lay("br label %next_ball", "next_ball:",
-             f"%left.next = phi {code.numbers} [ %left, %ball ], [ {rest}, %settled ]")
-    next_ball(code)
-    return code.either(before, code.both(code.compare("%left.next", "oeq", ZERO), code.compare(tmax, "ogt", ZERO)))
+    begin_search(code, rays, [("left", code.numbers, code.choose(before, ZERO, tmax))])
+    _, hit, _, _ = meet_ball(code, rays, next_ball(code, "%left"), "%left")
+    code.lay(f"%left.next = select {code.flags} {hit}, {code.numbers} {ZERO}, {code.numbers} %left",
+             "br label %search", "all_balls:")
+    return code.either(before, code.both(code.compare("%left", "oeq", ZERO), code.compare(tmax, "ogt", ZERO)))
 
 
-def next_ball(code: Vectors) -> None:
-    """Lays the end of the loop over balls."""
-    code.lay("%b.next = add i64 %b, 1", "%b.more = icmp slt i64 %b.next, %ball_count",
-             "br i1 %b.more, label %ball, label %all_balls", "all_balls:")
+def begin_search(code: Vectors, rays: Rays, carried: list[tuple[str, str, str]]) -> None:
+    """Lays a loop that stores in `%starts` where rays enter spheres, and the head of the loop in which each meets the balls.
+
+    Args:
+        carried: name, type and first value of what goes from turn to turn.
+    """
+    code.lay("br label %balls", "balls:", "br label %sphere",
+             "sphere:", "%s = phi i64 [ 0, %balls ], [ %s.next, %sphere ]")
+    place = code.at(code.scalar, "%placements", code.line("mul i64 %s, 12"))
+    sphere = meet_sphere(code, seen_from_ball(code, rays, [code.splat(code.load(code.scalar, place, number), code.scalar)
+                                                           for number in range(12)]))
+    start = code.choose(code.both(rays.valid, sphere.met), sphere.start, code.constant(INFINITY))
+    code.store(code.numbers, start, code.at(code.numbers, "%starts", "%s"))
+    code.lay("%s.next = add i64 %s, 1", "%s.more = icmp slt i64 %s.next, %ball_count",
+             "br i1 %s.more, label %sphere, label %spheres", "spheres:", "br label %search",
+             "search:", *(f"%{name} = phi {kind} [ {first}, %spheres ], [ %{name}.next, %settled ]"
+                          for name, kind, first in carried),
+             f"%past = phi {code.numbers} [ {code.constant('-1.0')}, %spheres ], [ %near.start.next, %settled ]",
+             f"%past.ball = phi {code.integers} [ splat (i32 -1), %spheres ], [ %near.ball.next, %settled ]")
 
 
-def meet_ball(code: Vectors, rays: Rays, end: str) -> tuple[Local, str, str, Facet]:
-    """Lays the meeting with the ball `%b`; from the label `ball` to `next_ball` if no ray comes near, else to `settled`.
+def next_ball(code: Vectors, end: str) -> Nearest:
+    """Lays the search for the nearest sphere beyond `%past`; goes on at `all_balls` if no ray has one, else at `meet`.
+
+    Args:
+        end: where spheres must begin at the most; 0: none is wanted.
+    """
+    code.lay("br label %ball", "ball:", "%b = phi i64 [ 0, %search ], [ %b.next, %ball ]",
+             f"%near.start = phi {code.numbers} [ {code.constant(INFINITY)}, %search ], [ %near.start.next, %ball ]",
+             f"%near.ball = phi {code.integers} [ splat (i32 -1), %search ], [ %near.ball.next, %ball ]")
+    start = code.line(f"load {code.numbers}, ptr {code.at(code.numbers, '%starts', '%b')}")
+    number = code.splat(code.line("trunc i64 %b to i32"), "i32")
+    later = code.both(code.compare(start, "oeq", "%past"), code.line(f"icmp sgt {code.integers} {number}, %past.ball"))
+    later = code.either(later, code.compare(start, "ogt", "%past"))
+    better = code.both(later, code.compare(start, "olt", "%near.start"))
+    code.lay(f"%near.start.next = select {code.flags} {better}, {code.numbers} {start}, {code.numbers} %near.start",
+             f"%near.ball.next = select {code.flags} {better}, {code.integers} {number}, {code.integers} %near.ball",
+             "%b.next = add i64 %b, 1", "%b.more = icmp slt i64 %b.next, %ball_count",
+             "br i1 %b.more, label %ball, label %nearest", "nearest:")
+    before_end = code.both(code.compare("%near.start.next", "ole", end), code.compare(end, "ogt", ZERO))
+    some = code.both(before_end, code.line(f"icmp sge {code.integers} %near.ball.next, {ZERO}"))
+    branch_if_any(code, some, "meet", "all_balls")
+    return Nearest(code.choose(some, "%near.ball.next", ZERO, "i32"), some)
+
+
+def seen_from_ball(code: Vectors, rays: Rays, placement: list[str]) -> Local:
+    """Rays relative to balls, of which the 12 numbers of `ball.Tables.placements` are given."""
+    rows = [placement[3:6], placement[6:9], placement[9:12]]
+    away = [code.sub(o, centre) for o, centre in zip(rays.o, placement)]
+    return Local([code.dot(row, away) for row in rows], [code.dot(row, rays.d) for row in rows])
+
+
+def local_of(code: Vectors, rays: Rays, ball: Nearest) -> Local:
+    """Each ray relative to its ball."""
+    place = code.line(f"mul {code.integers} {ball.number}, splat (i32 12)")
+    return seen_from_ball(code, rays, [code.gather(code.scalar, "%placements", plus(code, place, number), ball.some)
+                                       for number in range(12)])
+
+
+def meet_sphere(code: Vectors, local: Local) -> Sphere:
+    """Where rays enter and leave the sphere around a ball: half a chord from the point closest to its centre."""
+    o, d = local
+    one = code.constant("1.0")
+    shorter = code.rough_div(one, code.dot(d, d))
+    middle = code.negative(code.mul(code.dot(o, d), shorter))
+    nearest = local.at(code, middle)
+    inside = code.sub(one, code.dot(nearest, nearest))
+    half = square_root(code, code.mul(code.choose(code.compare(inside, "ogt", ZERO), inside, ZERO), shorter))
+    enter, leave = code.sub(middle, half), code.add(middle, half)
+    near = code.compare(code.dot(o, o), "ole", code.number(1 + NEAR))
+    start = code.choose(near, ZERO, enter)
+    ahead = code.both(code.compare(leave, "ogt", ZERO), code.either(near, code.compare(start, "ogt", ZERO)))
+    return Sphere(start, leave, near, code.both(code.compare(inside, "ogt", ZERO), ahead))
+
+
+def meet_ball(code: Vectors, rays: Rays, ball: Nearest, end: str) -> tuple[Local, str, str, Facet]:
+    """Lays the meeting of each ray with a ball; from the label `meet` to `settled`.
 
     Returns:
         The rays; flags of those that hit at 0 < t <= `end`; t, and the facet that is hit.
     """
-    place = code.at(code.scalar, "%placements", code.line("mul i64 %b, 12"))
-    values = [code.splat(code.load(code.scalar, place, number), code.scalar) for number in range(12)]
-    rows = [values[3:6], values[6:9], values[9:12]]
-    away = [code.sub(o, centre) for o, centre in zip(rays.o, values)]
-    local = Local([code.dot(row, away) for row in rows], [code.dot(row, rays.d) for row in rows])
-    o, d = local
-
-    # Where rays enter and leave the sphere: half a chord from the point closest to its centre.
-    one = code.constant("1.0")
-    squared = code.dot(d, d)
-    middle = code.negative(code.div(code.dot(o, d), squared))
-    nearest = local.at(code, middle)
-    inside = code.sub(one, code.dot(nearest, nearest))
-    half = square_root(code, code.div(code.choose(code.compare(inside, "ogt", ZERO), inside, ZERO), squared))
-    enter, leave = code.sub(middle, half), code.add(middle, half)
-    near = code.compare(code.dot(o, o), "ole", code.number(1 + NEAR))
-    start = code.choose(near, ZERO, enter)
-    ahead = code.both(code.compare(leave, "ogt", ZERO), code.compare(start, "ole", end))
-    meets = code.both(code.both(rays.valid, code.compare(inside, "ogt", ZERO)),
-                      code.both(ahead, code.either(near, code.compare(start, "ogt", ZERO))))
-    meets = code.both(meets, code.compare(end, "ogt", ZERO))
-    branch_if_any(code, meets, "meet", "next_ball")
+    local, one = local_of(code, rays, ball), code.constant("1.0")
+    sphere = meet_sphere(code, local)
+    near = code.both(ball.some, sphere.near)
 
     # Rays that start inside look for the exit, from the other side.
-    facet = facet_of(code, local.at(code, start), meets)
-    out = code.both(near, code.compare(code.dot(facet.n, o), "ole", one))
-    begin = code.choose(out, leave, start)
-    code.lay("br label %step", "step:", f"%reached = phi {code.numbers} [ {begin}, %meet ], [ %further, %step ]",
-             f"%row = phi {code.integers} [ splat (i32 -1), %meet ], [ %row.next, %step ]",
-             f"%column = phi {code.integers} [ splat (i32 -1), %meet ], [ %column.next, %step ]",
-             f"%meeting = phi {code.flags} [ {meets}, %meet ], [ %meeting.next, %step ]",
-             "%steps = phi i64 [ 1, %meet ], [ %steps.next, %step ]")
+    branch_if_any(code, near, "close", "aim")
+    facet = facet_of(code, local.at(code, sphere.start), near)
+    within = code.both(near, code.compare(code.dot(facet.n, local.o), "ole", one))
+    code.lay("br label %aim", "aim:", f"%out = phi {code.flags} [ {ZERO}, %meet ], [ {within}, %close ]")
+    begin = code.choose("%out", sphere.leave, sphere.start)
+    code.lay("br label %step", "step:", f"%reached = phi {code.numbers} [ {begin}, %aim ], [ %further, %step ]",
+             f"%row = phi {code.integers} [ splat (i32 -1), %aim ], [ %row.next, %step ]",
+             f"%column = phi {code.integers} [ splat (i32 -1), %aim ], [ %column.next, %step ]",
+             f"%meeting = phi {code.flags} [ {ball.some}, %aim ], [ %meeting.next, %step ]",
+             "%steps = phi i64 [ 1, %aim ], [ %steps.next, %step ]")
     facet = facet_of(code, local.at(code, "%reached"), "%meeting")
-    slope = code.dot(facet.n, d)
-    falls = code.compare(code.choose(out, code.negative(slope), slope), "olt", ZERO)
+    slope = code.dot(facet.n, local.d)
+    falls = code.compare(code.choose("%out", code.negative(slope), slope), "olt", ZERO)
     same = code.both(code.line(f"icmp eq {code.integers} {facet.row}, %row"),
                      code.line(f"icmp eq {code.integers} {facet.column}, %column"))
-    crossing = code.div(code.sub(one, code.dot(facet.n, o)), slope)
+    crossing = code.div(code.sub(one, code.dot(facet.n, local.o)), slope)
     code.lay(f"%row.next = add {code.integers} {facet.row}, {ZERO}",
              f"%column.next = add {code.integers} {facet.column}, {ZERO}",
              f"%meeting.next = and {code.flags} %meeting, {falls}",
@@ -180,8 +250,7 @@ def facet_of(code: Vectors, p: list[str], mask: str) -> Facet:
     whole = code.sub(code.number(2 * math.pi), azimuth)
     azimuth = code.choose(code.compare(p[1], "olt", ZERO), whole, azimuth)
     column = cell(code, azimuth, SEGMENTS / (2 * math.pi), SEGMENTS, mask)
-    place = code.line(f"mul {code.integers} {column}, splat (i32 2)")
-    middle = [code.gather(code.scalar, "%sectors", plus(code, place, number), mask) for number in range(2)]
+    middle = middle_of(code, column, mask)
 
     # The edge between two rows is a chord, which is nearer to the axis in its middle than at its ends.
     r = code.add(code.mul(p[0], middle[0]), code.mul(p[1], middle[1]))
@@ -189,7 +258,13 @@ def facet_of(code: Vectors, p: list[str], mask: str) -> Facet:
     row = cell(code, polar, RINGS / math.pi, RINGS, mask)
     place = code.line(f"mul {code.integers} {row}, splat (i32 7)")
     outwards, up = (code.gather(code.scalar, "%rings", plus(code, place, number), mask) for number in range(2))
-    return Facet(row, column, middle, [code.mul(outwards, middle[0]), code.mul(outwards, middle[1]), up])
+    return Facet(row, column, [code.mul(outwards, middle[0]), code.mul(outwards, middle[1]), up])
+
+
+def middle_of(code: Vectors, column: str, mask: str) -> list[str]:
+    """Cosine and sine of the azimuth in the middle of columns of facets."""
+    place = code.line(f"mul {code.integers} {column}, splat (i32 2)")
+    return [code.gather(code.scalar, "%sectors", plus(code, place, number), mask) for number in range(2)]
 
 
 def angle(code: Vectors, x: str, y: str) -> str:
@@ -198,12 +273,20 @@ def angle(code: Vectors, x: str, y: str) -> str:
     steep = code.compare(high, "ogt", wide)
     least, most = code.choose(steep, wide, high), code.choose(steep, high, wide)
     ratio = code.rough_div(least, code.add(most, code.number(TINY)))
-    square, sum_ = code.mul(ratio, ratio), code.number(ARC[-1])
-    for coefficient in reversed(ARC[:-1]):
-        sum_ = code.add(code.mul(sum_, square), code.number(coefficient))
-    arc = code.mul(sum_, ratio)
+    square = code.mul(ratio, ratio)
+    fourth = code.mul(square, square)
+    even, odd = (polynomial(code, ARC[first::2], fourth) for first in (0, 1))  # side by side: neither waits for the other
+    arc = code.mul(code.add(code.mul(odd, square), even), ratio)
     arc = code.choose(steep, code.sub(code.number(math.pi / 2), arc), arc)
     return code.choose(code.compare(x, "olt", ZERO), code.sub(code.number(math.pi), arc), arc)
+
+
+def polynomial(code: Vectors, coefficients: tuple[float, ...], x: str) -> str:
+    """The sum of coefficients times powers of x, from 0 up."""
+    value = code.number(coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        value = code.add(code.mul(value, x), code.number(coefficient))
+    return value
 
 
 def cell(code: Vectors, angle: str, per_radian: float, count: int, mask: str) -> str:
@@ -223,30 +306,30 @@ def square_root(code: Vectors, a: str) -> str:
     return code.call(f"llvm.sqrt.{code.suffix(code.scalar)}", code.numbers, (code.numbers, a))
 
 
-def place_on_facet(code: Vectors, p: list[str], facet: Facet) -> tuple[str, str, str]:
-    """prim, u and v of points on facets of the ball `%b`."""
-    place = code.line(f"mul {code.integers} {facet.row}, splat (i32 7)")
+def place_on_facet(code: Vectors, p: list[str], ball: Nearest, row: str, column: str) -> tuple[str, str, str]:
+    """prim, u and v of points on facets of balls."""
+    cosine, sine = middle_of(code, column, ball.some)
+    place, (x, y, z) = code.line(f"mul {code.integers} {row}, splat (i32 7)"), p
     of_r, of_z, constant, w0, w1 = (code.gather(code.scalar, "%rings", plus(code, place, number)) for number in range(2, 7))
-    (cosine, sine), (x, y, z) = facet.middle, p
     r = code.add(code.mul(x, cosine), code.mul(y, sine))
     aside = code.sub(code.mul(y, cosine), code.mul(x, sine))
     height = code.add(code.add(code.mul(of_r, r), code.mul(of_z, z)), constant)
 
     # The diagonal runs from -w0 at height 0 to w1 at height 1; a row at a pole has only one half.
     beyond = code.add(aside, code.sub(w0, code.mul(height, code.add(w0, w1))))
-    lesser = code.both(code.compare(beyond, "oge", ZERO), code.line(f"icmp ne {code.integers} {facet.row}, {ZERO}"))
-    lesser = code.either(lesser, code.line(f"icmp eq {code.integers} {facet.row}, splat (i32 {RINGS - 1})"))
+    lesser = code.both(code.compare(beyond, "oge", ZERO), code.line(f"icmp ne {code.integers} {row}, {ZERO}"))
+    lesser = code.either(lesser, code.line(f"icmp eq {code.integers} {row}, splat (i32 {RINGS - 1})"))
     width = code.choose(lesser, w0, w1)
     share = code.rough_div(beyond, code.add(width, width))
     # Corners of the lesser half: both angles least, both greatest, and the third; of the other: least, third, greatest.
     v = code.choose(lesser, share, code.add(share, height))
     u = code.choose(lesser, height, code.negative(share))
 
-    at = code.at("i32", "%ball_triangles", code.line("mul i64 %b, 2"))
-    first, turned = (code.splat(code.load("i32", at, number), "i32") for number in range(2))
+    at = code.line(f"mul {code.integers} {ball.number}, splat (i32 2)")
+    first, turned = (code.gather("i32", "%ball_triangles", plus(code, at, number)) for number in range(2))
     turned = code.line(f"icmp ne {code.integers} {turned}, {ZERO}")
     u, v = code.choose(turned, v, u), code.choose(turned, u, v)
-    number = code.line(f"add {code.integers} {facet.column}, "
-                       f"{code.line(f'mul {code.integers} {facet.row}, splat (i32 {SEGMENTS})')}")
+    number = code.line(f"add {code.integers} {column}, "
+                       f"{code.line(f'mul {code.integers} {row}, splat (i32 {SEGMENTS})')}")
     shift = code.choose(lesser, f"splat (i32 {-SEGMENTS})", f"splat (i32 {TRIANGLES // 2})", "i32")
     return code.line(f"add {code.integers} {first}, {code.line(f'add {code.integers} {number}, {shift}')}"), u, v
