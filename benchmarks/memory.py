@@ -24,6 +24,7 @@ from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
 from torch_radbp.adjoint.function import pixel_sums, start_paths
+from torch_radbp.record import joined
 from torch_radbp.vec import Vec3, masked, rows
 from torch_radbp.wavefront import add_at, survivors, take_step
 
@@ -49,9 +50,10 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
     images = [torch.zeros(3, view.height * view.width)]
 
     def one_bounce(state, depth):
-        vertex, step = take_step(integrand, state, depth)
-        found = rows(state.beta, step.order) * (vertex.Le + masked(step.visible, vertex.Ld))
-        return vertex.next.lane, found, survivors(integrand, vertex.next, step)
+        vertex, light, step = take_step(integrand, state, depth)
+        found = vertex.Le + masked(step.visible, vertex.Ld)
+        found = found if light is None else joined([found, light])
+        return rows(state.lane, step.order), rows(state.beta, step.order) * found, survivors(integrand, vertex.next, step)
 
     for chunk in call.chunks:
         state, depth = start_paths(call, chunk, view.sample_keys[0]), 0

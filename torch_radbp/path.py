@@ -183,12 +183,21 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
     return surface_interaction(scene, arrival.state.ray, arrival.hit, slides, here, arrival.front)
 
 
+def ending(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
+           settings: Settings, given: tuple[Given, ...]) -> Vec3:
+    """The end of the recursion, L_k = E_k, where nothing is scattered: the light that the M paths meet; attached to `scene`.
+
+    Args as for `bounce`; `scene` is a part without an appearance.
+    """
+    return scattering(scene, proposal, rows(arrival, lanes), at, settings, given).Le
+
+
 def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
            settings: Settings, given: tuple[Given, ...]) -> Vertex:
     """One step of the recursion L_k = E_k + F_k L_{k+1}: what happens at the vertex, and where the path goes from there.
 
     Args:
-        scene: attached; the part of it that these lanes read. If it has no appearance, only what is emitted counts.
+        scene: attached; the part of it that these lanes read, with an appearance.
         proposal: the same, detached; decides samples, densities, weights and survival.
         arrival: the paths that reach this bounce.
         lanes: (M,) int32, those of them that are computed, in this order.
@@ -204,12 +213,10 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     local = scattering(scene, proposal, arrival, at, settings, given)
 
     # Aim the shadow ray at the light sample.
-    zero = torch.zeros_like(state.pdf)
-    shadow, distance = (state.ray, zero) if local.light is None else shadow_ray(local.si, local.light)
+    nowhere = state.ray, torch.zeros_like(state.pdf)
+    shadow, distance = nowhere if local.light is None else shadow_ray(local.si, local.light)
 
     # Leave along the sampled direction.
-    if local.sample is None:
-        return Vertex(local.Le, local.Ld, Vec3(zero, zero, zero), shadow, distance, state, local.survives)
     F = local.sample.weight * local.thinning
     ray = departure(local.si, local.sample.wo)
     here = None if state.vantage is None else vantage(local.si)

@@ -13,25 +13,25 @@ from copy import copy
 from torch_radbp.adjoint.sweep import bounce_adjoint
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.jit.machine import made_once
-from torch_radbp.path import bounce, chance_of_light, pick_light, places, sample_camera
+from torch_radbp.path import bounce, chance_of_light, ending, pick_light, places, sample_camera
 from torch_radbp.queues import appearance_met, shines
 from torch_radbp.record import leaves_of
 from torch_radbp.vec import rows
 from torch_radbp.wavefront import Stages, brightened
 
-EAGER = Stages(sample_camera, bounce, bounce_adjoint, places, pick_light, chance_of_light, appearance_met, shines, rows,
-               brightened)
+EAGER = Stages(sample_camera, bounce, ending, bounce_adjoint, places, pick_light, chance_of_light, appearance_met, shines,
+               rows, brightened)
 
 
 @made_once
 def compiled() -> Stages:
     """The stages as fused loops; one set for the whole process."""
-    return Stages(CompiledStage(sample_camera, "camera"), CompiledStage(bounce, "scene", "proposal", "arrival"),
+    path = "scene", "proposal", "arrival"
+    return Stages(CompiledStage(sample_camera, "camera"), CompiledStage(bounce, *path), CompiledStage(ending, *path),
                   CompiledStage(bounce_adjoint, "scene", "arrival", "adj_L", "memo"),
                   CompiledStage(places, "scene", "arrival"), CompiledStage(pick_light, "scene", "choice"),
                   CompiledStage(chance_of_light, "scene", "choice", "arrival"), CompiledStage(appearance_met, "scene"),
-                  CompiledStage(shines, "scene"), CompiledStage(rows, "record"),
-                  CompiledStage(brightened, "L", "beta"))
+                  CompiledStage(shines, "scene"), CompiledStage(rows, "record"), CompiledStage(brightened, "L", "beta"))
 
 
 class CompiledStage:

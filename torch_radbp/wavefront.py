@@ -45,9 +45,15 @@ class Step(NamedTuple):
     front: Tensor | None  # (N,) bool, see `Arrival`
     order: Tensor  # (M,) int32, these paths queue by queue; those that meet neither surface nor light are left out
     queues: tuple[Queue, ...]
-    visible: Tensor  # (M,) bool: the shadow ray was free
-    survives: Tensor  # (M,) bool: the path goes on
+    visible: Tensor  # (K,) bool: the shadow ray was free; of the first K, which meet an appearance: the others end here
+    survives: Tensor  # (K,) bool: the path goes on
     picked: LightPick | None = None  # (N,) None: lights are picked by probabilities that are the same everywhere
+
+    @property
+    def scattered(self) -> int:
+        """K, the number of lanes that meet an appearance."""
+        last = self.queues[-1]
+        return last.first if last.appearance is None else last.last
 
     def arrival(self, state: PathState) -> Arrival:
         """The paths that reach the bounce, and what they meet."""
@@ -59,6 +65,7 @@ class Stages(NamedTuple):
 
     sample_camera: Callable
     bounce: Callable
+    ending: Callable
     bounce_adjoint: Callable
     places: Callable
     pick_light: Callable
@@ -83,7 +90,7 @@ class Part(NamedTuple):
 
     scene: SceneTensors  # the part of the integrand's scene that they read
     proposal: SceneTensors  # the same, detached
-    bounce: Callable[..., Vertex]  # prepared for both
+    evaluate: Callable  # `Stages.bounce`, or `Stages.ending` where they have no appearance, prepared for both
 
 
 class Integrand(NamedTuple):
@@ -107,7 +114,8 @@ class Integrand(NamedTuple):
         """What the lanes of a queue go through."""
         if queue.appearance not in self.parts:
             scene, proposal = (part_of(tensors, self.appearance(queue)) for tensors in (self.scene, self.proposal))
-            self.parts[queue.appearance] = Part(scene, proposal, knowing(self.stages.bounce, scene, proposal))
+            stage = self.stages.ending if queue.appearance is None else self.stages.bounce
+            self.parts[queue.appearance] = Part(scene, proposal, knowing(stage, scene, proposal))
         return self.parts[queue.appearance]
 
     def places(self, queue: Queue, arrival: Arrival, lanes: Tensor) -> tuple[Place, ...]:
@@ -144,27 +152,28 @@ def position(depth: int, roulette: bool, dtype: torch.dtype, device: torch.devic
 
 
 def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
-              hit: Hit | None = None) -> tuple[Vertex, Step]:
+              hit: Hit | None = None) -> tuple[Vertex, Vec3 | None, Step]:
     """One bounce of every lane; rays are cast only if `step` and `hit` do not hold their answers.
 
     Returns:
-        The vertices in the order of `Step.order`, and the decisions.
+        The vertices of the lanes that meet an appearance, the light that the other lanes of `Step.order` meet (None: there
+        are none), and the decisions.
     """
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
         step = Step(hit, *queued(integrand, state.ray, hit, integrand.is_last(depth)), undecided, undecided,
                     picked_lights(integrand, state, hit, depth))
-        vertex = bounce_queues(integrand, state, depth, step)
+        vertex, light = bounce_queues(integrand, state, depth, step)
         connects = integrand.settings.nee and not integrand.is_last(depth)
         visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
             torch.zeros_like(vertex.survives))
-        return vertex, step._replace(visible=visible, survives=vertex.survives)
-    return bounce_queues(integrand, state, depth, step), step
+        return vertex, light, step._replace(visible=visible, survives=vertex.survives)
+    return *bounce_queues(integrand, state, depth, step), step
 
 
-def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step) -> Vertex:
-    """The vertices of all lanes, each queue by the functions of its appearance."""
+def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step) -> tuple[Vertex, Vec3 | None]:
+    """The vertices of the lanes that meet an appearance, each queue by its functions, and the light that others meet."""
     settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
     arrival, at = step.arrival(state), integrand.at(depth)
 
@@ -173,13 +182,16 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
         given = given_values(integrand.scene, integrand.appearance(queue), integrand.places(queue, arrival, lanes))
         return part.scene, part.proposal, arrival, lanes, at, settings, given
 
-    bounces = [integrand.part(queue).bounce for queue in step.queues]
-    if len(bounces) == 1 or not hasattr(bounces[0], "into"):
-        return joined([bounce(*arguments(queue)) for bounce, queue in zip(bounces, step.queues)])
-    vertices = room_for_vertices(state, len(step.order))
-    for bounce, queue in zip(bounces, step.queues):
+    *_, last = step.queues
+    light = integrand.part(last).evaluate(*arguments(last)) if last.appearance is None else None
+    queues = [queue for queue in step.queues if queue.appearance is not None]
+    bounces = [integrand.part(queue).evaluate for queue in queues]
+    if len(bounces) == 1 or (bounces and not hasattr(bounces[0], "into")):
+        return joined([bounce(*arguments(queue)) for bounce, queue in zip(bounces, queues)]), light
+    vertices = room_for_vertices(state, step.scattered)
+    for bounce, queue in zip(bounces, queues):
         bounce.into(vertices, queue.first, *arguments(queue))
-    return vertices
+    return vertices, light
 
 
 def room_for_vertices(state: PathState, lanes: int) -> Vertex:
@@ -238,7 +250,7 @@ def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
 
 
 def surviving(step: Step) -> Tensor:
-    """Places in `Step.order` of the lanes that go on, int32."""
+    """Places in `Step.order` of the lanes that go on, int32; so they are among the vertices."""
     return chosen(step.survives)
 
 
@@ -247,8 +259,14 @@ class Bounce(NamedTuple):
 
     depth: int
     state: PathState  # that reached it
-    vertex: Vertex  # of the lanes in `step.order`
+    vertex: Vertex  # of the lanes of `step.order` that meet an appearance
+    light: Vec3 | None  # that the others meet, which end here
     step: Step
+
+    @property
+    def ended(self) -> Tensor:
+        """Places in the chunk of the lanes that end here, int32."""
+        return rows(self.state.lane, self.step.order[self.step.scattered:])
 
 
 def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mapping[int, Step] = {}) -> Iterator[Bounce]:
@@ -261,8 +279,8 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         steps: by depth, what was decided before; no ray is cast there.
     """
     while depth < integrand.max_depth and len(state.lane):
-        vertex, step = take_step(integrand, state, depth, steps.get(depth))
-        yield Bounce(depth, state, vertex, step)
+        vertex, light, step = take_step(integrand, state, depth, steps.get(depth))
+        yield Bounce(depth, state, vertex, light, step)
         state, depth = survivors(integrand, vertex.next, step), depth + 1
 
 
@@ -278,15 +296,19 @@ def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathStat
         (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
     """
     L = Vec3.buffer(start.beta.x)
-    for depth, state, vertex, step in bounces(integrand, start):
+    brightened = integrand.stages.brightened
+    for bounce in bounces(integrand, start):
+        (depth, state, vertex, light, step), count = bounce, bounce.step.scattered
         if visit is not None:
             visit(depth, state, step)
         lane = vertex.next.lane
-        put_rows(L, lane, integrand.stages.brightened(L, state.beta, step.order, lane, vertex.Le, vertex.Ld, step.visible))
+        put_rows(L, lane, brightened(L, state.beta, step.order[:count], lane, vertex.Le, vertex.Ld, step.visible))
+        if light is not None:
+            put_rows(L, bounce.ended, brightened(L, state.beta, step.order[count:], bounce.ended, light, None, None))
     return L
 
 
-def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: Vec3, visible: Tensor) -> Vec3:
+def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:
     """The radiance of some lanes after a bounce: beta (Le + visible Ld) more than before.
 
     Args:
@@ -294,9 +316,9 @@ def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: V
         beta: of the paths that reached the bounce.
         order: (M,) int32, those of them that are meant; the rest is in their order.
         lane: (M,) int32, their places in the chunk.
-        Le, Ld, visible: of the bounce.
+        Le, Ld, visible: of the bounce; None: nothing is scattered.
     """
-    return rows(L, lane) + rows(beta, order) * (Le + masked(visible, Ld))
+    return rows(L, lane) + rows(beta, order) * (Le if Ld is None else Le + masked(visible, Ld))
 
 
 def put_rows(record, place: Tensor, entries) -> None:

@@ -27,10 +27,10 @@ def first_bounces():
 
 def test_a_bounce_taken_again_keeps_the_survivors_although_rounding_differs():
     integrand, taken = first_bounces()
-    for depth, state, _, step in taken[:-1]:
+    for depth, state, _, _, step in taken[:-1]:
         # As another device or another compiler might: far more than rounding, so that roulette would decide otherwise.
         other = state._replace(beta=state.beta * (1 + 0.2 * torch.linspace(-1, 1, len(state.lane), dtype=torch.float64)))
-        vertex, again = take_step(integrand, other, depth, step)
+        vertex, _, again = take_step(integrand, other, depth, step)
         assert again is step
         assert 0 < int((vertex.survives != step.survives).sum()) < len(state.lane)
         assert torch.equal(survivors(integrand, vertex.next, again).lane, state.lane[step.order][step.survives])
@@ -38,7 +38,7 @@ def test_a_bounce_taken_again_keeps_the_survivors_although_rounding_differs():
 
 def test_the_derivative_is_that_of_the_recorded_survivors():
     integrand, taken = first_bounces()
-    depth, state, vertex, step = taken[0]
+    depth, state, vertex, _, step = taken[0]
     flipped = step._replace(survives=~step.survives)
     part, = (integrand.part(queue) for queue in step.queues)
     for decided in (step, flipped):

@@ -14,12 +14,12 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint.sweep import Sweep, bounce_adjoint
-from torch_radbp.path import Arrival, PathState, Position, Vertex, bounce, scattering
+from torch_radbp.path import Arrival, PathState, Position, bounce, ending, scattering
 from torch_radbp.plugin import Plugin, Texture
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import rows
-from torch_radbp.wavefront import Integrand
+from torch_radbp.wavefront import Integrand, Stages
 
 ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) and smaller steps"
 
@@ -97,22 +97,25 @@ def plain_name(parameter: str) -> str:
     return parameter.replace("parametrizations.", "").removesuffix(".original")
 
 
-def checked_bounce(finding: Finding) -> Callable[..., Vertex]:
-    """`path.bounce`, which notes the first bounce whose terms are not finite; for one chunk."""
+def checked_stages(stages: Stages, finding: Finding) -> Stages:
+    """Stages that note the first bounce whose terms are not finite; for one chunk."""
     depth, counter = -1, None
 
-    def checked(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, *rest) -> Vertex:
-        nonlocal depth, counter
-        if at.counter is not counter:  # the first queue of a bounce
-            depth, counter = depth + 1, at.counter
-        vertex = bounce(scene, proposal, arrival, lanes, at, *rest)
-        terms = torch.stack([*vertex.Le, *vertex.Ld, *vertex.F])
-        bad = ~torch.isfinite(terms).all(0)
-        light = light_is_finite(scene, proposal, arrival, lanes, at, *rest) if bool(bad.any()) else None
-        finding.look(depth, bad, arrival.hit.prim[lanes], light)
-        return vertex
+    def checked(stage: Callable, terms_of: Callable) -> Callable:
+        def call(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, *rest):
+            nonlocal depth, counter
+            if at.counter is not counter:  # the first queue of a bounce
+                depth, counter = depth + 1, at.counter
+            found = stage(scene, proposal, arrival, lanes, at, *rest)
+            bad = ~torch.isfinite(torch.stack(terms_of(found))).all(0)
+            light = light_is_finite(scene, proposal, arrival, lanes, at, *rest) if bool(bad.any()) else None
+            finding.look(depth, bad, arrival.hit.prim[lanes], light)
+            return found
 
-    return checked
+        return call
+
+    return stages._replace(bounce=checked(bounce, lambda vertex: [*vertex.Le, *vertex.Ld, *vertex.F]),
+                           ending=checked(ending, list))
 
 
 def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, *rest) -> Tensor:

@@ -15,7 +15,7 @@ from torch_radbp.adjoint.finite import (
     CheckedSweep,
     Finding,
     NonFiniteError,
-    checked_bounce,
+    checked_stages,
     count_of_bad,
     finite,
     gradient_error,
@@ -178,7 +178,7 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
     def trace_again(integrand: Integrand, finding: Finding) -> None:
         for chunk in call.chunks:
             if finding.depth is None:
-                trace_chunk(call, integrand.with_stages(integrand.stages._replace(bounce=checked_bounce(finding))), chunk,
+                trace_chunk(call, integrand.with_stages(checked_stages(integrand.stages, finding)), chunk,
                             call.views[chunk.sensor].sample_keys[0], record=False)
 
     with torch.no_grad():

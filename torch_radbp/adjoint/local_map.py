@@ -32,7 +32,7 @@ class Verdict(NamedTuple):
     survives: Tensor  # (N,) bool: the path goes on
 
 
-def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, verdict: Verdict, following: Hit | None,
+def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, verdict: Verdict | None, following: Hit | None,
               at: Position, settings: Settings, given: tuple[Given, ...], here: Corners | None = None,
               there: Corners | None = None) -> LocalMap:
     """From parameters, and from the ray if it is moving, to E_k and F_k, and to the next ray.
@@ -40,14 +40,14 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     Args:
         scene, proposal, at, settings, given: as for `bounce`.
         arrival: the lanes, as they are.
-        verdict: what was decided.
+        verdict: what was decided; None where nothing is scattered.
         following: what the next ray meets, triangle -1 where it meets nothing or there is none.
         here, there: the corners of the triangles that the ray meets and that the next ray does; None: as the scene has them.
     """
     local = scattering(scene, proposal, arrival, at, settings, given, here)
+    if verdict is None:
+        return LocalMap(local.Le, local.Le.map(torch.zeros_like), None, None)
     E = local.Le + masked(verdict.visible, local.Ld)
-    if local.sample is None:
-        return LocalMap(E, E.map(torch.zeros_like), None, None)
     if not settings.moving:
         return LocalMap(E, masked(verdict.survives, local.sample.weight * local.thinning), None, None)
     weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling, there)

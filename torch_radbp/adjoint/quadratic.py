@@ -51,11 +51,13 @@ class QuadraticAdjoint:
 def radiance_beyond(sweep: Sweep, reached: PathState, first: int) -> Vec3:
     """L_{k+1} of the paths that have reached bounce k, the depth `first`, by lane; 0 where they end."""
     L, weight = Vec3.buffer(sweep.adj_L.x), Vec3.full(sweep.adj_L.x, 1.0).map(Tensor.clone)
-    for depth, _, vertex, step in bounces(sweep.integrand, reached, first, sweep.record.steps):
-        if depth > first:
-            lane = vertex.next.lane
+    for bounce in bounces(sweep.integrand, reached, first, sweep.record.steps):
+        if bounce.depth > first:
+            vertex, lane, ended = bounce.vertex, bounce.vertex.next.lane, bounce.ended
             here = rows(weight, lane)
-            add_at(L, lane, here * (vertex.Le + masked(step.visible, vertex.Ld)))
+            add_at(L, lane, here * (vertex.Le + masked(bounce.step.visible, vertex.Ld)))
+            if bounce.light is not None:
+                add_at(L, ended, rows(weight, ended) * bounce.light)
             for old, new in zip(weight, here * vertex.F):
                 old.index_copy_(0, lane.long(), new)
     return L

@@ -44,7 +44,7 @@ class ReplayAdjoint:
     def backward(self, sweep: Sweep) -> None:
         """Walks down the path with what remains of L."""
         L, stack = sweep.record.radiance, []
-        for depth, state, vertex, step in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps):
+        for depth, state, vertex, _, step in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps):
             lane = vertex.next.lane
             remaining = rows(L, lane) - (vertex.Le + masked(step.visible, vertex.Ld))
             F = masked(step.survives, vertex.F)

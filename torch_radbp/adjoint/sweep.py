@@ -70,7 +70,7 @@ class TableAdjoint(NamedTuple):
     adjoint: Tensor
 
 
-def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, verdict: Verdict,
+def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, verdict: Verdict | None,
                    adj_L: Vec3, memo: Memo, at: Position, settings: Settings, given: tuple[Given, ...]
                    ) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
     """The local vector-Jacobian product of one bounce.
@@ -79,7 +79,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
         scene: the part that these lanes read, detached.
         wanted: of each leaf of `scene` (counted as `leaves_of` does), whether to differentiate it.
         arrival, lanes: as for `bounce`.
-        verdict: what was decided for these lanes.
+        verdict: what was decided for these lanes; None where nothing is scattered.
         adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
         memo: of all lanes of the chunk.
         at, settings, given: as in the forward pass.
@@ -209,7 +209,7 @@ class Sweep:
 
     def advance(self, state: PathState, depth: int) -> PathState:
         """Replays one bounce."""
-        vertex, step = take_step(self.integrand, state, depth, self.record.steps.get(depth))
+        vertex, _, step = take_step(self.integrand, state, depth, self.record.steps.get(depth))
         return survivors(self.integrand, vertex.next, step)
 
     @property
@@ -225,12 +225,13 @@ class Sweep:
         """Differentiates one bounce and moves the memo from L_{k+1} to L_k."""
         step = self.record.steps.get(depth)
         if step is None:
-            step = take_step(self.integrand, state, depth)[1]
+            step = take_step(self.integrand, state, depth)[-1]
         integrand, arrival = self.integrand, step.arrival(state)
         at, settings = integrand.at(depth), integrand.settings_at(depth)
         for queue in step.queues:
             here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue)
-            lanes, verdict = step.order[here], Verdict(step.visible[here], step.survives[here])
+            lanes = step.order[here]
+            verdict = None if queue.appearance is None else Verdict(step.visible[here], step.survives[here])
             outside = OutsideValues(integrand, self.numbered, queue, integrand.places(queue, arrival, lanes), self.moving)
             above, tables, adj_given = adjoint.of_bounce(adjoint.scene, adjoint.wanted, arrival, lanes, verdict, self.adj_L,
                                                          self.memo, at, settings, outside.given)

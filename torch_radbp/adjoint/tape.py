@@ -38,15 +38,16 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
     L, depth = Vec3.buffer(state.beta.x.detach()), 0
     hit = first_hit(fixed, detached(state).ray, depth)
     while depth < integrand.max_depth and len(state.lane):
-        vertex, step = take_step(fixed, detached(state), depth, hit=hit)
+        vertex, _, step = take_step(fixed, detached(state), depth, hit=hit)
         alive, last = surviving(step), integrand.is_last(depth)
         hit = None if last else fixed.caster.intersect(rows(vertex.next.ray, alive))
         following = spread(hit, alive, vertex.shadow_distance)
         arrival, verdict = rows(step.arrival(state), step.order), Verdict(step.visible, step.survives)
         ahead = []
         for queue in step.queues:
-            here, decided, there = (rows_between(record, queue.first, queue.last)
-                                    for record in (arrival, verdict, following))
+            here = rows_between(arrival, queue.first, queue.last)
+            decided, there = (None if queue.appearance is None else rows_between(record, queue.first, queue.last)
+                              for record in (verdict, following))
             then = here.state
             part = integrand.part(queue)
             settings = integrand.settings_at(depth)

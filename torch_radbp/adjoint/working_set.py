@@ -124,7 +124,7 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
     def of_adjoint(lanes: int) -> float:
         state = start(lanes)
         with torch.no_grad():
-            _, step = take_step(integrand, state, 0)
+            step = take_step(integrand, state, 0)[-1]
             _, sweep = sweep_of(state, step)
             with AllocatedBytes() as allocated:
                 sweep.adjoint(state, 0)
@@ -133,7 +133,7 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
     def of_outside(lanes: int) -> float:
         state, peak = start(lanes), 0.0
         with torch.no_grad():
-            _, step = take_step(integrand, state, 0)
+            step = take_step(integrand, state, 0)[-1]
             gradients, sweep = sweep_of(state, step)
             for queue in step.queues:
                 places = integrand.places(queue, Arrival(state, step.hit, step.front), step.order[queue.first:queue.last])
