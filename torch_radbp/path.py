@@ -57,6 +57,7 @@ from torch_radbp.vec import Ray, Vec2, Vec3, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)
+FILM_U, FILM_V, APERTURE_U, APERTURE_V = range(4)  # those of a camera ray
 
 
 class Settings(NamedTuple):
@@ -138,8 +139,11 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor,
     camera_key = bounce_key(lane, CAMERA_COUNTER)
     row = torch.div(pixel, width, rounding_mode="floor")
     column = pixel - row * width
-    u, v = (uniform(camera_key, dimension, camera.dtype) for dimension in (0, 1))
-    return camera.ray(column, row, u, v), lane
+    u, v = (uniform(camera_key, dimension, camera.dtype) for dimension in (FILM_U, FILM_V))
+    aperture = None
+    if camera.kind.has_aperture:
+        aperture = Vec2(*(uniform(camera_key, dimension, camera.dtype) for dimension in (APERTURE_U, APERTURE_V)))
+    return camera.ray(column, row, u, v, aperture), lane
 
 
 def start_path(ray: Ray, key: LaneKey, from_places: bool = False) -> PathState:

@@ -7,7 +7,21 @@ from typing import Any
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.scenes import GROUP, SCENES, SUBJECT, beam, bitmap, camera, floor, lamp, lamps, parallel, sky, turned
+from tests.derivatives.scenes import (
+    GROUP,
+    SCENES,
+    SUBJECT,
+    beam,
+    bitmap,
+    blurred,
+    camera,
+    floor,
+    lamp,
+    lamps,
+    parallel,
+    sky,
+    turned,
+)
 from tests.scenes import diffuse, load, rgb
 
 MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
@@ -58,7 +72,8 @@ def shapes() -> dict[str, Any]:
             place(number), 20 + 7 * number, 30 - 5 * number, 10, size=size)
     found[SUBJECT] = objects("instances")[SUBJECT]
     found[f"{SUBJECT}_instance"] = turned((0.6, -0.6, 0.3), 14, -23, 31, size=0.15, type="instance", group=GROUP)
-    return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_parallel": parallel(1.2, 16), "floor": floor(), **found,
+    return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_parallel": parallel(1.2, 16),
+            f"{SUBJECT}_blurred": blurred(16, 50), "floor": floor(), **found,
             f"{SUBJECT}_beam": beam(), **{f"{SUBJECT}_{name}": objects(name)[SUBJECT] for name in LIGHTS},
             f"{SUBJECT}_surround": {"type": "constant", "radiance": rgb(0.3, 0.2, 0.4)}}
 

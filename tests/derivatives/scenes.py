@@ -65,6 +65,11 @@ def parallel(scaled: float = 0.8, size: int = 2) -> dict[str, Any]:
     return {"type": "orthographic", "to_world": pose, "film": camera(size, rfilter="gaussian")["film"]}
 
 
+def blurred(size: int = 2, fov: float = 34) -> dict[str, Any]:
+    """A camera with a lens, in focus before what it sees."""
+    return camera(size, fov, type="thinlens", aperture_radius=0.13, focus_distance=2.6, rfilter="gaussian")
+
+
 def lamp(**attributes: Any) -> dict[str, Any]:
     """A lamp above that faces down."""
     return rectangle((0.5, 2.6, 1.7), 0.8, (1, 0.13, 0.21), 119, **{
@@ -304,6 +309,7 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
                   texture=bitmap()),
     "perspective": {SUBJECT: camera(principal_point_offset_x=0.03, principal_point_offset_y=-0.02, rfilter="gaussian"),
                     "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
+    "thinlens": {SUBJECT: blurred(), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
     "orthographic": {SUBJECT: parallel(), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
 }
 

@@ -17,6 +17,7 @@ MOVES = {
     "texture coordinates": ("mesh", "subject", "vertex_texcoords"), "shape's pose": ("disk", "subject", "to_world"),
     "camera's pose": ("perspective", "subject", "to_world"), "field of view": ("perspective", "subject", "x_fov"),
     "pose without perspective": ("orthographic", "subject", "to_world"),
+    "aperture": ("thinlens", "subject", "aperture_radius"), "focus": ("thinlens", "subject", "focus_distance"),
     "principal point": ("perspective", "subject", "principal_point_offset_x"),
     "light's position": ("point", "subject", "position"),
     "lamp's pose": ("area", "subject", "to_world"), "sky's pose": ("envmap", "subject", "to_world"),

@@ -81,6 +81,8 @@ CAMERAS = {
         '<float name="near_clip" value="0.5"/>', crop(3, 2, 20, 12), type="orthographic",
         place='<transform name="to_world"><scale x="1.6" y="1.3" z="0.7"/><lookat origin="0.5, -0.4, 3" target="0, 0.1, 0" '
               'up="0.1, 1, 0"/></transform>'),
+    "thinlens": Camera(FOV + '<float name="aperture_radius" value="0.25"/><float name="focus_distance" value="2"/>',
+                       type="thinlens"),
     "matrix": Camera(FOV, place='<transform name="to_world"><rotate y="1" angle="180"/>'
                                 '<matrix value="1 0 0 0.1  0 1 0 0.2  0 0 1 3  0 0 0 1"/></transform>'),
 }

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -28,13 +28,16 @@ Lens = Any  # a NamedTuple of tensors, attached
 class CameraKind(ABC):
     """The functions of one kind of camera."""
 
+    has_aperture: ClassVar[bool] = False  # rays of one position on the image differ
+
     @abstractmethod
-    def ray(self, lens: Lens, position: Vec2) -> Ray:
+    def ray(self, lens: Lens, position: Vec2, aperture: Vec2 | None) -> Ray:
         """World rays, unit length, that start on the near plane; attached to the lens.
 
         Args:
             lens: of the camera.
             position: (N,) on the image, fractions of its size; (0, 0) is the upper left corner.
+            aperture: (N,) points of the unit square that choose a place on the lens; None without an aperture.
         """
 
     @abstractmethod
@@ -67,14 +70,15 @@ class Camera(NamedTuple):
     def dtype(self) -> torch.dtype:
         return self.film.quantiles.dtype
 
-    def ray(self, column: Tensor, row: Tensor, u: Tensor, v: Tensor) -> Ray:
+    def ray(self, column: Tensor, row: Tensor, u: Tensor, v: Tensor, aperture: Vec2 | None = None) -> Ray:
         """Rays through pixels of the crop window, offset by the reconstruction filter; attached to the lens.
 
         Args:
             column, row: (N,) of the pixels.
             u, v: (N,) uniform numbers.
+            aperture: (N,) more uniform numbers if the kind has an aperture, else None.
         """
-        return self.kind.ray(self.lens, self.film.position(column, row, u, v))
+        return self.kind.ray(self.lens, self.film.position(column, row, u, v), aperture)
 
     def beyond_far_plane(self, p: Vec3) -> Tensor:
         """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
@@ -124,3 +128,8 @@ class ProjectiveCamera(Sensor):
     def tensors(self) -> Camera:
         """The camera as a record of tensors, attached."""
         return Camera(self.kind(), self.lens(), self.film.tensors(self.to_world))
+
+
+def number(value: float) -> Tensor:
+    """() a number in torch's default dtype, which is to become a parameter."""
+    return torch.tensor(float(value), dtype=torch.get_default_dtype())

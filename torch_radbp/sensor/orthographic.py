@@ -29,7 +29,7 @@ class OrthographicLens(NamedTuple):
 class OrthographicKind(CameraKind):
     """Rays are parallel, and start on a rectangle."""
 
-    def ray(self, lens: OrthographicLens, position: Vec2) -> Ray:
+    def ray(self, lens: OrthographicLens, position: Vec2, aperture: None) -> Ray:
         x, y = 1.0 - 2.0 * position.x, (1.0 - 2.0 * position.y) / lens.aspect
         corner, d = near_corner(lens), normalize(lens.z)
         o = Vec3(*(c + a * x + b * y for c, a, b in zip(corner, lens.x, lens.y)))

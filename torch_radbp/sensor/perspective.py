@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import NUMBER, POSE, Domain
+from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register
-from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera
+from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera, number
 from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 FIELD_OF_VIEW = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, high_is_in=False, unit=" degrees")
@@ -40,7 +40,7 @@ class PinholeLens(NamedTuple):
 class PinholeKind(CameraKind):
     """Rays meet in a point."""
 
-    def ray(self, lens: PinholeLens, position: Vec2) -> Ray:
+    def ray(self, lens: PinholeLens, position: Vec2, aperture: None) -> Ray:
         slopes = lens.slopes(position)
         d = lens.axes.to_world(Vec3(slopes.x, slopes.y, torch.ones_like(slopes.x)))
         near = d * lens.near
@@ -61,8 +61,42 @@ class PinholeKind(CameraKind):
                             along_y - bottom * ahead, ahead - lens.near, lens.far - ahead])
 
 
+class FieldOfViewCamera(ProjectiveCamera):
+    """A camera with a field of view: `x_fov` (), degrees along x, beside `to_world`."""
+
+    fov_axis, focal_length = "x", None
+
+    def place_view(self, fov: float | None, focal_length: str | None, fov_axis: str, shutter_open: float,
+                   shutter_close: float, **placing: Any) -> None:
+        """Stores what all such cameras have; `placing` as for `place`."""
+        fov, fov_axis = field_of_view(fov, focal_length, fov_axis)
+        self.place(**placing)
+        self.shutter_open, self.shutter_close = shutter_open, shutter_close
+        self.freeze("x_fov", number(horizontal_fov(fov, fov_axis, self.aspect)))
+
+    def domains(self) -> dict[str, Domain]:
+        return super().domains() | {"x_fov": FIELD_OF_VIEW}
+
+    @property
+    def fov(self) -> float:
+        """The current field of view along x, degrees; `fov_axis` and `focal_length` are resolved into it."""
+        return float(self.x_fov)
+
+    def pinhole(self, shift_x: Tensor, shift_y: Tensor) -> PinholeLens:
+        """The pinhole in the middle of the lens, attached; shifts of the image as fractions of its size."""
+        matrix = self.to_world
+        columns = [normalize(Vec3.of(matrix[:3, k])) for k in range(3)]
+        return PinholeLens(
+            axes=Frame(*columns), origin=Vec3.of(matrix[:3, 3]), tan_x=torch.tan(0.5 * torch.deg2rad(self.x_fov)),
+            aspect=matrix.new_tensor(self.aspect), shift_x=shift_x, shift_y=shift_y,
+            near=matrix.new_tensor(self.near_clip), far=matrix.new_tensor(self.far_clip))
+
+    def view(self) -> str:
+        return f"{self.fov:.2f} deg"
+
+
 @register("sensor", "perspective")
-class Perspective(ProjectiveCamera):
+class Perspective(FieldOfViewCamera):
     """A pinhole camera. It looks along its local +z, with y up and x to the left, as in Mitsuba.
 
     Parameters: `to_world` (4, 4), `x_fov` (), `principal_point_offset_x`, `principal_point_offset_y` ().
@@ -82,39 +116,20 @@ class Perspective(ProjectiveCamera):
                  focus_distance: float | None = None, shutter_open: float = 0.0, shutter_close: float = 0.0,
                  film: Film | None = None, sampler: Sampler | None = None):
         super().__init__()
-        fov, fov_axis = field_of_view(fov, focal_length, fov_axis)
-        self.place(to_world, near_clip, far_clip, film, sampler)
-        self.focus_distance, self.shutter_open, self.shutter_close = focus_distance, shutter_open, shutter_close
-        dtype = torch.get_default_dtype()
-        self.freeze("x_fov", torch.tensor(horizontal_fov(fov, fov_axis, self.aspect), dtype=dtype))
-        self.freeze("principal_point_offset_x", torch.tensor(float(principal_point_offset_x), dtype=dtype))
-        self.freeze("principal_point_offset_y", torch.tensor(float(principal_point_offset_y), dtype=dtype))
+        self.place_view(fov, focal_length, fov_axis, shutter_open, shutter_close, to_world=to_world, near_clip=near_clip,
+                        far_clip=far_clip, film=film, sampler=sampler)
+        self.focus_distance = focus_distance
+        self.freeze("principal_point_offset_x", number(principal_point_offset_x))
+        self.freeze("principal_point_offset_y", number(principal_point_offset_y))
 
     def domains(self) -> dict[str, Domain]:
-        return {"to_world": POSE, "x_fov": FIELD_OF_VIEW, "principal_point_offset_x": NUMBER,
-                "principal_point_offset_y": NUMBER}
-
-    @property
-    def fov(self) -> float:
-        """The current field of view along x, degrees; `fov_axis` and `focal_length` are resolved into it."""
-        return float(self.x_fov)
-
-    fov_axis, focal_length = "x", None
+        return super().domains() | {"principal_point_offset_x": NUMBER, "principal_point_offset_y": NUMBER}
 
     def kind(self) -> PinholeKind:
         return PinholeKind()
 
     def lens(self) -> PinholeLens:
-        matrix = self.to_world
-        columns = [normalize(Vec3.of(matrix[:3, k])) for k in range(3)]
-        return PinholeLens(
-            axes=Frame(*columns), origin=Vec3.of(matrix[:3, 3]), tan_x=torch.tan(0.5 * torch.deg2rad(self.x_fov)),
-            aspect=matrix.new_tensor(self.aspect), shift_x=self.principal_point_offset_x,
-            shift_y=self.principal_point_offset_y, near=matrix.new_tensor(self.near_clip),
-            far=matrix.new_tensor(self.far_clip))
-
-    def view(self) -> str:
-        return f"{self.fov:.2f} deg"
+        return self.pinhole(self.principal_point_offset_x, self.principal_point_offset_y)
 
 
 def field_of_view(fov: float | None, focal_length: str | None, fov_axis: str) -> tuple[float, str]:

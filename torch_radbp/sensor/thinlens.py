@@ -1,0 +1,93 @@
+"""The camera with a lens: what is not in focus is blurred."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.domain import NUMBER, Domain
+from torch_radbp.plugin import Film, Matrix4, Sampler, positive, register
+from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
+from torch_radbp.sensor.kind import CameraKind, number
+from torch_radbp.sensor.perspective import FieldOfViewCamera, PinholeKind, PinholeLens
+from torch_radbp.vec import Ray, Vec2, Vec3, normalize
+
+LENGTH = NUMBER._replace(low=0.0, low_is_in=False)
+
+
+class ThinLensLens(NamedTuple):
+    """What the functions of a thin lens read; scalars are () tensors."""
+
+    pinhole: PinholeLens  # in the middle of the lens
+    radius: Tensor  # of the aperture
+    focus: Tensor  # distance of the plane in focus, along the viewing axis
+
+
+@dataclass(frozen=True)
+class ThinLensKind(CameraKind):
+    """Rays of one position on the image start all over a lens and meet in the plane that is in focus."""
+
+    has_aperture: ClassVar[bool] = True
+
+    def ray(self, lens: ThinLensLens, position: Vec2, aperture: Vec2) -> Ray:
+        pinhole, slopes = lens.pinhole, lens.pinhole.slopes(position)
+        start = square_to_uniform_disk_concentric(aperture.x, aperture.y) * lens.radius
+        ahead = torch.ones_like(slopes.x)
+        d = pinhole.axes.to_world(Vec3(slopes.x - start.x / lens.focus, slopes.y - start.y / lens.focus, ahead))
+        place = pinhole.axes.to_world(Vec3(start.x, start.y, torch.zeros_like(ahead)))
+        o = Vec3(*(c + p + n * pinhole.near for c, p, n in zip(pinhole.origin, place, d)))
+        return Ray(o, normalize(d))
+
+    def beyond_far_plane(self, lens: ThinLensLens, p: Vec3) -> Tensor:
+        return PinholeKind().beyond_far_plane(lens.pinhole, p)
+
+    def eye(self, lens: ThinLensLens) -> Tensor:
+        """The middle of the lens: silhouettes are those seen from there."""
+        return PinholeKind().eye(lens.pinhole)
+
+    def frustum(self, lens: ThinLensLens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
+        """What is seen from anywhere on the lens, and a little more: the blur has at most radius (1 + z / focus)."""
+        planes = PinholeKind().frustum(lens.pinhole, x, y, p)
+        _, _, ahead = lens.pinhole.axes.to_local(p - lens.pinhole.origin)
+        blur = lens.radius * (1.0 + ahead / lens.focus)
+        return torch.cat([planes[:4] + blur, planes[4:]])
+
+
+@register("sensor", "thinlens")
+class ThinLens(FieldOfViewCamera):
+    """A camera whose lens lets light in through a disk. It looks along its local +z, with y up and x to the left.
+
+    Things in the plane at `focus_distance` are sharp. Names and defaults are Mitsuba's, whose plugin has no principal point.
+
+    Parameters: `to_world` (4, 4), `x_fov`, `aperture_radius`, `focus_distance` (), the lengths in units of the world.
+
+    Args:
+        aperture_radius: of the lens.
+        focus_distance: of the sharp plane along the viewing axis; by default `far_clip`.
+        fov, focal_length, fov_axis, near_clip, far_clip: as of `perspective`, seen from the middle of the lens.
+        shutter_open, shutter_close: accepted, but without effect on a camera without motion.
+    """
+
+    def __init__(self, *, aperture_radius: float, to_world: Matrix4 | None = None, fov: float | None = None,
+                 focal_length: str | None = None, fov_axis: str = "x", near_clip: float = 1e-2, far_clip: float = 1e4,
+                 focus_distance: float | None = None, shutter_open: float = 0.0, shutter_close: float = 0.0,
+                 film: Film | None = None, sampler: Sampler | None = None):
+        super().__init__()
+        self.place_view(fov, focal_length, fov_axis, shutter_open, shutter_close, to_world=to_world, near_clip=near_clip,
+                        far_clip=far_clip, film=film, sampler=sampler)
+        focus_distance = self.far_clip if focus_distance is None else focus_distance
+        self.freeze("aperture_radius", number(positive("aperture_radius", aperture_radius)))
+        self.freeze("focus_distance", number(positive("focus_distance", focus_distance)))
+
+    def domains(self) -> dict[str, Domain]:
+        return super().domains() | {"aperture_radius": LENGTH, "focus_distance": LENGTH}
+
+    def kind(self) -> ThinLensKind:
+        return ThinLensKind()
+
+    def lens(self) -> ThinLensLens:
+        zero = torch.zeros_like(self.x_fov)
+        return ThinLensLens(self.pinhole(zero, zero), self.aperture_radius, self.focus_distance)
