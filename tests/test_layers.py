@@ -17,7 +17,7 @@ TRAINING = PACKAGE.parent / "training"
 # Data flows down this list; a module may import from its own layer and from those above it.
 LAYERS = [
     {"differentiated", "domain", "entry", "vec", "lookup", "plugin", "pose", "record", "jit"}, {"sampling"},
-    {"shape", "texture", "bsdf", "emitter", "sensor", "film"}, {"scene"},
+    {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
     {"raycast"}, {"path", "queues"}, {"given"}, {"wavefront"}, {"adjoint"}, {"boundary"}, {"stages", "settings"}, {"render"},
     {"jvp"}, {"check"}, {"public"}, {"training"},
 ]

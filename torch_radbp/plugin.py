@@ -11,7 +11,7 @@ import importlib
 import inspect
 import operator
 import typing
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Iterable, Iterator, MutableMapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from torch_radbp.domain import Domain
 
-PACKAGES = ("bsdf", "emitter", "film", "scene", "sensor", "shape", "texture")  # their import registers plugins
+PACKAGES = ("bsdf", "emitter", "film", "integrator", "sensor", "shape", "texture")  # their import registers plugins
 
 
 class PluginTypes(MutableMapping):
@@ -56,6 +56,9 @@ REGISTRY: dict[str, PluginTypes] = {
     name: PluginTypes()
     for name in ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter", "sampler", "integrator")
 }
+
+
+ABSENT: dict[tuple[str, str], str] = {}  # plugins of Mitsuba that are not there: why, and what to use
 
 
 class SceneError(ValueError):
@@ -190,6 +193,9 @@ class Sampler(Plugin):
 class Integrator(Plugin):
     category = "integrator"
 
+    def check(self, materials: Iterable[BSDF]) -> None:
+        """Warns if a scene of these materials is rendered differently from what the name of the integrator promises."""
+
 
 def register(category: str, name: str):
     """Class decorator that makes a plugin known to the loader as `category` / `name`."""
@@ -200,6 +206,11 @@ def register(category: str, name: str):
         return cls
 
     return add
+
+
+def absent(category: str, name: str, reason: str) -> None:
+    """Lets the loader say why it does not know a plugin of Mitsuba, and what to use in its place."""
+    ABSENT[category, name] = reason
 
 
 @cache

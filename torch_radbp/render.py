@@ -72,7 +72,8 @@ class Renderer(nn.Module):
             "detached": those neither, so that what is seen in them does not follow their shape and index of refraction.
             "attached": all do: the derivative of the estimator itself, `d_Li` of the note. Noisier, and the one to take
             where a density becomes very narrow, as roughness near 0 does.
-        nee: next-event estimation with multiple importance sampling.
+        nee: next-event estimation with multiple importance sampling; None: what the integrator element says, which is
+            True but for `direct` without samples of emitters.
         chunk: lanes (paths) traced together; None picks.
         memory_budget: bytes, or a string such as "2GiB" or "2GB": picks chunk and, unless `adjoint` is given, the stride, so
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
@@ -101,7 +102,7 @@ class Renderer(nn.Module):
     """
 
     def __init__(self, scene: Scene, spp: int | None = None, max_depth: int | None = None, rr_depth: int | None = None,
-                 hide_emitters: bool | None = None, adjoint=None, sampling: str = "hybrid", nee: bool = True,
+                 hide_emitters: bool | None = None, adjoint=None, sampling: str = "hybrid", nee: bool | None = None,
                  chunk: int | None = None, memory_budget: str | int | None = None, compile: bool = True,
                  caster: str | None = None, light_choice: str | None = None):
         super().__init__()
@@ -111,7 +112,8 @@ class Renderer(nn.Module):
         self.max_depth = defaults.max_depth if max_depth is None else max_depth
         self.rr_depth = defaults.rr_depth if rr_depth is None else rr_depth
         self.hide_emitters = defaults.hide_emitters if hide_emitters is None else hide_emitters
-        self.sampling, self.nee, self.compile_stages, self.caster_name = sampling, nee, compile, caster
+        self.nee = defaults.nee if nee is None else nee
+        self.sampling, self.compile_stages, self.caster_name = sampling, compile, caster
         self.light_choice = light_choice
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None

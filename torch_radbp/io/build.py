@@ -16,7 +16,7 @@ from torch_radbp.io.attribute_values import convert, is_list, is_named, options,
 from torch_radbp.io.colour_values import colour_value, is_colour
 from torch_radbp.io.spd import read_spectrum
 from torch_radbp.io.xml_scene import XMLObject, find_file
-from torch_radbp.plugin import REGISTRY, Filename, Plugin, SceneError, attributes, nearest, no_gradient
+from torch_radbp.plugin import ABSENT, REGISTRY, Filename, Plugin, SceneError, attributes, nearest, no_gradient
 from torch_radbp.scene.scene import Scene
 
 MAX_DEPTH = 100  # of objects in objects, references followed
@@ -172,6 +172,10 @@ class _Builder:
             raise self.error(path, node, f"{name!r} is {with_article(elsewhere)}, which cannot stand here; supported: "
                              f"{', '.join(expected)}")
         known = [known for category in possible for known in REGISTRY[category]]
+        missing = next((category for category in possible if (category, name) in ABSENT), None)
+        if missing is not None:
+            raise self.error(path, node, f"the {missing} type {name!r} is not supported: {ABSENT[missing, name]}; known: "
+                             f"{', '.join(sorted(REGISTRY[missing]))}")
         raise self.error(path, node, f"the {'/'.join(possible)} type {name!r} is not supported; "
                          f"{nearest(name, known)}")
 

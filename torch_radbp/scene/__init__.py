@@ -1,6 +1,5 @@
 """The scene: a tree of modules for the user, one record of tensors for the tracer."""
 
-from torch_radbp.scene import integrator  # noqa: F401 (registers the plugins)
 from torch_radbp.scene.scene import Scene
 
 __all__ = ["Scene"]

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor, nn
 
+from torch_radbp.integrator.path import Path
 from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, nearest
-from torch_radbp.scene.integrator import Path
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
 
@@ -47,6 +47,7 @@ class Scene(nn.Module):
         if len(surrounds) > 1:
             raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
                              "their radiances in one")
+        self.integrator.check(self.bsdfs())
 
     def _check_places(self) -> None:
         """Raises SceneError unless every emitter on a surface is on one."""

@@ -1,0 +1,19 @@
+"""Integrators of Mitsuba that are not there, and what to use in their place."""
+
+from __future__ import annotations
+
+from torch_radbp.plugin import absent
+
+BOUNDARY = ("what silhouettes and borders of shadows contribute to derivatives is not computed; `prb` or `direct` renders "
+            "the same image, and `Renderer` warns where its derivatives lack that part")
+
+for name, reason in {
+    "prb_projective": BOUNDARY,
+    "direct_projective": BOUNDARY,
+    "depth": "for the distance of what is seen use an integrator of type aov with aovs=\"dd:depth\", or "
+             "renderer.aovs([\"depth\"])",
+    "stokes": "light has no polarisation here",
+    "acoustic_ad": "sound is not rendered",
+    "volprim_rf_basic": "volumetric primitives are not supported",
+}.items():
+    absent("integrator", name, reason)

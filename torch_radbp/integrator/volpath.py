@@ -1,0 +1,46 @@
+"""Mitsuba's integrators of participating media, in scenes without any: path tracing."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+
+from torch_radbp.integrator.path import Path, PathReplay
+from torch_radbp.plugin import BSDF, boolean, register
+
+
+class WithoutMedia(Path):
+    """Path tracing in the place of an integrator of participating media.
+
+    Media are not supported, and refused by name. Without them both agree in expectation, but for one thing: there, light
+    that passes straight through a surface (`null`, `mask`, `thindielectric`) is not counted towards `max_depth`, and
+    next-event estimation looks through; here it is a bounce, as in `path`.
+    """
+
+    def check(self, materials: Iterable[BSDF]) -> None:
+        """Warns if paths of a limited number of bounces may pass straight through one of the materials."""
+        if self.max_depth != -1 and any(material.kind().transmits for material in materials):
+            warnings.warn(f"{self.type} is rendered as path: light that passes straight through a surface counts towards "
+                          f"max_depth={self.max_depth}, which it does not in Mitsuba's {self.type}; set max_depth to -1 if "
+                          "that matters", stacklevel=2)
+
+
+@register("integrator", "volpath")
+class VolumePath(WithoutMedia):
+    """Mitsuba's volumetric path tracer, without media; see `WithoutMedia`."""
+
+
+@register("integrator", "volpathmis")
+class SpectralVolumePath(WithoutMedia):
+    """Mitsuba's volumetric path tracer with spectral multiple importance sampling, without media; see `WithoutMedia`."""
+
+    def __init__(self, *, max_depth: int = -1, rr_depth: int = 5, use_spectral_mis: bool = True,
+                 hide_emitters: bool = False, block_size: int = 0, samples_per_pass: int = -1, timeout: float = -1.0):
+        super().__init__(max_depth=max_depth, rr_depth=rr_depth, hide_emitters=hide_emitters, block_size=block_size,
+                         samples_per_pass=samples_per_pass, timeout=timeout)
+        self.use_spectral_mis = boolean("use_spectral_mis", use_spectral_mis)  # of media alone
+
+
+@register("integrator", "prbvolpath")
+class VolumePathReplay(PathReplay, WithoutMedia):
+    """Mitsuba's path replay backpropagation through media, without media; see `WithoutMedia`."""
