@@ -18,8 +18,8 @@ TRAINING = PACKAGE.parent / "training"
 LAYERS = [
     {"differentiated", "domain", "entry", "vec", "lookup", "plugin", "pose", "record", "jit"}, {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
-    {"raycast"}, {"path", "queues"}, {"given"}, {"wavefront"}, {"adjoint"}, {"boundary"}, {"stages", "settings"}, {"render"},
-    {"jvp"}, {"check"}, {"public"}, {"training"},
+    {"raycast"}, {"path", "queues"}, {"given"}, {"wavefront"}, {"adjoint"}, {"boundary", "aov"}, {"stages", "settings"},
+    {"render"}, {"jvp"}, {"check"}, {"public"}, {"training"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 # Reads and writes files for every layer: shapes, textures and emitters import it inside functions.

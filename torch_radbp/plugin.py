@@ -158,6 +158,7 @@ class Emitter(Plugin):
 
 class Shape(Plugin):
     category = "shape"
+    whole = False  # it is one primitive in Mitsuba, whatever it is tessellated into
 
 
 class Sensor(Plugin):

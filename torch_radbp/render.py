@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import torch
@@ -25,6 +26,8 @@ from torch_radbp.adjoint.function import (
 from torch_radbp.adjoint.memory import MemoryPlan, Workload, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
+from torch_radbp.aov.images import render_aovs
+from torch_radbp.aov.quantity import checked_names
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.differentiated import any_differentiated, primal
 from torch_radbp.entry import entry
@@ -118,7 +121,7 @@ class Renderer(nn.Module):
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
         self.known_caster: KnownCaster | None = None
-        self.kept = Kept()
+        self.kept, self.kept_for_aovs = Kept(), Kept()
         self.jump_watch = JumpWatch()
         self.working_sets: dict[tuple, WorkingSet] = {}
         check_settings(self)
@@ -133,8 +136,8 @@ class Renderer(nn.Module):
         self.chosen_spp = value
 
     @entry
-    def forward(self, seed: int = 0, sensors: SensorChoice = None, spp: int | None = None,
-                seed_grad: int | None = None) -> Tensor:
+    def forward(self, seed: int = 0, sensors: SensorChoice = None, spp: int | None = None, seed_grad: int | None = None,
+                aovs: Sequence[str] | None = None) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
         """Renders the scene.
 
         Args:
@@ -143,9 +146,11 @@ class Renderer(nn.Module):
             spp: samples per pixel of this call; None: as the renderer says.
             seed_grad: draws the backward pass from its own random numbers, so that derivatives of losses that are not
                 linear in the image are not biased by sharing samples with it.
+            aovs: names of quantities to return beside the image; see `aovs`.
 
         Returns:
-            (B, 3, H, W) linear RGB radiance, row 0 at the top, one image per sensor.
+            (B, 3, H, W) linear RGB radiance, row 0 at the top, one image per sensor; if `aovs` are asked for, that and what
+            the method `aovs` returns.
 
         Raises:
             ValueError: for a sensor that does not exist, or sensors of different size or sample count; for a parameter that
@@ -154,13 +159,13 @@ class Renderer(nn.Module):
                 says of which parameter, at which bounce, on which material and on how many paths.
         """
         if inside_transforms():
-            arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad}
+            arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad, "aovs": aovs}
             return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                       dict(self.named_parameters()))
+        if aovs is not None:
+            return self(seed, sensors, spp, seed_grad), self.aovs(aovs, seed, sensors, spp)
         call = self.prepare(seed, sensors, spp, seed_grad)
-        seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
-        sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
-        self.jump_watch.look(Rendering(self.scene, seen, sights, call.caster, self.sampling))
+        self.watch(call, sensors)
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
@@ -171,8 +176,54 @@ class Renderer(nn.Module):
             return render_tangents(call)
         return render_with_derivative(call)
 
-    def prepare(self, seed: int, sensors: SensorChoice, spp: int | None, seed_grad: int | None) -> RenderCall:
-        """The scene packed, rays ready to be cast, chunks planned."""
+    @entry
+    def aovs(self, names: Sequence[str] | None = None, seed: int = 0, sensors: SensorChoice = None,
+             spp: int | None = None) -> dict[str, Tensor]:
+        """Arbitrary output variables: images of what the camera sees first, by the very camera rays of the image.
+
+        Samples are weighted by the film's filter as those of the image are; where nothing is seen, all quantities are 0.
+        Emitters are seen even where the image hides them, as in Mitsuba. Quantities, with their channels:
+
+        `depth` (1): distance along the ray from the near plane. `position`, `geo_normal`, `sh_normal`, `dp_du`, `dp_dv` (3):
+        world space; normals as the surface has them, also where it is seen from behind. `uv` (2): surface coordinates.
+        `albedo` (3): linear RGB, diffuse reflectance of the material. `prim_index` (1): number of the triangle in its
+        shape, 0 on shapes that Mitsuba does not tessellate; `shape_index` (1): of the shape in the scene, from 1.
+        Curved shapes are as they are tessellated here.
+
+        `alpha` (1): 1 where the image shows a surface or the surroundings, as Mitsuba's `path` has it; `hit` (1): where it
+        shows a surface. `xyz` (3): the image in CIE XYZ. With m2_ before its name, any quantity's mean square over the
+        samples of a pixel: var = (m2 - mean^2) / (spp - 1) is about the variance of an independently sampled pixel.
+
+        Derivatives, backward and forward, are those with the pixel fixed, of everything but `alpha`, `hit`, `xyz` and the
+        indices; they reach shapes, poses, cameras and textures, and lack what silhouettes contribute, as those of images.
+
+        Args:
+            names: of quantities; None: what the integrator element lists (`aov`, `moment`).
+            seed, sensors, spp: as for a rendering.
+
+        Returns:
+            By name (B, C, H, W), row 0 at the top.
+
+        Raises:
+            ValueError: for a quantity that is not known, or if none is named.
+        """
+        outputs = self.scene.integrator.outputs() if names is None else {name: name for name in checked_names(names)}
+        if not outputs:
+            raise ValueError("the scene's integrator lists no outputs; name some, such as renderer.aovs([\"depth\"])")
+        call = self.prepare(seed, sensors, spp, None, aovs=True)
+        self.watch(call, sensors)
+        images = render_aovs(call, tuple(dict.fromkeys(outputs.values())))
+        return {output: images[quantity] for output, quantity in outputs.items()}
+
+    def watch(self, call: RenderCall, sensors: SensorChoice) -> None:
+        """Warns of what derivatives of a call lack."""
+        seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
+        sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
+        self.jump_watch.look(Rendering(self.scene, seen, sights, call.caster, self.sampling))
+
+    def prepare(self, seed: int, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
+                aovs: bool = False) -> RenderCall:
+        """The scene packed, rays ready to be cast, chunks planned; with what `aovs` may be about if asked for."""
         check_settings(self)  # they may have been assigned since
         check_names(self)
         available, indices = self.scene.sensors, sensor_indices(self.scene, sensors)
@@ -190,11 +241,14 @@ class Renderer(nn.Module):
         keeps = parameters and torch.is_grad_enabled() and seed_grad is None and self.memory_budget is None
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
                            self.adjoint if keeps else None, fused))
-        kept = Kept(self.kept)
-        scene = pack(self.scene, kept, self.light_choice)
+        kept = Kept(self.kept_for_aovs if aovs else self.kept)
+        scene = pack(self.scene, kept, self.light_choice, aovs)
         caster = self.caster_of(scene)
         views = [view_of(sensor, index, seeds, scene, kept) for index, sensor in zip(indices, seen)]
-        self.kept = kept.close()
+        if aovs:
+            self.kept_for_aovs = kept.close()
+        else:
+            self.kept = kept.close()
         moving = self.sampling == "attached" or any_differentiated((scene.triangles, [view.camera for view in views])) or (
             self.sampling == "hybrid" and scene.layout.bending)
         stages = compiled() if fused else EAGER
@@ -291,10 +345,10 @@ def reaches_beyond(vertices: Vec3, camera: Camera) -> bool:
 
 @entry
 def render(scene: Scene, *, seed: int = 0, sensors: SensorChoice = None, seed_grad: int | None = None,
-           **settings) -> Tensor:
-    """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad)`: see `Renderer`.
+           aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+    """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs)`: see `Renderer`.
 
     Returns:
-        (B, 3, H, W) linear RGB radiance.
+        (B, 3, H, W) linear RGB radiance; if `aovs` are asked for, that and the images of these quantities by name.
     """
-    return Renderer(scene, **settings)(seed=seed, sensors=sensors, seed_grad=seed_grad)
+    return Renderer(scene, **settings)(seed=seed, sensors=sensors, seed_grad=seed_grad, aovs=aovs)

@@ -23,7 +23,6 @@ WRONG_TYPES = {
     "roulette of NaN": ({"rr_depth": float("nan")}, "rr_depth must be an integer, got nan"),
     "nee as text": ({"nee": "no"}, "nee must be True or False, got 'no'"),
     "nee as number": ({"nee": 0}, "nee must be True or False, got 0"),
-    "nee as nothing": ({"nee": None}, "nee must be True or False, got None"),
     "nee as tensor": ({"nee": torch.tensor(True)}, "nee must be True or False, got tensor(True)"),
     "hide_emitters as text": ({"hide_emitters": "x"}, "hide_emitters must be True or False, got 'x'"),
     "hide_emitters as number": ({"hide_emitters": 1}, "hide_emitters must be True or False, got 1"),

@@ -22,6 +22,7 @@ from torch._C._functorch import (
 )
 from torch._functorch.pyfunctorch import temporarily_clear_interpreter_stack
 from torch.autograd import forward_ad
+from torch.utils._pytree import tree_map
 
 from torch_radbp.adjoint.function import RenderCall, render_images
 from torch_radbp.adjoint.tape import trace_attached
@@ -55,8 +56,8 @@ def inside_transforms() -> bool:
     return bool(get_interpreter_stack())
 
 
-def outside_transforms(render: Callable[[dict[str, Tensor]], Tensor], parameters: dict[str, Tensor]) -> Tensor:
-    """`render(parameters)` inside `torch.func.jvp`, but computed outside of it, on plain dual tensors.
+def outside_transforms(render: Callable, parameters: dict[str, Tensor]):
+    """`render(parameters)` inside `torch.func.jvp`, images in tuples and dicts, computed outside of it on dual tensors.
 
     Raises:
         RuntimeError: in any other transform, or in several.
@@ -68,10 +69,15 @@ def outside_transforms(render: Callable[[dict[str, Tensor]], Tensor], parameters
                            f"{names}; for gradients use torch.autograd.grad or backward(), not torch.func.grad or vjp")
     duals = {name: tuple(map(unwrapped, forward_ad.unpack_dual(value))) for name, value in parameters.items()}
     with temporarily_clear_interpreter_stack():
-        image = render({name: value if tangent is None else forward_ad.make_dual(value, tangent)
-                        for name, (value, tangent) in duals.items()})
-        image, tangent = forward_ad.unpack_dual(image)
-    return image if tangent is None else forward_ad.make_dual(image, tangent)
+        images = render({name: value if tangent is None else forward_ad.make_dual(value, tangent)
+                         for name, (value, tangent) in duals.items()})
+        images = tree_map(lambda image: tuple(forward_ad.unpack_dual(image)), images)
+    return tree_map(rewrapped, images, is_leaf=lambda part: isinstance(part, tuple) and isinstance(part[1], Tensor | None))
+
+
+def rewrapped(image: tuple[Tensor, Tensor | None]) -> Tensor:
+    """The dual tensor of an image and its tangent, if it has one."""
+    return image[0] if image[1] is None else forward_ad.make_dual(*image)
 
 
 def unwrapped(tensor: Tensor | None) -> Tensor | None:

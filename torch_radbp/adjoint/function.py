@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import groupby
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -35,6 +35,7 @@ from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3
 from torch_radbp.wavefront import Integrand, Stages, Step, trace
 
+Result = TypeVar("Result")
 SAVED = object()  # stands for a tensor that autograd keeps
 
 
@@ -127,9 +128,9 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
     return L, PathRecord(lambda: start_paths(call, chunk, key), radiance, states, steps, bounces)
 
 
-def pixel_sums(chunk: Chunk, L: Vec3) -> Tensor:
-    """(3, pixels) the sums over the lanes of each pixel of a chunk."""
-    return sums_in_pairs(torch.stack([component.reshape(chunk.pixels.count, chunk.samples) for component in L]))
+def pixel_sums(chunk: Chunk, values: Iterable[Tensor]) -> Tensor:
+    """(C, pixels) the sums over the lanes of each pixel of a chunk, of each of C values."""
+    return sums_in_pairs(torch.stack([value.reshape(chunk.pixels.count, chunk.samples) for value in values]))
 
 
 def sums_in_pairs(terms: Tensor) -> Tensor:
@@ -147,27 +148,32 @@ def sums_in_pairs(terms: Tensor) -> Tensor:
 def render_images(call: RenderCall, integrand: Integrand, record: bool,
                   tracer: Callable = trace) -> tuple[Tensor, list[PathRecord]]:
     """(B, 3, H, W) linear RGB, and the records of the chunks if asked for."""
-    view = call.views[0]
-    images = [torch.zeros(3, view.height * view.width, dtype=call.scene.dtype, device=call.scene.device)
-              for _ in call.views]
+    def trace_one(chunk: Chunk) -> tuple[Tensor, PathRecord | None]:
+        L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], record, tracer)
+        return pixel_sums(chunk, L), path_record if record else None
 
-    def trace_share(share: range) -> list[tuple[Tensor, PathRecord | None]]:
-        traced = []
-        for chunk in (call.chunks[index] for index in share):
-            L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], record, tracer)
-            traced.append((pixel_sums(chunk, L), path_record if record else None))
-        return traced
-
-    shares = in_turns(len(call.chunks), call.workers, trace_share)
-    traced = [shares[index % len(shares)][index // len(shares)] for index in range(len(call.chunks))]
-    for (sensor, pixels), chunks in groupby(zip(call.chunks, traced), lambda part: part[0][:2]):
-        sums = sums_in_pairs(torch.stack([sums for _, (sums, _) in chunks], -1))
-        images[sensor].index_copy_(1, pixels.index(sums.device).long(), sums / call.spp)
-    records = [path_record for _, path_record in traced] if record else []
-    # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
-    images = torch.stack([image.reshape(3, view.height, view.width) for image in images])
+    sums, records = zip(*of_chunks(call, trace_one))
+    images = assembled(call, sums)
     check_images(call, integrand, images.detach())
-    return images, records
+    return images, list(records) if record else []
+
+
+def of_chunks(call: RenderCall, work: Callable[[Chunk], Result]) -> list[Result]:
+    """`work` on every chunk, side by side; the results in the order of the chunks."""
+    shares = in_turns(len(call.chunks), call.workers, lambda share: [work(call.chunks[index]) for index in share])
+    return [shares[index % len(shares)][index // len(shares)] for index in range(len(call.chunks))]
+
+
+def assembled(call: RenderCall, sums: Sequence[Tensor]) -> Tensor:
+    """(B, C, H, W) the images whose chunks have these sums, (C, pixels) each."""
+    view, channels = call.views[0], len(sums[0])
+    images = [torch.zeros(channels, view.height * view.width, dtype=call.scene.dtype, device=call.scene.device)
+              for _ in call.views]
+    for (sensor, pixels), parts in groupby(zip(call.chunks, sums), lambda part: part[0][:2]):
+        total = sums_in_pairs(torch.stack([own for _, own in parts], -1))
+        images[sensor].index_copy_(1, pixels.index(total.device).long(), total / call.spp)
+    # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
+    return torch.stack([image.reshape(channels, view.height, view.width) for image in images])
 
 
 def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None:

@@ -73,6 +73,11 @@ class BlendKind(Kind):
         end = 1 + self.first.slots
         return values[1:end], values[end:]
 
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        weight, (of_first, of_second) = values[0].x, self.parts(values)
+        return (self.first.diffuse_reflectance(of_first, wi) * (1.0 - weight)
+                + self.second.diffuse_reflectance(of_second, wi) * weight)
+
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         weight, (of_first, of_second) = values[0].x, self.parts(values)
         chance = chance_of_lobe(chance_of_second(weight), fixed_lobes)

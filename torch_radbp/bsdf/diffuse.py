@@ -22,6 +22,9 @@ class DiffuseKind(Kind):
     def slots(self) -> int:
         return 1
 
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        return values[0]
+
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         pdf = cosine_hemisphere_pdf(wo) * (wi.z > 0).to(wi.z.dtype)
         return values[0] * pdf, pdf

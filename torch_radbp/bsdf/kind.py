@@ -25,6 +25,7 @@ internal reflection, at a roughness of zero, between equal indices of refraction
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
@@ -64,6 +65,7 @@ class Kind(ABC):
     discrete: ClassVar[bool] = False  # `choose` has a choice
     oriented: ClassVar[bool] = False  # anisotropic: turning the surface about its normal makes a difference
     transmits: ClassVar[bool] = False  # light passes to the other side
+    turns_normals: ClassVar[bool] = False  # surfaces look as if they had other normals
 
     @property
     def steering(self) -> tuple[int, ...]:
@@ -123,6 +125,18 @@ class Kind(ABC):
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
         """Weight of the chosen delta lobe, not divided by the choice's probability; attached. Else finite, and not used."""
         raise TypeError(f"{type(self).__name__} has no delta lobe: use eval")
+
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        """The colour of the material, as Mitsuba's output `albedo` has it; attached.
+
+        By default that of the diffuse material which is as bright when seen from straight above.
+        """
+        none = torch.zeros_like(wi.z)
+        return self.eval(values, Vec3(*wi), Vec3(none, none, torch.ones_like(none))) * math.pi
+
+    def shading_normal(self, values: Values, wi: Vec3) -> Vec3:
+        """The unit normal that the material has in the local frame if it `turns_normals`; attached."""
+        raise TypeError(f"{type(self).__name__} turns no normals")
 
 
 class DeltaKind(Kind):

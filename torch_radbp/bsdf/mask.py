@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from torch_radbp.bsdf.blendbsdf import BlendKind
-from torch_radbp.bsdf.kind import Kind
+from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.null import NullKind
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.domain import FRACTION, Domain
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture
+from torch_radbp.vec import Vec3
+
+
+@dataclass(frozen=True)
+class MaskKind(BlendKind):
+    """A blend whose first kind is `null`: the holes have no colour."""
+
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        return self.second.diffuse_reflectance(self.parts(values)[1], wi)
 
 
 @register("bsdf", "mask")
@@ -38,7 +49,7 @@ class Mask(BSDF):
 
     def kind(self) -> Kind:
         """The scattering functions."""
-        return BlendKind(NullKind(), self.nested_bsdf.kind())
+        return MaskKind(NullKind(), self.nested_bsdf.kind())
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""

@@ -90,6 +90,9 @@ class PlasticKind(Kind):
         reflected, _ = dielectric_reflectance(wi.z.abs(), eta.x)
         return specular_chance(reflected, diffuse, specular), 1.0 - reflected
 
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        return values[1]
+
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         eta, diffuse, _ = values
         chance, passes_in = self.chance(values, wi)

@@ -171,6 +171,9 @@ class PrincipledKind(FeaturedKind):
         behind = weights.refracting * at.reflectance
         return found.map(lambda c: mixed(behind, c, at.front)) if self.transmits else found
 
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        return values[0]
+
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         at, facets, weights = self.microfacet(values, wi, wo), self.facets(values), self.weights(values)
         for_lobes = values_for_choice(values) if fixed_lobes else values

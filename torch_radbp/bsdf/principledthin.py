@@ -85,6 +85,9 @@ class PrincipledThinKind(FeaturedKind):
         weighed = [rate * weight for rate, weight in zip(self.rates, weights)]
         return tuple(each * (1.0 / sum(weighed)) for each in weighed)
 
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        return values[0]
+
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         side, colour = side_of(wi), values[0]
         w, wo = wi * side, wo * side

@@ -72,6 +72,9 @@ class RoughPlasticKind(MicrofacetKind):
             last, sum_ = sum_, coefficient + 2.0 * x * sum_ - last
         return (coefficients[0] + x * sum_ - last).clamp(0.0, 1.0)
 
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        return values[-2]
+
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         eta, internal, (diffuse, specular) = values[1].x, values[2].x, values[-2:]
         facets, lit, wi, wo = self.facets(values), reflects(wi, wo), above(wi), above(wo)

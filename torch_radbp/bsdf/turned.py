@@ -41,6 +41,8 @@ class TurnedKind(Kind):
 
     own: ClassVar[int]
 
+    turns_normals: ClassVar[bool] = True
+
     @property
     def delta(self) -> bool:
         return self.nested.delta
@@ -92,6 +94,12 @@ class TurnedKind(Kind):
         n = n * torch.rsqrt(torch.where(turned, squared, 1.0))
         none = torch.zeros_like(one)
         return Frame.along(where(turned, n, Vec3(none, none, one)), Vec3(one, none, none))
+
+    def shading_normal(self, values: Values, wi: Vec3) -> Vec3:
+        return self.frame(values, wi).n
+
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        return self.nested.diffuse_reflectance(values[self.own:], self.frame(values, wi).to_local(wi))
 
     def passes(self, frame: Frame, wo: Vec3, turned: Vec3) -> Tensor:
         """The part of the light that is kept, in [0, 1]: none if it crosses only one of the two horizons."""

@@ -68,6 +68,11 @@ class TwoSidedKind(Kind):
         """The values of each side."""
         return (values,) if self.back is None else (values[:self.front.slots], values[self.front.slots:])
 
+    def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
+        side = side_of(wi)
+        found = [kind.diffuse_reflectance(own, mirrored(wi, side)) for kind, own in zip(self.sides, self.parts(values))]
+        return where(side > 0, found[0], found[-1])
+
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         side = side_of(wi)
         found = [kind.eval_pdf(own, mirrored(wi, side), mirrored(wo, side), fixed_lobes)

@@ -14,10 +14,11 @@ class Nesting(Settings):
 
     Args:
         integrators: by name; one, or none for outputs without an image of a name.
-        hide_emitters, block_size, samples_per_pass, timeout: see `Settings`.
+        hide_emitters: that of the nested integrator.
+        block_size, samples_per_pass, timeout: see `Settings`.
 
     Raises:
-        ValueError: if there are several.
+        ValueError: if there are several, or `hide_emitters` is set but not in the nested one.
     """
 
     def __init__(self, *, integrators: dict[str, Integrator] | None = None, hide_emitters: bool = False, block_size: int = 0,
@@ -31,7 +32,10 @@ class Nesting(Settings):
         nested = next(iter(self.integrators.values()), None)
         self.inner = (Path() if nested is None else nested,)  # a tuple, so that it is no submodule
         self.max_depth, self.rr_depth, self.nee = self.inner[0].max_depth, self.inner[0].rr_depth, self.inner[0].nee
-        self.hide_emitters = self.hide_emitters or self.inner[0].hide_emitters
+        if self.hide_emitters and not self.inner[0].hide_emitters:
+            raise ValueError(f"hide_emitters of {self.type} has no effect in Mitsuba, where outputs show emitters; set "
+                             "it in the nested integrator, whose image it changes")
+        self.hide_emitters = self.inner[0].hide_emitters
 
     def nested_outputs(self) -> dict[str, str]:
         """The outputs of the nested integrator, their names after its own."""

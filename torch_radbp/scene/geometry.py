@@ -43,6 +43,7 @@ class Columns(NamedTuple):
     tangents: bool  # along u
     material: tuple[int, ...]  # of each shape, row of `MaterialTable`
     emitting: tuple[bool, ...]  # whether each shape belongs to an emitter
+    numbers: tuple[bool, ...] | None = None  # for AOVs: whether the triangles of each shape count, or are one primitive
 
 
 def placed_shape(kept: Kept, shape: Shape, instances: Sequence[Instance] | None, dtype: torch.dtype) -> PlacedShape:
@@ -102,7 +103,8 @@ def triangle_table(kept: Kept, shapes: Sequence[PlacedShape], columns: Columns, 
                          material=kept(of_each, columns.material, counts, torch.int32, device),
                          emitter=kept(emitter_rows, columns.emitting, counts, device),
                          balls=kept(balls_among, tuple(shape.ball for shape in shapes), counts, device),
-                         attributes=kept(face_table, surfaces, counts, columns.face_attributes, dtype, device))
+                         attributes=kept(face_table, surfaces, counts, columns.face_attributes, dtype, device),
+                         numbers=None if columns.numbers is None else kept(numbers, columns.numbers, counts, device))
 
 
 def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: torch.device) -> Balls | None:
@@ -180,6 +182,19 @@ def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.
     """The number of each triangle among those that belong to an emitter, (T,) int32; -1: it belongs to none."""
     emitting = of_each(emitting, counts, torch.bool, device)
     return torch.where(emitting, emitting.cumsum(0) - 1, -1).to(torch.int32)
+
+
+def numbers(counted: Sequence[bool], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
+    """The number of each triangle in its shape, and that of the shape from 1 on, (T,) int32 each.
+
+    Args:
+        counted: whether the triangles of a shape have numbers; if not, all have 0.
+        counts: of the triangles of each shape.
+        device: of the result.
+    """
+    own = [torch.arange(count, dtype=torch.int32) * int(counts_here) for count, counts_here in zip(counts, counted)]
+    return (torch.cat([torch.zeros(0, dtype=torch.int32), *own]).to(device),
+            of_each(range(1, len(counts) + 1), counts, torch.int32, device))
 
 
 def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tensor]:

@@ -53,13 +53,14 @@ class BankBuilder:
         return any(reader_of(texture).needs_uv for texture in self.textures)
 
 
-def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None) -> SceneTensors:
+def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None, aovs: bool = False) -> SceneTensors:
     """The tensors of a scene, attached to its parameters.
 
     Args:
         scene: as it is now.
         kept: what is known from the last rendering.
         light_choice: how next-event estimation picks a light; see `Renderer`.
+        aovs: with coordinates and numbers, which quantities may be about that no image needs.
 
     Raises:
         ValueError: if a parameter is not in its domain; the message names it.
@@ -88,10 +89,11 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
         readers=readers, radiance=radiance.reader, radiance_bitmaps=radiance.has_bitmaps, attributes=attributes,
         lights=kinds_of(scene.emitters))
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
-    columns = Columns(layout.shading_normals, layout.radiance_bitmaps or any(look.needs_uv for look in appearances),
+    columns = Columns(layout.shading_normals, layout.radiance_bitmaps or aovs or any(look.needs_uv for look in appearances),
                       layout.vertex_attributes, layout.face_attributes, any(look.kind.oriented for look in appearances),
                       tuple(row[id(shape.bsdf)] for shape in scene.shapes),
-                      tuple(shape.emitter is not None for shape in scene.shapes))
+                      tuple(shape.emitter is not None for shape in scene.shapes),
+                      tuple(not shape.whole for shape in scene.shapes) if aovs else None)
     triangles = triangle_table(kept, placed, columns, dtype, device)
 
     def emission(emitter: Light, count: int | None) -> Emission:

@@ -33,7 +33,7 @@ def leaves_of_part(belonging: SceneTensors, layout: Layout, appearance: Appearan
 
 def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) -> SceneTensors:
     """A record like that of a scene with this layout, without the tables that its part has not."""
-    triangles = scene.triangles._replace(balls=None)
+    triangles = scene.triangles._replace(balls=None, numbers=None)
     if not (layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv)):
         triangles = triangles._replace(vertices=triangles.vertices._replace(uv=None))
     wanted = attributes_of_part(layout, appearance)

@@ -83,6 +83,7 @@ class TriangleTable(NamedTuple):
     emitter: Tensor  # (T,) int32, element of `LightTable`; -1: emits nothing
     balls: Balls | None  # those of them that tessellate spheres, for ray casting
     attributes: tuple[Vec3, ...]  # (T,) each, as those of vertices; attached
+    numbers: tuple[Tensor, Tensor] | None = None  # (T,) int32: of the triangle in its shape, of the shape from 1; for AOVs
 
 
 class MaterialTable(NamedTuple):

@@ -19,6 +19,8 @@ class Disk(Tessellated):
     Parameters: `to_world` (4, 4). Tessellated into 256 sectors, circumscribed so that the area is exact.
     """
 
+    whole = True
+
     def __init__(self, *, to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
                  emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)

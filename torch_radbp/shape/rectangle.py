@@ -16,6 +16,8 @@ class Rectangle(Tessellated):
         face_normals: without effect, as in Mitsuba: it is flat.
     """
 
+    whole = True
+
     def __init__(self, *, face_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
                  bsdf: BSDF | None = None, emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)

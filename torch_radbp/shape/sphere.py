@@ -19,6 +19,8 @@ class Sphere(Tessellated):
     from the exact surface is 1.4e-4 of the radius. If `to_world` mirrors, the normals point inwards, as in Mitsuba.
     """
 
+    whole = True
+
     def __init__(self, *, center: Point3 | None = None, radius: float = 1.0, to_world: Matrix4 | None = None,
                  flip_normals: bool = False, bsdf: BSDF | None = None, emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)

@@ -1,0 +1,157 @@
+"""Derivatives of quantities, backward and forward, against finite differences of the same samples in float64."""
+
+import pytest
+import torch
+from torch.autograd import forward_ad
+from torch.func import functional_call
+
+import torch_radbp as rb
+from tests.aov.scenes import NETWORK_FREE, landscape
+from tests.scenes import texels
+
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+SETTINGS = {"spp": 2, "max_depth": 1}
+# What has to have a derivative with respect to what; everything else has to be zero, or close to it by rounding.
+FOLLOWS = {
+    "hills.vertex_positions": {"depth", "position", "uv", "geo_normal", "sh_normal", "dp_du", "dp_dv", "albedo"},
+    "hills.vertex_normals": {"sh_normal"},
+    "hills.to_world": {"depth", "position", "uv", "geo_normal", "sh_normal", "dp_du", "dp_dv", "albedo"},
+    "sensor.to_world": {"depth", "position", "uv", "sh_normal", "albedo"},
+    "sensor.x_fov": {"depth", "position", "uv", "sh_normal", "albedo"},
+    "hills.vertex_texcoords": {"uv", "dp_du", "dp_dv", "albedo"},
+    "hills.bsdf.reflectance.data": {"albedo"},
+}
+
+
+class Quantities(torch.nn.Module):
+    """Quantities without the image, for `functional_call`."""
+
+    def __init__(self, scene, names):
+        super().__init__()
+        self.renderer, self.names = rb.Renderer(scene, **SETTINGS), names
+
+    def forward(self):
+        found = self.renderer.aovs(self.names, seed=3)
+        return tuple(found[name] for name in self.names)
+
+
+def images(scene, names, parameter):
+    """The quantities as a function of one parameter."""
+    module = Quantities(scene, names)
+    return lambda value: functional_call(module, {f"renderer.scene.{parameter}": value})
+
+
+def weighted(of):
+    """Three numbers of each quantity: sums over its pixels with fixed weights, so that a Jacobian has few rows."""
+    def sums(value):
+        generator = torch.Generator().manual_seed(5)
+        return tuple((torch.rand(3, *image.shape, dtype=image.dtype, generator=generator) * image).flatten(1).sum(1)
+                     for image in of(value))
+
+    return sums
+
+
+def gradcheck(of, value, atol=2e-5):
+    """Both modes against finite differences."""
+    return torch.autograd.gradcheck(weighted(of), value, eps=1e-6, atol=atol, rtol=1e-5, check_forward_ad=True,
+                                    check_undefined_grad=False)
+
+
+@pytest.mark.parametrize("parameter", FOLLOWS)
+def test_gradcheck_backward_and_forward(parameter):
+    scene = landscape(size=3)
+    value = dict(scene.named_parameters())[parameter].detach().clone().requires_grad_()
+    follows = images(scene, tuple(name for name in NETWORK_FREE if name in FOLLOWS[parameter]), parameter)
+    for image, name in zip(follows(value), FOLLOWS[parameter]):
+        (gradient,) = torch.autograd.grad(image.square().sum(), value, retain_graph=True)
+        assert torch.isfinite(gradient).all() and gradient.abs().max() > 1e-6, name
+    assert gradcheck(follows, value)
+
+
+@pytest.mark.parametrize("parameter", FOLLOWS)
+def test_what_does_not_follow_has_no_derivative(parameter):
+    scene = landscape(size=3)
+    value = dict(scene.named_parameters())[parameter].detach().clone().requires_grad_()
+    others = tuple(name for name in NETWORK_FREE if name not in FOLLOWS[parameter])
+    for name, image in zip(others, images(scene, others, parameter)(value) if others else ()):
+        if image.requires_grad:
+            (gradient,) = torch.autograd.grad(image.square().sum(), value, retain_graph=True, allow_unused=True)
+            assert gradient is None or gradient.abs().max() < 1e-9, name
+
+
+def test_normal_maps_turn_the_normals_and_have_derivatives():
+    maps = {"type": "normalmap", "normalmap": {"type": "bitmap", "raw": True, "data": 0.3 + 0.4 * texels(2, 3)},
+            "b": {"type": "diffuse", "reflectance": 0.4}}
+    scene = landscape(maps, size=3)
+    plain = rb.Renderer(landscape(size=3), **SETTINGS).aovs(["sh_normal"])["sh_normal"]
+    turned = rb.Renderer(scene, **SETTINGS).aovs(["sh_normal"])["sh_normal"]
+    assert (turned - plain).abs().max() > 0.1
+    name = "hills.bsdf.normalmap.data"
+    value = scene.get_parameter(name).detach().clone().requires_grad_()
+    of = images(scene, ("sh_normal",), name)
+    assert torch.autograd.grad(of(value)[0].sum(), value)[0].abs().max() > 1e-3
+    assert gradcheck(of, value)
+
+
+def test_a_network_as_colour_has_the_gradient_of_its_albedo():
+    torch.manual_seed(0)
+    network = torch.nn.Sequential(torch.nn.Linear(2, 8), torch.nn.Tanh(), torch.nn.Linear(8, 3), torch.nn.Sigmoid()).double()
+    scene = landscape({"type": "diffuse", "reflectance": network}, size=3)
+    name = "hills.bsdf.reflectance.module.0.weight"
+    value = scene.get_parameter(name).detach().clone().requires_grad_()
+    scene.requires_grad_(False)  # derivatives are taken backward or forward, not both at once
+    of = images(scene, ("albedo",), name)
+    assert torch.autograd.grad(of(value)[0].sum(), value)[0].abs().max() > 1e-4
+    assert gradcheck(of, value)
+    # It also follows the point at which the network is read.
+    parameter = "sensor.to_world"
+    pose = scene.get_parameter(parameter).detach().clone().requires_grad_()
+    assert gradcheck(images(scene, ("albedo",), parameter), pose)
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 1000])
+def test_gradients_do_not_depend_on_the_chunk(chunk):
+    scene = landscape(size=4)
+    vertices = scene.get_parameter("hills.vertex_positions").requires_grad_()
+    found = rb.Renderer(scene, spp=4, chunk=chunk).aovs(NETWORK_FREE)
+    expected = rb.Renderer(scene, spp=4).aovs(NETWORK_FREE)
+    for name in NETWORK_FREE:
+        torch.testing.assert_close(found[name], expected[name], rtol=1e-13, atol=1e-13)
+    loss, other = (sum(image.square().mean() for image in images.values()) for images in (found, expected))
+    gradient, wanted = torch.autograd.grad(loss, vertices)[0], torch.autograd.grad(other, vertices)[0]
+    assert wanted.abs().max() > 1e-3
+    torch.testing.assert_close(gradient, wanted, rtol=1e-10, atol=1e-12)
+
+
+def test_jvp_of_torch_and_dual_tensors_agree_with_the_backward_pass():
+    scene = landscape(size=3)
+    name = "hills.vertex_positions"
+    value = scene.get_parameter(name).detach().clone()
+    tangent = torch.randn(value.shape, dtype=value.dtype, generator=torch.Generator().manual_seed(1))
+    of, renderer = images(scene, ("depth", "sh_normal"), name), rb.Renderer(scene, **SETTINGS)
+
+    def with_image(value):
+        arguments = {"seed": 3, "aovs": ("depth", "sh_normal")}
+        return functional_call(renderer, {f"scene.{name}": value}, kwargs=arguments)
+
+    _, (_, forward) = torch.func.jvp(with_image, (value,), (tangent,))
+    forward = tuple(forward.values())
+    with forward_ad.dual_level(), torch.no_grad():
+        dual = [forward_ad.unpack_dual(image).tangent for image in of(forward_ad.make_dual(value, tangent))]
+    leaf = value.clone().requires_grad_()
+    for image, one, other in zip(of(leaf), forward, dual):
+        weights = torch.randn(image.shape, dtype=image.dtype, generator=torch.Generator().manual_seed(2))
+        (gradient,) = torch.autograd.grad(image, leaf, weights, retain_graph=True)
+        assert one.abs().max() > 0.01
+        torch.testing.assert_close((gradient * tangent).sum(), (weights * one).sum(), rtol=1e-10, atol=1e-12)
+        torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-14)
+
+
+def test_what_has_no_derivative_carries_none():
+    scene = landscape(size=3)
+    scene.get_parameter("hills.bsdf.reflectance.data").requires_grad_()
+    found = rb.Renderer(scene, spp=2, max_depth=2).aovs(["xyz", "alpha", "shape_index", "albedo"])
+    assert found["albedo"].requires_grad and found["xyz"].max() > 0
+    (gradient,) = torch.autograd.grad(found["xyz"].sum() + found["albedo"].sum() * 0, scene.get_parameter(
+        "hills.bsdf.reflectance.data"))
+    assert (gradient == 0).all()

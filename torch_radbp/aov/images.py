@@ -1,0 +1,82 @@
+"""Images of quantities: the mean over the samples of each pixel, by the very camera rays of the image."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from torch_radbp.adjoint.chunks import Chunk
+from torch_radbp.adjoint.forward_mode import has_tangents
+from torch_radbp.adjoint.function import (
+    RenderCall,
+    assembled,
+    detached,
+    differentiable,
+    integrand_of,
+    of_chunks,
+    pixel_sums,
+    start_paths,
+)
+from torch_radbp.aov import material, path, surface
+from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, plain
+from torch_radbp.entry import entry
+from torch_radbp.path import PathState
+from torch_radbp.wavefront import Integrand, first_hit
+
+
+def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
+    """(B, C, H, W) images of quantities, by name.
+
+    Attached to scene and cameras, in either mode. Of a chunk only its sums are kept, and its quantities are computed again
+    in the backward pass, so that the chunk bounds the memory.
+    """
+    record = call.scene, [view.camera for view in call.views]
+    attached = has_tangents(record) or (torch.is_grad_enabled() and bool(differentiable(record)))
+    if attached:
+        call = call._replace(stages=call.stages.eager())
+        integrand = call.make_integrand(call.scene).with_stages(call.stages)
+    else:
+        call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
+        integrand = call.make_integrand(call.scene)
+    quantities = tuple(dict.fromkeys(map(plain, names)))
+
+    @entry
+    def sums(chunk: Chunk) -> Tensor:
+        start = start_paths(call, chunk, call.views[chunk.sensor].sample_keys[0])
+        values = lane_values(integrand_of(call, integrand, chunk), start, quantities)
+        return pixel_sums(chunk, [channel for name in names for channel in moments(name, values[plain(name)])])
+
+    def sums_kept(chunk: Chunk) -> Tensor:
+        return checkpoint(sums, chunk, use_reentrant=False, preserve_rng_state=False) if attached else sums(chunk)
+
+    images = assembled(call, of_chunks(call, sums_kept))
+    counts = [len(QUANTITIES[plain(name)]) for name in names]
+    return dict(zip(names, (image.contiguous() for image in images.split(counts, 1))))
+
+
+def moments(name: str, values: surface.Values) -> surface.Values:
+    """The values of a quantity, or of one whose name asks for it their squares."""
+    return tuple(value * value for value in values) if name.startswith(SQUARED) else values
+
+
+def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...]) -> dict[str, surface.Values]:
+    """Quantities of camera paths by name, (N,) for each channel; attached but for those of whole paths."""
+    fixed, fixed_start = integrand._replace(scene=integrand.proposal, parts={}), detached(start)
+    found = {}
+    with torch.no_grad():
+        # As in Mitsuba, what hides emitters hides them in the image alone.
+        seen = fixed._replace(settings=fixed.settings._replace(hide_emitters=False))
+        hit = first_hit(seen, fixed_start.ray, 0)
+        for name in names:
+            if name in OF_PATHS:
+                found[name] = path.FUNCTIONS[name](fixed, fixed_start)
+    geometric = tuple(name for name in names if name in surface.FUNCTIONS)
+    moving = integrand.settings.moving
+    found.update(zip(geometric, surface.surface_values(integrand.scene, start.ray, hit, geometric, moving)))
+    material_names = tuple(name for name in names if name == "albedo" or (
+        name == "sh_normal" and material.turns_normals(integrand.scene)))
+    if material_names:
+        found.update(zip(material_names, material.material_values(integrand, start, hit, material_names,
+                                                                   found.get("sh_normal"))))
+    return found

@@ -1,0 +1,67 @@
+"""What the material at the surface that a camera ray meets adds: its colour, and the normal that an image has turned."""
+
+from __future__ import annotations
+
+from torch_radbp.adjoint.function import detached
+from torch_radbp.aov.surface import Values
+from torch_radbp.given import given_values
+from torch_radbp.lookup import lookup
+from torch_radbp.path import Arrival, PathState, Settings, places_of, surface_met
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.material import material_at
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.reader import Given
+from torch_radbp.vec import rows, where
+from torch_radbp.wavefront import Integrand, queued
+
+
+def turns_normals(scene: SceneTensors) -> bool:
+    """True if a material of a scene has normals of its own."""
+    return any(appearance.kind.turns_normals for appearance in scene.layout.appearances)
+
+
+def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tuple[str, ...],
+                    normals: Values | None) -> tuple[Values, ...]:
+    """Some quantities, one after the other: "albedo", or "sh_normal"; 0 where nothing is met.
+
+    Args:
+        integrand: attached.
+        state, hit: (N,) of camera paths.
+        names: of the quantities.
+        normals: the normals by which surfaces are shaded where no material turns them.
+    """
+    none = hit.t.new_zeros(hit.t.shape)
+    found = {"albedo": (none, none, none), "sh_normal": normals}
+    front, order, queues = queued(integrand, detached(state.ray), hit, False)
+    for queue in queues:
+        if queue.appearance is None:
+            continue
+        lanes = order[queue.first:queue.last]
+        here = rows(Arrival(state, hit, front), lanes)
+        part = integrand.part(queue).scene
+        given = given_values(integrand.scene, integrand.appearance(queue), places_of(part, here, integrand.settings))
+        for name in names:
+            if name == "albedo" or integrand.appearance(queue).kind.turns_normals:
+                own = QUANTITIES[name](part, here, given, integrand.settings)
+                found[name] = tuple(old.index_copy(0, lanes.long(), new) for old, new in zip(found[name], own))
+    return tuple(found[name] for name in names)
+
+
+def albedo(scene: SceneTensors, arrival: Arrival, given: tuple[Given, ...], settings: Settings) -> Values:
+    """Linear RGB; see `Kind.diffuse_reflectance`."""
+    si = surface_met(scene, arrival, settings)
+    material = material_at(scene, si, given)
+    return tuple(material.kind.diffuse_reflectance(material.values, si.wi))
+
+
+def turned_normal(scene: SceneTensors, arrival: Arrival, given: tuple[Given, ...], settings: Settings) -> Values:
+    """The normal that an image gives, in world space; the surface's own on two-sided materials, as in Mitsuba."""
+    si = surface_met(scene, arrival, settings)
+    material = material_at(scene, si, given)
+    front_row = lookup(scene.triangles.material, si.prim)
+    two_sided = lookup(scene.materials.turned, front_row + scene.materials.count)
+    own = si.frame.n * (1.0 - 2.0 * (~si.front & two_sided).to(si.t.dtype))
+    return tuple(where(two_sided, own, si.frame.to_world(material.kind.shading_normal(material.values, si.wi))))
+
+
+QUANTITIES = {"albedo": albedo, "sh_normal": turned_normal}

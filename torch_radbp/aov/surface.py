@@ -1,0 +1,96 @@
+"""What is known of the surface that a camera ray meets without its material; attached to the ray and the geometry."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.lookup import lookup
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.interaction import at_corners, corner_rows, edges, shading_normal, where_the_ray_goes
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import Frame, Ray, Vec2, Vec3, attached, dot, interpolated, unit_normal, where
+
+Values = tuple[Tensor, ...]  # (N,) one for each channel
+
+
+class Sight(NamedTuple):
+    """The point where a camera ray meets a triangle, (N,) each; of no meaning where it meets none."""
+
+    scene: SceneTensors
+    hit: Hit  # its barycentric coordinates slide over the triangle with the ray
+    e1: Vec3  # edges of the triangle, from its first vertex
+    e2: Vec3
+    p: Vec3
+    n: Vec3  # unit geometric normal
+    t: Tensor  # distance that the ray has come
+
+    @property
+    def uv(self) -> tuple[Vec2, Vec2, Vec2]:
+        """Surface coordinates at the three vertices."""
+        return at_corners(self.scene.triangles.vertices.uv, corner_rows(self.scene, self.hit))
+
+
+def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> Sight:
+    """The point where a ray meets a triangle.
+
+    Args:
+        scene: packed with all columns; attached.
+        ray: (N,) attached.
+        hit: what it met.
+        moving: whether ray and geometry carry derivatives: the point stays on the ray.
+    """
+    triangles = scene.triangles
+    p0, e1, e2 = edges(*at_corners(triangles.vertices.p, corner_rows(scene, hit)))
+    t, n = hit.t, lookup(triangles.n, hit.prim.clamp_min(0))
+    if moving:
+        hit = where_the_ray_goes(ray, p0, e1, e2, hit, hit.prim >= 0)
+    p = p0 + e1 * hit.u + e2 * hit.v
+    if moving:
+        t, n = attached(t, dot(p - ray.o, ray.d)), attached(n, unit_normal(e1, e2))
+    return Sight(scene, hit, e1, e2, p, n, t)
+
+
+def coordinates(seen: Sight) -> Values:
+    """Surface coordinates u and v."""
+    return tuple(interpolated(seen.uv, seen.hit.u, seen.hit.v))
+
+
+def tangents(seen: Sight) -> tuple[Vec3, Vec3]:
+    """The derivatives of the position by u and by v on the triangle; where the coordinates do not span it, any orthonormal
+    pair across the normal."""
+    uv0, uv1, uv2 = seen.uv
+    d1, d2 = Vec2(uv1.x - uv0.x, uv1.y - uv0.y), Vec2(uv2.x - uv0.x, uv2.y - uv0.y)
+    area = d1.x * d2.y - d1.y * d2.x
+    spanned = area != 0
+    scale = 1.0 / torch.where(spanned, area, 1.0)
+    other = Frame.of(seen.n)
+    return (where(spanned, (seen.e1 * d2.y - seen.e2 * d1.y) * scale, other.s),
+            where(spanned, (seen.e2 * d1.x - seen.e1 * d2.x) * scale, other.t))
+
+
+def number(seen: Sight, which: int) -> Values:
+    """A number of the triangle, floating point: 0 the triangle's in its shape, 1 the shape's."""
+    return lookup(seen.scene.triangles.numbers[which], seen.hit.prim.clamp_min(0)).to(seen.t.dtype),
+
+
+FUNCTIONS = {
+    "depth": lambda seen: (seen.t,),
+    "position": lambda seen: tuple(seen.p),
+    "uv": coordinates,
+    "geo_normal": lambda seen: tuple(seen.n),
+    "sh_normal": lambda seen: tuple(shading_normal(seen.scene, seen.hit, seen.n)),
+    "dp_du": lambda seen: tuple(tangents(seen)[0]),
+    "dp_dv": lambda seen: tuple(tangents(seen)[1]),
+    "prim_index": lambda seen: number(seen, 0),
+    "shape_index": lambda seen: number(seen, 1),
+}
+
+
+def surface_values(scene: SceneTensors, ray: Ray, hit: Hit, names: tuple[str, ...], moving: bool) -> tuple[Values, ...]:
+    """Some quantities, one after the other; 0 where nothing is met. Args as for `sight`."""
+    seen, valid = sight(scene, ray, hit, moving), (hit.prim >= 0).to(hit.t.dtype)
+    return tuple(tuple(torch.where(hit.prim >= 0, value, 0.0) if name == "depth" else value * valid
+                       for value in FUNCTIONS[name](seen)) for name in names)
