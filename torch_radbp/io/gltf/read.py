@@ -12,6 +12,7 @@ import torch
 
 from torch_radbp.emitter.area import Area
 from torch_radbp.emitter.constant import Constant
+from torch_radbp.integrator.path import Path as PathIntegrator
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.container import read_container
 from torch_radbp.io.gltf.document import Document, GltfWarning, Losses, Part
@@ -24,7 +25,6 @@ from torch_radbp.io.gltf.picture import Pictures
 from torch_radbp.io.gltf.primitive import Primitive, read_primitive
 from torch_radbp.io.gltf.texture import Textures
 from torch_radbp.plugin import Integrator, Plugin, SceneError, nearest
-from torch_radbp.scene.integrator import Path as PathIntegrator
 from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.mesh import Mesh, TensorMesh
 
