@@ -12,6 +12,7 @@ from torch_radbp.wavefront import Bounce, Integrand, bounces, first_hit, trace
 
 # Of linear sRGB primaries and white D65, as Mitsuba has them. Reference: IEC 61966-2-1.
 XYZ_OF_RGB = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))
+STRAIGHT = 1e-5  # largest difference of directions that are one
 
 
 def xyz(integrand: Integrand, start: PathState) -> Values:
@@ -31,21 +32,23 @@ def alpha(integrand: Integrand, start: PathState) -> Values:
     found = torch.full_like(start.pdf, 1.0 if surrounded else 0.0)
     if surrounded or integrand.max_depth == 0:
         return found,
-    for bounce in bounces(integrand._replace(max_depth=max(2, integrand.max_depth)), start):
-        passes = passes_through(bounce)
-        opaque = rows(bounce.step.hit.prim, bounce.step.order)[~passes] >= 0
-        lanes = bounce.vertex.next.lane[~passes][opaque]
-        found.index_fill_(0, lanes.long(), 1.0)
-        if not (passes & bounce.step.survives).any():
+    for bounce in bounces(integrand._replace(max_depth=integrand.max_depth + 1), start):
+        if bounce.depth == integrand.max_depth:
+            break
+        met = bounce.state.lane[bounce.step.hit.prim >= 0]
+        passing = passes_through(bounce)
+        found.index_fill_(0, met.long(), 1.0).index_fill_(0, passing.long(), 0.0)
+        if not len(passing):
             break
     return found,
 
 
 def passes_through(bounce: Bounce) -> Tensor:
-    """(M,) bool, in the order of the vertices: light goes on in the direction in which it came, chosen for certain."""
-    before, after = rows(bounce.state.ray.d, bounce.step.order), bounce.vertex.next
-    turn = before - after.ray.d
-    return torch.isinf(after.pdf) & ((turn.x.abs() + turn.y.abs() + turn.z.abs()) < 1e-5) & bounce.step.survives
+    """The lanes whose light goes on straight, which only happens where a surface lets it pass; int32."""
+    after = bounce.vertex.next
+    turn = rows(bounce.state.ray.d, bounce.step.order[:bounce.step.scattered]) - after.ray.d
+    straight = turn.x.abs() + turn.y.abs() + turn.z.abs() < STRAIGHT
+    return after.lane[torch.isinf(after.pdf) & straight & bounce.step.survives]
 
 
 FUNCTIONS = {"xyz": xyz, "hit": hit_anything, "alpha": alpha}

@@ -33,6 +33,13 @@ class PlacedShape(NamedTuple):
     ball: Ball | None  # likewise
 
 
+class Numbers(NamedTuple):
+    """How the triangles of a shape are counted."""
+
+    counted: bool  # if not, they are one primitive, of number 0
+    shapes: tuple[int, ...]  # the number of the shape in the scene, or those of the instances that show it, in turn
+
+
 class Columns(NamedTuple):
     """What a scene needs to know about its triangles beside their positions."""
 
@@ -43,7 +50,7 @@ class Columns(NamedTuple):
     tangents: bool  # along u
     material: tuple[int, ...]  # of each shape, row of `MaterialTable`
     emitting: tuple[bool, ...]  # whether each shape belongs to an emitter
-    numbers: tuple[bool, ...] | None = None  # for AOVs: whether the triangles of each shape count, or are one primitive
+    numbers: tuple[Numbers, ...] | None = None  # of each shape, for AOVs
 
 
 def placed_shape(kept: Kept, shape: Shape, instances: Sequence[Instance] | None, dtype: torch.dtype) -> PlacedShape:
@@ -184,17 +191,14 @@ def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.
     return torch.where(emitting, emitting.cumsum(0) - 1, -1).to(torch.int32)
 
 
-def numbers(counted: Sequence[bool], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
-    """The number of each triangle in its shape, and that of the shape from 1 on, (T,) int32 each.
-
-    Args:
-        counted: whether the triangles of a shape have numbers; if not, all have 0.
-        counts: of the triangles of each shape.
-        device: of the result.
-    """
-    own = [torch.arange(count, dtype=torch.int32) * int(counts_here) for count, counts_here in zip(counts, counted)]
-    return (torch.cat([torch.zeros(0, dtype=torch.int32), *own]).to(device),
-            of_each(range(1, len(counts) + 1), counts, torch.int32, device))
+def numbers(shapes: Sequence[Numbers], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
+    """The number of each triangle in its shape, and that of the shape, (T,) int32 each; `counts` are of triangles."""
+    none = torch.zeros(0, dtype=torch.int32)
+    sizes = [count // len(shape.shapes) for shape, count in zip(shapes, counts)]
+    own = [torch.arange(size, dtype=torch.int32).repeat(len(shape.shapes)) * shape.counted
+           for shape, size in zip(shapes, sizes)]
+    of_shapes = [torch.tensor(shape.shapes, dtype=torch.int32).repeat_interleave(size) for shape, size in zip(shapes, sizes)]
+    return torch.cat([none, *own]).to(device), torch.cat([none, *of_shapes]).to(device)
 
 
 def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tensor]:

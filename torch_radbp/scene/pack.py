@@ -14,12 +14,14 @@ from torch_radbp.emitter.kind import Light
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.attributes import any_differentiated, check_attributes
-from torch_radbp.scene.geometry import Columns, placed_shape, triangle_table
+from torch_radbp.scene.geometry import Columns, Numbers, placed_shape, triangle_table
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.light_table import Emission, kinds_of, light_table
 from torch_radbp.scene.parameters import check_extent, check_parameters, largest_coordinate
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors
+from torch_radbp.shape.instance import Instance
+from torch_radbp.shape.surface import Surface
 from torch_radbp.texture.bitmap import BitmapReader, reader_of
 from torch_radbp.texture.colour import ColourReader
 from torch_radbp.texture.mixed import MixedReader, reader_for
@@ -93,7 +95,7 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
                       layout.vertex_attributes, layout.face_attributes, any(look.kind.oriented for look in appearances),
                       tuple(row[id(shape.bsdf)] for shape in scene.shapes),
                       tuple(shape.emitter is not None for shape in scene.shapes),
-                      tuple(not shape.whole for shape in scene.shapes) if aovs else None)
+                      numbers_of(scene) if aovs else None)
     triangles = triangle_table(kept, placed, columns, dtype, device)
 
     def emission(emitter: Light, count: int | None) -> Emission:
@@ -106,6 +108,14 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     lights = light_table(kept, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
                          tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout, lit, light_choice)
     return SceneTensors(triangles, materials, banks, lights, lit, layout)
+
+
+def numbers_of(scene: Scene) -> tuple[Numbers, ...]:
+    """How the triangles of each shape are counted: shapes and instances from 1 on, in the order of the scene."""
+    places = [id(child) for child in scene.children() if isinstance(child, (Surface, Instance))]
+    number = {place: count for count, place in enumerate(places, 1)}
+    return tuple(Numbers(not shape.whole, tuple(number[id(seen)] for seen in ([shape] if instances is None else instances)))
+                 for shape, instances in zip(scene.shapes, scene.shown_by))
 
 
 def twins(kept: Kept, place: Hashable, textures: Iterable[Texture]) -> tuple[Texture, ...]:

@@ -31,6 +31,8 @@ class Cylinder(Tessellated):
         ValueError: if `p0` and `p1` coincide, or `radius` is not positive.
     """
 
+    whole = True
+
     def __init__(self, *, p0: Point3 | None = None, p1: Point3 | None = None, radius: float = 1.0,
                  to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
                  emitter: Emitter | None = None):
