@@ -29,6 +29,7 @@ from torch_radbp.scene.pack import one_sided
 
 MOVE_SHAPES = ("to_world", "vertex_positions")
 MOVE_LIGHTS = ("to_world", "position")
+MOST_LIGHTS = 32  # that move, and that do not, whose shadows are searched
 FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
 CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
 
@@ -94,7 +95,8 @@ class JumpWatch:
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadows that move because a light, the shape that casts them or the shape below moves, or None.
 
-        Parameters that move silhouettes too are left out. Shadows are searched once for each parameter, by casting rays.
+        Parameters that move silhouettes too are left out. Shadows are searched once for each parameter, by casting rays
+        from some of the lights.
         """
         scene, vertices, faces = rendering.scene, rendering.caster.vertices, rendering.caster.faces
         shapes = rendering.movers()
@@ -102,7 +104,7 @@ class JumpWatch:
         if names <= self.looked_at:
             return None
         self.looked_at |= names
-        lights, counts = list(lights_of(rendering)), rendering.counts()
+        lights, counts, owners = some_of(list(lights_of(rendering))), rendering.counts(), scene.shapes
         if not lights:
             return None
         edges = self.edges("world", vertices, faces, counts)
@@ -114,7 +116,7 @@ class JumpWatch:
             casting = shape_at[edges.vertex[edges.a[found.edge]]]
             pairs = torch.stack([casting, shape_of[found.receiver]], 1).unique(dim=0)
             for casts, catches in pairs.tolist():
-                if scene.shapes[casts] is not light.shape:
+                if owners[casts] is not light.shape:
                     missing |= {*light.moving, *shapes[casts], *shapes[catches]}
         missing -= self.missing(rendering).keys()
         if not missing:
@@ -229,6 +231,12 @@ def lights_of(rendering: Rendering) -> Iterator[Light]:
             # The normals of a closed surface add up to zero, but for rounding.
             axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
             yield Light(*shape.emitter.kind().source(middle, axis), shape, moving(scene, shape, MOVE_SHAPES))
+
+
+def some_of(lights: list[Light]) -> list[Light]:
+    """At most `MOST_LIGHTS` of the lights that move and as many of the others, spread over the scene."""
+    groups = [light for light in lights if light.moving], [light for light in lights if not light.moving]
+    return [light for group in groups for light in group[::max(1, -(-len(group) // MOST_LIGHTS))]]
 
 
 def texture_name(scene: Scene, texture: Texture) -> str:

@@ -12,9 +12,10 @@ from torch_radbp.domain import AMOUNT, Domain
 from torch_radbp.emitter.attributes import colour, weight
 from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
 from torch_radbp.lookup import lookup
-from torch_radbp.plugin import Texture, register
+from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere
+from torch_radbp.shape.surface import affine
 from torch_radbp.vec import Vec3
 
 
@@ -44,12 +45,19 @@ class Constant(Light):
     """An infinitely distant surround of constant `radiance`.
 
     Parameters: `radiance`. Derivatives: with respect to its value.
+
+    Args:
+        radiance: of one colour.
+        to_world: checked, as Mitsuba has it, and of no effect: what is the same everywhere does not turn.
     """
 
-    def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
+    def __init__(self, *, radiance: Texture | float = 1.0, to_world: Matrix4 | None = None, sampling_weight: float = 1.0):
         super().__init__()
+        affine("to_world", to_world)
         self.radiance = colour(self, "radiance", radiance)
         self.sampling_weight = weight(sampling_weight)
+
+    to_world = None  # of no effect
 
     def domains(self) -> dict[str, Domain]:
         return {"radiance": AMOUNT}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import torch
@@ -154,7 +155,9 @@ class Scene(nn.Module):
 
     def name_of(self, plugin: nn.Module) -> str:
         """The full name of a submodule, or its type if it is not part of the scene."""
-        return next((name for name, module in self.named_modules() if module is plugin), type(plugin).__name__)
+        # The objects of the scene first: it may have thousands, and their names be asked for one by one.
+        named = itertools.chain(self._modules.items(), self.named_modules())
+        return next((name for name, module in named if module is plugin), type(plugin).__name__)
 
     def bsdfs(self) -> Iterator[BSDF]:
         """The materials of the shapes, each once, in order of first use."""
