@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.derivatives.scenes import coloured_file
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
 from tests.shape.surfaces import TEXTURED, meets, of_point
 from torch_radbp.io.transform import rotate, scale, translate
@@ -166,6 +167,44 @@ def test_a_thousand_instances():
     *of_poses, of_positions = torch.autograd.grad(image.sum(), [*poses, positions])
     assert torch.isfinite(torch.stack(of_poses)).all() and torch.isfinite(of_positions).all()
     assert (torch.stack(of_poses).abs().amax((1, 2)) > 0).sum() > 900 and of_positions.abs().max() > 0
+
+
+def test_attributes_are_shown_by_every_instance():
+    coloured = {"type": "ply", "filename": coloured_file(), "to_world": translate((0, 0, 0.2)), "bsdf": {
+        "type": "twosided", "one": {"type": "roughplastic", "diffuse_reflectance": {
+            "type": "mesh_attribute", "name": "vertex_color"}, "specular_reflectance": {
+            "type": "mesh_attribute", "name": "face_shine"}}}}
+    places = [translate((0.9 * number - 0.9, 0, 0)) @ scale((0.25, 0.25, 0.25)) for number in range(3)]
+    shown = load(**SURROUNDINGS, group={"type": "shapegroup", "sheet": coloured},
+                 **{f"i{number}": {"type": "instance", "to_world": place, "g": GROUP}
+                    for number, place in enumerate(places)})
+    copies = load(**SURROUNDINGS, **{f"c{number}": coloured | {"to_world": place @ coloured["to_world"]}
+                                     for number, place in enumerate(places)})
+    image = rb.render(shown, **settings())
+    torch.testing.assert_close(rb.render(copies, **settings()), image, rtol=0, atol=1e-5)
+    colours = shown.get_parameter("group.sheet.vertex_color").requires_grad_()
+    gradient, = torch.autograd.grad(rb.render(shown, **settings()).sum(), colours)
+    at_copies = [copies.get_parameter(f"c{number}.vertex_color").requires_grad_() for number in range(3)]
+    expected = sum(torch.autograd.grad(rb.render(copies, **settings()).sum(), at_copies))
+    assert expected.abs().min() > 0
+    torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=0)
+
+
+def test_very_many_spheres_have_fewer_triangles_and_look_the_same():
+    """One in view, and others far behind the camera."""
+    def scene(others: int) -> rb.Scene:
+        shown = {f"i{number}": {"type": "instance", "to_world": translate((0, 0, 90 + 3 * number)), "group": GROUP}
+                 for number in range(others)}
+        group = {"type": "shapegroup", "ball": {"type": "sphere", "bsdf": TEXTURED}}
+        return load(camera=sensor(8, (0, 0, 4), (0, 0, 0), 35), sky=SURROUNDINGS["sky"], group=group,
+                    near={"type": "instance", "g": GROUP}, **shown)
+
+    few, many = scene(1), scene(160)
+    assert few.group.ball.triangles().ball is not None and many.group.ball.triangles().ball is None
+    assert len(many.group.ball.faces) * 9 < len(few.group.ball.faces)
+    images = [rb.render(each, **settings(spp=64, max_depth=2)) for each in (few, many)]
+    torch.testing.assert_close(images[1], images[0], rtol=0, atol=0.02 * float(images[0].max()))
+    assert float(images[0].std()) > 0.05
 
 
 def test_forward_mode_is_the_transpose():

@@ -1,9 +1,16 @@
 """Where rays meet shapes, the shading normal there and uv, as Mitsuba 3.9.1 says (`scalar_rgb`, `Scene.ray_intersect`)."""
 
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 import pytest
 import torch
 
+from tests.io.serialized_files import mesh, serialized
 from tests.shape.surfaces import TEXTURED, meets, of_point
+from torch_radbp.io.mesh_arrays import MeshArrays
+from torch_radbp.io.ply import write_ply
 from torch_radbp.io.transform import rotate, scale, translate
 
 MIRROR = scale((-1, 1, 1))
@@ -54,6 +61,69 @@ def test_points_normals_and_coordinates(name, ray):
     assert abs(t - expected_t) < FACETS
     torch.testing.assert_close(normal, torch.tensor(expected_normal, dtype=normal.dtype), rtol=0, atol=FACETS)
     torch.testing.assert_close(uv, torch.tensor(expected_uv, dtype=uv.dtype), rtol=0, atol=FACETS)
+
+
+CORNERS = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+FACES = [[0, 1, 2], [0, 1, 3]]
+NORMALS, UV = [[0.3, 0, 1], [0, 0.2, 1], [0, 0, 1], [0, 0, 1]], [[0, 0], [1, 0], [0, 0.5], [0, 0]]
+SMOOTH, COMPUTED, FLAT = (0.146, 0.04, 0.989), (0, -0.529, 0.849), (0, 0, 1)  # normals where a ray meets the first face
+# Of a mesh with normals in the file and without: attributes, and what Mitsuba says there.
+MESHES = [
+    (True, {}, SMOOTH), (True, {"face_normals": True}, FLAT), (True, {"flip_normals": True}, (-0.146, -0.04, -0.989)),
+    (True, {"face_normals": True, "flip_normals": True}, (0, 0, -1)), (True, {"to_world": MIRROR}, (-0.146, 0.04, 0.989)),
+    (True, {"to_world": MIRROR, "flip_normals": True}, (0.146, -0.04, -0.989)), (False, {}, COMPUTED),
+    (False, {"face_normals": True}, FLAT), (False, {"flip_normals": True}, (0, 0.529, -0.849)),
+    (False, {"to_world": MIRROR}, (0, 0.529, -0.849)), (False, {"face_normals": True, "to_world": MIRROR}, (0, 0, -1)),
+    (False, {"to_world": MIRROR, "flip_normals": True}, COMPUTED),
+    (False, {"face_normals": True, "to_world": MIRROR, "flip_normals": True}, FLAT),
+]
+
+
+def mesh_file(folder: Path, kind: str, normals: bool) -> dict[str, Any]:
+    """The mesh in a file of a kind, as a shape."""
+    path = folder / f"m.{kind}"
+    if kind == "serialized":
+        path.write_bytes(serialized(mesh(CORNERS, FACES, uv=UV, **({"normals": NORMALS} if normals else {}))))
+    elif kind == "ply":
+        write_ply(path, MeshArrays(np.array(CORNERS, float), np.array(FACES), np.array(NORMALS, float) if normals else None,
+                                   np.array(UV, float)))
+    else:
+        columns = [("v", CORNERS), ("vt", UV), *([("vn", NORMALS)] if normals else [])]
+        rows = [" ".join([key, *map(str, row)]) for key, table in columns for row in table]
+        corner = "{0}/{0}/{0}" if normals else "{0}/{0}"
+        rows += [" ".join(["f", *(corner.format(k + 1) for k in face)]) for face in FACES]
+        path.write_text("\n".join(rows) + "\n")
+    return {"type": kind, "filename": str(path)}
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "serialized"])
+@pytest.mark.parametrize("normals, attributes, expected", MESHES)
+def test_attributes_of_meshes(tmp_path, kind, normals, attributes, expected):
+    shape = mesh_file(tmp_path, kind, normals) | attributes | {"bsdf": TEXTURED}
+    ray = ((-0.2 if "to_world" in attributes else 0.2, 0.3, 5), (0, 0, -1))
+    t, normal, uv = of_point(meets(*ray, {"shape": shape}))
+    torch.testing.assert_close(normal, torch.tensor(expected, dtype=normal.dtype), rtol=0, atol=1e-3)
+    # u = 0.2 and v = 0.15 in the file; only OBJ files are flipped unless they are asked not to be.
+    torch.testing.assert_close(uv, torch.tensor([0.2, 0.85 if kind == "obj" else 0.15], dtype=uv.dtype), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+@pytest.mark.parametrize("flipped", [False, True])
+def test_flip_tex_coords(tmp_path, kind, flipped):
+    shape = mesh_file(tmp_path, kind, False) | {"flip_tex_coords": flipped, "bsdf": TEXTURED}
+    _, _, uv = of_point(meets((0.2, 0.3, 5), (0, 0, -1), {"shape": shape}))
+    assert abs(float(uv[1]) - (0.85 if flipped else 0.15)) < 1e-6
+
+
+def test_mitsuba_says_so_of_meshes(tmp_path, mi):
+    for kind in ("obj", "ply", "serialized"):
+        for normals, attributes, expected in MESHES:
+            shape = mesh_file(tmp_path, kind, normals) | attributes
+            x = 0.2
+            if "to_world" in shape:
+                x, shape["to_world"] = -0.2, mi.ScalarTransform4f(shape["to_world"])
+            si = mi.load_dict({"type": "scene", "shape": shape}).ray_intersect(mi.Ray3f((x, 0.3, 5), (0, 0, -1)))
+            assert list(si.sh_frame.n) == pytest.approx(list(expected), abs=1e-3), (kind, normals, attributes)
 
 
 def test_mitsuba_says_so(mi):

@@ -85,6 +85,9 @@ class Surface(Shape):
         self.add_module("emitter", emitter)
         self.flip_normals = flip_normals
 
+    def shown_often(self) -> None:
+        """Told to a shape of which instances show many: it may take fewer triangles."""
+
     def triangles(self) -> Triangles:
         """The shape as triangles in world space."""
         raise TypeError(f"{type(self).__name__} does not define its triangles")
@@ -112,8 +115,12 @@ class Tessellated(Surface):
 
     def place(self, to_world: Tensor | None, surface: Triangles) -> None:
         """Stores the canonical tessellation and the transform."""
-        dtype = torch.get_default_dtype()
         self.freeze("to_world", affine("to_world", to_world))
+        self.tessellate(surface)
+
+    def tessellate(self, surface: Triangles) -> None:
+        """Stores the canonical tessellation."""
+        dtype = torch.get_default_dtype()
         self.register_buffer("canonical_vertices", surface.vertices.to(dtype), persistent=False)
         self.register_buffer("canonical_normals", None if surface.normals is None else surface.normals.to(dtype),
                              persistent=False)
