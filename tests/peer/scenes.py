@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from .scene_files import (
     Folder,
     bitmap,
@@ -303,3 +305,41 @@ def every_light(folder: Folder) -> Path:
   <emitter type="projector">
     {pose("0.5, 2.5, 3.5", "-0.3, 0.5, 0")}{bitmap("irradiance", "slide.exr")}<float name="fov" value="30"/>
   </emitter>""", '<integer name="max_depth" value="4"/>'))
+
+
+def many_lamps(folder: Folder) -> Path:
+    """Thirty-six lamps of all kinds, brightness and weight, on diffuse surfaces and rough metal, and a dim sky: picked by a
+    tree here, uniformly there."""
+    folder.pixels("lamp.exr", 12 * picture(4, 6, seed=38) ** 3)
+    random = np.random.default_rng(5)
+    ring = []
+    for number in range(36):
+        angle, height = 2 * np.pi * number / 36, 0.6 + 0.5 * (number % 4)
+        place = f"{2.3 * np.sin(angle):.3f}, {height}, {2.3 * np.cos(angle):.3f}"
+        x, y, z = place.split(", ")
+        colour = random.uniform(0.2, 1, 3) * (4 if number % 5 == 0 else 1)
+        red, green, blue = (f"{value:.3f}" for value in colour)
+        bright = ", ".join(f"{9 * float(value):.3f}" for value in (red, green, blue))
+        weight = f'<float name="sampling_weight" value="{1 + number % 3}"/>'
+        facing = f'<lookat origin="{place}" target="0, {0.2 * (number % 3)}, 0" up="0.1, 1, 0.2"/>'
+        rect = f'<transform name="to_world"><scale x="0.15" y="0.1"/>{facing}</transform>'
+        ring.append((
+            shape("rectangle", f"lamp_{number}", rect, diffuse("0"), lamp(bright)),
+            f"""
+  <emitter type="point" id="lamp_{number}">
+    <point name="position" x="{x}" y="{y}" z="{z}"/><rgb name="intensity" value="{red}, {green}, {blue}"/>{weight}
+  </emitter>""",
+            f"""
+  <emitter type="spot" id="lamp_{number}">
+    <transform name="to_world">{facing}</transform><rgb name="intensity" value="{red}, {green}, {blue}"/>
+    <float name="cutoff_angle" value="35"/>
+  </emitter>""",
+            shape("rectangle", f"lamp_{number}", rect, diffuse("0"),
+                  f'<emitter type="area">{bitmap("radiance", "lamp.exr")}{weight}</emitter>'),
+            shape("sphere", f"lamp_{number}", ball(float(x), float(y), float(z), 0.08), diffuse("0"), lamp("5, 6, 4")),
+        )[number % 5])
+    metal = '<bsdf type="roughconductor"><float name="alpha" value="0.25"/><string name="material" value="Al"/></bsdf>'
+    globe = shape("sphere", "globe", ball(0.3, 0.35, 1.2, 0.35), metal)
+    return folder.text("scene.xml", scene_xml(
+        size(40, 30), VIEW, furnished(folder) + globe + "".join(ring) + SKY.format("0.05, 0.06, 0.08"),
+        '<integer name="max_depth" value="4"/><boolean name="hide_emitters" value="true"/>'))
