@@ -126,8 +126,8 @@ class Vertex(NamedTuple):
 
 
 def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor,
-                  key: SampleKey) -> tuple[Ray, LaneKey]:
-    """One camera ray per lane, and the lane's key of random numbers.
+                  key: SampleKey) -> tuple[Ray, LaneKey, Tensor | None]:
+    """One camera ray per lane, the lane's key of random numbers, and its weight in the pixel (None: all are 1).
 
     Args:
         camera: the sensor.
@@ -143,7 +143,8 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor,
     aperture = None
     if camera.kind.has_aperture:
         aperture = Vec2(*(uniform(camera_key, dimension, camera.dtype) for dimension in (APERTURE_U, APERTURE_V)))
-    return camera.ray(column, row, u, v, aperture), lane
+    ray, weight = camera.sample_ray(column, row, u, v, aperture)
+    return ray, lane, weight
 
 
 def start_path(ray: Ray, key: LaneKey, from_places: bool = False) -> PathState:

@@ -31,10 +31,10 @@ def registered() -> set[Pair]:
 
 
 def own_parameters(plugin: type[Plugin]) -> set[str]:
-    """Names that the code of a class, or of what it is derived from, gives to `freeze` or to torch."""
+    """Names that the code of a class, or of what it is derived from, gives to `freeze` or to torch, or says it may give."""
     code = "".join(inspect.getsource(base) for base in plugin.__mro__ if issubclass(base, Plugin) and base is not Plugin)
     return set(re.findall(r"(?:freeze|register_parameter)\(\s*\"(\w+)\"", code)) | set(
-        re.findall(r"self\.(\w+) = (?:torch\.)?nn\.Parameter", code))
+        re.findall(r"self\.(\w+) = (?:torch\.)?nn\.Parameter", code)) | set(getattr(plugin, "optional_parameters", ()))
 
 
 def nested(plugin: type[Plugin]) -> set[str]:

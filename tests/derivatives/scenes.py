@@ -70,6 +70,18 @@ def blurred(size: int = 2, fov: float = 34) -> dict[str, Any]:
     return camera(size, fov, type="thinlens", aperture_radius=0.13, focus_distance=2.6, rfilter="gaussian")
 
 
+def calibrated(size: int = 2, factor: float = 1.0, **attributes: Any) -> dict[str, Any]:
+    """A camera with intrinsics and every coefficient of distortion; `factor` scales what it sees."""
+    given = {"k1": -0.13, "k2": 0.07, "k3": -0.05, "k4": 0.04, "k5": 0.06, "k6": -0.03, "p1": 0.02, "p2": -0.03} | attributes
+    pinhole = camera(size, rfilter="gaussian")
+    return {"type": "calibrated", "to_world": pinhole["to_world"], "film": pinhole["film"], "fx": factor * 1.6 * size,
+            "fy": factor * 1.7 * size, "cx": 0.47 * size - 0.5, "cy": 0.52 * size - 0.5, "skew": 0.02 * size} | given
+
+
+FISHEYE = {"distortion": "fisheye", "k1": 0.06, "k2": -0.04, "k3": 0.05, "k4": -0.02, "k5": None, "k6": None, "p1": None,
+           "p2": None}
+
+
 def lamp(**attributes: Any) -> dict[str, Any]:
     """A lamp above that faces down."""
     return rectangle((0.5, 2.6, 1.7), 0.8, (1, 0.13, 0.21), 119, **{
@@ -310,6 +322,9 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "perspective": {SUBJECT: camera(principal_point_offset_x=0.03, principal_point_offset_y=-0.02, rfilter="gaussian"),
                     "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
     "thinlens": {SUBJECT: blurred(), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
+    "calibrated": {SUBJECT: calibrated(factor=0.55), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
+    "calibrated fisheye": {SUBJECT: calibrated(factor=0.4, **FISHEYE), "lamp": lamp(), "floor": floor(),
+                           "plane": rectangle((0, 0, 0), 8.0, (0.35, 1, 0.23), 24, bsdf=printed())},
     "orthographic": {SUBJECT: parallel(), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
 }
 

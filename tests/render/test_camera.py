@@ -25,7 +25,7 @@ def camera(width=24, height=16, crop=None, **attributes):
 def ray(sensor, column, row, u=HALF, v=HALF):
     """(origin, direction) of one ray, each (3,)."""
     column, row = torch.tensor([[column], [row]], dtype=torch.int32)
-    found = sensor.tensors().ray(column, row, u, v)
+    found, _ = sensor.tensors().sample_ray(column, row, u, v)
     return found.o.stack()[0].detach(), found.d.stack()[0].detach()
 
 

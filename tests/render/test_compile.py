@@ -87,7 +87,7 @@ def test_camera_rays_in_double_precision():
     camera = detached(cornell(torch.float64, SIZE).sensors[0].tensors())
     numbers = torch.arange(256, dtype=torch.int32)
     arguments = camera, torch.tensor(SIZE, dtype=torch.int32), numbers, numbers % 7, sample_key(3, 0, True, numbers.device)
-    (expected, _), (ray, _) = (stage.sample_camera(*arguments) for stage in (stages.EAGER, stages.compiled()))
+    (expected, *_), (ray, *_) = (stage.sample_camera(*arguments) for stage in (stages.EAGER, stages.compiled()))
     for part, wanted in zip((*ray.o, *ray.d), (*expected.o, *expected.d)):
         assert part.dtype == torch.float64 and (part - wanted).abs().max() < 1e-14
     assert expected.d.x.std() > 0.01

@@ -27,7 +27,7 @@ def camera(width=16, height=8, crop=None, **attributes) -> Orthographic:
 def ray(sensor: Orthographic, column: float, row: float) -> tuple[torch.Tensor, torch.Tensor]:
     """(origin, direction) of the ray through the centre of a pixel, (3,) each."""
     column, row = torch.tensor([[column], [row]], dtype=torch.int32)
-    found = sensor.tensors().ray(column, row, HALF, HALF)
+    found, _ = sensor.tensors().sample_ray(column, row, HALF, HALF)
     return found.o.stack()[0].detach(), found.d.stack()[0].detach()
 
 

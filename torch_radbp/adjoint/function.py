@@ -28,7 +28,7 @@ from torch_radbp.entry import entry
 from torch_radbp.path import PathState, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.record import leaves_of, with_leaves
-from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.sampling.sampler import LaneKey, SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
@@ -68,13 +68,18 @@ class RenderCall(NamedTuple):
 
 def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
     """The camera paths of a chunk, pixel by pixel."""
+    ray, lanes, _ = camera_samples(call, chunk, key)
+    return start_path(ray, lanes, call.scene.lights.by_place)
+
+
+def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> tuple[Ray, LaneKey, Tensor | None]:
+    """The rays of a chunk's lanes, their keys and their weights; see `sample_camera`."""
     device = call.scene.device
     pixel = chunk.pixels.index(device).repeat_interleave(chunk.samples)
     sample = torch.arange(chunk.samples, dtype=torch.int32, device=device) + chunk.first_sample
     view = call.views[chunk.sensor]
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    return start_path(*call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key),
-                      call.scene.lights.by_place)
+    return call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key)
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
@@ -83,8 +88,8 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    return start_path(*call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0]),
-                      call.scene.lights.by_place)
+    ray, lanes, _ = call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0])
+    return start_path(ray, lanes, call.scene.lights.by_place)
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:
@@ -105,7 +110,7 @@ def differentiable(tensors) -> list[Tensor]:
 
 def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey, record: bool,
                 tracer: Callable = trace) -> tuple[Vec3, PathRecord]:
-    """Radiance of each lane, and what the backward pass will need of it."""
+    """What counts of each lane's radiance, and what the backward pass will need of it."""
     strategy = call.adjoint
     states: dict[int, PathState] = {}
     steps: dict[int, Step] = {}
@@ -123,9 +128,15 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
         if strategy.keep_hits:
             steps[depth] = step
 
-    L = tracer(integrand_of(call, integrand, chunk), start_paths(call, chunk, key), visit)
+    ray, lanes, weight = camera_samples(call, chunk, key)
+    L = tracer(integrand_of(call, integrand, chunk), start_path(ray, lanes, call.scene.lights.by_place), visit)
     radiance = L if record and strategy.keep_radiance else None
-    return L, PathRecord(lambda: start_paths(call, chunk, key), radiance, states, steps, bounces)
+    return weighted(L, weight), PathRecord(lambda: start_paths(call, chunk, key), radiance, states, steps, bounces, weight)
+
+
+def weighted(L: Vec3, weight: Tensor | None) -> Vec3:
+    """What counts of the lanes' radiance, or of its adjoint."""
+    return L if weight is None else L * weight
 
 
 def pixel_sums(chunk: Chunk, values: Iterable[Tensor]) -> Tensor:
@@ -193,7 +204,7 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
 
 
 def lane_adjoint(call: RenderCall, chunk: Chunk, grad_images: Tensor) -> Vec3:
-    """Derivative of the loss with respect to L_1 of each lane: a pixel is the mean of its samples."""
+    """Derivative of the loss with respect to what counts of L_1 of each lane: a pixel is the mean of its samples."""
     gradient = grad_images[chunk.sensor].reshape(3, -1).index_select(1, chunk.pixels.index(grad_images.device)) / call.spp
     return Vec3(*(channel.repeat_interleave(chunk.samples) for channel in gradient))
 
@@ -239,7 +250,7 @@ class RenderFunction(torch.autograd.Function):
             key = call.views[chunk.sensor].sample_keys[call.retrace]
             record = trace_chunk(call, integrand, chunk, key, record=True)[1] if call.retrace else records[index]
             sweep = make_sweep(integrand_of(call, integrand, chunk), record,
-                               lane_adjoint(call, chunk, grad_images), wanted, gradients)
+                               weighted(lane_adjoint(call, chunk, grad_images), record.weight), wanted, gradients)
             call.adjoint.backward(sweep)
             return sweep
 

@@ -51,6 +51,7 @@ class PathRecord(NamedTuple):
     states: dict[int, PathState]  # by depth, where the schedule keeps them; depth 0 is `start`
     steps: dict[int, Step]  # by depth, empty with keep_hits=False
     bounces: int
+    weight: Tensor | None = None  # of each lane in its pixel; None: all are 1
 
 
 class Memo(NamedTuple):

@@ -71,23 +71,16 @@ def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
 
 
 def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
-    """True if part of an edge lies inside the camera's view frustum; (E,) bool.
+    """True if part of an edge is in the camera's view; (E,) bool.
 
     Args:
         edges: between `vertices`, (U, 3) float64, world space; an edge of length zero is a point.
         sight: of the camera.
-
-    Reference: Cyrus and Beck 1978, "Generalized Two- and Three-Dimensional Clipping".
     """
     camera, width, height = sight
     x, y = limits(camera.film.crop_x, camera.film.size_x, width), limits(camera.film.crop_y, camera.film.size_y, height)
-    inside = camera.kind.frustum(camera.lens, x, y, Vec3.of(vertices))
-    start, end = inside[:, edges.a], inside[:, edges.b]
-    crossing = start / torch.where(start == end, 1.0, start - end)
-    zero = torch.zeros_like(crossing)
-    enters = torch.where(start < 0, torch.where(end < 0, 2.0, crossing), zero).amax(0)
-    leaves = torch.where(end < 0, torch.where(start < 0, -1.0, crossing), zero + 1.0).amin(0)
-    return enters < leaves
+    start, end = (Vec3.of(vertices[index]) for index in (edges.a, edges.b))
+    return camera.kind.crosses_view(camera.lens, x, y, start, end)
 
 
 def limits(crop: Tensor, size: Tensor, pixels: int) -> Tensor:

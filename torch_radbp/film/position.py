@@ -35,6 +35,11 @@ class FilmTensors(NamedTuple):
                     (row + self.crop_y + 0.5 + quantile(self.quantiles, v)) / self.size_y)
 
 
+    def weight(self, column: Tensor, row: Tensor, u: Tensor, v: Tensor) -> Tensor | None:
+        """What the samples at these places count in their pixels, (N,); None: all the same, 1. Args as for `position`."""
+        return None
+
+
 def quantile(table: Tensor, u: Tensor) -> Tensor:
     """Linear interpolation of a filter's (TABLE_SIZE,) table at `u` in [0, 1]."""
     position = u * (TABLE_SIZE - 1)

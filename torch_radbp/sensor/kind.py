@@ -31,13 +31,16 @@ class CameraKind(ABC):
     has_aperture: ClassVar[bool] = False  # rays of one position on the image differ
 
     @abstractmethod
-    def ray(self, lens: Lens, position: Vec2, aperture: Vec2 | None) -> Ray:
-        """World rays, unit length, that start on the near plane; attached to the lens.
+    def sample_ray(self, lens: Lens, position: Vec2, aperture: Vec2 | None) -> tuple[Ray, Tensor | None]:
+        """World rays, unit length, that start on the near plane, and what counts of their radiance.
 
         Args:
             lens: of the camera.
             position: (N,) on the image, fractions of its size; (0, 0) is the upper left corner.
             aperture: (N,) points of the unit square that choose a place on the lens; None without an aperture.
+
+        Returns:
+            The rays, attached to the lens; and their weights, (N,) detached: 0 where nothing is seen. None: all are 1.
         """
 
     @abstractmethod
@@ -58,6 +61,23 @@ class CameraKind(ABC):
             p: (N,) world points.
         """
 
+    def crosses_view(self, lens: Lens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
+        """True if part of a segment from `a` to `b`, (E,) world points, is in view; args as for `frustum`."""
+        enters, leaves = self.clipped(lens, x, y, a, b)
+        return enters < leaves
+
+    def clipped(self, lens: Lens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
+        """The shares of segments at which they enter and leave the frustum; the first is greater if they miss it.
+
+        Reference: Cyrus and Beck 1978, "Generalized Two- and Three-Dimensional Clipping".
+        """
+        start, end = self.frustum(lens, x, y, a), self.frustum(lens, x, y, b)
+        crossing = start / torch.where(start == end, 1.0, start - end)
+        zero = torch.zeros_like(crossing)
+        enters = torch.where(start < 0, torch.where(end < 0, 2.0, crossing), zero).amax(0)
+        leaves = torch.where(end < 0, torch.where(start < 0, -1.0, crossing), zero + 1.0).amin(0)
+        return enters, leaves
+
 
 class Camera(NamedTuple):
     """A sensor as tensors; attached."""
@@ -70,15 +90,21 @@ class Camera(NamedTuple):
     def dtype(self) -> torch.dtype:
         return self.film.quantiles.dtype
 
-    def ray(self, column: Tensor, row: Tensor, u: Tensor, v: Tensor, aperture: Vec2 | None = None) -> Ray:
-        """Rays through pixels of the crop window, offset by the reconstruction filter; attached to the lens.
+    def sample_ray(self, column: Tensor, row: Tensor, u: Tensor, v: Tensor,
+                   aperture: Vec2 | None = None) -> tuple[Ray, Tensor | None]:
+        """Rays through pixels of the crop window, offset by the reconstruction filter, and their weights in the pixel.
 
         Args:
             column, row: (N,) of the pixels.
             u, v: (N,) uniform numbers.
             aperture: (N,) more uniform numbers if the kind has an aperture, else None.
+
+        Returns:
+            The rays, attached to the lens; and their weights, (N,) detached, or None if all are 1.
         """
-        return self.kind.ray(self.lens, self.film.position(column, row, u, v), aperture)
+        ray, seen = self.kind.sample_ray(self.lens, self.film.position(column, row, u, v), aperture)
+        weight = self.film.weight(column, row, u, v)
+        return ray, weight if seen is None else seen if weight is None else seen * weight
 
     def beyond_far_plane(self, p: Vec3) -> Tensor:
         """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""

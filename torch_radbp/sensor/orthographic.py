@@ -29,11 +29,11 @@ class OrthographicLens(NamedTuple):
 class OrthographicKind(CameraKind):
     """Rays are parallel, and start on a rectangle."""
 
-    def ray(self, lens: OrthographicLens, position: Vec2, aperture: None) -> Ray:
+    def sample_ray(self, lens: OrthographicLens, position: Vec2, aperture: None) -> tuple[Ray, None]:
         x, y = 1.0 - 2.0 * position.x, (1.0 - 2.0 * position.y) / lens.aspect
         corner, d = near_corner(lens), normalize(lens.z)
         o = Vec3(*(c + a * x + b * y for c, a, b in zip(corner, lens.x, lens.y)))
-        return Ray(o, Vec3(*(component.expand_as(x) for component in d)))
+        return Ray(o, Vec3(*(component.expand_as(x) for component in d))), None
 
     def beyond_far_plane(self, lens: OrthographicLens, p: Vec3) -> Tensor:
         return dot(p - near_corner(lens), normalize(lens.z)) > lens.depth

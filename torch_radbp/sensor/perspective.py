@@ -40,12 +40,12 @@ class PinholeLens(NamedTuple):
 class PinholeKind(CameraKind):
     """Rays meet in a point."""
 
-    def ray(self, lens: PinholeLens, position: Vec2, aperture: None) -> Ray:
+    def sample_ray(self, lens: PinholeLens, position: Vec2, aperture: None) -> tuple[Ray, None]:
         slopes = lens.slopes(position)
         d = lens.axes.to_world(Vec3(slopes.x, slopes.y, torch.ones_like(slopes.x)))
         near = d * lens.near
         o = Vec3(lens.origin.x + near.x, lens.origin.y + near.y, lens.origin.z + near.z)
-        return Ray(o, normalize(d))
+        return Ray(o, normalize(d)), None
 
     def beyond_far_plane(self, lens: PinholeLens, p: Vec3) -> Tensor:
         return dot(p - lens.origin, lens.axes.n) > lens.far

@@ -32,14 +32,14 @@ class ThinLensKind(CameraKind):
 
     has_aperture: ClassVar[bool] = True
 
-    def ray(self, lens: ThinLensLens, position: Vec2, aperture: Vec2) -> Ray:
+    def sample_ray(self, lens: ThinLensLens, position: Vec2, aperture: Vec2) -> tuple[Ray, None]:
         pinhole, slopes = lens.pinhole, lens.pinhole.slopes(position)
         start = square_to_uniform_disk_concentric(aperture.x, aperture.y) * lens.radius
         ahead = torch.ones_like(slopes.x)
         d = pinhole.axes.to_world(Vec3(slopes.x - start.x / lens.focus, slopes.y - start.y / lens.focus, ahead))
         place = pinhole.axes.to_world(Vec3(start.x, start.y, torch.zeros_like(ahead)))
         o = Vec3(*(c + p + n * pinhole.near for c, p, n in zip(pinhole.origin, place, d)))
-        return Ray(o, normalize(d))
+        return Ray(o, normalize(d)), None
 
     def beyond_far_plane(self, lens: ThinLensLens, p: Vec3) -> Tensor:
         return PinholeKind().beyond_far_plane(lens.pinhole, p)

@@ -1,0 +1,206 @@
+"""A camera as computer vision calibrates it: intrinsics in pixels, and the distortion of its lens."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.domain import NUMBER, Domain
+from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register
+from torch_radbp.sensor.distortion import BrownConrady, Distortion, KannalaBrandt
+from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera, number
+from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
+
+FOCAL_LENGTH = NUMBER._replace(low=0.0, low_is_in=False, unit=" pixels")
+BROWN_CONRADY, FISHEYE = "brown_conrady", "fisheye"
+COEFFICIENTS = {BROWN_CONRADY: BrownConrady._fields, FISHEYE: KannalaBrandt._fields}
+GRID = 17  # directions across the image, of which the bounds of a view are found
+POINTS = 33  # on a segment that are tested for being in view
+GRAZING = 0.05  # cosine to the axis below which a view has no pyramid around it
+
+
+class CalibratedLens(NamedTuple):
+    """What the functions of a calibrated camera read; scalars are () tensors."""
+
+    axes: Frame  # world directions of x to the right, y down and z ahead; unit length
+    origin: Vec3
+    fx: Tensor  # pixels
+    fy: Tensor
+    cx: Tensor  # pixels, from the centre of the upper left pixel
+    cy: Tensor
+    skew: Tensor  # pixels
+    width: Tensor  # of the whole image, pixels
+    height: Tensor
+    near: Tensor
+    far: Tensor
+    distortion: Distortion
+
+    def point(self, position: Vec2) -> Vec2:
+        """The points of the image plane at distance 1 at positions on the image."""
+        y = (position.y * self.height - 0.5 - self.cy) / self.fy
+        return Vec2((position.x * self.width - 0.5 - self.cx - self.skew * y) / self.fx, y)
+
+    def position(self, point: Vec2) -> Vec2:
+        """The reverse."""
+        return Vec2((self.fx * point.x + self.skew * point.y + self.cx + 0.5) / self.width,
+                    (self.fy * point.y + self.cy + 0.5) / self.height)
+
+
+@dataclass(frozen=True)
+class CalibratedKind(CameraKind):
+    """Rays meet in a point, in directions that the distortion decides."""
+
+    fisheye: bool
+
+    def sample_ray(self, lens: CalibratedLens, position: Vec2, aperture: None) -> tuple[Ray, Tensor | None]:
+        local, seen = lens.distortion.direction(lens.point(position))
+        d = lens.axes.to_world(local)
+        near = d * lens.near
+        o = Vec3(lens.origin.x + near.x, lens.origin.y + near.y, lens.origin.z + near.z)
+        return Ray(o, normalize(d)), None if seen is None else seen.to(position.x.dtype)
+
+    def reach(self, lens: CalibratedLens, p: Vec3) -> Tensor:
+        """How far away world points are, as the near and the far plane count: along the axis, or of a fisheye, from the eye."""
+        offset = p - lens.origin
+        return torch.sqrt(dot(offset, offset)) if self.fisheye else dot(offset, lens.axes.n)
+
+    def beyond_far_plane(self, lens: CalibratedLens, p: Vec3) -> Tensor:
+        return self.reach(lens, p) > lens.far
+
+    def eye(self, lens: CalibratedLens) -> Tensor:
+        origin = torch.stack(tuple(lens.origin)).double()
+        return torch.cat([origin, origin.new_ones(1)])
+
+    def frustum(self, lens: CalibratedLens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
+        """A pyramid around the view, which is curved; all of space around one that reaches far to the side."""
+        along_x, along_y, ahead = lens.axes.to_local(p - lens.origin)
+        rows, columns = torch.meshgrid(*(torch.linspace(0, 1, GRID, dtype=torch.float64, device=x.device) * (b - a) + a
+                                         for a, b in (y, x)), indexing="ij")
+        d, seen = lens.distortion.direction(lens.point(Vec2(columns.flatten(), rows.flatten())))
+        d = d if seen is None else Vec3(*(component[seen] for component in d))
+        if len(d.x) == 0 or normalize(d).z.min() < GRAZING:
+            return torch.ones(6, len(along_x), dtype=torch.float64, device=x.device)
+        (left, right), (top, bottom) = (around(slope / d.z) for slope in (d.x, d.y))
+        near, far = (lens.near * d.z.min() if self.fisheye else lens.near), lens.far
+        return torch.stack([along_x - left * ahead, right * ahead - along_x, along_y - top * ahead, bottom * ahead - along_y,
+                            ahead - near, far - ahead])
+
+    def crosses_view(self, lens: CalibratedLens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
+        """Whether one of some points of a segment, within the pyramid, is projected into the view."""
+        enters, leaves = self.clipped(lens, x, y, a, b)
+        crosses = enters < leaves
+        share = torch.linspace(0, 1, POINTS, dtype=torch.float64, device=x.device)
+        share = enters[crosses, None] + (leaves - enters)[crosses, None] * share
+        p = Vec3(*(start[crosses, None] + (end - start)[crosses, None] * share for start, end in zip(a, b)))
+        local, reach = lens.axes.to_local(p - lens.origin), self.reach(lens, p)
+        ahead = (reach >= lens.near) & (reach <= lens.far)
+        local = local if self.fisheye else local._replace(z=torch.where(ahead, local.z, 1.0))
+        point = lens.distortion.distorted(local)
+        position = lens.position(point)
+        inside = ahead & (position.x >= x[0]) & (position.x <= x[1]) & (position.y >= y[0]) & (position.y <= y[1])
+        # What is projected there from beyond a fold is not seen there.
+        back, seen = lens.distortion.direction(Vec2(point.x.flatten(), point.y.flatten()))
+        if seen is not None:
+            along = normalize(Vec3(*(component.flatten() for component in local)))
+            inside &= (seen & (dot(normalize(back), along) > 1.0 - 1e-6)).view_as(inside)
+        return crosses.index_put((crosses.nonzero().squeeze(1),), inside.any(1))
+
+
+def around(slopes: Tensor) -> tuple[Tensor, Tensor]:
+    """The bounds of slopes, with a margin for those between."""
+    low, high = slopes.aminmax()
+    margin = 0.05 * (high - low)
+    return low - margin, high + margin
+
+
+@register("sensor", "calibrated")
+class Calibrated(ProjectiveCamera):
+    """A camera with intrinsics and distortion as OpenCV has them; Mitsuba has no counterpart.
+
+    It looks along its local +z, with y up and x to the left, as the other cameras here. With x and y to the right and down,
+    a direction (x, y, 1) is seen at the pixel coordinates
+
+        u = fx x' + skew y' + cx,     v = fy y' + cy
+
+    where (x', y') = (x, y) but for the distortion. (0, 0) is the *centre* of the upper left pixel and (-0.5, -0.5) the
+    corner of the image. (COLMAP's and NeRF's files count from the corner: their cx and cy are greater by 0.5, and the
+    constructors convert them.)
+
+    `distortion="brown_conrady"`, with r^2 = x^2 + y^2:
+
+        x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+        y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
+
+    `distortion="fisheye"` (Kannala and Brandt), with theta the angle to the axis, up to half a circle:
+
+        (x', y') = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) (x, y) / r
+
+    A pixel into which no direction is projected is black.
+
+    Parameters: `to_world` (4, 4); `fx`, `fy`, `cx`, `cy`, `skew` (), pixels of the whole image; and those coefficients that
+    are given, (): to recover one, give it as 0.
+
+    Args:
+        fx, fy: focal lengths, pixels; `fy` is `fx` if it is not given.
+        cx, cy: the principal point; by default the middle of the image, (width - 1) / 2 and (height - 1) / 2.
+        skew: of the pixels' columns.
+        distortion: brown_conrady or fisheye.
+        k1, k2, k3, k4, k5, k6, p1, p2: coefficients of the distortion, a fisheye's up to k4.
+        near_clip, far_clip: distances between which surfaces are seen, along the viewing axis; of a fisheye, from the eye.
+        shutter_open, shutter_close: accepted, but without effect on a camera without motion.
+    """
+
+    optional_parameters: ClassVar = BrownConrady._fields  # that there are if they are given
+
+    def __init__(self, *, fx: float, fy: float | None = None, cx: float | None = None, cy: float | None = None,
+                 skew: float = 0.0, distortion: str = BROWN_CONRADY, k1: float | None = None, k2: float | None = None,
+                 k3: float | None = None, k4: float | None = None, k5: float | None = None, k6: float | None = None,
+                 p1: float | None = None, p2: float | None = None, to_world: Matrix4 | None = None,
+                 near_clip: float = 1e-2, far_clip: float = 1e4, shutter_open: float = 0.0, shutter_close: float = 0.0,
+                 film: Film | None = None, sampler: Sampler | None = None):
+        super().__init__()
+        self.place(to_world, near_clip, far_clip, film, sampler)
+        self.shutter_open, self.shutter_close = shutter_open, shutter_close
+        self.freeze("fx", number(positive("fx", fx)))
+        self.freeze("fy", number(positive("fy", fx if fy is None else fy)))
+        self.freeze("cx", number((self.film.width - 1) / 2 if cx is None else cx))
+        self.freeze("cy", number((self.film.height - 1) / 2 if cy is None else cy))
+        self.freeze("skew", number(skew))
+        if distortion not in COEFFICIENTS:
+            raise ValueError(f"distortion {distortion!r} is not known; {nearest(distortion, COEFFICIENTS)}")
+        self.distortion = distortion
+        given = {"k1": k1, "k2": k2, "k3": k3, "k4": k4, "k5": k5, "k6": k6, "p1": p1, "p2": p2}
+        for name, value in given.items():
+            if value is None:
+                setattr(self, name, None)
+                continue
+            if name not in COEFFICIENTS[distortion]:
+                raise ValueError(f"a {distortion} lens has no coefficient {name}; it has "
+                                 f"{', '.join(COEFFICIENTS[distortion])}")
+            self.freeze(name, number(value))
+
+    def domains(self) -> dict[str, Domain]:
+        return super().domains() | {"fx": FOCAL_LENGTH, "fy": FOCAL_LENGTH} | dict.fromkeys(
+            ("cx", "cy", "skew", *self.optional_parameters), NUMBER)
+
+    def kind(self) -> CalibratedKind:
+        return CalibratedKind(self.distortion == FISHEYE)
+
+    def lens(self) -> CalibratedLens:
+        matrix = self.to_world
+        left, up, ahead = (normalize(Vec3.of(matrix[:3, k])) for k in range(3))
+        model = KannalaBrandt if self.distortion == FISHEYE else BrownConrady
+        return CalibratedLens(
+            axes=Frame(-left, -up, ahead), origin=Vec3.of(matrix[:3, 3]), fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy,
+            skew=self.skew, width=matrix.new_tensor(float(self.film.width)),
+            height=matrix.new_tensor(float(self.film.height)), near=matrix.new_tensor(self.near_clip),
+            far=matrix.new_tensor(self.far_clip), distortion=model(*(getattr(self, name) for name in model._fields)))
+
+    def view(self) -> str:
+        if self.distortion == FISHEYE:
+            return f"fisheye, {float(self.fx):.4g} px"
+        return f"{math.degrees(2 * math.atan(self.film.width / (2 * float(self.fx)))):.2f} deg"

@@ -1,0 +1,166 @@
+"""The distortion of photographic lenses: from undistorted directions to the image plane at distance 1, and back.
+
+Forward, both are formulas. Back, an equation is solved by a fixed number of Newton steps without derivatives, and one more
+with them: where f(x, theta) = y is solved, the step x - J^-1 (f(x, theta) - y) with x and J held has the derivatives that
+the implicit function theorem says, and squares what error is left.
+
+Axes are OpenCV's: x to the right, y down, z ahead.
+
+References: Brown 1966, "Decentering Distortion of Lenses"; Kannala and Brandt 2006, "A Generic Camera Model and Calibration
+Method for Conventional, Wide-Angle, and Fish-Eye Lenses", equation 6; OpenCV's documentation of `calib3d` (the rational form
+and the order of coefficients).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.vec import Vec2, Vec3
+
+STEPS = 10  # of Newton's method; from the distorted point a lens within its field needs 3 to 6 in float32
+SOLVED = 1e-5  # greatest error of an equation that counts as solved, relative to 1 + |y|
+HALF_CIRCLE = 3.1415  # radians off the axis, at which a fisheye ends
+TINY = 1e-24
+
+Coefficient = Tensor | None  # () or absent, which is 0
+
+
+class BrownConrady(NamedTuple):
+    """Radial distortion by a quotient of polynomials, and tangential distortion."""
+
+    k1: Coefficient = None
+    k2: Coefficient = None
+    k3: Coefficient = None
+    k4: Coefficient = None
+    k5: Coefficient = None
+    k6: Coefficient = None
+    p1: Coefficient = None
+    p2: Coefficient = None
+
+    def distorted(self, d: Vec3) -> Vec2:
+        """Where directions in front of the camera, (N,), meet the image plane."""
+        return brown_conrady(self, Vec2(d.x / d.z, d.y / d.z)).value
+
+    def direction(self, point: Vec2) -> tuple[Vec3, Tensor | None]:
+        """The directions, z = 1, whose rays meet the image plane at (N,) points; attached to both.
+
+        Returns:
+            Them, and True where there is one: where none, or only one from beyond the fold of the polynomial, the axis.
+            None: everywhere.
+        """
+        if all(coefficient is None for coefficient in self):
+            return Vec3(point.x, point.y, torch.ones_like(point.x)), None
+        held, target = BrownConrady(*(None if k is None else k.detach() for k in self)), point.map(torch.Tensor.detach)
+        x = target
+        for _ in range(STEPS):
+            x = newton(x, brown_conrady(held, x), target)
+        there = brown_conrady(held, x)
+        off = torch.maximum((there.value.x - target.x).abs(), (there.value.y - target.y).abs())
+        size = 1.0 + torch.maximum(target.x.abs(), target.y.abs())
+        seen = (off < SOLVED * size) & (there.determinant > 0) & (there.xx > 0)
+        x = x.map(lambda part: torch.where(seen, part, 0.0))
+        solved, mask = newton(x, brown_conrady(self, x), point), seen.to(x.x.dtype)
+        return Vec3(solved.x * mask, solved.y * mask, torch.ones_like(solved.x)), seen
+
+
+class Linearized(NamedTuple):
+    """A map of the plane at (N,) points: attached value, detached Jacobian, which is symmetric."""
+
+    value: Vec2
+    xx: Tensor
+    xy: Tensor
+    yy: Tensor
+
+    @property
+    def determinant(self) -> Tensor:
+        return self.xx * self.yy - self.xy * self.xy
+
+
+def brown_conrady(lens: BrownConrady, at: Vec2) -> Linearized:
+    """The distorted points, and how they change with the undistorted ones."""
+    x, y = at
+    square = x * x + y * y
+    above, slope_above = polynomial(square, (lens.k1, lens.k2, lens.k3))
+    below, slope_below = polynomial(square, (lens.k4, lens.k5, lens.k6))
+    radial = above / below
+    slope = ((slope_above - radial * slope_below) / below).detach()  # by the squared radius
+    value_x, value_y, fixed = x * radial, y * radial, radial.detach()
+    xx, xy, yy = fixed + 2.0 * x * x * slope, 2.0 * x * y * slope, fixed + 2.0 * y * y * slope
+    if lens.p1 is not None:
+        p = lens.p1.detach()
+        value_x, value_y = value_x + 2.0 * lens.p1 * x * y, value_y + lens.p1 * (square + 2.0 * y * y)
+        xx, xy, yy = xx + 2.0 * p * y, xy + 2.0 * p * x, yy + 6.0 * p * y
+    if lens.p2 is not None:
+        p = lens.p2.detach()
+        value_x, value_y = value_x + lens.p2 * (square + 2.0 * x * x), value_y + 2.0 * lens.p2 * x * y
+        xx, xy, yy = xx + 6.0 * p * x, xy + 2.0 * p * y, yy + 2.0 * p * x
+    return Linearized(Vec2(value_x, value_y), xx, xy, yy)
+
+
+def polynomial(s: Tensor, coefficients: tuple[Coefficient, ...]) -> tuple[Tensor, Tensor]:
+    """1 + c1 s + c2 s^2 + ... and its derivative by s."""
+    value, slope, power = torch.ones_like(s), torch.zeros_like(s), torch.ones_like(s)
+    for number, coefficient in enumerate(coefficients):
+        if coefficient is not None:
+            slope = slope + (number + 1.0) * coefficient * power
+            value = value + coefficient * power * s
+        power = power * s
+    return value, slope
+
+
+def newton(x: Vec2, there: Linearized, target: Vec2) -> Vec2:
+    """One step of Newton's method towards the solution of f(x) = target; attached to the value of f and to the target."""
+    a, b = there.value.x - target.x, there.value.y - target.y
+    determinant = there.determinant.detach()
+    scale = 1.0 / torch.where(determinant.abs() > TINY, determinant, 1.0)
+    return Vec2(x.x - (there.yy * a - there.xy * b) * scale, x.y - (there.xx * b - there.xy * a) * scale)
+
+
+class KannalaBrandt(NamedTuple):
+    """A fisheye: the distance from the middle of the image is a polynomial of the angle to the axis."""
+
+    k1: Coefficient = None
+    k2: Coefficient = None
+    k3: Coefficient = None
+    k4: Coefficient = None
+
+    def distorted(self, d: Vec3) -> Vec2:
+        """Where the rays of (N,) directions meet the image plane."""
+        across = torch.sqrt((d.x * d.x + d.y * d.y).clamp_min(TINY))
+        theta = torch.atan2(across, d.z)
+        scale = theta * polynomial(theta * theta, tuple(self))[0] / across
+        return Vec2(d.x * scale, d.y * scale)
+
+    def direction(self, point: Vec2) -> tuple[Vec3, Tensor]:
+        """The directions, of unit length, whose rays meet the image plane at (N,) points; attached to both.
+
+        Returns:
+            Them, and True where there is one less than half a circle off the axis: where none, the axis.
+        """
+        radius = torch.sqrt((point.x * point.x + point.y * point.y).clamp_min(TINY))
+        held, target = KannalaBrandt(*(None if k is None else k.detach() for k in self)), radius.detach()
+        theta = target.clamp_max(0.5 * HALF_CIRCLE)
+        for _ in range(STEPS):
+            value, slope = held.radius_of(theta)
+            step = (value - target) / torch.where(slope.abs() > TINY, slope, 1.0)
+            theta = (theta - step).clamp(0.0, 2.0 * HALF_CIRCLE)
+        value, slope = held.radius_of(theta)
+        seen = ((value - target).abs() < SOLVED * (1.0 + target)) & (slope > 0) & (theta < HALF_CIRCLE)
+        mask = seen.to(theta.dtype)
+        theta = theta * mask
+        value, _ = self.radius_of(theta)
+        theta = theta - (value - radius) * (mask / torch.where(seen, slope, 1.0))
+        across = torch.sin(theta) / radius
+        return Vec3(point.x * across, point.y * across, torch.cos(theta)), seen
+
+    def radius_of(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """The distance from the middle of the image of rays at an angle to the axis, and its derivative by the angle."""
+        square = theta * theta
+        value, slope = polynomial(square, tuple(self))
+        return theta * value, value + 2.0 * square * slope
+
+
+Distortion = BrownConrady | KannalaBrandt
