@@ -236,6 +236,11 @@ def places() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
             BRUSHED, dtype, sky={"type": "constant", "radiance": rgb(1, 1, 1)}, tent=None, cube=None,
             camera=parallel(2.0), ball={"type": "sphere", "radius": 0.5, "bsdf": BRUSHED},
             pipe={"type": "cylinder", "p0": [-0.7, 0.1, 0.2], "p1": [-0.7, 0.1001, 0.2], "radius": 0.3, "bsdf": BRUSHED},
+            group={"type": "shapegroup", "ball": {"type": "sphere", "bsdf": BRUSHED}, "sheet": ragged() | {"bsdf": GLASS}},
+            dust={"type": "instance", "to_world": translate((0.4, 0.2, 1)) @ scale((1e-5, 1e-5, 1e-5)),
+                  "group": {"type": "ref", "id": "group"}},
+            flattened={"type": "instance", "to_world": translate((-0.3, 0.9, 0.5)) @ scale((-0.3, 0.3, 1e-5)),
+                       "group": {"type": "ref", "id": "group"}},
             needle={"type": "cylinder", "p0": [0.7, -9, 0.2], "p1": [0.7, 9, 0.2], "radius": 1e-4, "bsdf": BRUSHED},
             beam=rectangle((0.2, 2.2, 0.3), 0.9, (1, 0.1, 0.2), 100, emitter=GLOW | {"type": "directionalarea"})),
     }

@@ -46,7 +46,7 @@ def test_every_plugin_takes_part():
     there = {(module.category, module.type) for scene in scenes for module in scene.modules() if hasattr(module, "category")}
     categories = ("bsdf", "texture", "emitter", "sensor", "shape")
     known = {(category, name) for category in categories for name in REGISTRY[category]}
-    assert known - there == {("shape", "obj"), ("shape", "ply")}  # meshes once they are read
+    assert known - there == {("shape", "obj"), ("shape", "ply"), ("shape", "serialized")}  # meshes once they are read
 
 
 def test_normals_and_areas_of_very_small_triangles_are_right():
