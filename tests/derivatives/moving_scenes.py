@@ -194,6 +194,20 @@ def rough_sheet(distribution: str = "beckmann", z: float = -4.0) -> dict[str, An
             "behind": bright_plane(9, (0, 0, z), angle=20)}
 
 
+def shown() -> dict[str, Any]:
+    """A waved sheet that a mirroring instance shows."""
+    pose = translate((0.2, -0.1, 0.1)) @ rotate((0.1, 1, 0.3), 8) @ scale((-1.1, 0.9, 1.2))
+    return {"group": {"type": "shapegroup", "sheet": grid_mesh(wavy, bsdf=MESH_TEXTURE)},
+            "shown": {"type": "instance", "to_world": pose, "group": {"type": "ref", "id": "group"}}}
+
+
+def tube() -> dict[str, Any]:
+    """A cylinder around camera and light, seen from inside."""
+    texture = {"type": "bitmap", "data": smooth_noise(2), "to_uv": translate((0.13, 0.37, 0)) @ scale((5, 20, 1))}
+    return {"type": "cylinder", "p0": [-40, 0.1, -0.2], "p1": [40, -0.1, 0.1], "radius": 3.0, "flip_normals": True,
+            "bsdf": {"type": "diffuse", "reflectance": texture}}
+
+
 MIRROR_WORLD = {"behind": bright_plane(9, (0.3, 0.2, 4.5), (1, 0.2, 0), 168)}
 METAL = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.3, "material": "Au"}
 LACQUER = {"type": "principled", "base_color": rgb(0.8, 0.4, 0.3), "roughness": 0.5, "metallic": 0.4, "clearcoat": 0.6}
@@ -214,6 +228,9 @@ SCENES = {
         "sheet.vertex_positions", wave(size=0.3), 0.005),
     "mesh turned": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), **POINT), "sheet.to_world", rigid(TWIST),
                                0.005),
+    "instance turned": MovingScene(scene(**shown(), **POINT), "shown.to_world", rigid(TWIST), 0.005),
+    "vertices of an instance": MovingScene(scene(**shown(), **POINT), "group.sheet.vertex_positions", wave(), 0.005),
+    "cylinder turned": MovingScene(scene(tube=tube(), **POINT), "tube.to_world", rigid(TWIST), 0.005),
     "texture coordinates": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), **POINT),
                                        "sheet.vertex_texcoords", wave(size=0.1), 0.005),
     # Its shading normals.
