@@ -9,7 +9,7 @@ from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.position import FilmTensors
 from torch_radbp.plugin import Film, ReconstructionFilter, boolean, integer, nearest, register
 
-PIXEL_FORMATS, COMPONENT_FORMATS, FILE_FORMATS = ("rgb",), ("float16", "float32", "uint32"), ("openexr",)
+PIXEL_FORMATS, COMPONENT_FORMATS, FILE_FORMATS = ("rgb", "rgba"), ("float16", "float32", "uint32"), ("openexr",)
 
 
 @register("film", "hdrfilm")
