@@ -19,6 +19,8 @@ EPILOG = (
     "radbp render scene.xml -o image.exr  (linear, float32)\n\n"
     "radbp render scene.xml -o image.png --spp 256 --max-depth 8  (sRGB, values above 1 are cut off)\n\n"
     "radbp render scene.xml -o small.png -D resolution=64  (sets $resolution of the scene file)\n\n"
+    "radbp render scene.xml -o image.exr --aov depth --aov sh_normal  (channels depth.T, sh_normal.X, ... beside R, G, B; "
+    "with -o image.png pictures of their own: image_depth.png, ...)\n\n"
     "With several sensors and no --sensor, each image gets the sensor's name: image_left.png, image_right.png"
 )
 
@@ -33,6 +35,10 @@ def render(
     rr_depth: Annotated[int | None, typer.Option(help=r"Where roulette begins.  \[default: the scene's]")] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same image.", min=0)] = 0,
     sensor: Annotated[list[str] | None, typer.Option(help=r"Name of a sensor; may be repeated.  \[default: all]")] = None,
+    aov: Annotated[
+        list[str] | None,
+        typer.Option(help=r"Output beside the image: depth, albedo, ...; may be repeated.  \[default: the integrator's]"),
+    ] = None,
     chunk: Annotated[int | None, typer.Option(help="Paths traced at a time; less needs less memory.")] = None,
     compile: Annotated[
         bool, typer.Option("--compile/--eager", help="Fused loops, or plain torch: slower, but nothing to compile.")
@@ -43,8 +49,9 @@ def render(
     """Render a scene to an EXR (linear) or PNG (sRGB) image."""
     with clear_errors(debug):
         import torch_radbp as rb
-        from torch_radbp.io.image import WRITABLE, save_image
+        from torch_radbp.io.image import WRITABLE
         from torch_radbp.settings import samples_per_pixel
+        from torch_radbp.training.outputs import outputs_of, save_with_outputs
         from torch_radbp.training.passes import render_in_passes
         from torch_radbp.training.targets import sensor_films
 
@@ -57,6 +64,7 @@ def render(
         renderer = rb.Renderer(
             loaded, spp=spp, max_depth=max_depth, rr_depth=rr_depth, chunk=chunk, compile=compile
         )
+        outputs = outputs_of(loaded, aov)
         paths = {
             name: output if len(indices) == 1 else output.with_name(f"{output.stem}_{name}{output.suffix}")
             for name in indices
@@ -73,7 +81,7 @@ def render(
 
                 passes = min(MOST_PASSES, max(1, samples[name] // 16))
                 image = render_in_passes(renderer, [index], samples[name], seed, passes, go_on).image[0]
-                save_image(paths[name], image)
+                save_with_outputs(paths[name], image, renderer, outputs, seed, index, samples[name])
                 done += samples[name]
         width, height = image.shape[2], image.shape[1]
         for name, path in paths.items():

@@ -9,13 +9,14 @@ from tests.aov.scenes import hills
 from tests.scenes import diffuse, load, rectangle, sensor, texels
 
 SPP, SEEDS = 64, 6
-PLASTIC = {"type": "roughplastic", "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.5, 0.3]}, "alpha": 0.2}
+SMOOTH = {"type": "plastic", "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.5, 0.3]}}
+PLASTIC = {**SMOOTH, "type": "roughplastic", "alpha": 0.2}
 TURNED = {"type": "normalmap", "normalmap": {"type": "bitmap", "raw": True, "data": np.full((2, 2, 3), (0.7, 0.6, 0.9))}}
 COLOURED = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels(4, 5)}}
 # name -> (material, angle at which it is seen)
 MATERIALS = {
     "diffuse": (diffuse(0.2, 0.4, 0.6), 20), "behind": (diffuse(0.2, 0.4, 0.6), 200), "bitmap": (COLOURED, -30),
-    "roughplastic": (PLASTIC, 25), "plastic": ({"type": "plastic", "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.5, 0.3]}}, 25),
+    "roughplastic": (PLASTIC, 25), "plastic": (SMOOTH, 25),
     "roughconductor": ({"type": "roughconductor", "alpha": 0.4}, 15), "dielectric": ({"type": "dielectric"}, 10),
     "principled": ({"type": "principled", "base_color": {"type": "rgb", "value": [0.7, 0.2, 0.1]}, "metallic": 0.4}, 10),
     "principledthin": ({"type": "principledthin", "base_color": {"type": "rgb", "value": [0.7, 0.2, 0.1]}}, 10),
@@ -87,8 +88,8 @@ def test_curved_shapes_agree_with_those_of_mitsuba(mi, tmp_path):
 
 def test_triangles_of_meshes_have_the_numbers_of_mitsuba(mi, tmp_path):
     """On other shapes they are 0, as Mitsuba's are in its compiled variants; in scalar_rgb they are undefined."""
-    scene = load(torch.float32, integrator={"type": "aov", "aovs": "number:prim_index"}, sensor=sensor(6, (0.2, 0.3, 5), fov=60),
-                 hills=hills(), sky={"type": "constant"})
+    scene = load(torch.float32, integrator={"type": "aov", "aovs": "number:prim_index"},
+                 sensor=sensor(6, (0.2, 0.3, 5), fov=60), hills=hills(), sky={"type": "constant"})
     assert_agree(ours(scene, None), beside(mi, tmp_path, scene, 1))
     assert ours(scene, None)[0].max() > 4
 
@@ -121,7 +122,8 @@ def test_alpha_agrees_with_that_of_mitsuba(mi, tmp_path, kind, sky, hidden):
     lamp = {"type": "constant"} if sky else {"type": "point", "position": [0, 1, 3]}
     glass, half = {"type": "thindielectric"}, {"type": "mask", "opacity": 0.4, "b": diffuse(0.5, 0.5, 0.5)}
     film = {"type": "hdrfilm", "width": 6, "height": 6, "pixel_format": "rgba", "rfilter": {"type": "box"}}
-    scene = load(torch.float32, integrator={"type": kind, "hide_emitters": hidden}, sensor=sensor(6, fov=38, film=film), lamp=lamp,
+    scene = load(torch.float32, integrator={"type": kind, "hide_emitters": hidden}, lamp=lamp,
+                 sensor=sensor(6, fov=38, film=film),
                  pane=rectangle((-0.5, 0, 0.2), 0.5, bsdf=glass), leaf=rectangle((0.5, 0.1, 0.1), 0.5, bsdf=half),
                  back=rectangle((0.3, 0.3, -0.5), 0.4, bsdf=half),
                  light=rectangle((0, 0.8, 0.5), 0.3, emitter={"type": "area"}))

@@ -1,7 +1,9 @@
 """`radbp`: help that teaches, images that are right, one clear message and exit code 2 when something is wrong."""
 
+import OpenEXR
 import pytest
 import torch
+from PIL import Image
 from typer.testing import CliRunner
 
 import torch_radbp as rb
@@ -173,3 +175,42 @@ def test_the_tab_key_offers_commands_options_and_recipes(words, offered, folder,
     with pytest.raises(SystemExit) as ended:
         app(prog_name="radbp")
     assert ended.value.code == 0 and capsys.readouterr().out.split() == offered
+
+
+def test_render_writes_quantities_as_channels_named_as_in_mitsuba(radbp, folder):
+    wanted = ["--aov", "depth", "--aov", "sh_normal"]
+    assert radbp("render", "scene.xml", "-o", "all.exr", "--spp", 4, "--seed", SEED, *wanted)[0] == 0
+    channels = OpenEXR.File(str(folder / "all.exr"), separate_channels=True).parts[0].channels
+    assert set(channels) == {"R", "G", "B", "depth.T", "sh_normal.X", "sh_normal.Y", "sh_normal.Z"}
+    renderer = rb.Renderer(rb.load(folder / "scene.xml"), spp=4)
+    image, found = renderer(seed=SEED, aovs=["depth", "sh_normal"])
+    assert found["depth"].max() > 0
+    for name, expected in (("R", image[0, 0]), ("depth.T", found["depth"][0, 0]), ("sh_normal.Z", found["sh_normal"][0, 2])):
+        torch.testing.assert_close(torch.from_numpy(channels[name].pixels.copy()), expected.detach())
+    assert read_image(folder / "all.exr").shape == (6, 8, 3)  # which is the image
+
+
+def test_render_writes_a_picture_of_each_quantity(radbp, folder):
+    wanted = ["--aov", "depth", "--aov", "uv", "--aov", "albedo"]
+    assert radbp("render", "scene.xml", "-o", "a.png", "--spp", 4, *wanted)[0] == 0
+    for name in ("a.png", "a_depth.png", "a_uv.png", "a_albedo.png"):
+        pixels = read_image(folder / name, raw=True)
+        assert pixels.shape == (6, 8, 3) and pixels.min() < pixels.max(), name
+    assert radbp("render", "scene.xml", "-o", "a.png", "--aov", "dept")[0] == 2
+
+
+def test_alpha_and_the_outputs_of_the_integrator_are_written(radbp, folder):
+    text = (folder / "scene.xml").read_text()
+    path = '<integrator type="path"><integer name="max_depth" value="3"/></integrator>'
+    outputs = f'<integrator type="aov"><string name="aovs" value="dd.y:depth,nn:geo_normal"/>{path}</integrator>'
+    text = text.replace(path, outputs)
+    text = text.replace('<film type="hdrfilm">', '<film type="hdrfilm"><string name="pixel_format" value="rgba"/>')
+    assert "dd.y:depth" in text and "rgba" in text
+    (folder / "outputs.xml").write_text(text)
+    assert radbp("render", "outputs.xml", "-o", "all.exr", "--spp", 4)[0] == 0
+    channels = OpenEXR.File(str(folder / "all.exr"), separate_channels=True).parts[0].channels
+    assert set(channels) == {"R", "G", "B", "A", "dd.y.T", "nn.X", "nn.Y", "nn.Z"}
+    alpha = channels["A"].pixels
+    assert ((alpha >= 0) & (alpha <= 1)).all() and alpha.max() == 1
+    assert radbp("render", "outputs.xml", "-o", "all.png", "--spp", 4)[0] == 0
+    assert Image.open(folder / "all.png").mode == "RGBA"

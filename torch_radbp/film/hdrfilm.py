@@ -20,7 +20,8 @@ class HDRFilm(Film):
         width, height: of the whole image, pixels.
         crop_offset_x, crop_offset_y, crop_width, crop_height: the window that is rendered; by default the whole image.
         sample_border: let pixels at the border of the window use samples from outside it.
-        pixel_format: rgb. component_format, file_format, banner: of the files that Mitsuba writes; without effect here.
+        pixel_format: rgb, or rgba: then `radbp render` writes an alpha channel, and `renderer.aovs(["alpha"])` gives it.
+        component_format, file_format, banner: of the files that Mitsuba writes; without effect here.
         rfilter: box, tent or gaussian.
     """
 

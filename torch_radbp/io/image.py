@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -66,18 +66,20 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
     return image if raw or kind in LINEAR else srgb_to_linear(image)
 
 
-def save_image(path: str | os.PathLike, image: Tensor) -> None:
+def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Tensor] | None = None) -> None:
     """Writes an image, completely or not at all.
 
         rb.save_image("image.exr", rb.render(scene, spp=16)[0])
 
     Args:
         path: .exr (float32, linear) or .png (8 bits, sRGB, values cut to [0, 1]).
-        image: (3, H, W) linear RGB of any floating dtype and device; one of the (B, 3, H, W) that a renderer returns.
+        image: (3, H, W) linear RGB of any floating dtype and device; one of the (B, 3, H, W) that a renderer returns. Or
+            (4, H, W), with alpha.
+        channels: more of them by name, (H, W) each; of .exr only.
 
     Raises:
         TypeError: if `image` is no tensor of floating point numbers.
-        ValueError: on unknown extensions, other shapes, and values that are NaN or infinite.
+        ValueError: on unknown extensions, other shapes, values that are NaN or infinite, and more channels in a .png.
         FileNotFoundError: if the folder does not exist.
         OSError: names the file if it cannot be written.
     """
@@ -87,22 +89,34 @@ def save_image(path: str | os.PathLike, image: Tensor) -> None:
     if not isinstance(image, Tensor) or not image.is_floating_point():
         got = image.dtype if isinstance(image, Tensor) else type(image).__name__
         raise TypeError(f"{path}: an image must be a tensor of floating point numbers, got {got}")
-    if image.ndim != 3 or image.shape[0] != 3 or image.numel() == 0:
+    if image.ndim != 3 or image.shape[0] not in (3, 4) or image.numel() == 0:
         raise ValueError(f"{path}: an image must have shape (3, H, W), got {tuple(image.shape)}{_advice(image)}")
-    pixels = image.detach().to("cpu", torch.float32).permute(1, 2, 0).contiguous()
-    bad = int((~torch.isfinite(pixels)).any(dim=2).sum())
+    named = {**dict(zip("RGBA", image)), **(channels or {})}
+    if channels and suffix != ".exr":
+        raise ValueError(f"{path}: a {suffix} has no channels for {', '.join(channels)}; write an .exr")
+    for name, channel in named.items():
+        if channel.shape != image[0].shape:
+            raise ValueError(f"{path}: channel {name!r} must have shape {tuple(image[0].shape)}, got {tuple(channel.shape)}")
+    pixels = torch.stack([channel.detach().to("cpu", torch.float32) for channel in named.values()])
+    bad = int((~torch.isfinite(pixels)).any(dim=0).sum())
     if bad:
         raise ValueError(f"{path}: not written, {bad} of {image[0].numel()} pixels are NaN or infinite in float32")
     with replacing(path) as temporary:
         if suffix == ".exr":
-            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-            OpenEXR.File(header, {"RGB": pixels.numpy()}).write(str(temporary))
-            # OpenEXR is silent if the disk is full when it closes the file.
-            if not np.array_equal(_read_exr(temporary), pixels.numpy()):
-                raise OSError("what was written reads back differently; the disk may be full")
+            _write_exr(temporary, {name: channel.numpy() for name, channel in zip(named, pixels)})
         else:
-            bytes8 = (linear_to_srgb(pixels.clamp(0.0, 1.0)) * 255.0).round().to(torch.uint8)
-            Image.fromarray(bytes8.numpy()).save(temporary)
+            levels = torch.cat([linear_to_srgb(pixels[:3].clamp(0.0, 1.0)), pixels[3:].clamp(0.0, 1.0)])
+            Image.fromarray((levels * 255.0).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()).save(temporary)
+
+
+def _write_exr(path: Path, channels: dict[str, np.ndarray]) -> None:
+    """Writes float32 channels, (H, W) each."""
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, dict(channels)).write(str(path))  # a copy: it writes into the dict
+    # OpenEXR is silent if the disk is full when it closes the file.
+    written = OpenEXR.File(str(path), separate_channels=True).parts[0].channels
+    if not all(name in written and np.array_equal(written[name].pixels, values) for name, values in channels.items()):
+        raise OSError("what was written reads back differently; the disk may be full")
 
 
 def _advice(image: Tensor) -> str:

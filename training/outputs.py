@@ -1,0 +1,69 @@
+"""What `radbp render` writes beside an image: alpha, and quantities as channels of an EXR or as pictures."""
+
+import re
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torch_radbp.aov.quantity import channel_names, checked_names, plain
+from torch_radbp.io.image import save_image, srgb_to_linear
+from torch_radbp.render import Renderer
+from torch_radbp.scene import Scene
+
+DIRECTIONS = ("geo_normal", "sh_normal")  # of unit length: -1 is black, 1 is white
+COLOURS = ("albedo", "xyz")
+
+
+def outputs_of(scene: Scene, wanted: list[str] | None) -> dict[str, str]:
+    """Returns the quantities to write, by the names of their outputs: those named, or else those of the scene."""
+    return {name: name for name in checked_names(wanted)} if wanted else scene.integrator.outputs()
+
+
+def save_with_outputs(path: Path, image: Tensor, renderer: Renderer, outputs: dict[str, str], seed: int, sensor: int,
+                      spp: int) -> None:
+    """Writes an image with its alpha channel, if the film has one, and with its outputs.
+
+    Args:
+        path: .exr, for a file of all channels, or .png, for pictures beside it.
+        image: (3, H, W) of the sensor.
+        renderer: renders the outputs.
+        outputs: quantities by name.
+        seed, sensor, spp: of the rendering.
+    """
+    scene = renderer.scene
+    alpha = scene.integrator.alpha() if scene.sensors[sensor].film.pixel_format == "rgba" else None
+    quantities = dict.fromkeys([*outputs.values(), *([] if alpha is None else [alpha])])
+    found = {}
+    if quantities:
+        with torch.no_grad():
+            found = renderer.aovs(list(quantities), seed, [sensor], spp)
+    if alpha is not None:
+        image = torch.cat([image, found[alpha][0].to(image)])
+    if path.suffix.lower() != ".exr":
+        save_image(path, image)
+        for name, quantity in outputs.items():
+            place = re.sub(r"[^A-Za-z0-9_.-]", "_", name)
+            save_image(path.with_name(f"{path.stem}_{place}{path.suffix}"), picture(quantity, found[quantity][0]))
+        return
+    channels = {channel: values for name, quantity in outputs.items()
+                for channel, values in zip(channel_names(name, quantity), found[quantity][0])}
+    save_image(path, image, channels)
+
+
+def picture(quantity: str, values: Tensor) -> Tensor:
+    """Computes how a quantity is shown: linear RGB, (3, H, W), of values (C, H, W).
+
+    Colours as they are, normals from -1 to 1, everything else from its least to its largest value; one number is grey, and
+    of two the third channel is black.
+    """
+    if plain(quantity) in COLOURS:
+        return values
+    if quantity in DIRECTIONS:
+        levels = 0.5 + 0.5 * values
+    else:
+        low, high = values.amin(), values.amax()
+        levels = (values - low) / (high - low).clamp_min(torch.finfo(values.dtype).tiny)
+    if len(levels) == 1:
+        return srgb_to_linear(levels.expand(3, -1, -1))
+    return srgb_to_linear(torch.cat([levels, levels.new_zeros(3 - len(levels), *levels.shape[1:])]))
