@@ -14,7 +14,9 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
+from tests.io.gltf_files import SQUARE, GltfFile
 from tests.io.serialized_files import mesh, serialized
+from tests.io.test_gltf_write import everything
 from tests.peer.cases import CASES
 from tests.peer.scene_files import Folder
 from tests.texture.meshes import PLY as COLOURED
@@ -23,7 +25,7 @@ from torch_radbp.plugin import REGISTRY, attributes
 
 ROOT = Path(__file__).parents[2]
 FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "exr", "png", "bmp", "tga", "hdr", "pfm",
-                                          "toml")}
+                                          "toml", "gltf", "glb")}
 
 
 class Seed(NamedTuple):
@@ -50,7 +52,26 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
         "serialized": [Seed(folders["meshes"], content) for content in SERIALIZED],
         **image_seeds,
         "toml": _recipes(root, folders["recipe"]),
+        **_assets(root),
     }
+
+
+def _assets(root: Path) -> dict[str, list[Seed]]:
+    """glTF files of everything that is read, and of strips and sparse accessors."""
+    folder = root / "gltf"
+    folder.mkdir()
+    strip, sparse = GltfFile(), GltfFile()
+    strip.node(strip.square() | {"mode": 5}, {"attributes": {"POSITION": strip.array(SQUARE)}, "mode": 6}, name="strip")
+    square = sparse.square()
+    sparse.document["accessors"][square["attributes"]["POSITION"]]["sparse"] = {
+        "count": 1, "indices": {"bufferView": sparse.view(b"\2"), "componentType": 5121},
+        "values": {"bufferView": sparse.view(bytes(12))}}
+    sparse.node(square, name="sheet", matrix=[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 0, 1])
+    files = [everything(), everything(), strip, sparse]
+    seeds = {kind: [Seed(folder, file.save(folder / f"seed.{kind}").read_bytes()) for file in files]
+             for kind in ("gltf", "glb")}
+    seeds["glb"].append(Seed(folder, (root / "assets" / "pot" / "pot.glb").read_bytes()))
+    return seeds
 
 
 def _scenes(root: Path) -> list[Seed]:

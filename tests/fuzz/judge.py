@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import traceback
+import warnings
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -53,6 +54,13 @@ class Verdict(NamedTuple):
 
 
 def judge(family: str, path: Path) -> Verdict:
+    """Loads and renders the file at `path`; what a format cannot say may be said of it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rb.GltfWarning)
+        return judged(family, path)
+
+
+def judged(family: str, path: Path) -> Verdict:
     """Loads and renders the file at `path`."""
     try:
         scene = load_mutant(family, path)
@@ -67,6 +75,7 @@ def judge(family: str, path: Path) -> Verdict:
         networks = any(isinstance(module, rb.NeuralTexture) for module in scene.modules())  # a file has none
         if zlib.crc32(path.read_bytes()) % SAVED == 0 and not networks:
             check_saved(scene)
+            check_saved_as_gltf(scene)
     except REFUSALS as error:
         return Verdict("refused to render", type(error).__name__, str(error))
     except Exception as error:
@@ -87,7 +96,7 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
         except REFUSALS as error:  # about the recipe's parameters or one of its files
             raise ValueError(f"{path}: {error}") from error
         return None
-    if family == "xml":
+    if family in ("xml", "gltf", "glb"):
         return rb.load(path)
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
     sensor = {"type": "perspective", "film": film, "to_world": rb.look_at([0.5, 0.4, 3], [0.5, 0.5, 0], [0, 1, 0])}
@@ -132,6 +141,18 @@ def check_saved(scene: rb.Scene) -> None:
                     for each in (scene, saved))
     if ours != theirs:
         raise AssertionError(f"what was saved has other parameters: {sorted(ours ^ theirs)}")
+
+
+def check_saved_as_gltf(scene: rb.Scene) -> None:
+    """Raises AssertionError if the scene can be saved as glTF and that cannot be loaded."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "saved.glb"
+        rb.save(scene, path)
+        try:
+            if scene.shapes:
+                rb.load(path)
+        except REFUSALS as error:
+            raise AssertionError("what was saved as glTF does not load") from error
 
 
 def _refusal(error: Exception, path: Path) -> Verdict:

@@ -9,6 +9,8 @@ import zlib
 from collections.abc import Callable
 from xml.etree import ElementTree
 
+from tests.fuzz.json_mutation import of_glb, of_json
+
 NUMBERS = ["0", "-0", "1", "-1", "2", "0.5", "1e-46", "1e-30", "1e-8", "1e8", "1e20", "3e38", "1e39", "1e308", "1e309",
            "nan", "inf", "-inf", "255", "256", "65536", "2147483647", "2147483648", "4294967296", "18446744073709551616",
            "1e", "-", "0x10", "1_0", "1,5", "1.", ".5", "00", "9" * 32, "0.30000000000000004441", "180", "-90"]
@@ -194,4 +196,6 @@ MUTATIONS: dict[str, list[Mutation]] = {
     "png": [of_chunks, of_bytes],
     "serialized": [of_inflated, of_inflated, of_bytes],
     "toml": [of_values, of_values, of_words, of_lines, of_bytes],
+    "gltf": [of_values, of_values, of_json, of_json, of_words, of_bytes],
+    "glb": [of_glb, of_glb, of_bytes],
 }

@@ -25,6 +25,10 @@ FLOOR = {"type": "rectangle", "to_world": translate((0, -0.7, 0)) @ rotate((1, 0
 POSE = translate((0.2, 0.1, 0)) @ rotate((0, 1, 0), 25) @ rotate((1, 0, 0), 20) @ scale((0.6, 0.5, 0.4))
 
 
+def film(width, height, **more):
+    return {"type": "hdrfilm", "width": width, "height": height, **more}
+
+
 def levels(*shape, seed=0):
     """Numbers that 8 bits can hold."""
     return torch.from_numpy(np.random.default_rng(seed).integers(0, 256, shape) / 255.0)
@@ -118,9 +122,18 @@ def test_parameters_come_back_under_their_names(tmp_path):
     assert other.get_submodule("box").bsdf is other.get_submodule("gold")
 
 
+def test_a_material_that_emits_in_one_place_is_two_in_a_file_and_no_shape_loses_its_name(tmp_path):
+    scene = rb.load_dict({"type": "scene", "sensor": LOOK, "gold": principled(), **{
+        name: {**LAMP, "bsdf": {"type": "ref", "id": "gold"}} for name in ("gold_1", "gold_2")}})
+    other = saved(scene, tmp_path)
+    assert [other.name_of(shape) for shape in other.shapes] == ["gold_1", "gold_2"]
+    assert [other.name_of(shape.bsdf) for shape in other.shapes] == ["gold", "gold_3"]
+
+
 def test_values_between_the_levels_of_8_bits_are_rounded_relative_to_the_largest(tmp_path):
     dark = 0.05 * levels(8, 8, 3, seed=6)
-    scene = box_of(principled(base_color={"type": "bitmap", "data": dark}, roughness={"type": "bitmap", "data": dark[..., :1]}))
+    grey = {"type": "bitmap", "data": dark[..., :1]}
+    scene = box_of(principled(base_color={"type": "bitmap", "data": dark}, roughness=grey))
     other = saved(scene, tmp_path)
     for name, limit in (("base_color", 0.05 * 0.006), ("roughness", 0.05 / 510 * 1.001)):
         found, expected = (each.get_parameter(f"gold.{name}.data").detach() for each in (other, scene))
@@ -133,7 +146,7 @@ def test_lights_and_cameras_come_back(tmp_path):
         bulb={"type": "point", "position": [1, 2, 3], "intensity": {"type": "rgb", "value": [3.0, 2, 1]}},
         stage={"type": "spot", "to_world": pose, "cutoff_angle": 30, "beam_width": 10, "intensity": 4.0},
         sun={"type": "directional", "direction": [0.1, -1, 0.3], "irradiance": 0.5},
-        plan={"type": "orthographic", "near_clip": 0.5, "far_clip": 30, "film": {"type": "hdrfilm", "width": 20, "height": 10},
+        plan={"type": "orthographic", "near_clip": 0.5, "far_clip": 30, "film": film(20, 10),
               "to_world": rb.look_at([0, 5, 0.1], [0, 0, 0], [0, 0, 1]).numpy() @ scale((3, 3, 1))})
     other = saved(scene, tmp_path)
     for name in ("bulb.position", "bulb.intensity.value", "stage.to_world", "stage.cutoff_angle", "stage.beam_width",
@@ -174,7 +187,8 @@ def test_a_sheared_pose_is_written_into_the_vertices(tmp_path):
     shear[0, 1] = 0.7
     scene = scene_of(box={"type": "cube", "to_world": POSE @ shear})
     other = saved(scene, tmp_path)
-    torch.testing.assert_close(other.get_submodule("box").triangles().vertices, scene.get_submodule("box").triangles().vertices)
+    found, expected = (each.get_submodule("box").triangles().vertices for each in (other, scene))
+    torch.testing.assert_close(found, expected)
 
 
 @pytest.mark.parametrize("name", ["asset.glb", "asset.gltf"])
@@ -199,14 +213,16 @@ def everything():
         alphaMode="BLEND")
     glow = file.add("materials", name="glow", emissiveFactor=[1, 0.5, 0.2], emissiveTexture=textures[3],
                     extensions={"KHR_materials_emissive_strength": {"emissiveStrength": 5}})
-    glass = file.add("materials", name="glass", pbrMetallicRoughness={"metallicFactor": 0, "roughnessFactor": 0.1}, extensions={
+    smooth = {"metallicFactor": 0, "roughnessFactor": 0.1}
+    glass = file.add("materials", name="glass", pbrMetallicRoughness=smooth, extensions={
         "KHR_materials_transmission": {"transmissionFactor": 0.9, "transmissionTexture": textures[4]},
         "KHR_materials_ior": {"ior": 1.3}, "KHR_materials_volume": {"thicknessFactor": 1.0}})
     painted = file.add("materials", name="painted", pbrMetallicRoughness={"metallicFactor": 0})
     colours = file.array(random.uniform(0, 1, (4, 3)))
     file.node(file.square(gold), file.square(glass), name="sheets", rotation=[0.1, 0.2, 0.3, 0.927], scale=[1, 2, -1])
     file.node(file.square(glow), name="lamp", translation=[0, 3, 0])
-    file.node(file.square(painted, COLOR_0=colours, _HEAT=file.array([0, 0.5, 1, 0.25])), name="wall", translation=[0, 0, -2])
+    heat = file.array([0, 0.5, 1, 0.25])
+    file.node(file.square(painted, COLOR_0=colours, _HEAT=heat), name="wall", translation=[0, 0, -2])
     file.node(name="sun", extensions=punctual(file, type="directional", intensity=2, color=[1, 0.5, 0.25]))
     lens = {"yfov": 0.9, "aspectRatio": 1.5, "znear": 0.1, "zfar": 100}
     file.node(name="eye", translation=[0, 0, 6], camera=file.add("cameras", type="perspective", perspective=lens))
@@ -231,13 +247,13 @@ def test_a_file_that_is_loaded_and_saved_says_the_same(tmp_path):
 LOSSES = {
     "surround": (lambda: scene_of(sky={"type": "constant"}), "sky: a constant emitter has no counterpart in glTF"),
     "ball": (lambda: scene_of(ball={"type": "sphere"}), r"ball: a sphere is written as \d+ triangles"),
-    "metal": (lambda: box_of({"type": "roughconductor", "material": "Au"}), "gold: its reflectance .*gold: its beckmann microfacets"),
+    "metal": (lambda: box_of({"type": "roughconductor", "material": "Au"}), "gold: its reflectance .*its beckmann"),
     "blend": (lambda: box_of({"type": "blendbsdf", "weight": 0.5, "a": principled(), "b": {"type": "diffuse"}}),
               "gold: of a blendbsdf the first material is written alone"),
     "tint": (lambda: box_of(principled(spec_tint=0.5)), "gold: spec_tint is not written"),
     "coat": (lambda: box_of(principled(clearcoat=0.5)), "gold: clearcoat is four times as strong"),
-    "back": (lambda: box_of({"type": "twosided", "a": principled(), "b": {"type": "diffuse"}}), "of its back is not written"),
-    "sizes": (lambda: box_of(principled(roughness=bitmap(4, 4, 1), metallic=bitmap(8, 8, 1))), "resampled from 4 x 4 to 8 x 8"),
+    "back": (lambda: box_of({"type": "twosided", "a": principled(), "b": {"type": "diffuse"}}), "its back is not written"),
+    "sizes": (lambda: box_of(principled(roughness=bitmap(4, 4, 1), metallic=bitmap(8, 8, 1))), "from 4 x 4 to 8 x 8"),
     "two ways": (lambda: box_of(principled(roughness=bitmap(4, 4, 1), metallic=bitmap(4, 4, 1, wrap_mode="clamp"))),
                  "metallic is written as its mean"),
     "beam": (lambda: box_of(principled(), emitter={"type": "directionalarea"}), "box.emitter: a directionalarea emitter"),
@@ -296,6 +312,6 @@ def test_large_meshes_have_indices_of_four_bytes(tmp_path):
             "faces": torch.arange(corners).reshape(-1, 3)}
     other = saved(scene_of(mesh=mesh), tmp_path)
     assert torch.equal(other.get_submodule("mesh").faces, torch.arange(corners).reshape(-1, 3))
-    small = saved(scene_of(mesh={**mesh, "vertex_positions": torch.rand(4, 3), "faces": torch.tensor(SQUARE_FACES).reshape(2, 3)}),
-                  tmp_path)
+    small = {**mesh, "vertex_positions": torch.rand(4, 3), "faces": torch.tensor(SQUARE_FACES).reshape(2, 3)}
+    small = saved(scene_of(mesh=small), tmp_path)
     assert small.get_submodule("mesh").faces.tolist() == [[0, 1, 2], [0, 2, 3]]

@@ -37,6 +37,9 @@ class Appearances:
 
     def __init__(self, scene: Scene, out: Written, losses: Losses):
         self.scene, self.out, self.losses, self.names = scene, out, losses, Names()
+        for name, _ in scene.named_children():  # so that none comes back as another
+            self.names.free(name)
+        self.named: set[str] = set()
         self.known: dict[tuple[int, int, bool], Appearance] = {}
 
     def of(self, shape: Shape, mirrored: bool) -> Appearance:
@@ -77,7 +80,8 @@ class Appearances:
         """A new material."""
         full = self.scene.name_of(peeled.inner)
         surface = Surface() if peeled.invisible else surface_of(peeled.inner, full, self.losses)
-        entries: dict[str, Any] = {"name": self.names.free(full)}
+        entries: dict[str, Any] = {"name": self.names.free(full) if full in self.named else full}
+        self.named.add(full)
         extensions = {name: dict(values) for name, values in surface.extensions.items()}
         rough = self.metallic_roughness(entries["name"], surface)
         if peeled.invisible:

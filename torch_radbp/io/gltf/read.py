@@ -178,7 +178,8 @@ class _Reader:
         """A mesh."""
         moved = not np.array_equal(to_world, np.eye(4))
         shape = TensorMesh(
-            vertex_positions=torch.from_numpy(primitive.positions), faces=torch.from_numpy(np.ascontiguousarray(primitive.faces)),
+            vertex_positions=torch.from_numpy(primitive.positions),
+            faces=torch.from_numpy(np.ascontiguousarray(primitive.faces)),
             vertex_normals=None if primitive.normals is None else torch.from_numpy(primitive.normals),
             vertex_texcoords=None if uv is None else torch.from_numpy(np.asarray(uv, dtype=np.float64)),
             to_world=torch.from_numpy(to_world) if moved else None, bsdf=bsdf)
