@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from .gltf_scenes import gltf
 from .layered_scenes import blends, bump_maps, masks, normal_maps, plastics, rough_plastics
 from .material_scenes import (
     brushed,
@@ -139,6 +140,7 @@ CASES = {
     "normal_maps": Case(normal_maps),
     "bump_maps": Case(bump_maps),
     "principled": Case(principled),
+    "gltf": Case(gltf),
     **{f"camera_{name}": Case(poster(name), peer_spp=256, peer_batches=32, thin=1 if camera.rfilter == BOX else 5)
        for name, camera in CAMERAS.items()},
 }

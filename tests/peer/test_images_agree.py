@@ -13,6 +13,7 @@ import torch_radbp as rb
 
 from .agreement import ALPHA, Comparison, compare, estimate
 from .cases import CASES
+from .gltf_scenes import load_asset
 from .mitsuba_images import load_case
 from .mitsuba_images import render as mitsuba_renders
 from .scene_files import Case
@@ -41,6 +42,13 @@ def assert_agrees(comparison: Comparison) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_image_agrees_with_mitsuba(name, tmp_path):
     assert_agrees(against_reference(name, tmp_path))
+
+
+def test_a_gltf_asset_agrees_with_mitsuba(tmp_path):
+    """The asset itself; "gltf" among the cases is the XML that is written of it."""
+    case, path, theirs = load_case("gltf", tmp_path)
+    ours = estimate(our_renders(load_asset(path.with_name("asset.glb")), case), case.spp)
+    assert_agrees(compare(ours, theirs, case.thin))
 
 
 @pytest.mark.parametrize("name", ["sky", "cornell_depth_3"])
