@@ -31,7 +31,7 @@ EPILOG = (
 
 
 def check(
-    scene: Annotated[Path, typer.Argument(help="Mitsuba 3 scene, .xml")],
+    scene: Annotated[Path, typer.Argument(help="Scene: Mitsuba 3 .xml, or glTF .glb or .gltf")],
     param: Annotated[str, typer.Option(help="Name of the parameter, as radbp info shows it.")],
     direction: Annotated[
         str | None,

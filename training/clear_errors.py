@@ -1,7 +1,8 @@
-"""Errors of a command line: one clear message and an exit code, no traceback unless asked for."""
+"""Errors and warnings of a command line: one clear message each; of an error an exit code, no traceback unless asked for."""
 
 import contextlib
 import sys
+import warnings
 from collections.abc import Iterator
 from typing import Annotated
 
@@ -21,6 +22,8 @@ EXPECTED = (ValueError, TypeError, RuntimeError, OSError, AttributeError, Floati
 def clear_errors(debug: bool) -> Iterator[Interrupts]:
     """Turns errors of the input into a message on stderr and exit code 2; Ctrl-C and SIGTERM into 130 and 143.
 
+    Warnings are messages on stderr, too.
+
     Args:
         debug: let errors through as they are.
 
@@ -29,7 +32,8 @@ def clear_errors(debug: bool) -> Iterator[Interrupts]:
     """
     interrupts = Interrupts()
     try:
-        with interrupts:
+        with interrupts, warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_, **__: print(f"warning: {message}", file=sys.stderr)
             yield interrupts
     except KeyboardInterrupt:
         _leave(interrupts)

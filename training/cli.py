@@ -23,7 +23,7 @@ EPILOG = (
 )
 
 app = typer.Typer(
-    help="torch_radbp: render Mitsuba 3 scenes, and recover materials and lights from images by differentiation.",
+    help="torch_radbp: render Mitsuba 3 scenes and glTF assets, and recover materials and lights from images.",
     epilog=EPILOG,
     no_args_is_help=True,
     rich_markup_mode="rich",

@@ -14,12 +14,13 @@ EPILOG = (
     "Examples:\n\n"
     "radbp info scene.xml\n\n"
     "radbp info scene.xml -D resolution=64\n\n"
+    "radbp info asset.glb  (and what of it is not read)\n\n"
     "The names under PARAMETERS are those of scene.get_parameter(name) and of the parameters in a recipe."
 )
 
 
 def info(
-    scene: Annotated[Path, typer.Argument(help="Mitsuba 3 scene, .xml")],
+    scene: Annotated[Path, typer.Argument(help="Scene: Mitsuba 3 .xml, or glTF .glb or .gltf")],
     define: Define = None,
     debug: Debug = False,
 ) -> None:

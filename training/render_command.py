@@ -21,12 +21,13 @@ EPILOG = (
     "radbp render scene.xml -o small.png -D resolution=64  (sets $resolution of the scene file)\n\n"
     "radbp render scene.xml -o image.exr --aov depth --aov sh_normal  (channels depth.T, sh_normal.X, ... beside R, G, B; "
     "with -o image.png pictures of their own: image_depth.png, ...)\n\n"
+    "radbp render asset.glb -o asset.png -D resolution=512 -D light=0.5  (glTF: options of rb.load)\n\n"
     "With several sensors and no --sensor, each image gets the sensor's name: image_left.png, image_right.png"
 )
 
 
 def render(
-    scene: Annotated[Path, typer.Argument(help="Mitsuba 3 scene, .xml")],
+    scene: Annotated[Path, typer.Argument(help="Scene: Mitsuba 3 .xml, or glTF .glb or .gltf")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Image to write, .exr or .png")],
     spp: Annotated[int | None, typer.Option(help=r"Samples per pixel.  \[default: the scene's]")] = None,
     max_depth: Annotated[

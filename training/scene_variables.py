@@ -1,11 +1,12 @@
-"""`-D name=value`: values for the `$name` of a scene file."""
+"""`-D name=value`: values for the `$name` of a scene file, and options of a glTF file."""
 
 from typing import Annotated
 
 import typer
 
 Define = Annotated[
-    list[str] | None, typer.Option("-D", "--define", metavar="NAME=VALUE", help="Set $NAME of the scene file.")
+    list[str] | None,
+    typer.Option("-D", "--define", metavar="NAME=VALUE", help="Set $NAME of a scene file, or an option of glTF."),
 ]
 
 

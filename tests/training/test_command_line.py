@@ -7,6 +7,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import torch_radbp as rb
+from tests.io.gltf_files import GltfFile
 from torch_radbp.io.image import read_image, srgb_to_linear
 from torch_radbp.training import optimize
 from torch_radbp.training.cli import app
@@ -57,6 +58,19 @@ def test_render_writes_srgb_png(radbp, folder):
     expected = rb.render(rb.load(folder / "scene.xml"), spp=8, seed=SEED)[0].detach().clamp(0, 1)
     decoded = srgb_to_linear(read_image(folder / "image.png", raw=True)).permute(2, 0, 1)
     torch.testing.assert_close(decoded, expected, atol=0.006, rtol=0)  # 8 bits; half a step is 0.0045 at white
+
+
+def test_a_gltf_file_is_rendered_and_listed_and_what_is_missing_is_said_in_one_line(radbp, folder):
+    file = GltfFile()
+    file.node(file.square(file.add("materials", name="gold")), name="sheet")
+    file.save(folder / "asset.glb")
+    code, _, stderr = radbp("render", "asset.glb", "-o", "a.png", "--spp", 4, "-D", "resolution=12", "-D", "light=0.5")
+    assert code == 0 and "a.png  12 x 12, 4 spp" in stderr
+    assert stderr.startswith("warning: asset.glb: it has no camera: 'camera' is added") and stderr.count("\n") == 2
+    code, stdout, _ = radbp("info", "asset.glb")
+    assert code == 0 and all(name in stdout for name in ("sheet", "gold.roughness.value", "gold.base_color.value", "sky"))
+    code, _, stderr = radbp("info", "asset.glb", "-D", "size=3")
+    assert code == 2 and "error: asset.glb: a glTF file has no variables" in stderr
 
 
 def test_passes_of_a_long_rendering_average_to_the_expected_image(radbp, folder):
