@@ -4,17 +4,22 @@ from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint
 from torch_radbp.adjoint.finite import NonFiniteError
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.check import GradientCheck, check_gradient
+from torch_radbp.io.colmap import cameras_from_colmap
 from torch_radbp.io.gltf.document import GltfWarning
 from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
+from torch_radbp.io.nerf import cameras_from_nerf
 from torch_radbp.io.write import save
 from torch_radbp.jvp import jvp
 from torch_radbp.plugin import SceneError
 from torch_radbp.pose import look_at, se3
 from torch_radbp.render import Renderer, render
 from torch_radbp.scene import Scene
+from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture
 
 __all__ = ["GltfWarning", "GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture", "NonFiniteError",
-           "QuadraticAdjoint", "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning", "TapeAdjoint",
-           "check_gradient", "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "se3"]
+           "QuadraticAdjoint", "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning",
+           "TapeAdjoint", "camera_from_opencv", "cameras_from_colmap", "cameras_from_kornia",
+           "cameras_from_nerf", "check_gradient", "jvp", "load", "load_dict", "look_at", "render", "save",
+           "save_image", "se3"]

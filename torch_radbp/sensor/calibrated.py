@@ -64,7 +64,7 @@ class CalibratedKind(CameraKind):
         return Ray(o, normalize(d)), None if seen is None else seen.to(position.x.dtype)
 
     def reach(self, lens: CalibratedLens, p: Vec3) -> Tensor:
-        """How far away world points are, as the near and the far plane count: along the axis, or of a fisheye, from the eye."""
+        """How far away world points are, as the clipping planes count: along the axis, or of a fisheye, from the eye."""
         offset = p - lens.origin
         return torch.sqrt(dot(offset, offset)) if self.fisheye else dot(offset, lens.axes.n)
 

@@ -1,0 +1,159 @@
+"""Reads the cameras of a COLMAP model in its text format: cameras.txt and images.txt.
+
+Reference: COLMAP's documentation, "Output Format" and "Camera Models".
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from torch_radbp.entry import entry
+from torch_radbp.io.files import opened
+from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
+from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
+from torch_radbp.sensor.opencv import Intrinsics, pose_of, sensor_of
+
+MODELS = {  # the parameters in their order; f is both focal lengths
+    "SIMPLE_PINHOLE": (BROWN_CONRADY, ("f", "cx", "cy")),
+    "PINHOLE": (BROWN_CONRADY, ("fx", "fy", "cx", "cy")),
+    "SIMPLE_RADIAL": (BROWN_CONRADY, ("f", "cx", "cy", "k1")),
+    "RADIAL": (BROWN_CONRADY, ("f", "cx", "cy", "k1", "k2")),
+    "OPENCV": (BROWN_CONRADY, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
+    "FULL_OPENCV": (BROWN_CONRADY, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
+    "OPENCV_FISHEYE": (FISHEYE, ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
+}
+
+
+@entry
+def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilter: ReconstructionFilter | None = None,
+                        **attributes: Any) -> dict[str, Calibrated]:
+    """The sensors `calibrated` of a COLMAP model, by the name of their image and in the order of the file.
+
+        scene = rb.load_dict({"type": "scene", **rb.cameras_from_colmap("sparse/0", scale=0.25), ...})
+
+    The world is COLMAP's. Its pixels are counted from the corner of the image, ours from the centre of the first pixel: cx
+    and cy become less by 0.5. Points are not read.
+
+    Args:
+        folder: with cameras.txt and images.txt; `colmap model_converter --output_type TXT` makes them of a binary model.
+        scale, rfilter, **attributes: as of `camera_from_opencv`.
+
+    Raises:
+        SceneError: names file and line of what cannot be read, and the camera models that are supported.
+        FileNotFoundError: if there is no such file.
+    """
+    folder = Path(folder)
+    if not (folder / "cameras.txt").exists() and (folder / "cameras.bin").exists():
+        raise SceneError(f"{folder}: is a binary model; convert it with "
+                         f"`colmap model_converter --input_path {folder} --output_path {folder} --output_type TXT`")
+    cameras = read_cameras(folder / "cameras.txt")
+    found: dict[str, Calibrated] = {}
+    for line, pose, camera, name in read_images(folder / "images.txt"):
+        if camera not in cameras:
+            raise line.fail(f"no camera has the id {camera}; cameras.txt has {', '.join(cameras) or 'none'}")
+        if name in found:
+            raise line.fail(f"a second image is called {name!r}")
+        found[name] = sensor_of(cameras[camera], pose, scale, rfilter, attributes)
+    if not found:
+        raise SceneError(f"{folder / 'images.txt'}: has no image")
+    return found
+
+
+class Line(NamedTuple):
+    """A line of a file, divided into words."""
+
+    path: Path
+    number: int
+    words: list[str]
+
+    def fail(self, message: str) -> SceneError:
+        """The error about this line."""
+        return SceneError(f"{self.path}, line {self.number}: {message}")
+
+    def numbers(self, first: int, last: int, what: str) -> list[float]:
+        """The words from `first` to before `last` as finite numbers."""
+        try:
+            values = [float(word) for word in self.words[first:last]]
+        except ValueError:
+            values = [math.nan]
+        if not all(map(math.isfinite, values)):
+            raise self.fail(f"{what} must be finite numbers, got {' '.join(self.words[first:last])[:80]!r}")
+        return values
+
+
+def lines_of(path: Path) -> Iterator[Line]:
+    """The lines that are no comments; blank ones have no words."""
+    with opened(path) as file:
+        for number, text in enumerate(file, 1):
+            if text.lstrip().startswith(b"#"):
+                continue
+            try:
+                yield Line(path, number, text.decode().split())
+            except UnicodeDecodeError:
+                raise SceneError(f"{path}, line {number}: is no text; is the file binary?") from None
+
+
+def read_cameras(path: Path) -> dict[str, Intrinsics]:
+    """The cameras by id: CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS."""
+    cameras = {}
+    for line in lines_of(path):
+        if not line.words:
+            continue
+        if len(line.words) < 4:
+            raise line.fail(f"expected CAMERA_ID MODEL WIDTH HEIGHT and parameters, got {' '.join(line.words)!r}")
+        name, model = line.words[:2]
+        if model not in MODELS:
+            raise line.fail(f"the camera model {model} is not supported; {nearest(model, MODELS)}")
+        if name in cameras:
+            raise line.fail(f"a second camera has the id {name}")
+        lens, parameters = MODELS[model]
+        if len(line.words) != 4 + len(parameters):
+            raise line.fail(f"{model} has the parameters {' '.join(parameters)}, got {len(line.words) - 4} numbers")
+        size = line.numbers(2, 4, "width and height")
+        if min(size) < 1 or any(side != int(side) for side in size):
+            raise line.fail(f"width and height must be whole numbers of at least 1, got {' '.join(line.words[2:4])}")
+        values = dict(zip(parameters, line.numbers(4, None, "parameters")))
+        focal = [values.pop(key, None) for key in ("fx", "fy")]
+        fx, fy = [values.pop("f")] * 2 if "f" in values else focal
+        if min(fx, fy) <= 0:
+            raise line.fail(f"focal lengths must be greater than 0, got {min(fx, fy):g}")
+        cx, cy = values.pop("cx") - 0.5, values.pop("cy") - 0.5
+        cameras[name] = Intrinsics(int(size[0]), int(size[1]), fx, fy, cx, cy, model=lens, coefficients=values)
+    return cameras
+
+
+def read_images(path: Path) -> Iterator[tuple[Line, np.ndarray, str, str]]:
+    """Line, `to_world`, camera id and name of the images.
+
+    Each has a line IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and one of points, which may be blank.
+    """
+    of_points = False
+    for line in lines_of(path):
+        if of_points:
+            of_points = False
+            if len(line.words) % 3:
+                raise line.fail("expected the points of the image before, X Y POINT3D_ID each, or a blank line")
+            continue
+        if not line.words:
+            continue
+        if len(line.words) < 10:
+            raise line.fail(f"expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {' '.join(line.words)[:80]!r}")
+        values = line.numbers(1, 8, "rotation and translation")
+        if not 1e-6 < np.linalg.norm(values[:4]) < 1e6:
+            raise line.fail(f"the rotation must be a quaternion of length 1, got {values[:4]}")
+        yield line, pose_of(rotation(np.array(values[:4])), np.array(values[4:])), line.words[8], " ".join(line.words[9:])
+        of_points = True
+
+
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """(3, 3) of a quaternion w, x, y, z of any length."""
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
