@@ -182,9 +182,12 @@ def of_chunks(source: random.Random, content: bytes, others: list[bytes]) -> byt
 
 
 def of_inflated(source: random.Random, content: bytes, others: list[bytes]) -> bytes:
-    """The first mesh of a serialized file with bytes of what is compressed in it changed."""
+    """The first mesh of a serialized file with bytes of what is compressed in it changed, if it can be inflated still."""
     inflater = zlib.decompressobj()
-    inflated = inflater.decompress(content[4:])
+    try:
+        inflated = inflater.decompress(content[4:])
+    except zlib.error:
+        return of_bytes(source, content, others)
     return content[:4] + zlib.compress(of_bytes(source, inflated, [inflated])) + inflater.unused_data
 
 

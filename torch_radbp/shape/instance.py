@@ -37,12 +37,13 @@ class Instance(Shape):
 
 
 def instanced(surface: Triangles, poses: tuple[Tensor, ...]) -> Triangles:
-    """A surface once for each of I instances, (4, 4) transforms each; attached to both."""
+    """A surface once for each of I instances, (4, 4) transforms each; attached to both. Faces are int32, to save memory."""
     matrices = torch.stack(poses)
     count, size = len(poses), len(surface.vertices)
     mirrored = torch.linalg.det(matrices.detach()[:, :3, :3]) < 0
-    faces = torch.where(mirrored[:, None, None], turned(surface.faces), surface.faces)
-    faces = faces + size * torch.arange(count, device=faces.device)[:, None, None]
+    local = surface.faces.to(torch.int32)
+    faces = torch.where(mirrored[:, None, None], turned(local), local)
+    faces += size * torch.arange(count, dtype=torch.int32, device=faces.device)[:, None, None]
     normals, ball = surface.normals, surface.ball
     if normals is not None:
         normals = transform_normals(matrices, normals).flatten(0, 1)

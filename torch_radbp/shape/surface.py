@@ -17,7 +17,7 @@ class Triangles(NamedTuple):
     """World-space triangles of one shape, attached to its parameters."""
 
     vertices: Tensor  # (V, 3)
-    faces: Tensor  # (F, 3) int64
+    faces: Tensor  # (F, 3) integers
     normals: Tensor | None  # (V, 3) unit shading normals, or None for flat faces
     uv: Tensor | None  # (V, 2)
     ball: Ball | None = None  # what they tessellate, if it is a sphere; or several, one after the other
