@@ -9,6 +9,8 @@ import torch
 import trimesh
 
 import torch_radbp as rb
+from tests.derivatives.everything import EVERYTHING as EVERY_PLUGIN
+from tests.derivatives.everything import build_everything
 from tests.io.gltf_files import SQUARE_FACES, GltfFile
 from tests.io.gltf_rules import check_rules
 from tests.io.test_gltf import lamp as punctual
@@ -277,6 +279,24 @@ def test_what_gltf_cannot_say_is_said_by_name(tmp_path, case):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GltfWarning)
         rb.load(path)
+
+
+@pytest.mark.parametrize("name", EVERY_PLUGIN)
+def test_every_plugin_is_written_or_named(tmp_path, name):
+    """The scenes of `tests.derivatives` have every plugin; what is left of them keeps to the rules and can be loaded."""
+    scene, path = build_everything(name, torch.float32), tmp_path / "asset.glb"
+    with pytest.warns(GltfWarning) as caught:
+        rb.save(scene, path)
+    said = str(caught[0].message)
+    document = check_rules(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GltfWarning)
+        other = rb.load(path)
+    assert len(other.shapes) >= len(scene.shapes)  # an instance is as many as its group has
+    nodes = [node["name"] for node in document["nodes"]]
+    for child, plugin in scene.named_children():
+        if plugin.category in ("shape", "emitter", "sensor"):
+            assert child in nodes or f"{child}_0" in nodes or child in said or " more" in said
 
 
 def test_a_network_cannot_be_written(tmp_path):

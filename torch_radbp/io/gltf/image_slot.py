@@ -79,7 +79,9 @@ def slot(texture: Texture, name: str, losses: Losses, as_number: bool = False) -
         raise SceneError(f"{name}: a {type(texture).__name__} cannot be written as glTF; put a bitmap in its place, or save "
                          "its `state_dict()` with torch.save or safetensors")
     losses.add(name, f"a {texture.type} is written as its mean colour")
-    return Slot(checked(texture.texels(), name).mean((0, 1), keepdims=True), None)
+    parts = [slot(part, name, losses, as_number).constant for part in texture.parts()]
+    values = np.mean(parts, axis=0) if parts else checked(texture.texels(), name).mean((0, 1))
+    return Slot(values.reshape(1, 1, 3), None)
 
 
 def checked(values: Tensor, name: str) -> np.ndarray:
