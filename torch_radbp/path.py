@@ -49,7 +49,7 @@ from torch_radbp.scene.light import (
 )
 from torch_radbp.scene.light_choice import LightNumbers, LightPick, TreeChoice, chance_of_emitter, drawn_element
 from torch_radbp.scene.light_tree import Vantage
-from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample
+from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample, sampling_at
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.texture.reader import Given
@@ -67,6 +67,7 @@ class Settings(NamedTuple):
     hide_emitters: bool = False  # at this bounce
     moving: bool = False  # rays carry derivatives
     sampling: str = "detached"  # if they do, which go through the choice of directions: "detached", "hybrid", "attached"
+    following: bool = False  # states say whether hybrid sampling has followed a direction of a smooth lobe
 
 
 class Position(NamedTuple):
@@ -86,6 +87,7 @@ class PathState(NamedTuple):
     key: LaneKey  # of the lane's random numbers
     lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
     vantage: Vantage | None = None  # where the ray begins; None if no light is picked with regard to that
+    followed: Tensor | None = None  # bool, see `Settings.following`; None without it
 
 
 class Arrival(NamedTuple):
@@ -147,15 +149,19 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor,
     return ray, lane, weight
 
 
-def start_path(ray: Ray, key: LaneKey, from_places: bool = False) -> PathState:
+def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False) -> PathState:
     """The state before the first bounce: throughput 1, every lane in its place.
 
-    `from_places`: paths remember where their rays begin.
+    Args:
+        ray, key: of each lane.
+        from_places: paths remember where their rays begin.
+        following: as in `Settings`.
     """
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane,
-                     Vantage(ray.o.detach(), ray.d.detach()) if from_places else None)
+                     Vantage(ray.o.detach(), ray.d.detach()) if from_places else None,
+                     torch.zeros_like(lane, dtype=torch.bool) if following else None)
 
 
 class Place(NamedTuple):
@@ -185,6 +191,8 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
     slides = None
     if settings.moving:
         slides = torch.isinf(arrival.state.pdf) | (settings.sampling == "attached")
+        if settings.following:
+            slides = slides | arrival.state.followed
     return surface_interaction(scene, arrival.state.ray, arrival.hit, slides, here, arrival.front)
 
 
@@ -226,7 +234,13 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     ray = departure(local.si, local.sample.wo)
     here = None if state.vantage is None else vantage(local.si)
     return Vertex(local.Le, local.Ld, F, shadow, distance,
-                  PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane, here), local.survives)
+                  PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane, here,
+                            followed_by(local.material, state, settings)), local.survives)
+
+
+def followed_by(material: Material, state: PathState, settings: Settings) -> Tensor | None:
+    """`PathState.followed` of the paths that leave a material."""
+    return torch.full_like(state.followed, material.kind.follows) if settings.following else None
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
@@ -243,10 +257,12 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     if not settings.hide_emitters:
         Le = emitted(scene, state.ray, si) if scene.appearance is None else emitted_by_surface(scene, si)
     if settings.nee:
-        geometry = scene if settings.sampling == "attached" else proposal
+        follows = settings.following and settings.moving
+        geometry = scene if settings.sampling == "attached" or follows else proposal
         other = (emitted_pdf(geometry, state.ray, si, proposal, arrival.picked) if scene.appearance is None
                  else pdf_of_surface(geometry, si, proposal, arrival.picked))
-        Le = Le * mis_weight(state.pdf, other, settings)
+        weight = mis_weight(state.pdf, other, "attached" if follows else settings.sampling)
+        Le = Le * (torch.where(state.followed, weight, weight.detach()) if follows else weight)
     if scene.appearance is None:
         return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
 
@@ -305,12 +321,12 @@ def next_event(material: Material, si: SurfaceInteraction, light: LightSample,
     connects = si.valid & (light.pdf > 0) & ((pdf > 0) | (max_component(reflected.detach()) > 0))
     chance, connects = torch.where(connects, light.pdf, 1.0), connects.to(pdf.dtype)
     weighing = chance if light.weighing is light.pdf else torch.where(connects > 0, light.weighing, 1.0)
-    weight = mis_weight(weighing, pdf * light.findable, settings)
+    weight = mis_weight(weighing, pdf * light.findable, sampling_at(material.kind, settings.sampling))
     Ld = reflected * light.radiance * (connects * weight / chance)
     return light._replace(pdf=light.pdf.detach() * connects), Ld
 
 
-def mis_weight(pdf: Tensor, other: Tensor, settings: Settings) -> Tensor:
+def mis_weight(pdf: Tensor, other: Tensor, sampling: str) -> Tensor:
     """The power heuristic; it carries a derivative only if that of the densities is wanted."""
     weight = power_heuristic(pdf, other)
-    return weight if settings.sampling == "attached" else weight.detach()
+    return weight if sampling == "attached" else weight.detach()

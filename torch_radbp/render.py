@@ -251,16 +251,17 @@ class Renderer(nn.Module):
             self.kept = kept.close()
         moving = self.sampling == "attached" or any_differentiated((scene.triangles, [view.camera for view in views])) or (
             self.sampling == "hybrid" and scene.layout.bending)
+        following = moving and self.sampling == "hybrid" and any(look.kind.follows for look in scene.layout.appearances)
         stages = compiled() if fused else EAGER
         settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,
-                            sampling=self.sampling if moving else "detached")
+                            sampling=self.sampling if moving else "detached", following=following)
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return Integrand(tensors, detached(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
 
         chunks = plan_chunks(len(views), width * height, spp, lanes, workers)
         call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views, chunks, spp, seed_grad is not None,
-                          workers, self.scene, parameters)
+                          workers, following, self.scene, parameters)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)

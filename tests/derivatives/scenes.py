@@ -291,6 +291,13 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "pane": glass(type="thindielectric", **TINTED),
     "rough glass beckmann": glass(type="roughdielectric", distribution="beckmann", alpha=0.3, **ROUGH_GLASS),
     "rough glass ggx": glass(type="roughdielectric", distribution="ggx", alpha=0.3, **ROUGH_GLASS),
+    "blend of glasses": glass(type="blendbsdf", weight=0.4, bsdf_0={"type": "roughdielectric", "alpha": 0.3, **ROUGH_GLASS},
+                              bsdf_1={"type": "roughdielectric", "distribution": "ggx", "alpha": 0.5, **ROUGH_GLASS}),
+    "frosted leaf": glass(type="mask", opacity=0.6, pane={"type": "roughdielectric", "alpha": 0.3, **ROUGH_GLASS}),
+    "glass with bumps": glass(type="normalmap", normalmap=bumps(), nested={
+        "type": "roughdielectric", "alpha": 0.3, **ROUGH_GLASS}),
+    "moving rough glass": {"sensor": camera(4), "sky": sky(), "glowing": glowing(), SUBJECT: plane(
+        bsdf={"type": "roughdielectric", "alpha": 0.3, **ROUGH_GLASS}), "floor": floor(), "lamp": lamp()},
     "brushed glass beckmann": glass(type="roughdielectric", distribution="beckmann", **BRUSHED, **ROUGH_GLASS),
     "brushed glass ggx": glass(type="roughdielectric", distribution="ggx", **BRUSHED, **ROUGH_GLASS),
     "twosided": {"sensor": camera(), "sky": sky(), "glowing": glowing(),

@@ -27,9 +27,11 @@ PROJECTIONS = 2  # random sums of all pixels, of which the derivative is taken
 STEP, ABSOLUTE, RELATIVE = 1e-6, 1e-8, 1e-6
 SMALLEST = 1e-4  # of the greatest derivative by a parameter; the sums have size 1
 # Scenes in which hybrid sampling is not detached sampling.
-DELTA = ("conductor", "dielectric", "pane", "plastic", "blend", "blend of deltas", "mirror with a normal map")
+FOLLOWED = ("conductor", "dielectric", "pane", "plastic", "blend", "blend of deltas", "mirror with a normal map",
+            "mirror with a bump map", "rough glass beckmann", "rough glass ggx", "brushed glass beckmann",
+            "brushed glass ggx", "blend of glasses", "frosted leaf", "glass with bumps", "moving rough glass")
 CASES = [(name, sampling) for name in SCENES for sampling in ("attached", "detached", "hybrid")
-         if sampling != "hybrid" or name in DELTA]
+         if sampling != "hybrid" or name in FOLLOWED]
 
 
 def directions(gradient: Tensor, seed: int) -> Tensor:

@@ -62,6 +62,7 @@ class RenderCall(NamedTuple):
     spp: int
     retrace: bool  # the backward pass traces its paths anew instead of keeping those of the forward pass
     workers: int  # chunks that are traced side by side
+    following: bool = False  # see `Settings.following`
     module: Scene | None = None  # whose tensors these are; gives names to errors
     parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
 
@@ -69,7 +70,7 @@ class RenderCall(NamedTuple):
 def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
     """The camera paths of a chunk, pixel by pixel."""
     ray, lanes, _ = camera_samples(call, chunk, key)
-    return start_path(ray, lanes, call.scene.lights.by_place)
+    return start_path(ray, lanes, call.scene.lights.by_place, call.following)
 
 
 def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> tuple[Ray, LaneKey, Tensor | None]:
@@ -89,7 +90,7 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
     ray, lanes, _ = call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0])
-    return start_path(ray, lanes, call.scene.lights.by_place)
+    return start_path(ray, lanes, call.scene.lights.by_place, call.following)
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:
@@ -129,7 +130,8 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
             steps[depth] = step
 
     ray, lanes, weight = camera_samples(call, chunk, key)
-    L = tracer(integrand_of(call, integrand, chunk), start_path(ray, lanes, call.scene.lights.by_place), visit)
+    start = start_path(ray, lanes, call.scene.lights.by_place, call.following)
+    L = tracer(integrand_of(call, integrand, chunk), start, visit)
     radiance = L if record and strategy.keep_radiance else None
     return weighted(L, weight), PathRecord(lambda: start_paths(call, chunk, key), radiance, states, steps, bounces, weight)
 

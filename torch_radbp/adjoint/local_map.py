@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path import Arrival, Position, Settings, scattering
+from torch_radbp.path import Arrival, Position, Settings, followed_by, scattering
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.departure import attached_departure
 from torch_radbp.scene.interaction import Corners
@@ -23,6 +23,7 @@ class LocalMap(NamedTuple):
     F: Vec3
     ray: Ray | None  # ray_{k+1}; None if rays carry no derivatives, or the path ends
     pdf: Tensor | None  # density of its direction
+    followed: Tensor | None = None  # see `PathState`
 
 
 class Verdict(NamedTuple):
@@ -51,4 +52,5 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     if not settings.moving:
         return LocalMap(E, masked(verdict.survives, local.sample.weight * local.thinning), None, None)
     weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling, there)
-    return LocalMap(E, masked(verdict.survives, weight * local.thinning), ray, local.sample.pdf)
+    return LocalMap(E, masked(verdict.survives, weight * local.thinning), ray, local.sample.pdf,
+                    followed_by(local.material, arrival.state, settings))

@@ -24,7 +24,7 @@ from torch_radbp.plugin import Plugin, Sensor, Shape, Texture
 from torch_radbp.raycast.known import same
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
-from torch_radbp.scene.material import followed, turning_values
+from torch_radbp.scene.material import followed, sampling_at, turning_values
 from torch_radbp.scene.pack import one_sided
 
 MOVE_SHAPES = ("to_world", "vertex_positions")
@@ -131,7 +131,8 @@ class JumpWatch:
         Directions without derivatives miss that; see `Kind.jumps`.
         """
         scene, sensors, sampling = rendering.scene, rendering.sensors, rendering.sampling
-        jumping = [bsdf for bsdf in one_sided(scene.bsdfs()) if bsdf.kind().jumps and sampling != "attached"]
+        jumping = [bsdf for bsdf in one_sided(scene.bsdfs())
+                   if bsdf.kind().jumps and sampling_at(bsdf.kind(), sampling) != "attached"]
         turning = [name for plugins, attributes in ((sensors, None), (jumping, ("eta",)))
                    for plugin in plugins for name in moving(scene, plugin, attributes)]
         turning = [*(name for names in rendering.movers() for name in names), *turning]
@@ -146,27 +147,28 @@ class JumpWatch:
         """The warning about scattered directions that follow a parameter, and so slide over edges; or None.
 
         Attached directions follow the roughness, the index of refraction or the normals of a surface; those of ideal
-        mirrors and glass follow the surface itself and the camera, too. That attached directions at other materials do so
-        as well is not examined.
+        mirrors and of all glass follow the surface itself and the camera, too. That attached directions at other materials
+        do so as well is not examined.
         """
         scene, sampling = rendering.scene, rendering.sampling
-        turning: dict[str, bool] = {}  # names of parameters; True: all these surfaces are ideal mirrors or glass
+        turning: dict[str, bool] = {}  # names of parameters; True: hybrid sampling follows at all these surfaces, too
         for bsdf in one_sided(scene.bsdfs()):
             if followed(bsdf.kind(), sampling):
-                turning |= {texture_name(scene, bsdf.textures()[slot]): not bsdf.kind().smooth
+                turning |= {texture_name(scene, bsdf.textures()[slot]): bsdf.kind().follows or not bsdf.kind().smooth
                             for slot in turning_values(bsdf.kind(), sampling)
                             if any(map(asks_for_derivatives, bsdf.textures()[slot].sources()))}
         for shape, names in zip(scene.shapes, rendering.movers()):
-            delta = [bsdf.kind().delta for bsdf in one_sided([shape.bsdf]) if followed(bsdf.kind(), sampling)]
+            delta = [followed(bsdf.kind(), "hybrid") for bsdf in one_sided([shape.bsdf]) if followed(bsdf.kind(), sampling)]
             turning |= {name: all(delta) for name in moving(scene, shape, ("vertex_normals",)) if delta}
             turning |= {name: True for name in names if any(delta)}
-        if any(bsdf.kind().delta and followed(bsdf.kind(), sampling) for bsdf in one_sided(scene.bsdfs())):
+        if sampling != "detached" and any(followed(bsdf.kind(), "hybrid") for bsdf in one_sided(scene.bsdfs())):
             turning |= {name: True for sensor in rendering.sensors for name in moving(scene, sensor)}
         named = self.missing(rendering) if turning else {}
         turning = {name: ideal for name, ideal in turning.items() if name not in named}
         if not turning or flat(rendering.caster.vertices):
             return None
-        instead = "" if all(turning.values()) else " With sampling='hybrid' those of surfaces that are not ideal do not."
+        instead = "" if all(turning.values()) else (" With sampling='hybrid' those of surfaces that are neither ideal nor "
+                                                    "of glass do not.")
         return SilhouetteWarning(f"derivatives with respect to {listed(turning)} lack the contribution of edges seen by "
                                  f"reflection or refraction: scattered directions follow the parameter and slide over the "
                                  f"edges of shapes, where radiance is discontinuous.{instead} check_gradient measures how "

@@ -62,7 +62,12 @@ class BlendKind(Kind):
 
     @property
     def bending(self) -> tuple[int, ...]:
-        return self.numbers(self.first.bending, self.second.bending)
+        return self.numbers(*(kind.bending if kind.delta or self.follows else () for kind in (self.first, self.second)))
+
+    @property
+    def follows(self) -> bool:
+        """True if both kinds do: the densities of their lobes are summed."""
+        return all(kind.follows or not kind.smooth for kind in (self.first, self.second)) and self.smooth
 
     def numbers(self, of_first: tuple[int, ...], of_second: tuple[int, ...]) -> tuple[int, ...]:
         """The numbers of values that the two kinds number by themselves."""

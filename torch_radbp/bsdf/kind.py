@@ -74,8 +74,13 @@ class Kind(ABC):
 
     @property
     def bending(self) -> tuple[int, ...]:
-        """The numbers of those values on which the directions of delta lobes depend."""
-        return self.steering if self.delta else ()
+        """The numbers of those values on which the directions that hybrid sampling follows depend."""
+        return self.steering if self.delta or self.follows else ()
+
+    @property
+    def follows(self) -> bool:
+        """True if hybrid sampling lets directions of the smooth lobes carry derivatives, as it does of delta lobes."""
+        return False
 
     @property
     def jumps(self) -> bool:

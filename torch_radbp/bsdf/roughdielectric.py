@@ -55,6 +55,11 @@ class RoughDielectricKind(MicrofacetKind):
         return *super().steering, 1 + self.anisotropic
 
     @property
+    def follows(self) -> bool:
+        """True: with fixed directions derivatives by what bends or moves light are noisier, the more the smoother."""
+        return True
+
+    @property
     def jumps(self) -> bool:
         """True for GGX; see above."""
         return self.distribution == "ggx"

@@ -77,7 +77,11 @@ class TurnedKind(Kind):
 
     @property
     def bending(self) -> tuple[int, ...]:
-        return (*range(self.own), *(self.own + k for k in self.nested.bending)) if self.delta else ()
+        return (*range(self.own), *(self.own + k for k in self.nested.bending)) if self.delta or self.follows else ()
+
+    @property
+    def follows(self) -> bool:
+        return self.nested.follows
 
     @abstractmethod
     def normal(self, values: Values) -> Vec3:

@@ -58,7 +58,11 @@ class TwoSidedKind(Kind):
 
     @property
     def bending(self) -> tuple[int, ...]:
-        return self.numbers([side.bending for side in self.sides])
+        return self.numbers([side.bending if side.delta or self.follows else () for side in self.sides])
+
+    @property
+    def follows(self) -> bool:
+        return all(side.follows or not side.smooth for side in self.sides) and self.smooth
 
     def numbers(self, own: list[tuple[int, ...]]) -> tuple[int, ...]:
         """The numbers of values that the sides number by themselves."""

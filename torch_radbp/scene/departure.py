@@ -1,9 +1,9 @@
 """The ray by which a path leaves a vertex, and the derivatives that it carries.
 
 The next vertex either *slides* or is *glued*. It slides if the direction is that of ideal specular scattering, or carries
-derivatives itself: then it lies where the attached ray meets the surface. Otherwise it is glued to the triangle that the ray
-met: it moves with the triangle, the direction follows both ends, and the integral over directions becomes one over surfaces,
-whose element of solid angle
+derivatives itself (see `Kind.follows`): then it lies where the attached ray meets the surface. Otherwise it is glued to the
+triangle that the ray met: it moves with the triangle, the direction follows both ends, and the integral over directions
+becomes one over surfaces, whose element of solid angle
 
     G = |n' . d| A' / |x' - x|^2
 
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, at_corners, corner_rows, edges
-from torch_radbp.scene.material import BSDFSample, Material, evaluate
+from torch_radbp.scene.material import BSDFSample, Material, evaluate, sampling_at
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
 
@@ -44,7 +44,7 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
     Returns:
         bsdf * |cos| / pdf, and the ray.
     """
-    ray = departure(si, sample.wo)
+    ray, sampling = departure(si, sample.wo), sampling_at(material.kind, sampling)
     if sampling == "attached":
         return sample.weight, ray
     o, fixed = attached(ray.o, si.p), ray.d.detach()  # of a glued direction the offset carries no derivative

@@ -63,7 +63,12 @@ def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
 
 def followed(kind: Kind, sampling: str) -> bool:
     """True if directions that `sample` draws for this kind of material carry derivatives: all, or those of delta lobes."""
-    return sampling == "attached" or (sampling == "hybrid" and kind.delta)
+    return sampling == "attached" or (sampling == "hybrid" and (kind.delta or kind.follows))
+
+
+def sampling_at(kind: Kind, sampling: str) -> str:
+    """How a kind of material is sampled: where hybrid sampling follows the smooth lobes, too, that is "attached"."""
+    return "attached" if sampling == "hybrid" and kind.follows else sampling
 
 
 def turning_values(kind: Kind, sampling: str) -> tuple[int, ...]:
@@ -76,9 +81,11 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
 
     Args:
         choice, u, v: (N,) uniform numbers, the first for the lobe (None: `kind` is not `discrete`).
-        sampling: which directions carry derivatives: "attached" all, "hybrid" those of delta lobes, "detached" none.
+        sampling: which directions carry derivatives: "attached" all, "hybrid" those of delta lobes and of kinds that it
+            follows, "detached" none.
     """
     kind, values = material
+    sampling = sampling_at(kind, sampling)
     fixed = material.detach().values
     lobe = kind.choose(fixed, wi.detach(), choice, u, v)
     if followed(kind, sampling):
