@@ -15,6 +15,7 @@ from tests.io.gltf_files import SQUARE_FACES, GltfFile
 from tests.io.gltf_rules import check_rules
 from tests.io.test_gltf import lamp as punctual
 from torch_radbp.io.gltf.document import GltfWarning
+from torch_radbp.io.image import linear_to_srgb, srgb_to_linear
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.plugin import SceneError
 
@@ -42,8 +43,6 @@ def bitmap(*shape, seed=0, **more):
 
 def colour_bitmap(seed=0, **more):
     """Colours that 8 bits of sRGB can hold."""
-    from torch_radbp.io.image import srgb_to_linear
-
     return {"type": "bitmap", "data": srgb_to_linear(levels(5, 4, 3, seed=seed)), **more}
 
 
@@ -182,6 +181,21 @@ def test_trimesh_sees_the_same_triangles(tmp_path):
             found = found[:, [0, 2, 1]]
         assert len(found) == len(ours)
         np.testing.assert_allclose(found, ours, atol=1e-5)
+
+
+def test_trimesh_sees_the_same_material(tmp_path):
+    gold = principled(base_color=colour_bitmap(), roughness=bitmap(5, 4, 1, seed=1), metallic=0.25)
+    scene = scene_of(gold=gold, both={"type": "twosided", "nested": {"type": "ref", "id": "gold"}},
+                     box={"type": "cube", "bsdf": {"type": "mask", "opacity": 0.5, "nested": {"type": "ref", "id": "both"}}})
+    rb.save(scene, tmp_path / "asset.glb", strict=True)
+    theirs = trimesh.load(tmp_path / "asset.glb").geometry["box"].visual.material
+    assert theirs.name == "gold" and theirs.doubleSided and theirs.alphaMode == "BLEND"
+    assert theirs.metallicFactor == 0.25 and theirs.roughnessFactor == 1
+    assert theirs.baseColorFactor.tolist() == [255, 255, 255, 128]
+    colours = linear_to_srgb(scene.get_parameter("gold.base_color.data").detach()) * 255
+    np.testing.assert_array_equal(np.asarray(theirs.baseColorTexture)[..., :3], colours.round().numpy())
+    rough = np.asarray(theirs.metallicRoughnessTexture)
+    np.testing.assert_array_equal(rough[..., 1], (scene.get_parameter("gold.roughness.data")[..., 0] * 255).round().detach())
 
 
 def test_a_sheared_pose_is_written_into_the_vertices(tmp_path):

@@ -154,7 +154,7 @@ def plain_attributes(scene):
     But of meshes, which come back as files of their own, and of spectra, which come back as the colours that they have.
     """
     return {f"{name}.{attribute}": getattr(plugin, attribute)
-            for name, plugin in scene.named_modules() if isinstance(plugin, Plugin) and not isinstance(plugin, (Mesh, Colour))
+            for name, plugin in scene.named_modules() if isinstance(plugin, Plugin) and not isinstance(plugin, Mesh | Colour)
             for attribute in attributes(type(plugin)) if attribute != "filename"
             and isinstance(getattr(plugin, attribute), (str, bool, int, float))}
 

@@ -76,8 +76,16 @@ def light(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[str, Any], 
     return LIGHTS[emitter.type](emitter, name, losses)
 
 
+def unknown(sensor: Sensor, name: str, losses: Losses) -> None:
+    """Notes that there is no such camera."""
+    losses.add(name, f"a {sensor.type} sensor has no counterpart in glTF, and is not written; those that have one: "
+                     "orthographic, perspective")
+
+
 def camera(sensor: Sensor, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray] | None:
     """A camera and its node's transform; None if glTF has none of this kind."""
+    if not (hasattr(sensor, "film") and hasattr(sensor, "to_world")):
+        return unknown(sensor, name, losses)
     film, aspect = sensor.film, sensor.film.width / sensor.film.height
     if (film.crop_width, film.crop_height) != (film.width, film.height):
         losses.add(name, "its crop window is not written")
@@ -92,9 +100,7 @@ def camera(sensor: Sensor, name: str, losses: Losses) -> tuple[dict[str, Any], n
                 "znear": sensor.near_clip, "zfar": sensor.far_clip}
         return {"type": "perspective", "perspective": lens, **size}, rigid(pose)
     if sensor.type != "orthographic":
-        losses.add(name, f"a {sensor.type} sensor has no counterpart in glTF, and is not written; those that have one: "
-                         "orthographic, perspective")
-        return None
+        return unknown(sensor, name, losses)
     across, up, ahead = np.linalg.norm(pose[:3, :3], axis=0)
     if abs(across - up) > SQUARE * across:
         losses.add(name, "its pixels are not square, and come back as squares")
