@@ -30,7 +30,8 @@ setup(
     packages=[*find_packages(include=["torch_radbp", "torch_radbp.*"]), "torch_radbp.training", ASSETS],
     # Side by side in the wheel, as in the repository: recipes name their scenes by ../../assets.
     package_dir={"torch_radbp.training": "training", ASSETS: "assets"},
-    package_data={"torch_radbp.training": ["recipes/*.toml", "*.md"], ASSETS: ASSET_FILES},
+    package_data={"torch_radbp.training": ["recipes/*.toml", "*.md"], ASSETS: ASSET_FILES,
+                  "torch_radbp.emitter": ["sunsky_data.npz", "sunsky_data.md"]},
     cmdclass={"build_py": BuildWithoutScripts},
     install_requires=[
         "torch>=2.13,<2.14",

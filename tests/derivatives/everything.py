@@ -95,10 +95,11 @@ def textures() -> dict[str, Any]:
 
 
 def many_lamps() -> dict[str, Any]:
-    """More lamps than are picked without regard to where they are, and a sky."""
+    """More lamps than are picked without regard to where they are, and daylight."""
     found = {f"{SUBJECT}_{name}": lamp for name, lamp in lamps().items()}
     return {f"{SUBJECT}_sensor": camera(16, 50), "floor": floor(), "dark": diffuse(0.1, 0.2, 0.1), **found,
-            f"{SUBJECT}_plane": objects("rectangle")[SUBJECT], f"{SUBJECT}_beam": beam(), f"{SUBJECT}_sky": sky(0.3)}
+            f"{SUBJECT}_plane": objects("rectangle")[SUBJECT], f"{SUBJECT}_beam": beam(),
+            f"{SUBJECT}_sunsky": objects("sunsky")[SUBJECT]}
 
 
 EVERYTHING = {"materials": materials, "shapes": shapes, "textures": textures, "lamps": many_lamps}

@@ -316,6 +316,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
         "type": "ref", "id": "dark"})) | lamps(),
     "many lamps and a sky": light(**sky()) | lamps(),
     "constant": light(type="constant", radiance=rgb(0.6, 0.9, 1.4)),
+    "sunsky": light(type="sunsky", sun_direction=[0.3, 0.9, 0.7], turbidity=3.3, albedo=rgb(0.2, 0.4, 0.3), sky_scale=0.04,
+                    sun_scale=0.01, sun_aperture=9.0, to_world=rotate((1, 0.1, 0.2), -80)),
     "directional": light(type="directional", direction=[-0.3, -1.0, -0.9], irradiance=rgb(2.8, 2.7, 2.4)),
     "envmap": light(**sky()),
     "glowing body": light(type="point", position=[0.7, 0.9, 1.9], intensity={"type": "blackbody", "temperature": 2000.0}),

@@ -53,6 +53,8 @@ EMITTERS: dict[str, dict[str, Any]] = {
     "constant": {"lamp": {"type": "constant", "radiance": rgb(0.3, 0.4, 0.6)}},
     "envmap": {"lamp": {"type": "envmap", "bitmap": sky_image(), "scale": 1.5, "to_world": turned(20, 50, -10)}},
     "envmap_compensated": {"lamp": {"type": "envmap", "bitmap": sky_image(), "mis_compensation": True}},
+    "sunsky": {"lamp": {"type": "sunsky", "sun_direction": [0.3, 0.9, 0.4], "sky_scale": 0.05, "sun_scale": 0.02,
+                        "sun_aperture": 40.0, "to_world": turned(-90, 10, 5)}},
     "point": {"lamp": {"type": "point", "position": [0.4, 1.2, 0.3], "intensity": rgb(3, 2, 1)}},
     "spot": {"lamp": {"type": "spot", "to_world": look_at((0.8, 1.4, 0.7), (0, -0.5, 0), (0, 1, 0.1)),
                       "intensity": rgb(5, 4, 3), "cutoff_angle": 40.0, "beam_width": 12.0}},
@@ -66,7 +68,7 @@ EMITTERS: dict[str, dict[str, Any]] = {
 EMITTERS["all"] = {f"{name}_{key}": value for name in ("area", "envmap", "point", "spot_image", "projector", "directional")
                    for key, value in EMITTERS[name].items()}
 # Those that one can hit.
-FINDABLE = ("area", "area_sphere", "constant", "envmap", "envmap_compensated")
+FINDABLE = ("area", "area_sphere", "constant", "envmap", "envmap_compensated", "sunsky")
 
 
 def scene_of(name: str, dtype: torch.dtype = torch.float64, size: int = 8, **more: Any) -> rb.Scene:

@@ -57,6 +57,9 @@ EVERYTHING = """
   <rgb name="irradiance" value="0.3, 0.2, 0.1"/><float name="sampling_weight" value="0.5"/></emitter>
 """
 SURROUNDS = {
+    "sunsky": """<emitter type="sunsky"><float name="turbidity" value="4.5"/><rgb name="albedo" value="0.1, 0.2, 0.3"/>
+      <float name="hour" value="9.5"/><float name="sun_aperture" value="3"/><float name="sky_scale" value="0.5"/>
+      <transform name="to_world"><rotate x="1" angle="-90"/></transform></emitter>""",
     "constant": '<emitter type="constant"><float name="radiance" value="0.2"/></emitter>',
     "envmap": """<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="0.5"/>
       <transform name="to_world"><rotate x="1" angle="30"/><rotate y="1" angle="70"/></transform>

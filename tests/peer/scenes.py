@@ -307,6 +307,19 @@ def every_light(folder: Folder) -> Path:
   </emitter>""", '<integer name="max_depth" value="4"/>'))
 
 
+def daylight(folder: Folder) -> Path:
+    """The sky of a hazy morning, the sun low in it, seen and in rough metal."""
+    metal = '<bsdf type="roughconductor"><float name="alpha" value="0.2"/><string name="material" value="Al"/></bsdf>'
+    return folder.text("scene.xml", scene_xml(
+        size(40, 30), VIEW, furnished(folder) + shape("sphere", "globe", ball(0.3, 0.35, 1.2, 0.35), metal) + f"""
+  <emitter type="sunsky">
+    {placed('rotate x="1" angle="-90"', 'rotate y="1" angle="130"')}<float name="turbidity" value="5.5"/>
+    <rgb name="albedo" value="0.5, 0.3, 0.1"/><float name="hour" value="8.2"/><float name="latitude" value="48.1"/>
+    <float name="longitude" value="11.6"/><float name="timezone" value="2"/><integer name="month" value="9"/>
+    <float name="sky_scale" value="4"/><float name="sun_scale" value="0.7"/>
+  </emitter>""", '<integer name="max_depth" value="4"/>'))
+
+
 def many_lamps(folder: Folder) -> Path:
     """Thirty-six lamps of all kinds, brightness and weight, on diffuse surfaces and rough metal, and a dim sky: picked by a
     tree here, uniformly there."""

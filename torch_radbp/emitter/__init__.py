@@ -9,4 +9,5 @@ from torch_radbp.emitter import (  # noqa: F401 (registers the plugins)
     point,
     projector,
     spot,
+    sunsky,
 )
