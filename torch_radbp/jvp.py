@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call
+from torch.utils._pytree import tree_map
 
 from torch_radbp.entry import entry
 from torch_radbp.plugin import finite
@@ -18,7 +19,7 @@ from torch_radbp.scene import Scene
 
 @entry
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: Sequence[int] | None = None,
-        **settings) -> Tensor:
+        aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """The derivative of the image along `tangents`, a direction in the space of parameters; by forward mode.
 
     It gives the derivative of every pixel along one direction, for about the cost of two renderings; the backward pass gives
@@ -33,10 +34,12 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
         tangents: by the names of `scene.get_parameter`; each of its parameter's shape, any floating dtype.
         seed: of the random numbers, as in `Renderer`.
         sensors: indices of the sensors to render; None: all.
+        aovs: names of quantities whose derivatives to return beside that of the image; see `Renderer.aovs`.
         **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` and `compile` have no effect here.
 
     Returns:
-        (B, 3, H, W), detached, linear RGB per unit of `tangents`.
+        (B, 3, H, W), detached, linear RGB per unit of `tangents`; if `aovs` are asked for, that and the derivatives of these
+        quantities by name.
 
     Raises:
         AttributeError: if the scene has no such parameter; the message lists the nearest names.
@@ -46,7 +49,11 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
     Reference: Griewank and Walther 2008, "Evaluating Derivatives", chapter 3.
     """
     renderer = Renderer(scene, **settings)
-    return rendering_with_tangent(renderer, checked_tangents(scene, tangents), seed, sensors).tangent
+    tangents = checked_tangents(scene, tangents)
+    if aovs is None:
+        return rendering_with_tangent(renderer, tangents, seed, sensors).tangent
+    image, quantities = with_tangents(renderer, tangents, {"seed": seed, "sensors": sensors, "aovs": aovs})
+    return image.tangent, {name: quantity.tangent for name, quantity in quantities.items()}
 
 
 class DualImage(NamedTuple):
@@ -74,10 +81,17 @@ def checked_tangents(scene: Scene, tangents: Mapping[str, Tensor]) -> dict[str, 
 def rendering_with_tangent(renderer: Renderer, tangents: Mapping[str, Tensor], seed: int,
                            sensors: Sequence[int] | None = None, spp: int | None = None) -> DualImage:
     """A rendering and its derivative along `tangents`, as `checked_tangents` returns them."""
+    return with_tangents(renderer, tangents, {"seed": seed, "sensors": sensors, "spp": spp})
+
+
+def with_tangents(renderer: Renderer, tangents: Mapping[str, Tensor], arguments: dict):
+    """What `renderer(**arguments)` returns, each image with its derivative along `tangents`."""
+    def unpacked(image: Tensor) -> DualImage:
+        image, tangent = forward_ad.unpack_dual(image)
+        return DualImage(image.detach(), torch.zeros_like(image) if tangent is None else tangent.detach())
+
     with torch.no_grad(), forward_ad.dual_level():
         parameters = {f"scene.{name}": parameter.detach() for name, parameter in renderer.scene.named_parameters()}
         for name, tangent in tangents.items():
             parameters[f"scene.{name}"] = forward_ad.make_dual(parameters[f"scene.{name}"], tangent)
-        image = functional_call(renderer, parameters, kwargs={"seed": seed, "sensors": sensors, "spp": spp})
-        image, tangent = forward_ad.unpack_dual(image)
-        return DualImage(image.detach(), torch.zeros_like(image) if tangent is None else tangent.detach())
+        return tree_map(unpacked, functional_call(renderer, parameters, kwargs=arguments))

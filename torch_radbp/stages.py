@@ -11,6 +11,8 @@ from collections.abc import Callable
 from copy import copy
 
 from torch_radbp.adjoint.sweep import bounce_adjoint
+from torch_radbp.aov.material import material_value
+from torch_radbp.aov.surface import surface_values
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.jit.machine import made_once
 from torch_radbp.path import bounce, chance_of_light, ending, pick_light, places, sample_camera
@@ -20,7 +22,7 @@ from torch_radbp.vec import rows
 from torch_radbp.wavefront import Stages, brightened
 
 EAGER = Stages(sample_camera, bounce, ending, bounce_adjoint, places, pick_light, chance_of_light, appearance_met, shines,
-               rows, brightened)
+               rows, brightened, surface_values, material_value)
 
 
 @made_once
@@ -31,7 +33,8 @@ def compiled() -> Stages:
                   CompiledStage(bounce_adjoint, "scene", "arrival", "adj_L", "memo"),
                   CompiledStage(places, "scene", "arrival"), CompiledStage(pick_light, "scene", "choice"),
                   CompiledStage(chance_of_light, "scene", "choice", "arrival"), CompiledStage(appearance_met, "scene"),
-                  CompiledStage(shines, "scene"), CompiledStage(rows, "record"), CompiledStage(brightened, "L", "beta"))
+                  CompiledStage(shines, "scene"), CompiledStage(rows, "record"), CompiledStage(brightened, "L", "beta"),
+                  CompiledStage(surface_values, "scene"), CompiledStage(material_value, "scene"))
 
 
 class CompiledStage:

@@ -74,6 +74,8 @@ class Stages(NamedTuple):
     shines: Callable
     rows: Callable
     brightened: Callable
+    surface_values: Callable
+    material_value: Callable
 
     def eager(self) -> Stages:
         """The same in plain torch."""

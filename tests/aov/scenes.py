@@ -30,8 +30,8 @@ def landscape(bsdf=None, dtype=torch.float64, size: int = 4, **objects):
 
 
 def two_walls(dtype=torch.float64, size: int = 6):
-    """Two walls side by side in front of a third, with lamp and sky in view."""
+    """A block and a wall side by side, with lamp and sky in view."""
     return load(dtype, sensor=sensor(size, (0, 0.5, 3.5), (0, 0, 0), 45),
-                left=rectangle((-0.7, 0, 0), 0.5, (0, 1, 0), 20, bsdf=diffuse(0.2, 0.4, 0.6)),
+                left=rectangle((-0.7, 0, 0), 0.5, (0, 1, 0), 20, bsdf=diffuse(0.2, 0.4, 0.6)) | {"type": "cube"},
                 right=rectangle((0.6, 0, 0.2), 0.5, (0, 1, 0), -30, bsdf={"type": "roughconductor"}),
                 lamp=rectangle((0, 0.9, 0), 0.3, emitter={"type": "area"}), sky={"type": "constant"})

@@ -73,7 +73,9 @@ def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...]) 
                 found[name] = path.FUNCTIONS[name](fixed, fixed_start)
     geometric = tuple(name for name in names if name in surface.FUNCTIONS)
     moving = integrand.settings.moving
-    found.update(zip(geometric, surface.surface_values(integrand.scene, start.ray, hit, geometric, moving)))
+    if geometric:
+        scene = surface.without_materials(integrand.scene)
+        found.update(zip(geometric, integrand.stages.surface_values(scene, start.ray, hit, geometric, moving)))
     material_names = tuple(name for name in names if name == "albedo" or (
         name == "sh_normal" and material.turns_normals(integrand.scene)))
     if material_names:

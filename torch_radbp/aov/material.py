@@ -42,7 +42,7 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
         given = given_values(integrand.scene, integrand.appearance(queue), places_of(part, here, integrand.settings))
         for name in names:
             if name == "albedo" or integrand.appearance(queue).kind.turns_normals:
-                own = QUANTITIES[name](part, here, given, integrand.settings)
+                own = integrand.stages.material_value(part, here, given, integrand.settings, name)
                 found[name] = tuple(old.index_copy(0, lanes.long(), new) for old, new in zip(found[name], own))
     return tuple(found[name] for name in names)
 
@@ -64,4 +64,17 @@ def turned_normal(scene: SceneTensors, arrival: Arrival, given: tuple[Given, ...
     return tuple(where(two_sided, own, si.frame.to_world(material.kind.shading_normal(material.values, si.wi))))
 
 
-QUANTITIES = {"albedo": albedo, "sh_normal": turned_normal}
+FUNCTIONS = {"albedo": albedo, "sh_normal": turned_normal}
+
+
+def material_value(scene: SceneTensors, arrival: Arrival, given: tuple[Given, ...], settings: Settings, name: str) -> Values:
+    """One of these quantities, of lanes that meet one appearance.
+
+    Args:
+        scene: the part that these lanes read.
+        arrival: the lanes.
+        given: the values of textures that are read outside.
+        settings: the integrand.
+        name: of the quantity.
+    """
+    return FUNCTIONS[name](scene, arrival, given, settings)

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch_radbp.lookup import lookup
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import at_corners, corner_rows, edges, shading_normal, where_the_ray_goes
+from torch_radbp.scene.part import part_of
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Frame, Ray, Vec2, Vec3, attached, dot, interpolated, unit_normal, where
 
@@ -87,6 +88,13 @@ FUNCTIONS = {
     "prim_index": lambda seen: number(seen, 0),
     "shape_index": lambda seen: number(seen, 1),
 }
+
+
+def without_materials(scene: SceneTensors) -> SceneTensors:
+    """The tables of a scene that these quantities read, so that what is compiled for them serves scenes of any materials."""
+    triangles = scene.triangles._replace(balls=None, along=None, attributes=(), vertices=scene.triangles.vertices._replace(
+        attributes=()))
+    return part_of(scene, None)._replace(triangles=triangles)
 
 
 def surface_values(scene: SceneTensors, ray: Ray, hit: Hit, names: tuple[str, ...], moving: bool) -> tuple[Values, ...]:
