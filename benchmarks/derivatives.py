@@ -24,7 +24,7 @@ from pathlib import Path
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from benchmarks.sheet import write_sheet
+from benchmarks.sheet import derivative_panels, write_sheet
 from tests.derivatives.in_expectation import Effort, Estimate
 from tests.derivatives.moving_scenes import SCENES
 from torch_radbp.check.outcome import GradientCheck, uncertainty
@@ -82,7 +82,7 @@ def main() -> None:
                 progress.console.print(row(name, sampling, result), soft_wrap=True, highlight=False)
             progress.update(bar, completed=(number + 1) * options.rounds,
                             description=f"{name}: {time.perf_counter() - start:.0f} s")
-            panels.append((name, found))
+            panels.append((f"{name}: differences, {', '.join(found)}", derivative_panels(found)))
             write_sheet(options.sheet, panels)
     print(f"pictures: {options.sheet}")
 

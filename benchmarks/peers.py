@@ -75,6 +75,22 @@ class Ours:
             return self.renderer(seed=seed, spp=spp)[0]
 
 
+def mitsuba_with_llvm():
+    """The module `mitsuba` in its variant `llvm_ad_rgb`.
+
+    Raises:
+        ImportError: if Mitsuba is not installed, or finds no LLVM.
+    """
+    libraries = [path for pattern in LLVM for path in sorted(glob.glob(pattern))]
+    if libraries:
+        os.environ.setdefault("DRJIT_LIBLLVM_PATH", libraries[0])
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    mi.set_log_level(mi.LogLevel.Error)  # a material's colour may be brighter than 1 for a moment
+    return mi
+
+
 class Mitsuba:
     """Mitsuba's `prb` in the variant `llvm_ad_rgb`; what it evaluates lazily is forced within the measured time.
 
@@ -83,14 +99,9 @@ class Mitsuba:
     """
 
     def __init__(self, scene: BenchmarkScene):
-        libraries = [path for pattern in LLVM for path in sorted(glob.glob(pattern))]
-        if libraries:
-            os.environ.setdefault("DRJIT_LIBLLVM_PATH", libraries[0])
+        mi = mitsuba_with_llvm()
         import drjit as dr
-        import mitsuba as mi
 
-        mi.set_variant("llvm_ad_rgb")
-        mi.set_log_level(mi.LogLevel.Error)  # a material's colour may be brighter than 1 for a moment
         self.dr, self.mi, (resolution, self.spp, max_depth) = dr, mi, scene.setting
         if isinstance(scene.source, Path):
             self.scene = mi.load_file(str(scene.source), resolution=resolution)

@@ -1,4 +1,4 @@
-"""A sheet of derivative images: a row per scene, finite differences first, then each sampling."""
+"""Sheets of images that are to be compared, a row for each scene."""
 
 from __future__ import annotations
 
@@ -23,23 +23,32 @@ def panel(image: Tensor, scale: float) -> Image.Image:
     return picture.resize((PANEL, PANEL), Image.Resampling.NEAREST)
 
 
-def write_sheet(path: Path, rows: list[tuple[str, dict[str, GradientCheck]]]) -> None:
+def derivative_panels(found: dict[str, GradientCheck]) -> list[Image.Image]:
+    """Finite differences first, then each sampling; all to one scale."""
+    first = next(iter(found.values())).comparison.difference
+    scale = max(float(quantile(first.sum(1).abs(), BRIGHTEST)), 1e-30)
+    return [panel(image, scale) for image in (first, *(result.comparison.jvp for result in found.values()))]
+
+
+def write_sheet(path: Path, rows: list[tuple[str, list[Image.Image]]], columns: int = COLUMNS) -> None:
     """Writes the sheet as PNG.
 
     Args:
         path: of the file; its folder is made.
-        rows: name of a scene, and what was found for each sampling.
+        rows: the title of a scene, and its panels; of each row as many, and as large, as of the first.
+        columns: scenes side by side.
     """
-    wide, high = 3 * (PANEL + MARGIN) + MARGIN, PANEL + LABEL + MARGIN
-    lines = -(-len(rows) // COLUMNS)
-    sheet = Image.new("RGB", (COLUMNS * wide, lines * high + MARGIN), "white")
+    panels = rows[0][1]
+    wide = sum(each.width + MARGIN for each in panels) + MARGIN
+    high = panels[0].height + LABEL + MARGIN
+    lines = -(-len(rows) // columns)
+    sheet = Image.new("RGB", (columns * wide, lines * high + MARGIN), "white")
     draw = ImageDraw.Draw(sheet)
-    for number, (name, found) in enumerate(rows):
+    for number, (title, images) in enumerate(rows):
         left, top = MARGIN + number // lines * wide, MARGIN + number % lines * high
-        draw.text((left, top), f"{name}: differences, {', '.join(found)}", fill="black")
-        first = next(iter(found.values())).comparison.difference
-        scale = max(float(quantile(first.sum(1).abs(), BRIGHTEST)), 1e-30)
-        for k, image in enumerate([first, *(result.comparison.jvp for result in found.values())]):
-            sheet.paste(panel(image, scale), (left + k * (PANEL + MARGIN), top + LABEL))
+        draw.text((left, top), title, fill="black")
+        for image in images:
+            sheet.paste(image, (left, top + LABEL))
+            left += image.width + MARGIN
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet.save(path)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from . import matrix
 from .gltf_scenes import gltf
 from .layered_scenes import blends, bump_maps, masks, normal_maps, plastics, rough_plastics
 from .material_scenes import (
@@ -77,8 +78,6 @@ CAMERAS = {
     "gaussian_wide_crop": Camera(FOV, crop(7, 3, 20, 16) + BORDER,
                                  '<rfilter type="gaussian"><float name="stddev" value="0.8"/></rfilter>'),
     "gaussian_no_border": Camera(FOV, rfilter='<rfilter type="gaussian"/>'),
-    **{f"{name}{'' if border else '_no_border'}": Camera(FOV, size(24, 16) + border, f'<rfilter type="{name}"/>')
-       for name, border in (("mitchell", BORDER), ("catmullrom", BORDER), ("lanczos", BORDER), ("lanczos", ""))},
     "default_filter": Camera(FOV, size(24, 16) + BORDER, ""),
     "transform_chain": Camera(FOV, place='<transform name="to_world"><rotate z="1" angle="12"/><rotate y="1" angle="176"/>'
                                          '<translate x="0.2" y="-0.1" z="3"/></transform>'),
@@ -145,6 +144,7 @@ CASES = {
     "bump_maps": Case(bump_maps),
     "principled": Case(principled),
     "gltf": Case(gltf),
+    **matrix.cases(matrix.SMALL),
     **{f"camera_{name}": Case(poster(name), peer_spp=256, peer_batches=32, thin=1 if camera.rfilter == BOX else 5)
        for name, camera in CAMERAS.items()},
 }

@@ -31,12 +31,18 @@ def digest(case: Case, folder: Folder) -> str:
     return contents.hexdigest()
 
 
-def render(path: Path, case: Case, spp: int, batches: int, first_seed: int = FIRST_SEED) -> list[np.ndarray]:
-    """Independent (H, W, 3) renders of a built case by Mitsuba, linear RGB."""
+def scalar_mitsuba():
+    """The module `mitsuba` in its variant `scalar_rgb`, which needs nothing else."""
     import mitsuba as mi
 
     mi.set_variant("scalar_rgb")
     mi.set_log_level(mi.LogLevel.Error)  # bitmaps brighter than 1 are meant
+    return mi
+
+
+def render(path: Path, case: Case, spp: int, batches: int, first_seed: int = FIRST_SEED, mi=None) -> list[np.ndarray]:
+    """Independent (H, W, 3) renders of a built case by Mitsuba, linear RGB; `mi`: in a variant other than `scalar_rgb`."""
+    mi = scalar_mitsuba() if mi is None else mi
     theirs = path.with_name("peer.xml")
     theirs.write_text(path.read_text().replace('<integrator type="path">', f'<integrator type="{case.peer_integrator}">'))
     scene = mi.load_file(str(theirs), **case.variables)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from .scene_files import Folder, bitmap, look, picture, placed, scene_xml, shape, size
 
@@ -24,6 +25,21 @@ def coloured(folder: Folder) -> None:
     folder.text("panel.ply", f"ply\nformat ascii 1.0\nelement vertex 4\n{columns}element face 2\n"
                 "property list uchar int vertex_indices\nproperty float shade_x\nproperty float gloss_x\nend_header\n"
                 + "\n".join([*rows, f"3 0 1 2 {FACTORS[0]}", f"3 0 2 3 {FACTORS[1]}"]) + "\n")
+
+
+def coloured_ball(folder: Folder, name: str) -> None:
+    """A ball as PLY, its vertices with normals, coordinates and colours, its faces with numbers between 0.1 and 0.9."""
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    colours = np.round(picture(1, len(ball.vertices), seed=9)[0], 3)
+    shades = np.round(0.1 + 0.8 * np.random.default_rng(10).random(len(ball.faces)), 3)
+    x, y, z = ball.vertices.T
+    uv = np.stack([0.5 + 0.4 * x + 0.1 * z, 0.5 + 0.4 * y - 0.1 * z], axis=1)
+    table = np.round(np.hstack([ball.vertices, ball.vertices, uv, colours]), 6)
+    columns = "".join(f"property float {each}\n" for each in ("x", "y", "z", "nx", "ny", "nz", "u", "v", "r", "g", "b"))
+    rows = [" ".join(map(str, row)) for row in table.tolist()]
+    rows += [f"3 {a} {b} {c} {shade}" for (a, b, c), shade in zip(ball.faces.tolist(), shades.tolist())]
+    folder.text(name, f"ply\nformat ascii 1.0\nelement vertex {len(table)}\n{columns}element face {len(ball.faces)}\n"
+                "property list uchar int vertex_indices\nproperty float shade_x\nend_header\n" + "\n".join(rows) + "\n")
 
 
 def attribute(name: str, of: str, factor: float = 1.0) -> str:
