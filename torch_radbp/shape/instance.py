@@ -18,6 +18,9 @@ class Instance(Shape):
 
     Parameters: `to_world` (4, 4). A mirroring one keeps the normals on their side of the surface, as in Mitsuba.
 
+    Each instance has triangles of its own, placed for every rendering in which a pose or a shape has changed: parameters are
+    shared, memory is not. A million triangles of instances take 0.4 GB, and 0.6 GB if their vertices have derivatives.
+
     Args:
         shapegroup: what is shown; usually a reference to an object of the scene.
 
