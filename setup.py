@@ -9,7 +9,8 @@ TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli
 TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0", "setuptools>=70.1"]
 
 ASSETS = "torch_radbp.assets"  # what the bundled recipes need
-ASSET_FILES = ["README.md", "*/scene.xml", "*/target*.exr", "patches.png", "textured_room/*.png"]
+ASSET_FILES = ["README.md", "*/scene.xml", "*/target*.exr", "patches.png", "textured_room/*.png", "pot/*.glb",
+               "pot/*.exr"]
 
 
 class BuildWithoutScripts(build_py):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.document import Document, Part
@@ -56,6 +56,7 @@ class Pictures:
         except MemoryError:
             raise
         except Exception as error:  # the library raises whatever its decoders stumble over
-            inner = isinstance(error, (LookupError, ArithmeticError, UnicodeError))  # whose messages speak of their own code
+            # Their messages speak of their own code.
+            inner = isinstance(error, (LookupError, ArithmeticError, UnicodeError, UnidentifiedImageError))
             reason = "its content is damaged" if inner else " ".join(str(error).split())
             raise part.fail(f"cannot be read as {kind}: {reason}") from error
