@@ -7,6 +7,7 @@ import json
 import struct
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from PIL import Image
@@ -22,7 +23,7 @@ def read_parts(path: Path) -> tuple[dict[str, Any], bytes]:
     content = path.read_bytes()
     if path.suffix == ".gltf":
         document = json.loads(content)
-        return document, (path.parent / document["buffers"][0]["uri"]).read_bytes()
+        return document, (path.parent / unquote(document["buffers"][0]["uri"])).read_bytes()
     magic, version, length = struct.unpack("<4sII", content[:12])
     assert (magic, version, length) == (b"glTF", 2, len(content)) and length % 4 == 0
     size, kind = struct.unpack("<I4s", content[12:20])

@@ -217,6 +217,12 @@ def test_saving_twice_writes_the_same_bytes(tmp_path, name):
     assert sorted(first) == (["asset.glb"] if name == "asset.glb" else ["asset.bin", "asset.gltf"])
 
 
+def test_a_buffer_is_named_by_a_uri(tmp_path):
+    saved(box_of(principled()), tmp_path, "a b %41.gltf")
+    text = (tmp_path / "a b %41.gltf").read_text()
+    assert '"a%20b%20%2541.bin"' in text and (tmp_path / "a b %41.bin").exists()
+
+
 def everything():
     """A file with everything that both sides can say."""
     file = GltfFile()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 import torch
@@ -50,7 +51,7 @@ def gltf_files(scene: Scene, target: Path, strict: bool) -> list[Path]:
         return [target]
     buffer = target.with_suffix(".bin")
     buffer.write_bytes(bytes(writer.out.binary))
-    target.write_text(json.dumps(writer.out.document(buffer.name), indent=1, allow_nan=False))
+    target.write_text(json.dumps(writer.out.document(quote(buffer.name)), indent=1, allow_nan=False))
     return [buffer, target]
 
 
