@@ -161,7 +161,8 @@ SPECTRA = [
     '<transform name="to_uv"><scale value="3"/></transform></texture>',
 ]
 OTHERS = """<scene version="3.0.0">
-  <integrator type="prb"><integer name="max_depth" value="3"/></integrator>
+  <integrator type="moment"><integrator type="aov" name="inner"><string name="aovs" value="dd.y:depth, nn:sh_normal"/>
+    <integrator type="prb" name="image"><integer name="max_depth" value="3"/></integrator></integrator></integrator>
   <sensor type="perspective">
     <float name="fov" value="50"/>
     <transform name="to_world"><lookat origin="0.3, 0.4, 3" target="0, 0, 0" up="0, 1, 0"/></transform>
