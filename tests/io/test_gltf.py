@@ -10,6 +10,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 import torch_radbp as rb
 from tests.io.gltf_files import SQUARE, SQUARE_FACES, GltfFile
@@ -424,3 +425,22 @@ def test_what_a_file_requires_and_is_not_known_is_an_error(file, tmp_path):
 def test_attributes_of_applications_are_attributes_of_the_mesh(file, tmp_path):
     file.node(file.square(_HEAT=file.array([0.1, 0.2, 0.3, 0.4])), name="sheet")
     assert load_quietly(file, tmp_path).get_parameter("sheet.vertex_heat").shape == (4, 1)
+
+
+def test_what_trimesh_writes_is_read(tmp_path):
+    """Another program's file: the same triangles, and the same metal."""
+    box = trimesh.creation.box((1, 2, 3))
+    metal = trimesh.visual.material.PBRMaterial(name="gold", metallicFactor=0.25, roughnessFactor=0.5, doubleSided=True,
+                                                baseColorFactor=[255, 0, 0, 255])
+    box.visual = trimesh.visual.TextureVisuals(uv=box.vertices[:, :2], material=metal)
+    placed = trimesh.transformations.translation_matrix([1, 2, 3])
+    theirs = trimesh.Scene()
+    theirs.add_geometry(box, node_name="crate", transform=placed)
+    theirs.export(tmp_path / "asset.glb")
+    with pytest.warns(GltfWarning, match="no light"):
+        scene = rb.load(tmp_path / "asset.glb")
+    ours, gold = scene.shapes[0], scene.get_submodule("gold")
+    found = ours.vertex_positions[ours.faces].detach().numpy()
+    np.testing.assert_allclose(found, box.triangles + [1, 2, 3], atol=1e-6)
+    assert gold.metallic.value == 0.25 and gold.roughness.value == 0.5 and gold.base_color.value.tolist() == [1, 0, 0]
+    assert ours.bsdf.type == "twosided"
