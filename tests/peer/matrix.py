@@ -148,6 +148,9 @@ EMITTERS: dict[str, Callable[[str], str]] = {
     "spot": lambda _: emitter("spot", AIM, colours(intensity="30, 26, 20"), floats(cutoff_angle=35, beam_width=20)),
     "textured spot": lambda texture: emitter("spot", AIM, floats(intensity=40, cutoff_angle=35), slot("texture")(texture)),
     "projector": lambda texture: emitter("projector", AIM, slot("irradiance")(texture), floats(scale=8, fov=45)),
+    "sunsky": lambda _: emitter("sunsky", floats(turbidity=4, sky_scale=4, sun_scale=0.5),
+                                placed('rotate x="1" angle="-90"'),
+                                '<vector name="sun_direction" x="0.6" y="0.7" z="0.6"/>'),
     "directional": lambda _: emitter("directional", '<vector name="direction" x="-0.4" y="-1" z="-0.6"/>',
                                      colours(irradiance="1.5, 1.3, 1")),
 }
@@ -242,6 +245,8 @@ MATRIX = (
     Row("twosided", "spot", "checkerboard", "serialized"),
     Row("twosided", "envmap", "bitmap", "serialized", "thinlens"),
     Row("roughconductor", "area", "bitmap", "sphere", "thinlens"),
+    Row("diffuse", "sunsky", "bitmap", "sphere"),
+    Row("roughconductor", "sunsky", "checkerboard", "mesh"),
     Row("null", "projector:rgb", "none", "sphere"),
 )
 

@@ -28,7 +28,8 @@ class Mask(BSDF):
 
     Parameters: `opacity`, a texture in [0, 1]. Derivatives: with respect to its texels, and to the parameters of the
     material; right where the opacity is 0 or 1, too, see `BlendBSDF`. That light behind is not found by next-event
-    estimation: see `Null`.
+    estimation: see `Null`. Mitsuba 3.9.1's `path` loses direct light on masks where paths end in them, or leave the scene
+    through them and nothing surrounds it (`tests/bsdf/test_closed_mask.py`).
 
     Args:
         nested_bsdf: the material.
