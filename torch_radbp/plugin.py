@@ -164,6 +164,10 @@ class Shape(Plugin):
 class Sensor(Plugin):
     category = "sensor"
 
+    def views(self) -> dict[str, Sensor]:
+        """The sensors that make an image each, by what is added to the name of this one."""
+        return {"": self}
+
 
 class Film(Plugin):
     category = "film"

@@ -103,7 +103,7 @@ def sensor_indices(scene: Scene, sensors: SensorChoice) -> list[int]:
     Raises:
         ValueError: if there is no such sensor, or none is chosen.
     """
-    names = [name for name, child in scene.named_children() if isinstance(child, Sensor)]
+    names = list(scene.named_sensors)
     wanted = range(len(names)) if sensors is None else [sensors] if np.ndim(sensors) == 0 else sensors
     indices = []
     for sensor in wanted:

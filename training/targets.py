@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.io.image import read_image
-from torch_radbp.plugin import Sensor, nearest
+from torch_radbp.plugin import nearest
 from torch_radbp.scene import Scene
 from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.training import recipe
@@ -30,8 +30,7 @@ class Targets(NamedTuple):
 
 def sensor_films(scene: Scene) -> dict[str, tuple[int, int]]:
     """Returns (height, width) of every sensor's image by name, in the order `renderer(sensors=)` counts."""
-    sensors = {name: child for name, child in scene.named_children() if isinstance(child, Sensor)}
-    return {name: (sensor.film.crop_height, sensor.film.crop_width) for name, sensor in sensors.items()}
+    return {name: (sensor.film.crop_height, sensor.film.crop_width) for name, sensor in scene.named_sensors.items()}
 
 
 def read_targets(specs: list[recipe.Target], films: dict[str, tuple[int, int]]) -> Targets:

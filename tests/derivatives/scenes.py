@@ -334,6 +334,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "calibrated": {SUBJECT: calibrated(factor=0.55), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
     "calibrated fisheye": {SUBJECT: calibrated(factor=0.4, **FISHEYE), "lamp": lamp(), "floor": floor(),
                            "plane": rectangle((0, 0, 0), 8.0, (0.35, 1, 0.23), 24, bsdf=printed())},
+    "batch": {SUBJECT: {"type": "batch", "film": {"type": "hdrfilm", "width": 4, "height": 2}, "left": camera(),
+                        "right": parallel()}, "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
     "orthographic": {SUBJECT: parallel(), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
 }
 

@@ -124,7 +124,14 @@ class Scene(nn.Module):
 
     @property
     def sensors(self) -> list[Sensor]:
-        return [child for child in self._modules.values() if isinstance(child, Sensor)]
+        """All that make an image each, as `named_sensors`."""
+        return list(self.named_sensors.values())
+
+    @property
+    def named_sensors(self) -> dict[str, Sensor]:
+        """Those of the scene by name, each of a batch by itself."""
+        return {f"{name}{part}": view for name, child in self._modules.items() if isinstance(child, Sensor)
+                for part, view in child.views().items()}
 
     @property
     def emitters(self) -> list[Emitter]:

@@ -1,3 +1,3 @@
 """Sensors: where rays start."""
 
-from torch_radbp.sensor import calibrated, orthographic, perspective, sampler, thinlens  # noqa: F401 (registers the plugins)
+from torch_radbp.sensor import batch, calibrated, orthographic, perspective, sampler, thinlens  # noqa: F401 (registers the plugins)
