@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torch_radbp.domain import Domain
 from torch_radbp.plugin import register
-from torch_radbp.texture.observer import at_wavelengths
-from torch_radbp.texture.regular import VALUES
-from torch_radbp.texture.spectrum import Samples, Spectrum, numbers
+from torch_radbp.texture.spectrum import SampledSpectrum, Samples, numbers
 
 
 @register("texture", "irregular")
-class Irregular(Spectrum):
+class Irregular(SampledSpectrum):
     """A spectrum of values at some wavelengths, linear between them, zero beyond them.
 
     Mitsuba 3.9 renders it in its spectral modes only. Here it has the colour that it has there, of a reflectance under
@@ -43,11 +40,5 @@ class Irregular(Spectrum):
         self.register_buffer("wavelengths", wavelengths)
         self.freeze("values", values)
 
-    value = None  # resolved into the others
-
-    def domains(self) -> dict[str, Domain]:
-        return {"values": VALUES}
-
-    def spectrum(self) -> Tensor:
-        """(1000,) at `WAVELENGTHS`, float64, attached."""
-        return at_wavelengths(self.wavelengths, self.values)
+    def nodes(self) -> Tensor:
+        return self.wavelengths

@@ -5,16 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import AMOUNT, Domain
 from torch_radbp.plugin import register
-from torch_radbp.texture.observer import at_wavelengths
-from torch_radbp.texture.spectrum import Samples, Spectrum, numbers
-
-VALUES = AMOUNT._replace(shapes=(("N",),))
+from torch_radbp.texture.spectrum import SampledSpectrum, Samples, numbers
 
 
 @register("texture", "regular")
-class Regular(Spectrum):
+class Regular(SampledSpectrum):
     """A spectrum of values at equal steps, linear between them, zero beyond them.
 
     Mitsuba 3.9 renders it in its spectral modes only. Here it has the colour that it has there, of a reflectance under
@@ -49,13 +45,6 @@ class Regular(Spectrum):
         self.wavelength_min, self.wavelength_max = wavelength_min, wavelength_max
         self.freeze("values", values)
 
-    value = None  # resolved into the others
-
-    def domains(self) -> dict[str, Domain]:
-        return {"values": VALUES}
-
-    def spectrum(self) -> Tensor:
-        """(1000,) at `WAVELENGTHS`, float64, attached."""
-        nodes = torch.linspace(self.wavelength_min, self.wavelength_max, len(self.values), dtype=torch.float64,
-                               device=self.values.device)
-        return at_wavelengths(nodes, self.values)
+    def nodes(self) -> Tensor:
+        return torch.linspace(self.wavelength_min, self.wavelength_max, len(self.values), dtype=torch.float64,
+                              device=self.values.device)

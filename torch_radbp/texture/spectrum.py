@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import FRACTION, Domain
+from torch_radbp.domain import AMOUNT, FRACTION, Domain
 from torch_radbp.plugin import Emitter, Plugin, Texture, finite
 from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.observer import Role, at_wavelengths, linear_srgb, unclipped
@@ -92,6 +92,23 @@ class Spectrum(Colour):
         """(3,) linear sRGB, attached; before it is known what has it, as a reflectance."""
         colour = linear_srgb(self.spectrum(), self.role or "reflected")
         return colour.to(next(self.parameters()).dtype)
+
+
+class SampledSpectrum(Spectrum):
+    """Base of the spectra that are given by `values` at some wavelengths, linear between them and zero beyond them."""
+
+    value = None  # the same as a list of wavelengths and values: resolved into the others by constructors
+
+    def domains(self) -> dict[str, Domain]:
+        return {"values": AMOUNT._replace(shapes=(("N",),))}
+
+    def nodes(self) -> Tensor:
+        """(N,) the wavelengths, nanometres, increasing."""
+        raise TypeError(f"{type(self).__name__} does not define its wavelengths")
+
+    def spectrum(self) -> Tensor:
+        """(1000,) at `WAVELENGTHS`, float64, attached."""
+        return at_wavelengths(self.nodes(), self.values)
 
 
 def numbers(name: str, given: str | Tensor | Sequence[float]) -> Tensor:
