@@ -165,6 +165,9 @@ MATERIALS |= {
     "mirror with bumps": {"type": "normalmap", "normalmap": [0.55, 0.6, 0.9], "nested_bsdf": MATERIALS["conductor"],
                           "flip_invalid_normals": False},
     "glass with bumps": {"type": "normalmap", "normalmap": [0.55, 0.6, 0.9], "nested_bsdf": MATERIALS["glass ggx"]},
+    # Of bump maps the texture's value stands for the slope along u and v.
+    "hills": {"type": "bumpmap", "nested_texture": 0.3, "scale": -1.4, "nested_bsdf": MATERIALS["metal ggx"]},
+    "glass with hills": {"type": "bumpmap", "nested_texture": 0.2, "nested_bsdf": MATERIALS["glass ggx"]},
 }
 
 

@@ -149,3 +149,13 @@ def test_a_slope_of_zero_gives_the_nested_material():
         found, plain = (part.stack() if isinstance(part, Vec3) else part for part in (found, plain))
         assert plain.max() > 0
         torch.testing.assert_close(found, plain, rtol=1e-9, atol=1e-12)
+
+
+def test_parameters_have_the_names_that_mitsuba_gives_them(mi):
+    image, bumps = {"type": "bitmap", "raw": True}, {"type": "bumpmap", "nested": {"type": "diffuse"}, "scale": 0.5}
+    heights = mi.TensorXf(np.ascontiguousarray(ramp(), dtype=np.float32))
+    theirs = mi.traverse(mi.load_dict(bumps | {"arbitrary": image | {"data": heights}}))
+    ours = load(torch.float32, sensor=sensor(2), sun=SUN, wall=rectangle(
+        (0, 0, 0), bsdf=bumps | {"arbitrary": image | {"data": ramp()}}))
+    names = {name.removeprefix("wall.bsdf.") for name, _ in ours.named_parameters() if name.startswith("wall.bsdf.")}
+    assert names == set(theirs.keys())

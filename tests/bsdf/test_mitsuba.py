@@ -25,6 +25,8 @@ from torch_radbp.bsdf.ior import CONDUCTORS, DIELECTRICS
 from torch_radbp.vec import Vec3
 
 COUNT = 1500
+# Mitsuba's bump maps take heights over a surface, and not slopes: see `tests/peer` and `test_bumpmap`.
+KNOWN = [name for name, description in MATERIALS.items() if description["type"] != "bumpmap"]
 # Mitsuba computes in single precision; near the mirror direction a sharp lobe magnifies its rounding.
 EVAL = 1e-3
 # Their quadrature of what a rough coat lets through is right to 5e-4 for GGX, and enters twice.
@@ -63,7 +65,7 @@ def test_recorded_figures(name):
     assert_agree(reference.MATERIALS[name], ours(reference.MATERIALS[name], *pairs), (rows[:, :3], rows[:, 3]))
 
 
-@pytest.mark.parametrize("name", SMOOTH)
+@pytest.mark.parametrize("name", [name for name in SMOOTH if name in KNOWN])
 def test_eval_and_pdf_agree(name):
     pytest.importorskip("mitsuba")
     wi, wo = directions(COUNT, 1), directions(COUNT, 2)
@@ -114,7 +116,7 @@ def test_weights_of_a_sample_agree(mi, name):
     assert compared > 100
 
 
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("name", KNOWN)
 def test_parameters_have_the_names_that_mitsuba_gives_them(mi, name):
     theirs = mi.traverse(mi.load_dict(as_dict(MATERIALS[name])))
     theirs = {key: theirs[key] for key in theirs.keys() if not key.endswith("_sampling_rate")}  # attributes here
