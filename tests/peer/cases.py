@@ -78,6 +78,8 @@ CAMERAS = {
     "gaussian_wide_crop": Camera(FOV, crop(7, 3, 20, 16) + BORDER,
                                  '<rfilter type="gaussian"><float name="stddev" value="0.8"/></rfilter>'),
     "gaussian_no_border": Camera(FOV, rfilter='<rfilter type="gaussian"/>'),
+    **{f"{name}{'' if border else '_no_border'}": Camera(FOV, size(24, 16) + border, f'<rfilter type="{name}"/>')
+       for name, border in (("mitchell", BORDER), ("catmullrom", BORDER), ("lanczos", BORDER), ("lanczos", ""))},
     "default_filter": Camera(FOV, size(24, 16) + BORDER, ""),
     "transform_chain": Camera(FOV, place='<transform name="to_world"><rotate z="1" angle="12"/><rotate y="1" angle="176"/>'
                                          '<translate x="0.2" y="-0.1" z="3"/></transform>'),

@@ -23,7 +23,7 @@ FILTERS = {"box": Box(), "wide box": Box(radius=1.5), "tent": Tent(), "narrow te
 
 def offsets(filter, count=100_000):
     u = torch.rand(count, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    return quantile(filter.quantiles(), u).numpy()
+    return quantile(filter.table().quantiles, u).numpy()
 
 
 def density(filter):
@@ -52,7 +52,7 @@ def test_the_table_has_the_moments_of_the_filter(filter):
     p = density(filter)
     variance = integrate.quad(lambda x: x * x * p(x), -filter.radius, filter.radius, points=[0.0])[0]
     u = (torch.arange(1 << 16, dtype=torch.float64) + 0.5) / (1 << 16)
-    x = quantile(filter.quantiles(), u)
+    x = quantile(filter.table().quantiles, u)
     assert abs(float(x.mean())) < 1e-9
     assert float(x.var()) == pytest.approx(variance, rel=2e-3)  # linear pieces; the tails are the coarsest
     known = {"box": filter.radius**2 / 3, "tent": filter.radius**2 / 6}
@@ -62,7 +62,7 @@ def test_the_table_has_the_moments_of_the_filter(filter):
 
 @pytest.mark.parametrize("filter", FILTERS.values(), ids=FILTERS)
 def test_offsets_are_symmetric_and_stay_within_the_radius(filter):
-    table = filter.quantiles()
+    table = filter.table().quantiles
     assert (table[1:] >= table[:-1]).all()
     torch.testing.assert_close(table, -table.flip(0), rtol=0, atol=1e-9)
     assert table.abs().max() <= filter.radius

@@ -11,17 +11,17 @@ from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.function import (
     RenderCall,
     assembled,
+    camera_samples,
     detached,
     differentiable,
     integrand_of,
     of_chunks,
     pixel_sums,
-    start_paths,
 )
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, plain
 from torch_radbp.entry import entry
-from torch_radbp.path import PathState
+from torch_radbp.path import PathState, start_path
 from torch_radbp.wavefront import Integrand, first_hit
 
 
@@ -43,9 +43,11 @@ def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
 
     @entry
     def sums(chunk: Chunk) -> Tensor:
-        start = start_paths(call, chunk, call.views[chunk.sensor].sample_keys[0])
+        ray, lanes, weight = camera_samples(call, chunk, call.views[chunk.sensor].sample_keys[0])
+        start = start_path(ray, lanes, call.scene.lights.by_place)
         values = lane_values(integrand_of(call, integrand, chunk), start, quantities)
-        return pixel_sums(chunk, [channel for name in names for channel in moments(name, values[plain(name)])])
+        channels = [channel for name in names for channel in moments(name, values[plain(name)])]
+        return pixel_sums(chunk, channels if weight is None else [channel * weight for channel in channels])
 
     def sums_kept(chunk: Chunk) -> Tensor:
         return checkpoint(sums, chunk, use_reentrant=False, preserve_rng_state=False) if attached else sums(chunk)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from torch_radbp.film.gaussian import Gaussian
@@ -22,7 +21,7 @@ class HDRFilm(Film):
         sample_border: let pixels at the border of the window use samples from outside it.
         pixel_format: rgb, or rgba: then `radbp render` writes an alpha channel, and `renderer.aovs(["alpha"])` gives it.
         component_format, file_format, banner: of the files that Mitsuba writes; without effect here.
-        rfilter: box, tent or gaussian.
+        rfilter: box, tent, gaussian, mitchell, catmullrom or lanczos; Gaussian by default.
     """
 
     def __init__(self, *, width: int = 768, height: int = 576, crop_offset_x: int = 0, crop_offset_y: int = 0,
@@ -54,20 +53,8 @@ class HDRFilm(Film):
     def tensors(self, like: Tensor) -> FilmTensors:
         """What decides the places of samples; `like` gives dtype and device."""
         numbers = self.width, self.height, self.crop_offset_x, self.crop_offset_y
-        return FilmTensors(
-            *(like.new_tensor(float(number)) for number in numbers), quantiles=self.rfilter.quantiles().to(like),
-            inside_x=tuple(part.to(like) for part in self.sampled_part(self.crop_width)),
-            inside_y=tuple(part.to(like) for part in self.sampled_part(self.crop_height)))
-
-    def sampled_part(self, size: int) -> tuple[Tensor, Tensor]:
-        """The part of the filter's distribution that each of `size` columns (or rows) of pixels samples.
-
-        That is all of it with `sample_border`, else what lies inside the window.
-
-        Returns:
-            The cumulative probability at which the part begins, and its probability; (size,) float64 each, on the CPU.
-        """
-        if self.sample_border:
-            whole = torch.ones(size, dtype=torch.float64, device="cpu")
-            return torch.zeros_like(whole), whole
-        return self.rfilter.inside(size)
+        table = self.rfilter.table()
+        part = table.whole if self.sample_border else table.inside
+        records = table, part(self.crop_width), part(self.crop_height)
+        return FilmTensors(*(like.new_tensor(float(number)) for number in numbers), *(
+            type(record)(*(None if column is None else column.to(like) for column in record)) for record in records))

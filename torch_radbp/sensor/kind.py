@@ -88,7 +88,7 @@ class Camera(NamedTuple):
 
     @property
     def dtype(self) -> torch.dtype:
-        return self.film.quantiles.dtype
+        return self.film.filter.quantiles.dtype
 
     def sample_ray(self, column: Tensor, row: Tensor, u: Tensor, v: Tensor,
                    aperture: Vec2 | None = None) -> tuple[Ray, Tensor | None]:

@@ -1,0 +1,21 @@
+"""The filter of Catmull and Rom."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from torch_radbp.film.filter import Filter
+from torch_radbp.film.mitchell import cubic
+from torch_radbp.plugin import register
+
+
+@register("rfilter", "catmullrom")
+class CatmullRom(Filter):
+    """A piecewise cubic function with a radius of 2 pixels that is sharp and rings: that of Mitchell with B = 0, C = 1/2."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.radius = 2.0
+
+    def evaluate(self, x: Tensor) -> Tensor:
+        return cubic(x, 0.0, 0.5)
