@@ -30,7 +30,8 @@ from torch_radbp.vec import Vec2, Vec3, interpolated
 
 CHOICES = ("uniform", "tree")
 # Emitters with bounds from which on the tree is the default. With 8, noise times time is less than with a uniform choice, as
-# the mean over pixels and as the median; with 4, the median is more (shadows of near lamps). See `benchmarks.lamps`.
+# the mean over pixels and as the median; with 4, the median is more (shadows of near lamps). See `benchmarks.lamps`, where
+# surfaces are diffuse and samples independent. Importance knows nothing of the BSDF: on glossy surfaces it may do harm.
 MANY = 8
 LEAST_INTENSITY = 1e-2  # of the mean: a lamp that is dark has derivatives all the same
 GRID = 4  # points along each side of a texture, and of a triangle, at which radiance is looked up for bounds
