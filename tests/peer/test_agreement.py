@@ -88,8 +88,8 @@ def test_mitsuba_agrees_with_itself_and_not_with_a_darker_self(name, tmp_path):
 
 
 COMPARED = ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter")
-# Of tensors, written as <rgb>, not Mitsuba's, and spectra that Mitsuba's RGB modes do not evaluate.
-WITHOUT = ("mesh", "rgb", "calibrated", "blackbody", "regular", "irregular")
+# Of tensors, written as <rgb>, not Mitsuba's, of several images, and spectra that Mitsuba's RGB modes do not evaluate.
+WITHOUT = ("mesh", "rgb", "calibrated", "batch", "blackbody", "regular", "irregular")
 
 
 def test_the_cases_use_every_supported_plugin(tmp_path):
