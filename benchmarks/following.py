@@ -24,7 +24,8 @@ def main() -> None:
     print("| derivative | deviation / size: hybrid | attached | hybrid / attached |\n|---|---|---|---|")
     for name, derivative in derivatives(options.roughness).items():
         hybrid, attached = (noise(derivative, sampling, options.seeds, options.spp) for sampling in ("hybrid", "attached"))
-        print(f"| {name} | {hybrid.deviation / hybrid.size:.2f} | {attached.deviation / attached.size:.2f} | "
+        size = max(hybrid.size, attached.size) or float("nan")
+        print(f"| {name} | {hybrid.deviation / size:.2f} | {attached.deviation / size:.2f} | "
               f"{hybrid.deviation / attached.deviation:.2f} |", flush=True)
 
 

@@ -146,6 +146,14 @@ MATERIALS |= {
         "roughness": 0.6, "anisotropic": 0.4, "spec_trans": 0.4, "eta": 1.3, "spec_tint": 0.3, "sheen": 0.5,
         "sheen_tint": 0.6, "flatness": 0.4, "diff_trans": 1.2, "specular_reflectance_sampling_rate": 0.7},
 }
+MATERIALS |= {
+    "hidden metal beckmann": {"type": "roughconductor", "material": "Au", "alpha": 0.3, "sample_visible": False},
+    "hidden metal ggx": {"type": "roughconductor", "distribution": "ggx", "material": "Cu", "alpha_u": 0.2, "alpha_v": 0.5,
+                         "sample_visible": False},
+    "hidden glass beckmann": {"type": "roughdielectric", "alpha": 0.3, "sample_visible": False},
+    "hidden plastic ggx": {"type": "roughplastic", "distribution": "ggx", "alpha": 0.4, "sample_visible": False,
+                           "diffuse_reflectance": [0.2, 0.5, 0.8]},
+}
 _plastic, _green = MATERIALS["plastic"], {"type": "diffuse", "reflectance": [0.2, 0.8, 0.3]}
 MATERIALS |= {
     "null": {"type": "null"},

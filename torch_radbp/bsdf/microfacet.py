@@ -37,7 +37,7 @@ from torch import Tensor
 from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.domain import AMOUNT
-from torch_radbp.plugin import BSDF, Texture, nearest
+from torch_radbp.plugin import BSDF, Texture, boolean, nearest
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import TINY, Vec2, Vec3, dot, normalize
 
@@ -87,6 +87,11 @@ class GGX(NamedTuple):
         h = Vec3(radius * torch.cos(phi), radius * torch.sin(phi), 1.0 - fall) + seen
         return normalize(Vec3(self.alpha_u * h.x, self.alpha_v * h.y, h.z.clamp_min(LEAST_NUMBER)))
 
+    def sample(self, u: Tensor, v: Tensor) -> Vec3:
+        """Microfacet normals with density `density` times cosine, whether visible or not."""
+        radius, phi = torch.sqrt(u / (1.0 - u)), 2.0 * math.pi * v
+        return from_slopes(self, Vec2(radius * torch.cos(phi), radius * torch.sin(phi)))
+
 
 class Beckmann(NamedTuple):
     """The distribution of a surface whose slopes are normally distributed."""
@@ -120,7 +125,16 @@ class Beckmann(NamedTuple):
         s = normal_variates(u, v)
         shift = visible_shift(s.x * e.x + s.y * e.y, z, t)
         x, y = s.x + shift * e.x, s.y + shift * e.y
-        return normalize(Vec3(-self.alpha_u * x, -self.alpha_v * y, torch.ones_like(x)))
+        return from_slopes(self, Vec2(-x, -y))
+
+    def sample(self, u: Tensor, v: Tensor) -> Vec3:
+        """Microfacet normals with density `density` times cosine, whether visible or not."""
+        return from_slopes(self, normal_variates(u, v))
+
+
+def from_slopes(facets: GGX | Beckmann, slopes: Vec2) -> Vec3:
+    """The normals of facets that lean along u and v by multiples of the roughness."""
+    return normalize(Vec3(facets.alpha_u * slopes.x, facets.alpha_v * slopes.y, torch.ones_like(slopes.x)))
 
 
 DISTRIBUTIONS = {"beckmann": Beckmann, "ggx": GGX}
@@ -143,6 +157,7 @@ class MicrofacetKind(Kind):
 
     distribution: str
     anisotropic: bool = False
+    visible: bool = True  # only the normals that are visible from wi are drawn
 
     @property
     def slots(self) -> int:
@@ -159,6 +174,21 @@ class MicrofacetKind(Kind):
     def facets(self, values: Values) -> Beckmann | GGX:
         """The distribution of microfacets."""
         return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
+
+    def drawn(self, values: Values, w: Vec3, u: Tensor, v: Tensor) -> Vec3:
+        """A microfacet normal, drawn for the direction `w` above the surface; attached."""
+        return self.facets(values).sample_visible(w, u, v) if self.visible else self.facets(values).sample(u, v)
+
+    def area(self, facets: Beckmann | GGX, w: Vec3, cos_i: Tensor, cos_m: Tensor) -> Tensor:
+        """What D(m) <w, m> is divided by in the density of the normals that are drawn.
+
+        Args:
+            facets: of the surface.
+            w: the direction for which they are drawn, above the surface.
+            cos_i: between it and the normal m.
+            cos_m: between m and the surface's normal.
+        """
+        return facets.projected_area(w) if self.visible else cos_i.clamp_min(SMALLEST_COSINE) / cos_m
 
 
 def stretch(facets: Beckmann | GGX, w: Vec3) -> Tensor:
@@ -229,16 +259,14 @@ def normal_variates(u: Tensor, v: Tensor) -> Vec2:
     return Vec2(radius * torch.cos(phi), radius * torch.sin(phi))
 
 
-def check_distribution(distribution: str, sample_visible: bool) -> str:
+def check_distribution(distribution: str) -> str:
     """The name of a distribution, checked.
 
     Raises:
-        ValueError: if it is unknown, or invisible normals are to be sampled.
+        ValueError: if it is unknown.
     """
     if distribution not in DISTRIBUTIONS:
         raise ValueError(f"distribution {distribution!r} is not known; {nearest(distribution, DISTRIBUTIONS)}")
-    if not sample_visible:
-        raise ValueError("sample_visible must be true: only the visible normals are sampled")
     return distribution
 
 
@@ -252,8 +280,8 @@ def make_rough(owner: BSDF, distribution: str, sample_visible: bool, alpha: Text
     Raises:
         ValueError: if a name is unknown, attributes exclude each other, or a value is out of range.
     """
-    owner.distribution = check_distribution(distribution, sample_visible)
-    owner.sample_visible = sample_visible
+    owner.distribution = check_distribution(distribution)
+    owner.sample_visible = boolean("sample_visible", sample_visible)
     rough = roughness(owner, alpha, alpha_u, alpha_v)
     owner.alpha, owner.alpha_u, owner.alpha_v = (rough.get(name) for name in ("alpha", "alpha_u", "alpha_v"))
     owner.rough_numbers = roughness_numbers(owner)

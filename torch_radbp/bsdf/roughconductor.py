@@ -28,12 +28,12 @@ class RoughConductorKind(MicrofacetKind):
         facets, lit, wi, wo = self.facets(values), reflects(wi, wo), above(wi), above(wo)
         m, _ = half_vector(wi + wo)
         density = 0.25 * facets.density(m) * lit
-        scale = density * facets.masking(wi) * facets.masking(wo) * wo.z
-        return reflectance * conductor_reflectance(dot(wi, m), eta, k) * scale, density / facets.projected_area(wi)
+        scale, cosine = density * facets.masking(wi) * facets.masking(wo) * wo.z, dot(wi, m)
+        return reflectance * conductor_reflectance(cosine, eta, k) * scale, density / self.area(facets, wi, cosine, m.z)
 
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
         wi = above(wi)
-        m = self.facets(values).sample_visible(wi, u, v)
+        m = self.drawn(values, wi, u, v)
         return m * (2.0 * dot(wi, m)) - wi
 
 
@@ -53,7 +53,7 @@ class RoughConductor(BSDF):
         k: imaginary part, the extinction coefficient; 1 by default, which with eta = 0 reflects all light.
         material: name of a metal in `ior.CONDUCTORS`, in place of eta and k; or "none".
         specular_reflectance: a factor on the reflected light; physical surfaces have 1, more is warned of.
-        sample_visible: must be true.
+        sample_visible: draw only microfacets that the viewer sees. Without it images are the same, but noisier.
 
     Raises:
         ValueError: if a name is not known, attributes exclude each other, or a value is out of range.
@@ -74,7 +74,7 @@ class RoughConductor(BSDF):
 
     def kind(self) -> RoughConductorKind:
         """The scattering functions."""
-        return RoughConductorKind(self.distribution, self.alpha is None)
+        return RoughConductorKind(self.distribution, self.alpha is None, self.sample_visible)
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""

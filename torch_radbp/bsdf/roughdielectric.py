@@ -22,7 +22,8 @@ class Microgeometry(NamedTuple):
 
     transmits: Tensor  # 0 or 1
     possible: Tensor  # 0 or 1: a microfacet that faces the viewer does so
-    density: Tensor  # of that microfacet's normal, whether visible or not
+    m: Vec3  # its normal
+    density: Tensor  # of that normal, whether visible or not
     cos_i: Tensor  # between wi and the microfacet
     cos_o: Tensor  # between wo and the microfacet, at least 0
     squared: Tensor  # squared length of the half vector
@@ -77,7 +78,7 @@ class RoughDielectricKind(MicrofacetKind):
         cos_i, cos_o = dot(wi, m), dot(wo, m) * (1.0 - 2.0 * transmits)
         possible = ((wi.z > 0) & (wo.z != 0) & (cos_i > 0) & (cos_o > 0)).to(side.dtype)
         reflectance, _ = dielectric_reflectance(cos_i, eta)
-        return Microgeometry(transmits, possible, self.facets(values).density(m), cos_i.clamp_min(0.0),
+        return Microgeometry(transmits, possible, m, self.facets(values).density(m), cos_i.clamp_min(0.0),
                              cos_o.clamp_min(0.0), squared, eta, reflectance)
 
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
@@ -89,7 +90,8 @@ class RoughDielectricKind(MicrofacetKind):
         scattered = values[-2] * (g.reflectance * reflected) + values[-1] * ((1.0 - g.reflectance) * transmitted)
         chance = self.reflectance_by_direction(values, whole_wi, whole_wo) if fixed_lobes else g.reflectance
         return (scattered * (density * facets.masking(wi) * facets.masking(wo) * wo.z),
-                (chance * reflected + (1.0 - chance) * transmitted * g.eta * g.eta) * (density / facets.projected_area(wi)))
+                (chance * reflected + (1.0 - chance) * transmitted * g.eta * g.eta)
+                * (density / self.area(facets, wi, g.cos_i, g.m.z)))
 
     def reflectance_by_direction(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
         """The reflectance of the microfacet between two directions, attached to these alone."""
@@ -102,14 +104,14 @@ class RoughDielectricKind(MicrofacetKind):
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
         values, wi = tuple(value.detach() for value in values), wi.detach()
         side = side_of(wi)
-        m = self.facets(values).sample_visible(wi * side, u, v)
+        m = self.drawn(values, wi * side, u, v)
         reflectance, _ = dielectric_reflectance(dot(wi * side, m), self.index(values, side))
         return decide(reflectance, choice)
 
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
         side = side_of(wi)
         eta, wi = self.index(values, side), wi * side
-        m = self.facets(values).sample_visible(wi, u, v)
+        m = self.drawn(values, wi, u, v)
         cos_i = dot(wi, m)
         _, cos_t = dielectric_reflectance(cos_i, eta)
         along = blend(choice, torch.ones_like(eta), 1.0 / eta)
@@ -142,7 +144,8 @@ class RoughDielectric(Dielectric):
         ext_ior: index of refraction outside; must differ from int_ior.
         specular_reflectance: a factor on reflected light; physical surfaces have 1, more is warned of.
         specular_transmittance: a factor on refracted light; physical surfaces have 1, more is warned of.
-        sample_visible: must be true.
+        sample_visible: draw only microfacets that the viewer sees. Without it images are the same, but noisier; Mitsuba
+            then draws them from a wider distribution.
 
     Raises:
         ValueError: if a name is not known, attributes exclude each other, or a value is out of range.
@@ -163,7 +166,7 @@ class RoughDielectric(Dielectric):
 
     def kind(self) -> RoughDielectricKind:
         """The scattering functions."""
-        return RoughDielectricKind(self.distribution, self.alpha is None)
+        return RoughDielectricKind(self.distribution, self.alpha is None, self.sample_visible)
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""

@@ -35,7 +35,7 @@ from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, floo
 from torch_radbp.bsdf.number import ComputedNumbers, OwnNumber
 from torch_radbp.bsdf.plastic import Plastic, coat_or_base, coated, specular_chance
 from torch_radbp.domain import LARGEST_AMOUNT, NUMBER, Domain
-from torch_radbp.plugin import Texture, register
+from torch_radbp.plugin import Texture, boolean, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
 from torch_radbp.vec import Vec3, attached, dot, where
 
@@ -85,7 +85,7 @@ class RoughPlasticKind(MicrofacetKind):
         value = specular * (reflectance * of_coat * facets.masking(wi) * facets.masking(wo) * wo.z) + (
             coated(diffuse, internal, self.nonlinear) * (of_base * passes_in * self.passes(values, wo.z) / (eta * eta)))
         chance = chance_of_lobe(specular_chance(1.0 - passes_in, diffuse, specular), fixed_lobes)
-        return value, chance * (of_coat / facets.projected_area(wi)) + (1.0 - chance) * of_base
+        return value, chance * (of_coat / self.area(facets, wi, dot(wi, m), m.z)) + (1.0 - chance) * of_base
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
         values, wi = tuple(value.detach() for value in values), above(wi.detach())
@@ -93,7 +93,7 @@ class RoughPlasticKind(MicrofacetKind):
 
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
         wi = above(wi)
-        m = self.facets(values).sample_visible(wi, u, v)
+        m = self.drawn(values, wi, u, v)
         return where(choice.lobe == 0, m * (2.0 * dot(wi, m)) - wi, square_to_cosine_hemisphere(u, v))
 
 
@@ -205,7 +205,7 @@ class RoughPlastic(Plastic):
         int_ior: index of refraction of the coat, a number or a material of `ior.DIELECTRICS`.
         ext_ior: index of refraction outside; must differ from int_ior.
         specular_reflectance: a factor on the light that the coat reflects; physical surfaces have 1, more is warned of.
-        sample_visible: must be true.
+        sample_visible: draw only microfacets that the viewer sees. Without it images are the same, but noisier.
 
     Raises:
         ValueError: if a name is not known, or a value is out of range.
@@ -218,8 +218,8 @@ class RoughPlastic(Plastic):
                          specular_reflectance=specular_reflectance)
         if float(self.eta) == 1.0:
             raise ValueError(f"int_ior and ext_ior must differ, or the boundary has no effect; got {int_ior} and {ext_ior}")
-        self.distribution = check_distribution(distribution, sample_visible)
-        self.sample_visible = sample_visible
+        self.distribution = check_distribution(distribution)
+        self.sample_visible = boolean("sample_visible", sample_visible)
         self.freeze("alpha", torch.tensor(float(alpha)))
         self.coat_textures = (OwnNumber(self, "alpha"), *self.eta_texture,
                               *(ComputedNumbers(self, "coat", first) for first in range(0, SUMS, 3)))
@@ -235,7 +235,7 @@ class RoughPlastic(Plastic):
 
     def kind(self) -> Kind:
         """The scattering functions."""
-        return RoughPlasticKind(self.distribution, nonlinear=self.nonlinear)
+        return RoughPlasticKind(self.distribution, visible=self.sample_visible, nonlinear=self.nonlinear)
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""

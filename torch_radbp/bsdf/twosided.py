@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Choice, Kind, Values, either, side_of
-from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin import BSDF, Texture, boolean, register
 from torch_radbp.vec import Vec3, where
 
 
@@ -43,6 +43,10 @@ class TwoSidedKind(Kind):
     @property
     def oriented(self) -> bool:
         return any(side.oriented for side in self.sides)
+
+    @property
+    def transmits(self) -> bool:
+        return any(side.transmits for side in self.sides)
 
     @property
     def jumps(self) -> bool:
@@ -121,17 +125,23 @@ def mirrored(w: Vec3, side: Tensor) -> Vec3:
 class TwoSided(BSDF):
     """Uses `brdf_0` on the side of the normal, and `brdf_1` or, without one, `brdf_0` again on the other.
 
+    Args:
+        brdf: one or two.
+        allow_transmission: take those that let light through, too, each of which is seen from its front only.
+
     Raises:
         ValueError: unless one or two one-sided BSDFs are given.
     """
 
-    def __init__(self, *, brdf: list[BSDF]):
+    def __init__(self, *, brdf: list[BSDF], allow_transmission: bool = False):
         super().__init__()
+        self.allow_transmission = boolean("allow_transmission", allow_transmission)
         if not 1 <= len(brdf) <= 2 or any(isinstance(side, TwoSided) for side in brdf):
             raise ValueError(f"twosided takes one or two one-sided BSDFs, got {[side.type for side in brdf]}")
         for side in brdf:
-            if side.kind().transmits:
-                raise ValueError(f"twosided takes BSDFs that only reflect, got {side.type!r}, which has two sides already")
+            if side.kind().transmits and not self.allow_transmission:
+                raise ValueError(f"twosided takes BSDFs that only reflect, got {side.type!r}, which has two sides already; "
+                                 f"with allow_transmission both are its front")
         for number, side in enumerate(brdf):
             self.add_module(f"brdf_{number}", side)
         self.count = len(brdf)
