@@ -119,7 +119,7 @@ def options(value):
         return tuple(map(options, value)) if isinstance(value[0], dict) else None
     if not isinstance(value, dict):
         return None
-    names = ("type", "distribution", "nonlinear", "flip_invalid_normals", "use_shadowing_function")
+    names = ("type", "distribution", "nonlinear", "flip_invalid_normals", "use_shadowing_function", "sample_visible")
     if value["type"].startswith("principled"):
         return value["type"], tuple(sorted(value)), *(value[name] for name in value if name.endswith("_rate"))
     return ("alpha_u" in value, *(value.get(name) for name in names),
