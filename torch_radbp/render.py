@@ -185,10 +185,10 @@ class Renderer(nn.Module):
         Emitters are seen even where the image hides them, as in Mitsuba. Quantities, with their channels:
 
         `depth` (1): distance along the ray from the near plane. `position`, `geo_normal`, `sh_normal`, `dp_du`, `dp_dv` (3):
-        world space; normals as the surface has them, also where it is seen from behind. `uv` (2): surface coordinates.
-        `albedo` (3): linear RGB, diffuse reflectance of the material. `prim_index` (1): number of the triangle in its
-        shape, 0 on shapes that Mitsuba does not tessellate; `shape_index` (1): of the shape in the scene, from 1.
-        Curved shapes are as they are tessellated here.
+        world space; normals as the surface has them, also where it is seen from behind. `uv` (2): surface coordinates, 0 on
+        meshes without any. `albedo` (3): linear RGB, diffuse reflectance of the material. `prim_index` (1): number of the
+        triangle in its shape, 0 on shapes that Mitsuba does not tessellate; `shape_index` (1): of the shape in the scene,
+        from 1. Curved shapes are as they are tessellated here.
 
         `alpha` (1): 1 where the image shows a surface or the surroundings, as Mitsuba's `path` has it; `hit` (1): where it
         shows a surface. `xyz` (3): the image in CIE XYZ. With m2_ before its name, any quantity's mean square over the

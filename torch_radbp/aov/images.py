@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torch_radbp.adjoint.chunks import Chunk
+from torch_radbp.adjoint.chunks import Chunk, plan_chunks
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.function import (
     RenderCall,
@@ -24,6 +24,8 @@ from torch_radbp.entry import entry
 from torch_radbp.path import PathState, start_path
 from torch_radbp.wavefront import Integrand, first_hit
 
+MOST_LANES = 1 << 14  # that are differentiated together: in float32 a texel that all of them read sums up to 1e-4
+
 
 def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
     """(B, C, H, W) images of quantities, by name.
@@ -34,7 +36,9 @@ def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
     record = call.scene, [view.camera for view in call.views]
     attached = has_tangents(record) or (torch.is_grad_enabled() and bool(differentiable(record)))
     if attached:
-        call = call._replace(stages=call.stages.eager())
+        view, lanes = call.views[0], min(MOST_LANES, max(chunk.lanes for chunk in call.chunks))
+        chunks = plan_chunks(len(call.views), view.width * view.height, call.spp, lanes, call.workers)
+        call = call._replace(stages=call.stages.eager(), chunks=chunks)
         integrand = call.make_integrand(call.scene).with_stages(call.stages)
     else:
         call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
