@@ -85,6 +85,11 @@ def _scenes(root: Path) -> list[Seed]:
     including = b'<scene version="3.0.0"><include filename="part.xml"/><path value="../poster"/></scene>'
     (root / "others").mkdir()
     (root / "others" / "coloured.ply").write_text(COLOURED)
+    seeds += [Seed(seeds[0].folder, seeds[0].content.replace(b'type="path"', f'type="{name}"'.encode()))
+              for name in ("prb_basic", "prbvolpath", "ptracer", "volpath", "volpathmis")]
+    direct = '<integrator type="direct"><integer name="shading_samples" value="1"/>'
+    plain = OTHERS.format("").replace('<integrator type="prb" name="image"><integer name="max_depth" value="3"/>', direct)
+    seeds.append(Seed(root / "others", plain.encode()))
     return [*seeds, Seed(root / "assets" / "cornell_box", including), Seed(root / "others", _others().encode()),
             Seed(root / "others", OLD.encode())]
 
