@@ -21,7 +21,7 @@ from torch_radbp.path import PathState
 from torch_radbp.wavefront import Integrand, trace
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
-STATE = {False: (10, 12), True: (16, 12)}  # `PathState`: ray, throughput, density, perhaps vantage; key and lane
+STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, density, vantage; key, lane, whether followed
 # `Step`: barycentrics and distance, perhaps probabilities of lights; triangle, side, order, visibility, survival, lights.
 STEP = {False: (3, 11), True: (5, 15)}
 RADIANCE = (3, 0)  # a `Vec3`
