@@ -18,7 +18,8 @@ TRAINING = PACKAGE.parent / "training"
 LAYERS = [
     {"differentiated", "domain", "entry", "vec", "lookup", "plugin", "pose", "record", "jit"}, {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
-    {"raycast"}, {"path", "queues"}, {"given"}, {"wavefront"}, {"adjoint"}, {"boundary", "aov"}, {"stages", "settings"},
+    {"raycast"}, {"path_state"}, {"path", "queues"}, {"given"}, {"integrand"}, {"wavefront"}, {"adjoint"},
+    {"boundary", "aov"}, {"stages", "settings"},
     {"render"}, {"jvp"}, {"check"}, {"public"}, {"training"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}

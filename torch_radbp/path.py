@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.lookup import lookup
-from torch_radbp.raycast.protocol import Hit
+from torch_radbp.path_state import Arrival, PathState, Position, Settings
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
@@ -47,8 +47,7 @@ from torch_radbp.scene.light import (
     shadow_ray,
     vantage,
 )
-from torch_radbp.scene.light_choice import LightNumbers, LightPick, TreeChoice, chance_of_emitter, drawn_element
-from torch_radbp.scene.light_tree import Vantage
+from torch_radbp.scene.light_choice import LightNumbers, TreeChoice, chance_of_emitter, drawn_element
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample, sampling_at
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
@@ -58,45 +57,6 @@ from torch_radbp.vec import Ray, Vec2, Vec3, max_component, rows
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)
 FILM_U, FILM_V, APERTURE_U, APERTURE_V = range(4)  # those of a camera ray
-
-
-class Settings(NamedTuple):
-    """The static settings of the integrand, compiled in."""
-
-    nee: bool = True
-    hide_emitters: bool = False  # at this bounce
-    moving: bool = False  # rays carry derivatives
-    sampling: str = "detached"  # if they do, which go through the choice of directions: "detached", "hybrid", "attached"
-    following: bool = False  # states say whether hybrid sampling has followed a direction of a smooth lobe
-
-
-class Position(NamedTuple):
-    """The place of a bounce on its path: () tensors, so that one compiled function serves every bounce."""
-
-    counter: Tensor  # int32, of the random numbers of this depth
-    least_survival: Tensor  # bounds of the probability of surviving roulette; both 1 before `rr_depth`
-    most_survival: Tensor
-
-
-class PathState(NamedTuple):
-    """All that a bounce needs to know of the path so far, per lane; what a schedule keeps."""
-
-    ray: Ray
-    beta: Vec3  # throughput
-    pdf: Tensor  # density over solid angle of the ray's direction; infinite: not left to chance
-    key: LaneKey  # of the lane's random numbers
-    lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
-    vantage: Vantage | None = None  # where the ray begins; None if no light is picked with regard to that
-    followed: Tensor | None = None  # bool, see `Settings.following`; None without it
-
-
-class Arrival(NamedTuple):
-    """The paths that reach a bounce, and what they meet, (N,) each."""
-
-    state: PathState
-    hit: Hit
-    front: Tensor | None  # bool: they meet the side of the shading normal; None: not needed to tell appearances apart
-    picked: LightPick | None = None  # None: lights are picked by probabilities that are the same everywhere
 
 
 class Scattering(NamedTuple):
@@ -147,21 +107,6 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor,
         aperture = Vec2(*(uniform(camera_key, dimension, camera.dtype) for dimension in (APERTURE_U, APERTURE_V)))
     ray, weight = camera.sample_ray(column, row, u, v, aperture)
     return ray, lane, weight
-
-
-def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False) -> PathState:
-    """The state before the first bounce: throughput 1, every lane in its place.
-
-    Args:
-        ray, key: of each lane.
-        from_places: paths remember where their rays begin.
-        following: as in `Settings`.
-    """
-    beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
-    lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
-    return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane,
-                     Vantage(ray.o.detach(), ray.d.detach()) if from_places else None,
-                     torch.zeros_like(lane, dtype=torch.bool) if following else None)
 
 
 class Place(NamedTuple):

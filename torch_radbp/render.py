@@ -31,7 +31,8 @@ from torch_radbp.aov.quantity import checked_names
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.differentiated import any_differentiated, primal
 from torch_radbp.entry import entry
-from torch_radbp.path import Settings
+from torch_radbp.integrand import Integrand
+from torch_radbp.path_state import Settings
 from torch_radbp.plugin import Sensor
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.known import KnownCaster, Mesh
@@ -53,7 +54,6 @@ from torch_radbp.settings import (
 )
 from torch_radbp.stages import EAGER, compiled
 from torch_radbp.vec import Vec3
-from torch_radbp.wavefront import Integrand
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call

@@ -7,7 +7,6 @@ The loop is the same forwards, where `trace` sums the image, and wherever a back
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
@@ -16,22 +15,17 @@ from torch import Tensor
 
 from torch_radbp.differentiated import any_differentiated
 from torch_radbp.given import given_values
+from torch_radbp.integrand import Integrand
 from torch_radbp.jit.order import chosen, put
 from torch_radbp.lookup import lookup
-from torch_radbp.path import Arrival, PathState, Place, Position, Settings, Vertex
+from torch_radbp.path import Vertex
+from torch_radbp.path_state import Arrival, PathState
 from torch_radbp.queues import NOTHING, Queue, queues_by
-from torch_radbp.raycast.protocol import Hit, RayCaster
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, leaves_of
-from torch_radbp.sampling.sampler import depth_counter
-from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
-from torch_radbp.scene.part import part_of
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3, masked, rows
-
-SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
 
 class Step(NamedTuple):
@@ -58,99 +52,6 @@ class Step(NamedTuple):
     def arrival(self, state: PathState) -> Arrival:
         """The paths that reach the bounce, and what they meet."""
         return Arrival(state, self.hit, self.front, self.picked)
-
-
-class Stages(NamedTuple):
-    """The functions that run once for each chunk, or for each bounce: in plain torch, or compiled."""
-
-    sample_camera: Callable
-    bounce: Callable
-    ending: Callable
-    bounce_adjoint: Callable
-    places: Callable
-    pick_light: Callable
-    chance_of_light: Callable
-    appearance_met: Callable
-    shines: Callable
-    rows: Callable
-    brightened: Callable
-    surface_values: Callable
-    material_value: Callable
-
-    def eager(self) -> Stages:
-        """The same in plain torch."""
-        return Stages(*(getattr(stage, "stage", stage) for stage in self))
-
-
-def knowing(stage: Callable, *arguments) -> Callable:
-    """A stage, prepared for calls that begin with these very arguments."""
-    return stage.knowing(*arguments) if hasattr(stage, "knowing") else stage
-
-
-class Part(NamedTuple):
-    """What the lanes of one queue go through."""
-
-    scene: SceneTensors  # the part of the integrand's scene that they read
-    proposal: SceneTensors  # the same, detached
-    evaluate: Callable  # `Stages.bounce`, or `Stages.ending` where they have no appearance, prepared for both
-
-
-class Integrand(NamedTuple):
-    """The integrand with the functions that evaluate it: everything about a rendering but its lanes."""
-
-    scene: SceneTensors  # attached if plain autograd is to record the loop
-    proposal: SceneTensors  # the same, detached
-    caster: RayCaster
-    settings: Settings
-    max_depth: int
-    rr_depth: int
-    stages: Stages
-    parts: dict[int | None, Part]  # by `Queue.appearance`, filled when one is first met
-    clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
-
-    def with_stages(self, stages: Stages) -> Integrand:
-        """The same integrand, evaluated by other functions."""
-        return self._replace(stages=stages, parts={})
-
-    def part(self, queue: Queue) -> Part:
-        """What the lanes of a queue go through."""
-        if queue.appearance not in self.parts:
-            scene, proposal = (part_of(tensors, self.appearance(queue)) for tensors in (self.scene, self.proposal))
-            stage = self.stages.ending if queue.appearance is None else self.stages.bounce
-            self.parts[queue.appearance] = Part(scene, proposal, knowing(stage, scene, proposal))
-        return self.parts[queue.appearance]
-
-    def places(self, queue: Queue, arrival: Arrival, lanes: Tensor) -> tuple[Place, ...]:
-        """The places of the values to be given to a queue; see `path.places`."""
-        appearance = self.appearance(queue)
-        if appearance is None or not appearance.outside:
-            return ()
-        return self.stages.places(self.part(queue).proposal, arrival, lanes)
-
-    def at(self, depth: int) -> Position:
-        """The position on the path as tensors."""
-        like = self.scene.lights.choice.pmf
-        return position(depth, depth + 1 >= self.rr_depth, like.dtype, like.device)
-
-    def settings_at(self, depth: int) -> Settings:
-        """The settings with what is special at the first bounce."""
-        return self.settings._replace(hide_emitters=self.settings.hide_emitters and depth == 0)
-
-    def is_last(self, depth: int) -> bool:
-        """True if paths end at this bounce: nothing is scattered any more."""
-        return depth + 1 >= self.max_depth
-
-    def appearance(self, queue: Queue) -> Appearance | None:
-        """The appearance that the lanes of a queue meet."""
-        return None if queue.appearance is None else self.scene.layout.appearances[queue.appearance]
-
-
-@functools.lru_cache(maxsize=4096)
-def position(depth: int, roulette: bool, dtype: torch.dtype, device: torch.device) -> Position:
-    """The position of the bounce at `depth`, with roulette or without it."""
-    least, most = (SURVIVE_AT_LEAST, SURVIVE_AT_MOST) if roulette else (1.0, 1.0)
-    return Position(depth_counter(depth, device), torch.tensor(least, dtype=dtype, device=device),
-                    torch.tensor(most, dtype=dtype, device=device))
 
 
 def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,

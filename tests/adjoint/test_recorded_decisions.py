@@ -11,7 +11,7 @@ from tests.scenes import cornell, parameters
 from torch_radbp.adjoint import function
 from torch_radbp.adjoint.function import start_paths
 from torch_radbp.adjoint.local_map import Verdict, local_map
-from torch_radbp.path import Arrival
+from torch_radbp.path_state import Arrival
 from torch_radbp.vec import rows
 from torch_radbp.wavefront import bounces, survivors, take_step
 

@@ -25,7 +25,8 @@ from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.entry import entry
-from torch_radbp.path import PathState, start_path
+from torch_radbp.integrand import Integrand, Stages
+from torch_radbp.path_state import PathState, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.sampling.sampler import LaneKey, SampleKey
@@ -33,7 +34,7 @@ from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3
-from torch_radbp.wavefront import Integrand, Stages, Step, trace
+from torch_radbp.wavefront import Step, trace
 
 Result = TypeVar("Result")
 SAVED = object()  # stands for a tensor that autograd keeps

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path import Arrival, Position, Settings, followed_by, scattering
+from torch_radbp.path import followed_by, scattering
+from torch_radbp.path_state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.departure import attached_departure
 from torch_radbp.scene.interaction import Corners

@@ -17,8 +17,9 @@ import torch
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.tape import TapeAdjoint
 from torch_radbp.adjoint.working_set import Growth, WorkingSet
-from torch_radbp.path import PathState
-from torch_radbp.wavefront import Integrand, trace
+from torch_radbp.integrand import Integrand
+from torch_radbp.path_state import PathState
+from torch_radbp.wavefront import trace
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
 STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, density, vantage; key, lane, whether followed

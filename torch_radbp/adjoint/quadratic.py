@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.path import PathState
+from torch_radbp.path_state import PathState
 from torch_radbp.plugin import boolean
 from torch_radbp.vec import Vec3, masked, rows
 from torch_radbp.wavefront import add_at, bounces

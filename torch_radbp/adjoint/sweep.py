@@ -30,8 +30,9 @@ from torch.utils._pytree import tree_map
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.adjoint.outside import OutsideValues
 from torch_radbp.adjoint.scatter import Contribution, Gradients
+from torch_radbp.integrand import Integrand, knowing
 from torch_radbp.lookup import Tap, tapped
-from torch_radbp.path import Arrival, PathState, Position, Settings
+from torch_radbp.path_state import Arrival, PathState, Position, Settings
 from torch_radbp.queues import Queue
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import with_leaves
@@ -40,7 +41,7 @@ from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import Given
 from torch_radbp.vec import Ray, Vec3, rows
-from torch_radbp.wavefront import Integrand, Step, knowing, put_rows, survivors, take_step
+from torch_radbp.wavefront import Step, put_rows, survivors, take_step
 
 
 class PathRecord(NamedTuple):

@@ -10,11 +10,13 @@ from torch.utils._pytree import tree_map_only
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.given import given_values
-from torch_radbp.path import PathState, places_of
+from torch_radbp.integrand import Integrand
+from torch_radbp.path import places_of
+from torch_radbp.path_state import PathState
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, rows_between
 from torch_radbp.vec import Vec3, rows
-from torch_radbp.wavefront import Integrand, add_at, first_hit, surviving, take_step, trace
+from torch_radbp.wavefront import add_at, first_hit, surviving, take_step, trace
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,10 @@ from torch_radbp.adjoint.outside import OutsideValues
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.path import Arrival, PathState
+from torch_radbp.integrand import Integrand
+from torch_radbp.path_state import Arrival, PathState
 from torch_radbp.vec import Vec3
-from torch_radbp.wavefront import Integrand, Step, take_step
+from torch_radbp.wavefront import Step, take_step
 
 LANES = (1024, 3072)  # of the two measurements
 

@@ -21,8 +21,9 @@ from torch_radbp.adjoint.function import (
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, plain
 from torch_radbp.entry import entry
-from torch_radbp.path import PathState, start_path
-from torch_radbp.wavefront import Integrand, first_hit
+from torch_radbp.integrand import Integrand
+from torch_radbp.path_state import PathState, start_path
+from torch_radbp.wavefront import first_hit
 
 MOST_LANES = 1 << 14  # that are differentiated together: in float32 a texel that all of them read sums up to 1e-4
 
