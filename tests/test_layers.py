@@ -18,7 +18,7 @@ TRAINING = PACKAGE.parent / "training"
 LAYERS = [
     {"differentiated", "domain", "entry", "vec", "lookup", "plugin", "pose", "record", "jit"}, {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
-    {"raycast"}, {"path_state"}, {"path", "queues"}, {"given"}, {"integrand"}, {"wavefront"}, {"adjoint"},
+    {"raycast", "view"}, {"path_state"}, {"path", "queues"}, {"given"}, {"integrand"}, {"wavefront"}, {"adjoint"},
     {"boundary", "aov"}, {"stages", "settings"},
     {"render"}, {"jvp"}, {"check"}, {"public"}, {"training"},
 ]

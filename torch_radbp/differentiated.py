@@ -1,11 +1,11 @@
-"""Tests of whether a tensor is differentiated: backward (`requires_grad`), or forward (`torch.autograd.forward_ad`)."""
+"""Whether tensors are differentiated, backward (`requires_grad`) or forward (`forward_ad`), and records of them cut off."""
 
 from __future__ import annotations
 
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from torch_radbp.record import leaves_of
+from torch_radbp.record import leaves_of, with_leaves
 
 
 def tangent_of(tensor: Tensor) -> Tensor | None:
@@ -28,3 +28,13 @@ def differentiated(tensor: Tensor) -> bool:
 def any_differentiated(record) -> bool:
     """True if any tensor of a record requires a gradient or has a tangent."""
     return any(differentiated(leaf) for leaf in leaves_of(record) if isinstance(leaf, Tensor))
+
+
+def detached(tensors):
+    """A record of tensors without derivatives."""
+    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(tensors)])
+
+
+def differentiable(tensors) -> list[Tensor]:
+    """The leaves of a record that derivatives are wanted of, in order."""
+    return [leaf for leaf in leaves_of(tensors) if isinstance(leaf, Tensor) and leaf.requires_grad]

@@ -14,35 +14,24 @@ from torch_radbp.adjoint import MemoizedAdjoint, TapeAdjoint
 from torch_radbp.adjoint.chunks import fair_chunk, plan_chunks
 from torch_radbp.adjoint.cost import Request, check_cost
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
-from torch_radbp.adjoint.function import (
-    RenderCall,
-    View,
-    detached,
-    differentiable,
-    pilot_paths,
-    render_images,
-    render_with_derivative,
-)
+from torch_radbp.adjoint.function import RenderCall, pilot_paths, render_images, render_with_derivative
 from torch_radbp.adjoint.memory import MemoryPlan, Workload, plan_memory, predict, reaching
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
 from torch_radbp.aov.images import render_aovs
 from torch_radbp.aov.quantity import checked_names
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
-from torch_radbp.differentiated import any_differentiated, primal
+from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
 from torch_radbp.path_state import Settings
-from torch_radbp.plugin import Sensor
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.known import KnownCaster, Mesh
-from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.scene import Scene
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.kind import Camera
 from torch_radbp.settings import (
     SensorChoice,
     check_settings,
@@ -53,7 +42,7 @@ from torch_radbp.settings import (
     size_of_films,
 )
 from torch_radbp.stages import EAGER, compiled
-from torch_radbp.vec import Vec3
+from torch_radbp.view import view_of
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call
@@ -324,24 +313,6 @@ class Renderer(nn.Module):
     def last_caster(self) -> RayCaster | None:
         """The ray caster of the last call."""
         return None if self.known_caster is None else self.known_caster.caster
-
-
-def view_of(sensor: Sensor, index: int, seeds: tuple[int, int], scene: SceneTensors, kept: Kept) -> View:
-    """What a sensor, number `index` of the scene's, sees in a call with these seeds, forwards and backwards."""
-    sampler, film = sensor.sampler, sensor.film
-    camera = kept(camera_of, kept.twin(id(sensor), sensor))
-    keys = tuple(sample_key(seed + sampler.seed, index, sampler.low_discrepancy, scene.device) for seed in seeds)
-    return View(camera, film.crop_width, film.crop_height, keys, kept(reaches_beyond, scene.triangles.vertices.p, camera))
-
-
-def camera_of(sensor: Sensor) -> Camera:
-    """The camera of a sensor, attached."""
-    return sensor.tensors()
-
-
-def reaches_beyond(vertices: Vec3, camera: Camera) -> bool:
-    """True if any of some vertices, (V,), lies beyond the far plane of a camera."""
-    return bool(detached(camera).beyond_far_plane(vertices.detach()).any())
 
 
 @entry

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from torch_radbp.adjoint.function import differentiable
+from torch_radbp.differentiated import differentiable
 from torch_radbp.training import recipe as schema
 from torch_radbp.training.checkpoint import save_checkpoint
 from torch_radbp.training.interrupt import Interrupts

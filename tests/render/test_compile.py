@@ -8,7 +8,7 @@ from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters
 from torch_radbp import stages
-from torch_radbp.adjoint.function import detached
+from torch_radbp.differentiated import detached
 from torch_radbp.sampling.sampler import sample_key
 
 pytestmark = pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning")

@@ -8,8 +8,8 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import load, look_at, rectangle, rgb
-from torch_radbp.adjoint.function import detached
 from torch_radbp.boundary import SilhouetteWarning
+from torch_radbp.differentiated import detached
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, scale, translate

@@ -24,6 +24,7 @@ from torch_radbp.adjoint.finite import (
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
+from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand, Stages
 from torch_radbp.path_state import PathState, start_path
@@ -32,22 +33,12 @@ from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.sampling.sampler import LaneKey, SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Ray, Vec3
+from torch_radbp.view import View
 from torch_radbp.wavefront import Step, trace
 
 Result = TypeVar("Result")
 SAVED = object()  # stands for a tensor that autograd keeps
-
-
-class View(NamedTuple):
-    """One sensor of a call."""
-
-    camera: Camera  # attached
-    width: int  # of the crop window, pixels
-    height: int
-    sample_keys: tuple[SampleKey, SampleKey]  # of the forward pass, and of the backward pass
-    clips: bool  # whether something lies beyond the far plane
 
 
 class RenderCall(NamedTuple):
@@ -98,16 +89,6 @@ def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integr
     """The integrand as the camera of a chunk sees it."""
     view = call.views[chunk.sensor]
     return integrand._replace(clipping=view.camera if view.clips else None)
-
-
-def detached(tensors):
-    """A record of tensors without derivatives."""
-    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(tensors)])
-
-
-def differentiable(tensors) -> list[Tensor]:
-    """The leaves of a record that derivatives are wanted of, in order."""
-    return [leaf for leaf in leaves_of(tensors) if isinstance(leaf, Tensor) and leaf.requires_grad]
 
 
 def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey, record: bool,

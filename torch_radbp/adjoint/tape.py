@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_map_only
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.differentiated import detached
 from torch_radbp.given import given_values
 from torch_radbp.integrand import Integrand
 from torch_radbp.path import places_of
@@ -61,11 +61,6 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
                                    rows_between(vertex.next.vantage, queue.first, queue.last), local.followed))
         state, depth = rows(joined(ahead), alive), depth + 1
     return L
-
-
-def detached(state: PathState) -> PathState:
-    """The state without derivatives."""
-    return tree_map_only(Tensor, Tensor.detach, state)
 
 
 def spread(hit: Hit | None, alive: Tensor, like: Tensor) -> Hit | None:

@@ -8,18 +8,10 @@ from torch.utils.checkpoint import checkpoint
 
 from torch_radbp.adjoint.chunks import Chunk, plan_chunks
 from torch_radbp.adjoint.forward_mode import has_tangents
-from torch_radbp.adjoint.function import (
-    RenderCall,
-    assembled,
-    camera_samples,
-    detached,
-    differentiable,
-    integrand_of,
-    of_chunks,
-    pixel_sums,
-)
+from torch_radbp.adjoint.function import RenderCall, assembled, camera_samples, integrand_of, of_chunks, pixel_sums
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, plain
+from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
 from torch_radbp.path_state import PathState, start_path

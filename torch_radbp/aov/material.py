@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from torch_radbp.adjoint.function import detached
 from torch_radbp.aov.surface import Values
+from torch_radbp.differentiated import detached
 from torch_radbp.given import given_values
 from torch_radbp.integrand import Integrand
 from torch_radbp.lookup import lookup
