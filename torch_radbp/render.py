@@ -46,7 +46,7 @@ from torch_radbp.view import view_of
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 PILOT_LANES = 4096  # paths that predict the memory of a call
-LANES = {True: 1 << 18, False: 1 << 16}  # of a chunk if the user does not say, about; compiled and eager
+LANES = {True: 1 << 18, False: 1 << 17}  # of a chunk if the user does not say, about; compiled and eager
 
 
 class Renderer(nn.Module):

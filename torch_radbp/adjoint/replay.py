@@ -39,7 +39,7 @@ class ReplayAdjoint:
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
         """As in `MemoizedAdjoint`."""
-        return sum(reaching) if moving else 2 * max(reaching)  # that of a bounce and the next
+        return sum(reaching) if moving else 4 * max(reaching)  # of a bounce and the next; its terms are as much again
 
     def backward(self, sweep: Sweep) -> None:
         """Walks down the path with what remains of L."""
