@@ -52,10 +52,9 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
     lit &= ~caster.occluded(ray_from(place - d * APART * extent, -d), (distance - 2 * APART * extent).float())
     hit = caster.intersect(ray_from(place + d * APART * extent, d))
     border = place + d * (APART * extent + hit.t[:, None].double())
-    point = torch.arange(len(border), device=border.device)
-    points = Edges(point, point, point, point[:0], point[:0])
-    seen = torch.stack([crosses_view(points, border, sight) for sight in sights]).any(0)
-    falls = (lit & (hit.prim >= 0) & seen).nonzero().squeeze(1)
+    falls = (lit & (hit.prim >= 0)).nonzero().squeeze(1)
+    points = Edges(falls, falls, falls, falls[:0], falls[:0])
+    falls = falls[torch.stack([crosses_view(points, border, sight) for sight in sights]).any(0)]
     return Shadows(edge[falls], hit.prim[falls].long())
 
 

@@ -36,7 +36,10 @@ def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
     """
     camera, vertices = sight.camera, vertices.double()
     eye, vertices = viewpoint(camera.kind.eye(camera.lens), vertices), vertices[edges.vertex]
-    return is_silhouette(edges, vertices - eye) & crosses_view(edges, vertices, sight)
+    found = is_silhouette(edges, vertices - eye)
+    outline = found.nonzero().squeeze(1)
+    found[outline] = crosses_view(edges._replace(a=edges.a[outline], b=edges.b[outline]), vertices, sight)
+    return found
 
 
 def viewpoint(place: Tensor, vertices: Tensor) -> Tensor:

@@ -93,7 +93,8 @@ class CalibratedKind(CameraKind):
         """Whether one of some points of a segment, within the pyramid, is projected into the view."""
         enters, leaves = self.clipped(lens, x, y, a, b)
         crosses = enters < leaves
-        share = torch.linspace(0, 1, POINTS, dtype=torch.float64, device=x.device)
+        points = POINTS if any(bool((start != end).any()) for start, end in zip(a, b)) else 1
+        share = torch.linspace(0, 1, points, dtype=torch.float64, device=x.device)
         share = enters[crosses, None] + (leaves - enters)[crosses, None] * share
         p = Vec3(*(start[crosses, None] + (end - start)[crosses, None] * share for start, end in zip(a, b)))
         local, reach = lens.axes.to_local(p - lens.origin), self.reach(lens, p)
@@ -103,10 +104,10 @@ class CalibratedKind(CameraKind):
         position = lens.position(point)
         inside = ahead & (position.x >= x[0]) & (position.x <= x[1]) & (position.y >= y[0]) & (position.y <= y[1])
         # What is projected there from beyond a fold is not seen there.
-        back, seen = lens.distortion.direction(Vec2(point.x.flatten(), point.y.flatten()))
+        back, seen = lens.distortion.direction(point.map(lambda part: part[inside]))
         if seen is not None:
-            along = normalize(Vec3(*(component.flatten() for component in local)))
-            inside &= (seen & (dot(normalize(back), along) > 1.0 - 1e-6)).view_as(inside)
+            along = normalize(local.map(lambda part: part[inside]))
+            inside[inside.clone()] = seen & (dot(normalize(back), along) > 1.0 - 1e-6)
         return crosses.index_put((crosses.nonzero().squeeze(1),), inside.any(1))
 
 
