@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.scenes import parallel
+from tests.derivatives.scenes import FISHEYE, blurred, calibrated, parallel
 from tests.scenes import diffuse, look_at, rectangle, rgb, texels
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -232,6 +232,15 @@ def places() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
             BRUSHED, dtype, view((0, 0.5, 3), (0, 0.5, 0)), panel=rectangle((0, 0.5, -1), 0.7, bsdf=BRUSHED),
             cube={"type": "cube", "to_world": scale((0.3, 0.3, 0.3)), "bsdf": GLASS}, floor=flat,
             lamp=rectangle((0, 2, 0), 0.4, (1, 0, 0), 90, emitter=GLOW)),
+        "open lens": lambda dtype: put(crowd(BRUSHED, dtype, camera=blurred(SIZE)), camera__aperture_radius=3.0,
+                                       camera__focus_distance=1e-3),
+        "folded lens": lambda dtype: put(crowd(BRUSHED, dtype, camera=calibrated(SIZE)), camera__k1=-3.0, camera__k4=9.0),
+        "fisheye that sees behind itself": lambda dtype: crowd(BRUSHED, dtype, camera=calibrated(SIZE, 0.1, **FISHEYE)),
+        "two cameras in one place": lambda dtype: crowd(BRUSHED, dtype, camera={
+            "type": "batch", "film": {"type": "hdrfilm", "width": 2 * SIZE, "height": SIZE}, "a": parallel(),
+            "b": parallel()}),
+        "hazy sky": lambda dtype: put(crowd(BRUSHED, dtype, sky={"type": "sunsky", "sun_direction": [1, 1e-3, 0]}),
+                                      sky__turbidity=10.0, sky__albedo__value=1.0),
         "sphere, constant sky": lambda dtype: crowd(
             BRUSHED, dtype, sky={"type": "constant", "radiance": rgb(1, 1, 1)}, tent=None, cube=None,
             camera=parallel(2.0), ball={"type": "sphere", "radius": 0.5, "bsdf": BRUSHED},

@@ -41,6 +41,7 @@ def test_every_plugin_takes_part():
     names = (*list(CASES)[:1], "conductor black", "dielectric black", "thindielectric 1.0", "principled glass 0.0",
              "principledthin 0.0 0.0 1.0 0.0",
              "roughconductor ggx brushed", "roughdielectric ggx brushed", "blendbsdf 0.0", "mask 0.0", "normalmap 0.0",
+             "bumpmap 0.0", "open lens", "folded lens", "two cameras in one place", "hazy sky",
              "null", "spectra 0.0", "sphere, constant sky")
     scenes = [CASES[name](torch.float32) for name in names]
     there = {(module.category, module.type) for scene in scenes for module in scene.modules() if hasattr(module, "category")}

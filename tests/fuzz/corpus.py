@@ -90,6 +90,7 @@ def _scenes(root: Path) -> list[Seed]:
     direct = '<integrator type="direct"><integer name="shading_samples" value="1"/>'
     plain = OTHERS.format("").replace('<integrator type="prb" name="image"><integer name="max_depth" value="3"/>', direct)
     seeds.append(Seed(root / "others", plain.encode()))
+    seeds += [Seed(root / "others", CAMERAS.replace("independent", name).encode()) for name in ("orthogonal", "stratified")]
     return [*seeds, Seed(root / "assets" / "cornell_box", including), Seed(root / "others", _others().encode()),
             Seed(root / "others", OLD.encode())]
 
@@ -165,6 +166,19 @@ SPECTRA = [
     '<texture name="reflectance" type="checkerboard"><rgb name="color0" value="0.2, 0.5, 0.7"/>'
     '<transform name="to_uv"><scale value="3"/></transform></texture>',
 ]
+CAMERAS = """<scene version="3.0.0">
+  <sensor type="batch">
+    <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="8"/></film>
+    <sampler type="independent"><integer name="sample_count" value="4"/></sampler>
+    <sensor type="calibrated"><float name="fx" value="9"/><float name="cx" value="4"/><float name="cy" value="3.5"/>
+      <float name="k1" value="-0.1"/><float name="p2" value="0.01"/></sensor>
+    <sensor type="calibrated"><float name="fx" value="5"/><float name="cx" value="4"/><float name="cy" value="3.5"/>
+      <string name="distortion" value="fisheye"/><float name="k1" value="0.05"/></sensor>
+  </sensor>
+  <emitter type="constant"/>
+  <shape type="sphere"><point name="center" x="0" y="0" z="4"/></shape>
+</scene>
+"""
 OTHERS = """<scene version="3.0.0">
   <integrator type="moment"><integrator type="aov" name="inner"><string name="aovs" value="dd.y:depth, nn:sh_normal"/>
     <integrator type="prb" name="image"><integer name="max_depth" value="3"/></integrator></integrator></integrator>
