@@ -10,7 +10,7 @@ TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0", "setupt
 
 ASSETS = "torch_radbp.assets"  # what the bundled recipes need
 ASSET_FILES = ["README.md", "*/scene.xml", "*/target*.exr", "patches.png", "textured_room/*.png", "pot/*.glb",
-               "pot/*.exr"]
+               "pot/*.exr", "lit_balls/*.exr", "relief/*.exr"]
 
 
 class BuildWithoutScripts(build_py):

@@ -1,12 +1,16 @@
-"""Draws the textures of the scenes with numpy and Pillow: ``python assets/draw_textures.py``.
+"""Draws the textures of the scenes with numpy: ``python assets/draw_textures.py``.
 
-Every picture is a formula of this file, evaluated on a 4 x 4 finer grid and averaged, so it has no other origin.
+Every picture is a formula of this file, so it has no other origin; colours are evaluated on a 4 x 4 finer grid and
+averaged.
 """
 
 from pathlib import Path
 
 import numpy as np
+import torch
 from PIL import Image
+
+import torch_radbp as rb
 
 ASSETS = Path(__file__).parent
 SUPERSAMPLING = 4
@@ -91,7 +95,36 @@ def patches(size: int = 64) -> np.ndarray:
     return np.stack([0.55 + 0.2 * wave + 0.22 * rough for wave, rough in zip(waves, noise)], -1)
 
 
+def sky(height: int = 16) -> torch.Tensor:
+    """Radiance by latitude and longitude: a dusk with a broad sun, a lit window, clouds, and ground below."""
+    v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(2 * height) + 0.5) / (2 * height), indexing="ij")
+    up = np.cos(np.pi * v)[..., None]
+    air = np.where(up > 0, [0.25, 0.4, 0.75] + 0.5 * np.exp(-4 * up) * np.array([1.4, 0.6, 0.0]), [0.16, 0.12, 0.08])
+    cloud = 0.3 * np.sin(4 * np.pi * u + 9 * v).clip(0) * np.sin(np.pi * v) ** 2 * (v < 0.5)
+    sun = 6 * np.exp(-((u - 0.3) / 0.035) ** 2 - ((v - 0.3) / 0.07) ** 2)
+    window = (abs(u - 0.77) < 0.06) & (abs(v - 0.55) < 0.13)
+    colours = air + cloud[..., None] + sun[..., None] * [1.0, 0.8, 0.5] + window[..., None] * [0.4, 1.2, 0.9]
+    return torch.from_numpy(colours.astype(np.float32))
+
+
+def relief(size: int = 32) -> torch.Tensor:
+    """Normals n of a shield with a rim, bosses and ripples, as colours (n + 1) / 2, the slopes of a smooth height."""
+    x, y = np.meshgrid((np.arange(size) + 0.5) / size * 2 - 1, 1 - (np.arange(size) + 0.5) / size * 2)
+    radius = np.hypot(x, y)
+    height = 0.1 * np.exp(-((radius - 0.75) / 0.12) ** 2) + 0.025 * np.sin(9 * x + 4 * y) * np.exp(-2 * radius**2)
+    for turn in range(5):
+        angle = 2 * np.pi * turn / 5 + 0.3
+        height += 0.09 * np.exp(-((x - 0.4 * np.cos(angle)) ** 2 + (y - 0.4 * np.sin(angle)) ** 2) / 0.02)
+    rows, columns = np.gradient(height, 2 / size)
+    normals = np.stack([-columns, rows, np.ones_like(x)], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return torch.from_numpy((0.5 + 0.5 * normals).astype(np.float32))
+
+
 if __name__ == "__main__":
     for picture in (painting, plaster, parquet):
         save(f"textured_room/{picture.__name__}.png", picture())
     save("patches.png", patches())
+    rb.save_image(ASSETS / "lit_balls" / "sky.exr", sky().movedim(-1, 0))
+    rb.save_image(ASSETS / "relief" / "normals.exr", relief().movedim(-1, 0))
+    rb.save_image(ASSETS / "relief" / "flat.exr", torch.tensor([0.5, 0.5, 1.0])[:, None, None].expand(3, 32, 32))

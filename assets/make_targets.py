@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 ASSETS = Path(__file__).parent
-# file -> (scene, resolution, samples per pixel); the noise is far below the 0.01 that a recovery may be off.
+# file -> (scene, resolution, samples per pixel[, sensor]); the noise is far below the 0.01 that a recovery may be off.
 TARGETS = {
     "cornell_box/target.exr": ("cornell_box/scene.xml", 256, 2048),
     "cornell_box/target_128.exr": ("cornell_box/scene.xml", 128, 4096),
@@ -22,17 +22,20 @@ TARGETS = {
     "glass_slab/target.exr": ("glass_slab/scene.xml", 64, 4096),
     "metal_plate/target.exr": ("metal_plate/scene.xml", 64, 8192),
     "point_light/target.exr": ("point_light/scene.xml", 64, 8192),
+    "lit_balls/front.exr": ("lit_balls/scene.xml", 64, 4096, 0),
+    "lit_balls/back.exr": ("lit_balls/scene.xml", 64, 4096, 1),
+    "relief/target.exr": ("relief/scene.xml", 64, 1024),
 }
 PASS_SPP = 128
 
 
-def render(scene_file: str, resolution: int, spp: int) -> np.ndarray:
+def render(scene_file: str, resolution: int, spp: int, sensor: int = 0) -> np.ndarray:
     """Mean of ``spp / PASS_SPP`` renders with different seeds, linear RGB of shape (H, W, 3)."""
     scene = mi.load_file(str(ASSETS / scene_file), resolution=resolution)
     passes = spp // PASS_SPP
     total = np.zeros((resolution, resolution, 3))
     for seed in range(passes):
-        total += np.asarray(mi.render(scene, spp=PASS_SPP, seed=seed))
+        total += np.asarray(mi.render(scene, sensor=sensor, spp=PASS_SPP, seed=seed))
     return (total / passes).astype(np.float32)
 
 
@@ -42,9 +45,9 @@ def main() -> None:
     parser.add_argument("--only", choices=sorted(TARGETS), help="make this file only")
     options = parser.parse_args()
     mi.set_variant(options.variant)
-    for name, (scene_file, resolution, spp) in TARGETS.items():
+    for name, (scene_file, resolution, spp, *sensor) in TARGETS.items():
         if options.only in (None, name):
-            image = mi.Bitmap(render(scene_file, resolution, spp))
+            image = mi.Bitmap(render(scene_file, resolution, spp, *sensor))
             # Half floats: the rounding of at most 0.05% is below the noise, the file half as large.
             image.convert(component_format=mi.Struct.Type.Float16).write(str(ASSETS / name))
             print(f"{name}: {resolution} x {resolution}, {spp} spp", flush=True)
