@@ -18,6 +18,7 @@ from tests.io.gltf_files import SQUARE, GltfFile
 from tests.io.serialized_files import mesh, serialized
 from tests.io.test_gltf_write import everything
 from tests.peer.cases import CASES
+from tests.peer.matrix import SMALL
 from tests.peer.scene_files import Folder
 from tests.texture.meshes import PLY as COLOURED
 from tests.training.conftest import RECIPE, SCENE
@@ -80,7 +81,10 @@ def _scenes(root: Path) -> list[Seed]:
     for name, case in CASES.items():
         folder = root / "scenes" / name.replace(" ", "_")
         folder.mkdir(parents=True)
-        seeds.append(Seed(folder, case.build(Folder(folder)).read_bytes()))
+        content = case.build(Folder(folder)).read_bytes()
+        for variable, value in SMALL.items():  # that have no default
+            content = content.replace(f"${variable}".encode(), str(value).encode())
+        seeds.append(Seed(folder, content))
     (root / "assets" / "cornell_box" / "part.xml").write_bytes(seeds[0].content)
     including = b'<scene version="3.0.0"><include filename="part.xml"/><path value="../poster"/></scene>'
     (root / "others").mkdir()

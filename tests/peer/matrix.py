@@ -285,13 +285,11 @@ def built(row: Row) -> Callable[[Folder], Path]:
             shape("rectangle", "wall", wall, placed('scale x="3" y="1.6"', 'translate y="1.6" z="-1.6"')),
             SHAPES[row.shape](BSDFS[row.bsdf](row.texture)), light(row.emitter)])
         text = scene_xml(VARIABLE_SIZE, view, body, '<integer name="max_depth" value="$max_depth"/>', camera=camera)
-        defaults = "".join(f'<default name="{name}" value="{value}"/>' for name, value in SMALL.items())
-        return folder.text("scene.xml", text.replace(HEAD, HEAD + defaults))
+        return folder.text("scene.xml", text)
 
     return build
 
 
-HEAD = '<scene version="3.0.0">'
 VARIABLE_SIZE = '<integer name="width" value="$width"/><integer name="height" value="$height"/>'
 ROWS = {f"matrix_{row}": row for row in MATRIX}
 assert len(ROWS) == len(MATRIX), "two rows are the same"
