@@ -50,10 +50,10 @@ def room(lamps: int, kind: str, spp: int) -> dict[str, Any]:
     """The room in Mitsuba's vocabulary; transforms are arrays."""
     random = np.random.default_rng(0)
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
-    pose = look_at([3.6, 1.2, 1.5], [-1.0, -1.0, 1.2], [0, 0, 1]).numpy()
+    eye = look_at([3.6, 1.2, 1.5], [-1.0, -1.0, 1.2], [0, 0, 1]).numpy()
     scene: dict[str, Any] = {
         "type": "scene", "integrator": {"type": "path", "max_depth": DEPTH, "rr_depth": 100, "hide_emitters": True},
-        "camera": {"type": "perspective", "fov": 70.0, "to_world": pose,
+        "camera": {"type": "perspective", "fov": 70.0, "to_world": eye,
                    "film": film, "sampler": {"type": "independent", "sample_count": spp}},
         "block": {"type": "cube", "to_world": np.array([[0.5, 0, 0, 0], [0, 0.5, 0, -1], [0, 0, 0.6, 0.6], [0, 0, 0, 1]]),
                   "bsdf": {"type": "diffuse", "reflectance": rgb(0.5, 0.5, 0.5)}}}
