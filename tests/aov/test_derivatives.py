@@ -7,7 +7,7 @@ from torch.func import functional_call
 
 import torch_radbp as rb
 from tests.aov.scenes import NETWORK_FREE, landscape
-from tests.scenes import texels
+from tests.scenes import load, rectangle, sensor, texels
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 2, "max_depth": 1}
@@ -77,6 +77,18 @@ def test_what_does_not_follow_has_no_derivative(parameter):
         if image.requires_grad:
             (gradient,) = torch.autograd.grad(image.square().sum(), value, retain_graph=True, allow_unused=True)
             assert gradient is None or gradient.abs().max() < 1e-9, name
+
+
+def test_beside_rough_glass_whose_paths_are_followed_too():
+    """Paths then carry one thing more, in the quantities' loop as in the image's."""
+    wall = {"type": "diffuse", "reflectance": {"type": "bitmap", "bitmap": texels(4, 5), "raw": True}}
+    scene = load(sensor=sensor(4), sky={"type": "constant"}, wall=rectangle((0, 0, -1), 4, bsdf=wall),
+                 pane=rectangle((0, 0, 0), 0.4, bsdf={"type": "roughdielectric", "alpha": 0.2}))
+    names = ["depth", "albedo"]
+    pose = scene.sensor.to_world.detach().clone().requires_grad_()
+    of = images(scene, names, "sensor.to_world")
+    assert all(values.isfinite().all() and values.max() > 0 for values in of(pose))
+    assert gradcheck(of, pose)
 
 
 def test_normal_maps_turn_the_normals_and_have_derivatives():

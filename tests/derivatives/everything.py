@@ -77,7 +77,8 @@ def shapes() -> dict[str, Any]:
     return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_parallel": parallel(1.2, 16),
             f"{SUBJECT}_blurred": blurred(16, 50), f"{SUBJECT}_calibrated": calibrated(16, 0.7),
             f"{SUBJECT}_fisheye": calibrated(16, 0.7, **FISHEYE), "floor": floor(), **found,
-            f"{SUBJECT}_beam": beam(), **{f"{SUBJECT}_{name}": objects(name)[SUBJECT] for name in LIGHTS},
+            f"{SUBJECT}_beam": beam(bsdf=diffuse(0.3, 0.2, 0.4)),
+            **{f"{SUBJECT}_{name}": objects(name)[SUBJECT] for name in LIGHTS},
             f"{SUBJECT}_surround": {"type": "constant", "radiance": rgb(0.3, 0.2, 0.4)}}
 
 
@@ -98,7 +99,7 @@ def many_lamps() -> dict[str, Any]:
     """More lamps than are picked without regard to where they are, and daylight."""
     found = {f"{SUBJECT}_{name}": lamp for name, lamp in lamps().items()}
     return {f"{SUBJECT}_sensor": camera(16, 50), "floor": floor(), "dark": diffuse(0.1, 0.2, 0.1), **found,
-            f"{SUBJECT}_plane": objects("rectangle")[SUBJECT], f"{SUBJECT}_beam": beam(),
+            f"{SUBJECT}_plane": objects("rectangle")[SUBJECT], f"{SUBJECT}_beam": beam(bsdf={"type": "ref", "id": "dark"}),
             f"{SUBJECT}_sunsky": objects("sunsky")[SUBJECT]}
 
 

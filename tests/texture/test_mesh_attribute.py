@@ -159,7 +159,11 @@ def test_a_value_out_of_range_is_found_and_named():
     scene = room()
     with torch.no_grad():
         scene.subject.vertex_color[1, 2] = 1.5
-    with pytest.raises(ValueError, match=r"subject.vertex_color must be in \[0, 1\], got 1.35"):
+    with pytest.warns(UserWarning, match="subject.vertex_color has values above 1"):
+        rb.render(scene, spp=1)
+    with torch.no_grad():
+        scene.subject.vertex_color[1, 2] = -1.5
+    with pytest.raises(ValueError, match="subject.vertex_color must be at least 0, got -1.35"):
         rb.render(scene, spp=1)
     with torch.no_grad():
         scene.subject.vertex_color[1, 2] = float("nan")

@@ -41,7 +41,7 @@ def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
     @entry
     def sums(chunk: Chunk) -> Tensor:
         ray, lanes, weight = camera_samples(call, chunk, call.views[chunk.sensor].sample_keys[0])
-        start = start_path(ray, lanes, call.scene.lights.by_place)
+        start = start_path(ray, lanes, call.scene.lights.by_place, call.following)
         values = lane_values(integrand_of(call, integrand, chunk), start, quantities)
         channels = [channel for name in names for channel in moments(name, values[plain(name)])]
         return pixel_sums(chunk, channels if weight is None else [channel * weight for channel in channels])
