@@ -6,7 +6,8 @@ from setuptools import find_packages, setup
 from setuptools.command.build_py import build_py
 
 TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli-w>=1.0", "typer>=0.12"]
-TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0", "setuptools>=70.1"]
+CUDA = ["warp-lang>=1.19"]
+TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0", "setuptools>=70.1", *CUDA]
 
 ASSETS = "torch_radbp.assets"  # what the bundled recipes need
 ASSET_FILES = ["README.md", "*/scene.xml", "*/target*.exr", "patches.png", "textured_room/*.png", "pot/*.glb",
@@ -45,6 +46,6 @@ setup(
         'tomli>=2; python_version < "3.11"',
         *TRAIN,
     ],
-    extras_require={"test": TEST, "peer": ["mitsuba==3.9.1"], "cuda": ["warp-lang>=1.5"]},
+    extras_require={"test": TEST, "peer": ["mitsuba==3.9.1"], "cuda": CUDA},
     entry_points={"console_scripts": ["radbp = torch_radbp.training.cli:main"]},
 )

@@ -10,6 +10,7 @@ pytest_plugins = ["pytester"]
 SLOW = "slow: runs with --slow"
 LEFT_OUT = {  # by what the reason of a skipped test holds
     "'mitsuba'": "comparisons with Mitsuba skipped: install the extra `peer`, or run `make test-peer`",
+    "'warp'": "tests of the ray caster of GPUs skipped: install the extra `cuda`",
     SLOW: "slow tests left out: run `make test-slow`",
 }
 

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-SLOW = ("numba", "llvmlite", "scipy", "sympy", "torch._dynamo", "torch._inductor", "trimesh")
+SLOW = ("numba", "llvmlite", "scipy", "sympy", "torch._dynamo", "torch._inductor", "trimesh", "warp")
 
 
 def test_the_package_imports_no_compiler_and_no_mesh_library():

@@ -110,6 +110,8 @@ def modules() -> list[str]:
 
 @pytest.mark.parametrize("name", modules())
 def test_a_module_says_what_it_is(name):
+    if name == "torch_radbp.raycast.warp":
+        pytest.importorskip("warp")
     doc = importlib.import_module(name).__doc__
     assert doc and doc.strip()[0].isupper() | doc.strip().startswith(("`", "torch_radbp", "[")), name
 

@@ -72,7 +72,7 @@ class Renderer(nn.Module):
         compile: fuse the functions of a bounce into loops of vector instructions, once a process for each kind of material
             and dtype, in seconds. On the CPU; elsewhere, with `TapeAdjoint` and in forward mode rendering is eager all the
             same. False: the eager reference, in plain torch.
-        caster: "embree", "direct" or "brute"; None picks by device and number of triangles.
+        caster: "embree", "direct", "warp" or "brute"; None picks by device and number of triangles.
         light_choice: how next-event estimation picks one of the emitters. "uniform": by their `sampling_weight`, the same
             everywhere, as Mitsuba. "tree": also by what they contribute to the point that is to be illuminated, by a tree of
             their bounds; what surrounds the scene, comes from far away or is a beam stands beside it. None: "tree" in scenes

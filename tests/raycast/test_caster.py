@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tests.raycast.meshes import mesh, random_rays, single_ray
-from tests.raycast.test_hits import CASTERS
+from tests.raycast.test_hits import CASTERS, WARP
 from torch_radbp.raycast import FEW_TRIANGLES, Ray, library, make_caster
 from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.direct import Direct
@@ -20,6 +20,7 @@ pytestmark = pytest.mark.usefixtures("threads")  # with one and with two
 
 TRIANGLE = torch.tensor([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
 FACE = torch.tensor([[0, 1, 2]])
+TREES = ("embree", WARP)
 DOWN = single_ray((0.0, 0.0, 3.0), (0.0, 0.0, -1.0))
 
 
@@ -36,10 +37,8 @@ def test_small_meshes_are_tested_directly_and_others_have_a_tree():
 
 
 def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(ValueError, match="unknown ray caster 'optix'; known are 'embree', 'direct', 'brute'"):
+    with pytest.raises(ValueError, match="unknown ray caster 'optix'; known are 'embree', 'direct', 'brute', 'warp'"):
         make_caster("optix", TRIANGLE, FACE)
-    with pytest.raises(ValueError, match="'warp'.*not yet available"):
-        make_caster("warp", TRIANGLE, FACE)
 
 
 @pytest.mark.parametrize("caster", CASTERS)
@@ -60,11 +59,12 @@ def test_vertices_are_copied(caster):
     assert tracer.intersect(DOWN).prim.item() == 0
 
 
-def test_embree_follows_a_moving_mesh_as_brute_force_does():
+@pytest.mark.parametrize("caster", TREES)
+def test_trees_follow_a_moving_mesh_as_brute_force_does(caster):
     """Casters of the same mesh in several places live side by side, and each answers for its own."""
     vertices, faces = mesh("sphere")
     places = [vertices * (1 + 0.3 * torch.sin(3 * vertices.roll(1, dims=1) + step)) for step in range(4)]
-    ours, reference = ([kind(moved, faces) for moved in places] for kind in (Embree, Brute))
+    ours, reference = ([make_caster(kind, moved, faces) for moved in places] for kind in (caster, "brute"))
     ray = random_rays(2000)
     answers = [tracer.intersect(ray).prim for tracer in reference]
     for tracer, prim in zip(ours, answers):
@@ -73,13 +73,14 @@ def test_embree_follows_a_moving_mesh_as_brute_force_does():
     assert not torch.equal(answers[0], answers[1])
 
 
-def test_casters_answer_while_others_are_built_and_freed():
+@pytest.mark.parametrize("caster", TREES)
+def test_casters_answer_while_others_are_built_and_freed(caster):
     """In several threads at once."""
     vertices, faces = mesh("fine sphere")
-    ray, expected = random_rays(3000), Embree(vertices, faces).intersect(random_rays(3000))
+    ray, expected = random_rays(3000), make_caster(caster, vertices, faces).intersect(random_rays(3000))
 
     def turn(number: int) -> bool:
-        tracer = Embree(vertices, faces)
+        tracer = make_caster(caster, vertices, faces)
         return all(torch.equal(a, b) for _ in range(3) for a, b in zip(tracer.intersect(ray), expected))
 
     with ThreadPoolExecutor(6) as pool:

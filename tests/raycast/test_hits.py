@@ -1,5 +1,7 @@
 """Which triangle is hit, and where: the compiled casters against brute force, and all against closed forms."""
 
+from importlib.util import find_spec
+
 import pytest
 import torch
 
@@ -7,8 +9,9 @@ from tests.raycast.meshes import mesh, random_rays, single_ray
 from torch_radbp.raycast import Ray, make_caster
 from torch_radbp.vec import Vec3, cross, dot
 
-CASTERS = ("embree", "direct", "brute")
-COMPILED = ("embree", "direct")
+WARP = pytest.param("warp", marks=pytest.mark.skipif(find_spec("warp") is None, reason="no module named 'warp'"))
+CASTERS = ("embree", "direct", "brute", WARP)
+COMPILED = ("embree", "direct", WARP)
 MESHES = ("soup", "box", "sphere", "sphere in a box")
 DTYPES = (torch.float32, torch.float64)
 
@@ -118,6 +121,23 @@ def test_what_lies_behind_or_at_the_origin_is_not_hit(caster):
     tracer = make_caster(caster, vertices, torch.tensor([[0, 1, 2]]))
     assert tracer.intersect(single_ray((0.0, 0.0, 1e-4), (0.0, 0.0, 1.0))).prim.item() == -1
     assert tracer.intersect(single_ray((0.0, 0.0, 1e-4), (0.0, 0.0, -1.0))).prim.item() == 0
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+@pytest.mark.parametrize("length", [1e-5, 1e5])
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_neither_the_size_of_a_mesh_nor_the_length_of_directions_matters(caster, length, size):
+    vertices, faces = mesh("sphere in a box")
+    ray = random_rays(1000)
+    expected = make_caster("brute", vertices, faces).intersect(ray)
+    scaled = Ray(ray.o * size, ray.d * length)
+    tracer = make_caster(caster, vertices * size, faces)
+    hit, t = tracer.intersect(scaled), expected.t * (size / length)
+    assert (hit.prim == expected.prim).float().mean() > 0.995  # the rest are edges
+    same = (hit.prim == expected.prim) & torch.isfinite(t) & (t > 0)
+    assert same.float().mean() > 0.9
+    torch.testing.assert_close(hit.t[same], t[same], rtol=1e-4, atol=0)
+    assert bool(tracer.occluded(scaled, 1.01 * t)[same].all()) and not bool(tracer.occluded(scaled, 0.99 * t)[same].any())
 
 
 @pytest.mark.parametrize("caster", CASTERS)

@@ -1,0 +1,129 @@
+"""What only the ray caster of GPUs has to hold, on Warp's CPU device; the rest is asked of all casters alike."""
+
+import subprocess
+import sys
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.raycast.meshes import mesh, random_rays
+from torch_radbp.raycast import Ray, make_caster
+from torch_radbp.scene.pack import pack
+from torch_radbp.vec import Vec3
+
+pytest.importorskip("warp")
+
+
+@pytest.mark.parametrize("offset", [0.0, 1000.0])
+@pytest.mark.parametrize("constructed", ["box", "fine sphere"])
+def test_no_ray_towards_an_edge_passes_between_the_boxes_of_the_tree(constructed, offset):
+    """By Warp's own tree 853 of 200,000 get out of the box."""
+    vertices, faces = mesh(constructed)
+    generator = torch.Generator().manual_seed(0)
+    face = faces[torch.randint(len(faces), (200_000,), generator=generator)].long()
+    share = torch.rand(len(face), 1, generator=generator)
+    o = 0.8 * (torch.rand(len(face), 3, generator=generator) - 0.5) + offset
+    vertices = vertices + offset
+    target = vertices[face[:, 0]] * share + vertices[face[:, 1]] * (1 - share)
+    tracer = make_caster("warp", vertices, faces)
+    ray = Ray(Vec3.of(o), Vec3.of(target - o))
+    assert bool((tracer.intersect(ray).prim >= 0).all())
+    assert bool(tracer.occluded(ray, torch.full((len(face),), torch.inf)).all())
+
+
+def test_instances_and_spheres_are_cast_as_their_triangles():
+    """Thirty places of a group, some of them mirrored, beside a tessellated sphere: the triangles that Embree names."""
+    generator = torch.Generator().manual_seed(6)
+    poses = torch.eye(4).repeat(30, 1, 1)
+    poses[:, :3, :3] = 0.3 * torch.linalg.qr(torch.randn(30, 3, 3, generator=generator)).Q
+    poses[:, :3, 3] = 4 * torch.rand(30, 3, generator=generator) - 2
+    group = {"type": "shapegroup", "cube": {"type": "cube"}, "floor": {"type": "rectangle"}}
+    scene = rb.load_dict({
+        "type": "scene", "sensor": {"type": "perspective"}, "sky": {"type": "constant"}, "things": group,
+        "ball": {"type": "sphere", "radius": 0.5},
+        **{f"place_{k}": {"type": "instance", "group": {"type": "ref", "id": "things"}, "to_world": pose}
+           for k, pose in enumerate(poses)}})
+    triangles = pack(scene).triangles
+    stacked = triangles.vertices.p.stack(), torch.stack(triangles.corners, 1)
+    ray = random_rays(20_000, within=2.0)
+    embree, warp = (make_caster(name, *stacked) for name in ("embree", "warp"))
+    expected, hit = embree.intersect(ray), warp.intersect(ray)
+    assert (expected.prim >= 0).float().mean() > 0.3
+    assert (hit.prim != expected.prim).float().mean() < 1e-3  # at edges
+    hidden = [caster.occluded(ray, torch.full((20_000,), 0.8)) for caster in (embree, warp)]
+    assert 0.1 < hidden[0].float().mean() < 0.9
+    assert (hidden[0] != hidden[1]).float().mean() < 1e-3
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_an_image_and_its_gradient_are_those_by_embree(dtype):
+    scene = rb.load_dict({
+        "type": "scene", "sky": {"type": "constant"},
+        "sensor": {"type": "perspective", "fov": 60.0, "film": {"type": "hdrfilm", "width": 24, "height": 24}},
+        "cube": {"type": "cube", "to_world": rb.look_at((0.3, 0.2, 5.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+                 "bsdf": {"type": "diffuse"}},
+        "floor": {"type": "rectangle", "to_world": torch.diag(torch.tensor([9.0, 9.0, 9.0, 1.0]))}}).to(dtype)
+    colour = scene.get_parameter("cube.bsdf.reflectance.value").requires_grad_()
+    images, gradients = [], []
+    for name in ("embree", "warp"):
+        renderer = rb.Renderer(scene, spp=16, max_depth=4, caster=name)
+        images.append(renderer(seed=3))
+        gradients.append(torch.autograd.grad(images[-1].square().sum(), colour)[0])
+        assert type(renderer.last_caster).__name__.lower() == name
+    assert images[0].detach().std() > 0.05 and float(gradients[0].abs().min()) > 1.0
+    assert ((images[0] - images[1]).abs().amax(1) > 1e-5).float().mean() < 0.01  # pixels with a path that meets an edge
+    torch.testing.assert_close(*gradients, rtol=1e-3, atol=0)
+
+
+def test_geometry_that_stays_keeps_its_tree_and_geometry_that_moves_gets_one():
+    scene = rb.load_dict({"type": "scene", "sky": {"type": "constant"}, "sensor": {"type": "perspective"},
+                          "cube": {"type": "cube"}})
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="warp")
+    renderer(seed=0)
+    first = renderer.last_caster
+    renderer(seed=1)
+    assert renderer.last_caster is first
+    with torch.no_grad():
+        scene.cube.to_world[2, 3] += 1.0
+    renderer(seed=0)
+    assert renderer.last_caster is not first
+    ray = random_rays(100)
+    assert not torch.equal(first.intersect(ray).t, renderer.last_caster.intersect(ray).t)
+
+
+def test_many_casters_come_and_go():
+    """Trees are freed with their casters: the process does not grow."""
+    resource = pytest.importorskip("resource")
+    vertices, faces = mesh("fine sphere")
+    before = 0
+    for number in range(40):
+        make_caster("warp", vertices, faces)
+        if number == 10:
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    growth = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert growth < 8 << 10  # KiB; 29 trees and their points take 25 MiB
+
+
+def test_a_device_that_warp_does_not_know_is_named():
+    vertices, faces = (tensor.to("meta") for tensor in mesh("box"))
+    for name in ("warp", None):
+        with pytest.raises(ValueError, match="'warp' works on CUDA and on the CPU, got vertices on meta.*use 'brute'"):
+            make_caster(name, vertices, faces)
+
+
+def test_what_to_install_is_said(monkeypatch):
+    monkeypatch.delitem(sys.modules, "torch_radbp.raycast.warp", raising=False)
+    monkeypatch.setitem(sys.modules, "warp", None)
+    with pytest.raises(ModuleNotFoundError, match="pip install 'warp-lang>=1.19'"):
+        make_caster("warp", *mesh("box"))
+
+
+def test_warp_prints_nothing():
+    program = """
+import torch
+from torch_radbp.raycast import make_caster
+make_caster("warp", torch.eye(3), torch.tensor([[0, 1, 2]]))
+"""
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert said.stdout == ""

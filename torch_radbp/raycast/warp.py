@@ -1,0 +1,229 @@
+"""Ray casting by NVIDIA Warp's tree of triangles, on CUDA devices; Warp's CPU device, one thread of it, serves the tests.
+
+Kernels run on torch's current stream and read and write torch's tensors where they lie. Warp's rule for a ray and a triangle
+is watertight (Woop, Benthin and Wald 2013, "Watertight ray/triangle intersection"), its rule for a ray and a box is not: by
+the rounding of divisions, a ray towards an edge may pass by the boxes of both triangles there (of 200,000 rays towards edges
+of a cube from inside, 853 got out). So the tree is built of triangles that are a little larger, see `widened`, and what rays
+meet are the true ones.
+"""
+
+import math
+import weakref
+from collections.abc import Iterable
+from threading import Lock
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.machine import made_once
+from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
+from torch_radbp.raycast.protocol import Hit, Ray
+from torch_radbp.raycast.refined import refined
+from torch_radbp.shape.ball import Balls
+
+try:
+    import warp as wp
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError("the ray caster 'warp' needs NVIDIA Warp: pip install 'warp-lang>=1.19'",
+                              name="warp") from error
+
+DEVICES = ("cuda", "cpu")
+ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what the kernel writes into a `Hit`
+WIDER = 2.0**-20  # how much wider boxes are, in units of the mesh's extent: enough for rays from 8 extents away
+LARGEST = wp.constant(1e18)  # of a direction's components, and its inverse: divisions neither overflow nor underflow
+FARTHEST = wp.constant(3e38)
+
+
+class Warp:
+    """A `RayCaster` for tensors on CUDA, or on the CPU; Warp itself works in float32.
+
+    For float64 rays u, v and t are computed again in float64 from the ray and the triangle found. The shapes of instances
+    are triangles like others, in the world. Geometry that moves gets a new tree, as with the other casters, so that graphs
+    keep the old one. As with Embree, a ray that starts exactly in a triangle may meet it at t = 0.
+
+    Args:
+        vertices: (V, 3) float32 or float64, finite; copied.
+        faces: (F, 3) integers in [0, V); copied. Triangles without area are never hit.
+        balls: those among the triangles, which are nothing special here.
+
+    Raises:
+        ValueError: the mesh is not as said above, or on a device that Warp does not know.
+    """
+
+    def __init__(self, vertices: Tensor, faces: Tensor, balls: Balls | None = None) -> None:
+        if vertices.device.type not in DEVICES:
+            raise ValueError(f"the ray caster 'warp' works on CUDA and on the CPU, got vertices on {vertices.device}; "
+                             "move the scene, or use 'brute'")
+        self.vertices = checked_vertices(vertices)
+        self.faces = checked_faces(faces, len(self.vertices), device=self.vertices.device)
+        self.balls = balls
+        self.rays_cast = 0
+        self._counting = Lock()
+        self._device = started(self.vertices.device)
+        self._streams: set[torch.cuda.Stream] = set()
+        corners, self._unit = in_units(self.vertices, self.faces)
+        points = widened(corners)
+        numbers = torch.arange(len(points), dtype=torch.int32, device=points.device)
+        with wp.ScopedStream(self._stream(), sync_enter=False):
+            self._mesh = wp.Mesh(wp.from_torch(points, dtype=wp.vec3), wp.from_torch(numbers))
+        points.copy_(corners.flatten(0, 1))  # the tree stays as it is
+        weakref.finalize(self, release, self._mesh, self._streams).atexit = False
+
+    def intersect(self, ray: Ray) -> Hit:
+        check_lanes(ray, None, self.vertices.device)
+        shape, dtype = ray.o.x.shape, ray.o.x.dtype
+        hit = Hit(*(self.vertices.new_empty(shape, dtype=answer) for answer in ANSWERS))
+        self._launch(closest_hit, [*ray.o, *ray.d], hit)
+        return hit if dtype == torch.float32 else refined(self.vertices, self.faces, ray, hit)
+
+    def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
+        check_lanes(ray, tmax, self.vertices.device)
+        hidden = self.vertices.new_empty(ray.o.x.shape, dtype=torch.bool)
+        self._launch(any_hit, [*ray.o, *ray.d, tmax], [hidden])
+        return hidden
+
+    def _launch(self, kernel: wp.Kernel, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
+        """Runs a kernel over all lanes, on torch's current stream; it does not wait for it."""
+        lanes = columns[0].numel()
+        if lanes:
+            columns = [column.detach().to(torch.float32).reshape(-1) for column in columns]
+            wp.launch(kernel, lanes, [self._mesh.id, self._unit, *map(lanes_of, columns)],
+                      [lanes_of(answer.view(-1)) for answer in answers], device=self._device, stream=self._stream(),
+                      record_tape=False)
+        with self._counting:
+            self.rays_cast += lanes
+
+    def _stream(self):
+        """torch's current stream, as Warp's; None on the CPU."""
+        if self._device.is_cpu:
+            return None
+        current = torch.cuda.current_stream(self.vertices.device)
+        if current != torch.cuda.default_stream(self.vertices.device):
+            self._streams.add(current)
+        return wp.stream_from_torch(current)
+
+    def __reduce__(self):
+        return Warp, (self.vertices, self.faces, self.balls)
+
+
+def lanes_of(column: Tensor):
+    """Warp's descriptor of a tensor, of any stride; the tensor must outlive the launch."""
+    return wp.from_torch(column, return_ctype=True, requires_grad=False)
+
+
+def in_units(vertices: Tensor, faces: Tensor) -> tuple[Tensor, float]:
+    """The corners of triangles, (F, 3, 3) float32, in units of about the mesh's extent, and by what they were multiplied.
+
+    That is a power of two, which rounds nothing. Triangles without area are points, of which Warp is sure.
+    """
+    vertices = vertices.to(torch.float32)
+    extent = float((vertices.amax(dim=0).double() - vertices.amin(dim=0).double()).max())
+    exponent = math.frexp(extent)[1] if extent > 0 else 0
+    unit = 2.0 ** max(-120, min(120, -exponent))
+    corners = (vertices * unit)[faces.long()]
+    first, second, third = corners.double().unbind(1)
+    flat = (torch.linalg.cross(second - first, third - first) == 0).all(dim=1)
+    return torch.where(flat[:, None, None], corners[:, :1], corners), unit
+
+
+def widened(corners: Tensor) -> Tensor:
+    """Corners of triangles whose boxes are `WIDER` on every side than those of triangles of extent 1.
+
+    Args:
+        corners: (F, 3, 3).
+
+    Returns:
+        (3 F, 3)
+    """
+    least, most = corners.argmin(dim=1, keepdim=True), corners.argmax(dim=1, keepdim=True)
+    most = torch.where(most == least, (least + 1) % 3, most)
+    below, above = corners.gather(1, least), corners.gather(1, most)
+    infinity = torch.full_like(below, torch.inf)
+    # Far from the origin the numbers themselves are farther apart.
+    below = torch.minimum(below - WIDER, torch.nextafter(below, -infinity))
+    above = torch.maximum(above + WIDER, torch.nextafter(above, infinity))
+    return corners.scatter(1, least, below).scatter(1, most, above).flatten(0, 1).contiguous()
+
+
+# -- Warp's devices and streams -----------------------------------------------------------------------------------------
+
+
+@made_once
+def started(device: torch.device):
+    """Warp's device for one of torch's, with the kernels loaded: compiled the first time, and kept on disk by Warp."""
+    level, wp.config.log_level = wp.config.log_level, max(wp.config.log_level, wp.LOG_ERROR)
+    try:  # without a word on what Warp finds and compiles
+        wp.init()
+        found = wp.device_from_torch(device)
+        wp.load_module(__name__, device=found)
+    finally:
+        wp.config.log_level = level
+    return found
+
+
+def release(mesh: wp.Mesh, streams: set[torch.cuda.Stream]) -> None:
+    """Waits for queries that are under way on streams that do not wait for Warp's memory to be freed, as the mesh is now."""
+    for stream in streams:
+        stream.synchronize()
+
+
+# -- Kernels ------------------------------------------------------------------------------------------------------------
+
+
+@wp.struct
+class Query:
+    """A ray in the units of the tree."""
+
+    valid: wp.bool
+    o: wp.vec3
+    d: wp.vec3  # times a number that keeps divisions in range
+    per_t: float  # t in the tree of one t of the ray
+
+
+@wp.func
+def query_of(unit: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Query:
+    """A ray of the scene for a tree in which everything is `unit` times as large."""
+    query = Query()
+    query.o = wp.vec3(ox * unit, oy * unit, oz * unit)
+    d = wp.vec3(dx, dy, dz)
+    largest = wp.max(wp.abs(d))
+    factor = wp.where(largest > LARGEST, 1.0 / LARGEST, wp.where(largest < 1.0 / LARGEST, LARGEST, 1.0))
+    query.d = d * factor
+    query.valid = wp.isfinite(query.o) and wp.isfinite(d) and largest > 0.0
+    query.per_t = unit / factor
+    return query
+
+
+@wp.kernel(enable_backward=False)
+def closest_hit(mesh: wp.uint64, unit: float,
+                ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
+                dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
+                prim: wp.array(dtype=int), u: wp.array(dtype=float), v: wp.array(dtype=float), t: wp.array(dtype=float)):
+    """`RayCaster.intersect`, a ray a thread."""
+    lane = wp.tid()
+    prim[lane] = -1
+    u[lane] = 0.0
+    v[lane] = 0.0
+    t[lane] = 0.0
+    query = query_of(unit, ox[lane], oy[lane], oz[lane], dx[lane], dy[lane], dz[lane])
+    if not query.valid:
+        return
+    found = wp.mesh_query_ray(mesh, query.o, query.d, FARTHEST)
+    if found.result:
+        prim[lane] = found.face
+        u[lane] = found.v  # Warp's u and v are the weights of the first and the second vertex
+        v[lane] = wp.max(1.0 - found.u - found.v, 0.0)
+        t[lane] = found.t / query.per_t
+
+
+@wp.kernel(enable_backward=False)
+def any_hit(mesh: wp.uint64, unit: float,
+            ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
+            dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float), tmax: wp.array(dtype=float),
+            hidden: wp.array(dtype=wp.bool)):
+    """`RayCaster.occluded`, a ray a thread."""
+    lane = wp.tid()
+    hidden[lane] = False
+    query = query_of(unit, ox[lane], oy[lane], oz[lane], dx[lane], dy[lane], dz[lane])
+    if query.valid and tmax[lane] > 0.0:
+        hidden[lane] = wp.mesh_query_ray_anyhit(mesh, query.o, query.d, wp.min(tmax[lane] * query.per_t, FARTHEST))
