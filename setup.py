@@ -9,6 +9,8 @@ TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli
 CUDA = ["warp-lang>=1.19"]
 TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0", "setuptools>=70.1", *CUDA]
 
+TRAINING = "torch_radbp.training"
+PARTS = [f"{TRAINING}.{name}" for name in find_packages("training")]
 ASSETS = "torch_radbp.assets"  # what the bundled recipes need
 ASSET_FILES = ["README.md", "*/scene.xml", "*/target*.exr", "patches.png", "textured_room/*.png", "pot/*.glb",
                "pot/*.exr", "lit_balls/*.exr", "relief/*.exr"]
@@ -29,10 +31,10 @@ setup(
     long_description_content_type="text/markdown",
     license="MIT",
     python_requires=">=3.10",
-    packages=[*find_packages(include=["torch_radbp", "torch_radbp.*"]), "torch_radbp.training", ASSETS],
+    packages=[*find_packages(include=["torch_radbp", "torch_radbp.*"]), TRAINING, *PARTS, ASSETS],
     # Side by side in the wheel, as in the repository: recipes name their scenes by ../../assets.
-    package_dir={"torch_radbp.training": "training", ASSETS: "assets"},
-    package_data={"torch_radbp.training": ["recipes/*.toml", "*.md"], ASSETS: ASSET_FILES,
+    package_dir={TRAINING: "training", ASSETS: "assets"},
+    package_data={TRAINING: ["recipes/*.toml", "*.md"], ASSETS: ASSET_FILES,
                   "torch_radbp.emitter": ["sunsky_data.npz", "sunsky_data.md"]},
     cmdclass={"build_py": BuildWithoutScripts},
     install_requires=[

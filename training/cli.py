@@ -4,14 +4,14 @@ from typing import Annotated
 
 import typer
 
-from torch_radbp.training.check_command import EPILOG as CHECK_EPILOG
-from torch_radbp.training.check_command import check
-from torch_radbp.training.info_command import EPILOG as INFO_EPILOG
-from torch_radbp.training.info_command import info
-from torch_radbp.training.optimize_command import EPILOG as OPTIMIZE_EPILOG
-from torch_radbp.training.optimize_command import optimize
-from torch_radbp.training.render_command import EPILOG as RENDER_EPILOG
-from torch_radbp.training.render_command import render
+from torch_radbp.training.commands.check import EPILOG as CHECK_EPILOG
+from torch_radbp.training.commands.check import check
+from torch_radbp.training.commands.info import EPILOG as INFO_EPILOG
+from torch_radbp.training.commands.info import info
+from torch_radbp.training.commands.optimize import EPILOG as OPTIMIZE_EPILOG
+from torch_radbp.training.commands.optimize import optimize
+from torch_radbp.training.commands.render import EPILOG as RENDER_EPILOG
+from torch_radbp.training.commands.render import render
 
 EPILOG = (
     "Examples:\n\n"

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 import torch_radbp as rb
 from torch_radbp.io.image import read_image
-from torch_radbp.training.losses import two_buffer_l2
+from torch_radbp.training.recovery.losses import two_buffer_l2
 
 ROOM = Path(__file__).parent.parent / "assets" / "textured_room"
 

@@ -5,14 +5,14 @@ from typing import Any
 
 from rich.console import Console
 
-from torch_radbp.training.checkpoint import check_state, load_checkpoint, save_checkpoint
 from torch_radbp.training.interrupt import Interrupts
-from torch_radbp.training.optimize import Recovery, train
-from torch_radbp.training.outcome import finish, save_before
 from torch_radbp.training.progress import TimedProgress
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.report import write_report
-from torch_radbp.training.run_folder import RunFolder
+from torch_radbp.training.recovery.checkpoint import check_state, load_checkpoint, save_checkpoint
+from torch_radbp.training.recovery.optimize import Recovery, train
+from torch_radbp.training.recovery.outcome import finish, save_before
+from torch_radbp.training.recovery.run_folder import RunFolder
+from torch_radbp.training.report.page import write_report
 
 
 def run(

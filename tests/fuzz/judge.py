@@ -19,8 +19,8 @@ import torch
 import torch_radbp as rb
 from tests.texture.networks import mlp, textured
 from torch_radbp.io.transform import translate
-from torch_radbp.training.optimize import Recovery
 from torch_radbp.training.recipe_file import read_recipe
+from torch_radbp.training.recovery.optimize import Recovery
 
 MESH_OPTIONS = [{}, {"face_normals": True}, {"recompute_normals": True}, {"flip_tex_coords": True, "flip_normals": True},
                 {"emitter": {"type": "area"}}, {"emitter": {"type": "directionalarea"}, "face_normals": True},

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 import torch_radbp as rb
 from tests.io.gltf_files import GltfFile
 from torch_radbp.io.image import read_image, srgb_to_linear
-from torch_radbp.training import optimize
 from torch_radbp.training.cli import app
+from torch_radbp.training.recovery import optimize
 
 SEED = 3
 

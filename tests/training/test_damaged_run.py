@@ -13,12 +13,12 @@ import torch
 from rich.console import Console
 
 from torch_radbp.io.image import save_image
-from torch_radbp.training.checkpoint import CheckpointError, save_checkpoint
-from torch_radbp.training.metrics import MetricsFile
-from torch_radbp.training.optimize import Recovery
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
+from torch_radbp.training.recovery.checkpoint import CheckpointError, save_checkpoint
+from torch_radbp.training.recovery.metrics import MetricsFile
+from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.run_folder import RunFolder
 from torch_radbp.training.run import run
-from torch_radbp.training.run_folder import RunFolder
 
 pytestmark = pytest.mark.hostile
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from torch_radbp.training.optimize import Recovery
 from torch_radbp.training.recipe_file import read_recipe
+from torch_radbp.training.recovery.optimize import Recovery
 
 pytestmark = pytest.mark.hostile
 

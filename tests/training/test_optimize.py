@@ -11,13 +11,13 @@ import torch_radbp as rb
 from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.io.image import save_image
 from torch_radbp.stages import EAGER
-from torch_radbp.training import optimize
-from torch_radbp.training.metrics import MetricsFile
-from torch_radbp.training.optimize import Recovery, step_seed
 from torch_radbp.training.recipe import Constant, Cosine, Exponential, Step
 from torch_radbp.training.recipe_file import read_recipe
+from torch_radbp.training.recovery import optimize
+from torch_radbp.training.recovery.metrics import MetricsFile
+from torch_radbp.training.recovery.optimize import Recovery, step_seed
+from torch_radbp.training.recovery.schedule import learning_rate_factor
 from torch_radbp.training.run import run
-from torch_radbp.training.schedule import learning_rate_factor
 
 
 def write_true_target(folder, spp=256):

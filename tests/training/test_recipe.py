@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from torch_radbp.io.image import save_image
-from torch_radbp.training.optimize import Recovery
 from torch_radbp.training.recipe_file import RecipeError, read_recipe, write_recipe
+from torch_radbp.training.recovery.optimize import Recovery
 
 BAD_RECIPES = {
     "unknown key at the top": ("steps = 6", "step = 6", ["unknown key 'step'", "'steps'"]),

@@ -11,14 +11,14 @@ import torch
 from rich.console import Console
 
 from torch_radbp.io.image import read_image
-from torch_radbp.training.chart import Line, line_chart
-from torch_radbp.training.curve_colours import curve_colours
 from torch_radbp.training.false_colour import error_scale, false_colour
-from torch_radbp.training.optimize import Recovery
-from torch_radbp.training.passes import render_in_passes
 from torch_radbp.training.progress import TimedProgress, duration
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.report_curves import running_mean
+from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.passes import render_in_passes
+from torch_radbp.training.report.chart import Line, line_chart
+from torch_radbp.training.report.curve_colours import curve_colours
+from torch_radbp.training.report.curves import running_mean
 from torch_radbp.training.run import run
 
 
@@ -189,7 +189,7 @@ def test_report_images_end_where_no_noise_is_seen(folder):
     spp = {}
     for name, value in {"few": 1e-9, "many": 1e9}.items():
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("torch_radbp.training.outcome.INVISIBLE", value)
+            patch.setattr("torch_radbp.training.recovery.outcome.INVISIBLE", value)
             overrides = ["steps=1", "report.spp=200"]
             summary, _ = run(folder / "recipe.toml", overrides, folder / name, False, Console(quiet=True))
         spp[name] = summary["image_spp"]

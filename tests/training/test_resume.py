@@ -7,8 +7,8 @@ import pytest
 import torch
 from rich.console import Console
 
-from torch_radbp.training import optimize
-from torch_radbp.training.metrics import MetricsFile
+from torch_radbp.training.recovery import optimize
+from torch_radbp.training.recovery.metrics import MetricsFile
 from torch_radbp.training.run import run
 
 QUIET = Console(quiet=True)

@@ -8,10 +8,10 @@ from rich.console import Console
 
 import torch_radbp as rb
 from torch_radbp.io.image import save_image
-from torch_radbp.training.optimize import Recovery
-from torch_radbp.training.optimize_command import recovered_table
+from torch_radbp.training.commands.optimize import recovered_table
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
-from torch_radbp.training.rigid import PoseError, Rigid, motion_between, moved
+from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.rigid import PoseError, Rigid, motion_between, moved
 from torch_radbp.training.run import run
 
 COLOUR = 'name = "paint.reflectance.value"\ninitial = 0.5\nbounds = [0.0, 1.0]'

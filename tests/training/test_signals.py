@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from torch_radbp.training.interrupt import WORDS, Interrupts
-from torch_radbp.training.metrics import MetricsFile
+from torch_radbp.training.recovery.metrics import MetricsFile
 
 pytestmark = pytest.mark.hostile
 
@@ -19,7 +19,12 @@ pytestmark = pytest.mark.hostile
 FORKS = """
 import json, os, sys
 import torch.utils.tensorboard
-from torch_radbp.training import cli, optimize, outcome, passes, report, run
+from torch_radbp.training import cli
+from torch_radbp.training.recovery import optimize
+from torch_radbp.training.recovery import outcome
+from torch_radbp.training.recovery import passes
+from torch_radbp.training.report import page as report
+from torch_radbp.training import run
 
 for line in sys.stdin:
     case = json.loads(line)

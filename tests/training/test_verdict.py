@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from torch_radbp.training.verdict import CONVERGED, FALLING, NOISE, RISING, TOO_SHORT, ImageErrors, judge_losses
+from torch_radbp.training.recovery.verdict import CONVERGED, FALLING, NOISE, RISING, TOO_SHORT, ImageErrors, judge_losses
 
 UNCHANGED = ImageErrors(0.1, 0.1)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from torch_radbp.training.bundled import bundled_recipes, listing, recipe_path
+from torch_radbp.training.commands.bundled import bundled_recipes, listing, recipe_path
 
 ROOT = Path(__file__).parents[2]
 

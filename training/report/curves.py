@@ -3,9 +3,9 @@
 import html
 from typing import Any
 
-from torch_radbp.training.chart import Line, line_chart
-from torch_radbp.training.curve_colours import CHANNELS, PALETTE, curve_colours
-from torch_radbp.training.rigid import COMPONENTS
+from torch_radbp.training.recovery.rigid import COMPONENTS
+from torch_radbp.training.report.chart import Line, line_chart
+from torch_radbp.training.report.curve_colours import CHANNELS, PALETTE, curve_colours
 
 Rows = list[dict[str, float]]
 

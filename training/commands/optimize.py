@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from torch_radbp.training.bundled import bundled_recipes, listing, recipe_path
-from torch_radbp.training.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.bundled import bundled_recipes, listing, recipe_path
+from torch_radbp.training.commands.clear_errors import Debug, clear_errors
 
 EPILOG = (
     "Examples:\n\n"

@@ -7,8 +7,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from torch_radbp.training.clear_errors import Debug, clear_errors
-from torch_radbp.training.scene_variables import Define, parse_variables
+from torch_radbp.training.commands.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.scene_variables import Define, parse_variables
 
 EPILOG = (
     "Examples:\n\n"

@@ -7,9 +7,9 @@ from typing import Any
 
 import torch
 
-from torch_radbp.training.curve_colours import srgb_levels
 from torch_radbp.training.false_colour import false_colour
-from torch_radbp.training.run_folder import RunFolder
+from torch_radbp.training.recovery.run_folder import RunFolder
+from torch_radbp.training.report.curve_colours import srgb_levels
 
 SLIDER_ROLES = ("before", "after", "target")
 TEXTURE_ROLES = ("before", "recovered", "true")

@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from torch_radbp.training.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.scene_variables import Define, parse_variables
 from torch_radbp.training.progress import TimedProgress
-from torch_radbp.training.scene_variables import Define, parse_variables
 
 # Passes of a long rendering, so that the progress bar moves; few enough that packing the scene costs nothing.
 MOST_PASSES = 16
@@ -52,9 +52,9 @@ def render(
         import torch_radbp as rb
         from torch_radbp.io.image import WRITABLE
         from torch_radbp.settings import samples_per_pixel
-        from torch_radbp.training.outputs import outputs_of, save_with_outputs
-        from torch_radbp.training.passes import render_in_passes
-        from torch_radbp.training.targets import sensor_films
+        from torch_radbp.training.commands.outputs import outputs_of, save_with_outputs
+        from torch_radbp.training.recovery.passes import render_in_passes
+        from torch_radbp.training.recovery.targets import sensor_films
 
         if output.suffix.lower() not in WRITABLE:
             raise ValueError(f"{output}: the image must end in {' or '.join(WRITABLE)}, got {output.suffix!r}")

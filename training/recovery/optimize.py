@@ -15,13 +15,13 @@ from torch import Tensor
 import torch_radbp as rb
 from torch_radbp.differentiated import differentiable
 from torch_radbp.training import recipe as schema
-from torch_radbp.training.checkpoint import save_checkpoint
 from torch_radbp.training.interrupt import Interrupts
-from torch_radbp.training.losses import Objective
-from torch_radbp.training.parameters import RecoveredParameter, choose_parameters
-from torch_radbp.training.run_folder import RunFolder
-from torch_radbp.training.schedule import make_scheduler
-from torch_radbp.training.targets import read_targets, sensor_films
+from torch_radbp.training.recovery.checkpoint import save_checkpoint
+from torch_radbp.training.recovery.losses import Objective
+from torch_radbp.training.recovery.parameters import RecoveredParameter, choose_parameters
+from torch_radbp.training.recovery.run_folder import RunFolder
+from torch_radbp.training.recovery.schedule import make_scheduler
+from torch_radbp.training.recovery.targets import read_targets, sensor_films
 
 # Steps in a row without a usable gradient after which a run gives up.
 MAX_SKIPPED_IN_A_ROW = 10

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from torch_radbp.io.atomic import replacing
-from torch_radbp.training.curve_colours import srgb_levels
 from torch_radbp.training.progress import duration
 from torch_radbp.training.recipe import Recipe
-from torch_radbp.training.report_curves import curves_section
-from torch_radbp.training.report_pictures import pictures_section, textures_section
-from torch_radbp.training.report_style import STYLE
-from torch_radbp.training.run_folder import RunFolder
+from torch_radbp.training.recovery.run_folder import RunFolder
+from torch_radbp.training.report.curve_colours import srgb_levels
+from torch_radbp.training.report.curves import curves_section
+from torch_radbp.training.report.pictures import pictures_section, textures_section
+from torch_radbp.training.report.style import STYLE
 
 
 def write_report(folder: RunFolder) -> Path:

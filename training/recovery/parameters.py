@@ -13,7 +13,7 @@ from torch_radbp.io.image import read_image
 from torch_radbp.plugin import nearest
 from torch_radbp.scene.parameters import held_values
 from torch_radbp.training import recipe
-from torch_radbp.training.rigid import PoseError, Rigid, components, moved
+from torch_radbp.training.recovery.rigid import PoseError, Rigid, components, moved
 
 
 class Sigmoid(nn.Module):

@@ -9,10 +9,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from torch_radbp.training.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.render import chosen_sensors
+from torch_radbp.training.commands.scene_variables import Define, parse_variables
 from torch_radbp.training.progress import TimedProgress
-from torch_radbp.training.render_command import chosen_sensors
-from torch_radbp.training.scene_variables import Define, parse_variables
 
 BIASED_CODE, TOO_NOISY_CODE = 1, 3
 SHOWN_Z = 5.0  # standard errors at the ends of the colour bar
@@ -60,7 +60,7 @@ def check(
     console = Console()
     with clear_errors(debug):
         import torch_radbp as rb
-        from torch_radbp.training.targets import sensor_films
+        from torch_radbp.training.recovery.targets import sensor_films
 
         loaded = rb.load(scene, **parse_variables(define))
         indices = chosen_sensors(sensor, list(sensor_films(loaded)))

@@ -25,9 +25,9 @@ from torch import Tensor, nn
 import torch_radbp as rb
 from torch_radbp.io.atomic import replacing
 from torch_radbp.io.image import save_image
-from torch_radbp.training.metrics import MetricsFile
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
+from torch_radbp.training.recovery.metrics import MetricsFile
 
 
 class RunFolder:

@@ -13,11 +13,11 @@ from torch import Tensor
 
 from torch_radbp.io.image import read_image
 from torch_radbp.training.false_colour import absolute_error, error_scale, false_colour
-from torch_radbp.training.optimize import Recovery, step_seed
-from torch_radbp.training.parameters import RecoveredParameter
-from torch_radbp.training.passes import Estimate, render_in_passes
-from torch_radbp.training.run_folder import RunFolder
-from torch_radbp.training.verdict import ImageErrors, judge_losses
+from torch_radbp.training.recovery.optimize import Recovery, step_seed
+from torch_radbp.training.recovery.parameters import RecoveredParameter
+from torch_radbp.training.recovery.passes import Estimate, render_in_passes
+from torch_radbp.training.recovery.run_folder import RunFolder
+from torch_radbp.training.recovery.verdict import ImageErrors, judge_losses
 
 # Samples of a pass, and the noise below which more of them are not seen: 1.8 of the 255 levels of a screen.
 PASS_SPP, INVISIBLE = 32, 0.007

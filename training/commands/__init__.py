@@ -1,0 +1,1 @@
+"""The commands of `radbp`, a file each, and what they share."""
