@@ -5,6 +5,7 @@ Everything is written into one folder, so that mutants find the files that their
 
 from __future__ import annotations
 
+import json
 import shutil
 import struct
 from pathlib import Path
@@ -16,7 +17,10 @@ from PIL import Image
 
 from tests.io.gltf_files import SQUARE, GltfFile
 from tests.io.serialized_files import mesh, serialized
+from tests.io.test_colmap import CAMERAS as CAMERA_LINES
+from tests.io.test_colmap import IMAGES as IMAGE_LINES
 from tests.io.test_gltf_write import everything
+from tests.io.test_nerf import BLENDER, OPENCV
 from tests.peer.cases import CASES
 from tests.peer.matrix import SMALL
 from tests.peer.scene_files import Folder
@@ -26,7 +30,8 @@ from torch_radbp.plugin import REGISTRY, attributes
 
 ROOT = Path(__file__).parents[2]
 FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "exr", "png", "bmp", "tga", "hdr", "pfm",
-                                          "toml", "gltf", "glb")}
+                                          "toml", "gltf", "glb")} | {"colmap": ".txt", "nerf": ".json"}
+NEXT_FILE = b"# the next file\n"  # between cameras.txt and images.txt of a COLMAP model, which mutate as one
 
 
 class Seed(NamedTuple):
@@ -54,7 +59,23 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
         **image_seeds,
         "toml": _recipes(root, folders["recipe"]),
         **_assets(root),
+        **_cameras(root),
     }
+
+
+def _cameras(root: Path) -> dict[str, list[Seed]]:
+    """Cameras of every model that COLMAP and NeRF data sets have; images beside them tell the size of some."""
+    folders = {name: root / name for name in ("colmap", "nerf")}
+    for folder in folders.values():
+        folder.mkdir()
+    (folders["nerf"] / "train").mkdir()
+    Image.new("RGB", (8, 6)).save(folders["nerf"] / "train" / "r_0.png")
+    every = "".join(f"{number} 1 0.1 {0.1 * number} 0 0 0 2 {number} {number}.jpg\n\n" for number in range(1, 8))
+    fisheye = OPENCV | {"camera_model": "OPENCV_FISHEYE", "p1": 0, "p2": 0, "k4": 0.01}
+    return {"colmap": [Seed(folders["colmap"], NEXT_FILE.join((CAMERA_LINES.encode(), images.encode())))
+                       for images in (IMAGE_LINES, every)],
+            "nerf": [Seed(folders["nerf"], json.dumps(document, indent=1).encode())
+                     for document in (BLENDER, OPENCV, fisheye, BLENDER | {"is_fisheye": True, "k1": 0.1})]}
 
 
 def _assets(root: Path) -> dict[str, list[Seed]]:

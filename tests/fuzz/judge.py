@@ -17,6 +17,7 @@ from typing import NamedTuple
 import torch
 
 import torch_radbp as rb
+from tests.fuzz.corpus import NEXT_FILE
 from tests.texture.networks import mlp, textured
 from torch_radbp.io.transform import translate
 from torch_radbp.training.recipe_file import read_recipe
@@ -102,6 +103,9 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
     sensor = {"type": "perspective", "film": film, "to_world": rb.look_at([0.5, 0.4, 3], [0.5, 0.5, 0], [0, 1, 0])}
     scene = {"type": "scene", "sensor": sensor}
+    if family in ("colmap", "nerf"):
+        cameras = rb.cameras_from_nerf(path, scale=0.5) if family == "nerf" else rb.cameras_from_colmap(model_of(path))
+        return rb.load_dict({"type": "scene", **cameras, "sky": {"type": "constant"}, "ball": {"type": "sphere"}})
     if family in ("obj", "ply", "serialized"):
         mesh = {"type": family, "filename": str(path), **one_of(MESH_OPTIONS, path)}
         if family == "serialized":
@@ -112,6 +116,16 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
                          "wall": {"type": "rectangle", "emitter": {"type": "area", "radiance": picture}},
                          "sheet": {"type": "rectangle", "to_world": translate((0.8, 0.9, 0.5)),
                                    "bsdf": one_of(PICTURE_USES, path)(picture)}})
+
+
+def model_of(path: Path) -> Path:
+    """The folder of a COLMAP model whose two files are written in one; beside it."""
+    folder = path.with_suffix("")
+    folder.mkdir(exist_ok=True)
+    cameras, _, images = path.read_bytes().partition(NEXT_FILE)
+    (folder / "cameras.txt").write_bytes(cameras)
+    (folder / "images.txt").write_bytes(images)
+    return folder
 
 
 def one_of(choices: Sequence, path: Path):

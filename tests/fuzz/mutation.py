@@ -201,4 +201,6 @@ MUTATIONS: dict[str, list[Mutation]] = {
     "toml": [of_values, of_values, of_words, of_lines, of_bytes],
     "gltf": [of_values, of_values, of_json, of_json, of_words, of_bytes],
     "glb": [of_glb, of_glb, of_bytes],
+    "colmap": [of_values, of_values, of_words, of_lines, of_bytes],
+    "nerf": [of_values, of_values, of_json, of_json, of_words, of_bytes],
 }
