@@ -20,10 +20,14 @@ class Effort(NamedTuple):
     spp: int  # samples per pixel of a batch
     batches: int  # independent ones, whose spread gives standard errors
     seed: int = 0
+    compile: bool = True
 
 
 class Estimate:
-    """Batches of derivative images that become less noisy with every round; no two share samples."""
+    """Batches of derivative images that become less noisy with every round; no two share samples.
+
+    Sensors of the scene are batches that a call renders together: they are to see the same.
+    """
 
     def __init__(self, moving: MovingScene, effort: Effort):
         self.moving, self.effort, self.rounds, self.used = moving, effort, 0, 0
@@ -33,13 +37,15 @@ class Estimate:
         self.eps = torch.finfo(value.dtype).eps
         self.measurements = {}
         for sampling in moving.samplings:
-            renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling)
+            renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling, compile=effort.compile)
             self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value, self.tangent, moving.step,
                                                       effort.spp, effort.seed, None, None, total=0)
         self.sums: dict[str, Tensor] = {}
         self.rounding: Tensor | float = 0.0
         reference, _ = self.plain.difference(self.new_number())
-        self.cotangents: list[Cotangent] = informative_cotangents(reference, effort.seed)
+        self.sensors = len(reference)
+        self.calls = -(-effort.batches // self.sensors)
+        self.cotangents: list[Cotangent] = informative_cotangents(reference.mean(0, keepdim=True), effort.seed)
         self.backward = {sampling: [0.0] * len(self.cotangents) for sampling in moving.samplings}
 
     @property
@@ -53,18 +59,23 @@ class Estimate:
         return self.used - 1
 
     def add(self, name: str, images: list[Tensor]) -> None:
-        self.sums[name] = torch.stack(images) + self.sums.get(name, 0)
+        """Adds the images of some calls, (sensors, 3, H, W) each, to the (batches, 1, 3, H, W) sums of an estimate."""
+        self.sums[name] = torch.cat(images)[:, None] + self.sums.get(name, 0)
+
+    def for_the_first(self, cotangent: Tensor) -> Tensor:
+        """A cotangent (1, 3, H, W) of the first sensor of a call."""
+        return torch.cat([cotangent, cotangent.new_zeros(self.sensors - 1, *cotangent.shape[1:])])
 
     def add_round(self) -> None:
         """Renders every batch of every estimate once more."""
         self.rounds += 1
-        pairs = [self.plain.difference(self.new_number()) for _ in range(self.effort.batches)]
+        pairs = [self.plain.difference(self.new_number()) for _ in range(self.calls)]
         self.add("differences", [difference for difference, _ in pairs])
-        self.rounding = self.eps * torch.stack([size for _, size in pairs]).amax(0) / self.moving.step
+        self.rounding = self.eps * torch.cat([size for _, size in pairs]).amax(0, keepdim=True) / self.moving.step
         for sampling, measurement in self.measurements.items():
-            numbers = [self.new_number() for _ in range(self.effort.batches)]
+            numbers = [self.new_number() for _ in range(self.calls)]
             self.add(sampling, [measurement.forward(number)[1] for number in numbers])
-            backward = measurement.backward(numbers[0], [cotangent.image for cotangent in self.cotangents])
+            backward = measurement.backward(numbers[0], [self.for_the_first(cotangent.image) for cotangent in self.cotangents])
             self.backward[sampling] = [old + new for old, new in zip(self.backward[sampling], backward)]
 
     def checks(self, error: float = 0.0) -> dict[str, GradientCheck]:
@@ -75,5 +86,5 @@ class Estimate:
             backward = [factor * value for value in self.backward[sampling]]
             comparison = compare(samples, self.cotangents, backward, self.eps)
             found[sampling] = judge(self.moving.name, self.tangent, self.moving.step,
-                                    effort.spp * effort.batches * self.rounds, effort.batches, effort.seed, True, comparison)
+                                    effort.spp * len(samples.jvp) * self.rounds, len(samples.jvp), effort.seed, True, comparison)
         return found

@@ -48,12 +48,15 @@ def nested(plugin: type[Plugin]) -> set[str]:
     return found
 
 
+def pairs_of(scene: rb.Scene, name: str) -> set[Pair]:
+    """The pairs that a parameter belongs to: its plugin's, and those of the plugins that hold it."""
+    path, found = name.split("."), set()
+    for depth in range(1, len(path)):
+        plugin = scene.get_submodule(".".join(path[:depth]))
+        found.add(Pair(f"{plugin.category} {plugin.type}", path[depth]))
+    return found
+
+
 def examined(scene: rb.Scene) -> set[Pair]:
     """The pairs that the parameters of the scene's subject belong to."""
-    pairs = set()
-    for name in subjects(scene):
-        path = name.split(".")
-        for depth in range(1, len(path)):
-            plugin = scene.get_submodule(".".join(path[:depth]))
-            pairs.add(Pair(f"{plugin.category} {plugin.type}", path[depth]))
-    return pairs
+    return set().union(*(pairs_of(scene, name) for name in subjects(scene)))

@@ -181,6 +181,17 @@ def test_mitsuba_renders_the_saved_scene_as_the_original(mi, everything, target)
     assert np.abs(z).mean() < 1.0  # 0.87 for a t distribution of 14 degrees of freedom; another scene gives several
 
 
+@pytest.mark.parametrize("radiance", [{"type": "rgb", "value": [3, 2, 1]}, {"type": "bitmap", "data": np.ones((2, 2, 3))}])
+def test_a_texture_that_two_shapes_share_is_shared_again(target, radiance):
+    lamp = {"type": "rectangle", "emitter": {"type": "area", "radiance": radiance}}
+    scene = load_dict(scene_dict(a=lamp, b=lamp, b_emitter_radiance={"type": "diffuse"}))
+    scene.a.emitter.radiance = scene.b.emitter.radiance
+    save(scene, target)
+    saved = load(target)
+    assert saved.a.emitter.radiance is saved.b.emitter.radiance
+    assert {name for name, _ in saved.named_parameters()} == {name for name, _ in scene.named_parameters()}
+
+
 def test_changed_parameters_are_what_is_written(everything, target):
     scene = load(everything)
     with torch.no_grad():

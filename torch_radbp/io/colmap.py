@@ -17,7 +17,7 @@ from torch_radbp.entry import entry
 from torch_radbp.io.files import opened
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
-from torch_radbp.sensor.opencv import Intrinsics, pose_of, sensor_of
+from torch_radbp.sensor.opencv import LARGEST, SMALLEST, Intrinsics, pose_of, sensor_of
 
 MODELS = {  # the parameters in their order; f is both focal lengths
     "SIMPLE_PINHOLE": (BROWN_CONRADY, ("f", "cx", "cy")),
@@ -82,7 +82,7 @@ class Line(NamedTuple):
             values = [float(word) for word in self.words[first:last]]
         except ValueError:
             values = [math.nan]
-        if not all(map(math.isfinite, values)):
+        if not all(abs(value) < LARGEST for value in values):
             raise self.fail(f"{what} must be finite numbers, got {' '.join(self.words[first:last])[:80]!r}")
         return values
 
@@ -121,7 +121,7 @@ def read_cameras(path: Path) -> dict[str, Intrinsics]:
         values = dict(zip(parameters, line.numbers(4, None, "parameters")))
         focal = [values.pop(key, None) for key in ("fx", "fy")]
         fx, fy = [values.pop("f")] * 2 if "f" in values else focal
-        if min(fx, fy) <= 0:
+        if min(fx, fy) < SMALLEST:
             raise line.fail(f"focal lengths must be greater than 0, got {min(fx, fy):g}")
         cx, cy = values.pop("cx") - 0.5, values.pop("cy") - 0.5
         cameras[name] = Intrinsics(int(size[0]), int(size[1]), fx, fy, cx, cy, model=lens, coefficients=values)

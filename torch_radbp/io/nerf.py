@@ -16,7 +16,7 @@ from torch_radbp.entry import entry
 from torch_radbp.io.files import opened
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
-from torch_radbp.sensor.opencv import FROM_OPENGL, ORTHOGONAL, Intrinsics, sensor_of
+from torch_radbp.sensor.opencv import FROM_OPENGL, LARGEST, ORTHOGONAL, SMALLEST, Intrinsics, sensor_of
 
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "k1", "k2", "k3", "k4", "p1", "p2",
               "camera_model", "is_fisheye")
@@ -98,7 +98,7 @@ def number(place: str, given: dict[str, Any], key: str) -> float | None:
     value = given.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e30:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < LARGEST:
         raise SceneError(f"{place}: {key} must be a finite number, got {value!r:.80}")
     return float(value)
 
@@ -139,8 +139,8 @@ def intrinsics(place: str, given: dict[str, Any], size: list[int]) -> Intrinsics
             if not 0 < wide < math.pi:
                 raise SceneError(f"{place}: {angle} must be between 0 and pi radians, got {wide:g}")
             length = 0.5 * side / math.tan(0.5 * wide)
-        if length is not None and length <= 0:
-            raise SceneError(f"{place}: {key} must be greater than 0, got {length:g}")
+        if length is not None and not SMALLEST <= length < LARGEST:
+            raise SceneError(f"{place}: {key} must be greater than 0 and finite, got {length:g}")
         focal.append(length)
     if focal == [None, None]:
         raise SceneError(f"{place}: the focal length is missing: give fl_x (pixels) or camera_angle_x (radians)")
@@ -161,11 +161,11 @@ def pose(place: str, frame: dict[str, Any]) -> np.ndarray:
     """(4, 4) float64 `to_world` of a frame."""
     try:
         matrix = np.array(frame.get("transform_matrix"), dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.zeros(0)
     if matrix.shape == (3, 4):
         matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-6:
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST).all() or np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-6:
         raise SceneError(f"{place}.transform_matrix: must be a 4 x 4 matrix of finite numbers with the last row 0 0 0 1, "
                          f"got {frame.get('transform_matrix')!r:.120}")
     lengths = np.linalg.norm(matrix[:3, :3], axis=0)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -83,6 +85,10 @@ class _Writer:
     def __init__(self, scene: Scene, stem: str, folder: Path):
         self.scene, self.stem, self.folder = scene, stem, folder
         self.ids = {id(child): name for name, child in scene.named_children()}
+        plugins = [module for module in scene.modules() if isinstance(module, Plugin)]
+        owners = Counter(id(part) for plugin in plugins for part in _parts(plugin))
+        self.shared = {part for part, count in owners.items() if count > 1}
+        self.taken = {*self.ids.values(), *(plugin.id for plugin in plugins)}
         self.files: list[Path] = []
 
     def scene_element(self) -> ElementTree.Element:
@@ -165,16 +171,24 @@ class _Writer:
         """A plugin inside another one: a reference, a plain colour or an element of its own."""
         if id(plugin) in self.ids:
             element = ElementTree.Element("ref", id=_text(self.ids[id(plugin)]))
-        elif self.check(name, plugin) and (plugin.category, plugin.type) == ("texture", "rgb"):
+        elif self.check(name, plugin) and isinstance(plugin, RGB) and id(plugin) not in self.shared:
             return _colour_element(attribute, plugin.value, name)
         else:
             element = self.plugin_element(plugin, name)
-            if plugin.id is not None:  # others may refer to it
-                element.set("id", _text(plugin.id))
-                self.ids[id(plugin)] = plugin.id
+            if plugin.id is not None or id(plugin) in self.shared:  # others may refer to it, or do
+                self.ids[id(plugin)] = self.new_id(name) if plugin.id is None else plugin.id
+                element.set("id", _text(self.ids[id(plugin)]))
         if isinstance(plugin, Plugin) and plugin.category == "texture":
             element.set("name", attribute)
         return element
+
+    def new_id(self, name: str) -> str:
+        """An id that no other object has, without the dots that Mitsuba refuses."""
+        found = name.replace(".", "_")
+        while found in self.taken:
+            found += "_"
+        self.taken.add(found)
+        return found
 
     def file(self, name: str, suffix: str) -> Path:
         """A path for one more file of the scene."""
@@ -184,6 +198,18 @@ class _Writer:
             stem += "_"
         self.files.append(self.folder / f"{stem}{suffix}")
         return self.files[-1]
+
+
+def _parts(plugin: Plugin) -> Iterator[nn.Module]:
+    """The modules that are attributes of a plugin, those that it only refers to included."""
+    for name, attribute in attributes(type(plugin)).items():
+        value = getattr(plugin, name, None)
+        if isinstance(value, nn.Module) and not is_list(attribute.annotation) and not is_named(attribute.annotation):
+            yield value
+        elif is_list(attribute.annotation):
+            yield from value
+        elif is_named(attribute.annotation):
+            yield from value.values()
 
 
 def _is_as_constructed(plugin: Plugin) -> bool:

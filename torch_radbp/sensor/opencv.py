@@ -17,6 +17,7 @@ from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
 ORDER = {BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), FISHEYE: ("k1", "k2", "k3", "k4")}
 LENGTHS = {BROWN_CONRADY: (0, 4, 5, 8), FISHEYE: (0, 4)}  # of OpenCV's vectors of coefficients
 ORTHOGONAL = 1e-3  # how far the product of a rotation and its transpose may be from the unit matrix
+SMALLEST, LARGEST = 1e-30, 1e30  # numbers of a file that float32 has, also once they are scaled
 FROM_OPENCV = np.diag([-1.0, -1.0, 1.0])  # our x and y point to the left and up, OpenCV's to the right and down
 FROM_OPENGL = np.diag([-1.0, 1.0, -1.0])  # where x points to the right, y up and z back
 
