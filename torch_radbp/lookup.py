@@ -9,8 +9,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
+from torch_radbp.differentiated import differentiated
+from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.vec import gather
 
 
@@ -60,11 +63,53 @@ def tapped(node, wanted: tuple[bool, ...], place: int, taps: list[Tap]):
     return node, place + 1
 
 
+class GatheredExactly(torch.autograd.Function):
+    """Entries of a table. Its gradient is summed in float64: a float32 sum loses what is small against it."""
+
+    @staticmethod
+    def forward(table: Tensor, index: Tensor) -> Tensor:
+        return gather(table, index)
+
+    @staticmethod
+    def setup_context(ctx, inputs: tuple[Tensor, Tensor], output: Tensor) -> None:
+        table, index = inputs
+        ctx.save_for_backward(index)
+        ctx.save_for_forward(index)
+        ctx.entries = len(table)
+
+    @staticmethod
+    def backward(ctx, adjoint: Tensor) -> tuple[Tensor, None]:
+        index, = ctx.saved_tensors
+        total = adjoint.new_zeros(ctx.entries, dtype=torch.float64).index_add_(0, index, adjoint.double())
+        return total.to(adjoint.dtype), None
+
+    @staticmethod
+    def jvp(ctx, tangent: Tensor, _: None) -> Tensor:
+        return gather(tangent, *ctx.saved_tensors)
+
+
+class SummedTable:
+    """A table whose gradient, in plain autograd, does not lose what is small against its total."""
+
+    def __init__(self, table: Tensor):
+        self.table = table
+
+    def read(self, index: Tensor) -> Tensor:
+        """The entries at `index`."""
+        return GatheredExactly.apply(self.table, index)
+
+
+def summed(record):
+    """A record of tables with those that plain autograd differentiates as `SummedTable`."""
+    return with_leaves(record, [SummedTable(leaf) if isinstance(leaf, Tensor) and leaf.ndim == 1 and differentiated(leaf)
+                                else leaf for leaf in leaves_of(record)])
+
+
 def lookup(table, index: Tensor):
     """Entries of a table, or of each table of a record, at int32 `index` (N,)."""
+    if isinstance(table, (Tap, SummedTable)):
+        return table.read(index)
     if isinstance(table, tuple):
         parts = [lookup(part, index) for part in table]
         return type(table)(*parts) if hasattr(table, "_fields") else tuple(parts)
-    if table is None:
-        return None
-    return table.read(index) if isinstance(table, Tap) else gather(table, index)
+    return None if table is None else gather(table, index)

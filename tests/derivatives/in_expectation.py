@@ -21,6 +21,7 @@ class Effort(NamedTuple):
     batches: int  # independent ones, whose spread gives standard errors
     seed: int = 0
     compile: bool = True
+    backward: bool = True  # compare the backward pass with forward mode, too
 
 
 class Estimate:
@@ -75,6 +76,9 @@ class Estimate:
         for sampling, measurement in self.measurements.items():
             numbers = [self.new_number() for _ in range(self.calls)]
             self.add(sampling, [measurement.forward(number)[1] for number in numbers])
+            if not self.effort.backward:
+                self.backward[sampling] = [float((w.image * self.sums[sampling][0]).sum()) for w in self.cotangents]
+                continue
             backward = measurement.backward(numbers[0], [self.for_the_first(cotangent.image) for cotangent in self.cotangents])
             self.backward[sampling] = [old + new for old, new in zip(self.backward[sampling], backward)]
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torch_radbp.adjoint.chunks import Chunk, plan_chunks
+from torch_radbp.adjoint.chunks import Chunk
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.function import RenderCall, assembled, camera_samples, integrand_of, of_chunks, pixel_sums
 from torch_radbp.aov import material, path, surface
@@ -14,10 +14,9 @@ from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, plain
 from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
+from torch_radbp.lookup import summed
 from torch_radbp.path_state import PathState, start_path
 from torch_radbp.wavefront import first_hit
-
-MOST_LANES = 1 << 14  # that are differentiated together: in float32 a texel that all of them read sums up to 1e-4
 
 
 def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
@@ -29,9 +28,7 @@ def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
     record = call.scene, [view.camera for view in call.views]
     attached = has_tangents(record) or (torch.is_grad_enabled() and bool(differentiable(record)))
     if attached:
-        view, lanes = call.views[0], min(MOST_LANES, max(chunk.lanes for chunk in call.chunks))
-        chunks = plan_chunks(len(call.views), view.width * view.height, call.spp, lanes, call.workers)
-        call = call._replace(stages=call.stages.eager(), chunks=chunks)
+        call = call._replace(stages=call.stages.eager())
         integrand = call.make_integrand(call.scene).with_stages(call.stages)
     else:
         call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
@@ -73,7 +70,7 @@ def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...]) 
     geometric = tuple(name for name in names if name in surface.FUNCTIONS)
     moving = integrand.settings.moving
     if geometric:
-        scene = surface.without_materials(integrand.scene)
+        scene = summed(surface.without_materials(integrand.scene))
         found.update(zip(geometric, integrand.stages.surface_values(scene, start.ray, hit, geometric, moving)))
     material_names = tuple(name for name in names if name == "albedo" or (
         name == "sh_normal" and material.turns_normals(integrand.scene)))

@@ -6,7 +6,7 @@ from torch_radbp.aov.surface import Values
 from torch_radbp.differentiated import detached
 from torch_radbp.given import given_values
 from torch_radbp.integrand import Integrand
-from torch_radbp.lookup import lookup
+from torch_radbp.lookup import lookup, summed
 from torch_radbp.path import places_of, surface_met
 from torch_radbp.path_state import Arrival, PathState, Settings
 from torch_radbp.raycast.protocol import Hit
@@ -40,7 +40,7 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
             continue
         lanes = order[queue.first:queue.last]
         here = rows(Arrival(state, hit, front), lanes)
-        part = integrand.part(queue).scene
+        part = summed(integrand.part(queue).scene)
         given = given_values(integrand.scene, integrand.appearance(queue), places_of(part, here, integrand.settings))
         for name in names:
             if name == "albedo" or integrand.appearance(queue).kind.turns_normals:
