@@ -79,7 +79,7 @@ class Estimate:
             if not self.effort.backward:
                 self.backward[sampling] = [float((w.image * self.sums[sampling][0]).sum()) for w in self.cotangents]
                 continue
-            backward = measurement.backward(numbers[0], [self.for_the_first(cotangent.image) for cotangent in self.cotangents])
+            backward = measurement.backward(numbers[0], [self.for_the_first(w.image) for w in self.cotangents])
             self.backward[sampling] = [old + new for old, new in zip(self.backward[sampling], backward)]
 
     def checks(self, error: float = 0.0) -> dict[str, GradientCheck]:
@@ -89,6 +89,7 @@ class Estimate:
             samples = Samples(self.sums["differences"] / self.rounds, factor * self.sums[sampling], self.rounding)
             backward = [factor * value for value in self.backward[sampling]]
             comparison = compare(samples, self.cotangents, backward, self.eps)
-            found[sampling] = judge(self.moving.name, self.tangent, self.moving.step,
-                                    effort.spp * len(samples.jvp) * self.rounds, len(samples.jvp), effort.seed, True, comparison)
+            batches = len(samples.jvp)
+            found[sampling] = judge(self.moving.name, self.tangent, self.moving.step, effort.spp * batches * self.rounds,
+                                    batches, effort.seed, True, comparison)
         return found
