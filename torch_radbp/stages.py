@@ -16,6 +16,7 @@ from torch_radbp.aov.surface import surface_values
 from torch_radbp.integrand import Stages
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.target import Target
 from torch_radbp.path import bounce, chance_of_light, ending, pick_light, places, sample_camera
 from torch_radbp.queues import appearance_met, shines
 from torch_radbp.record import leaves_of
@@ -26,16 +27,23 @@ EAGER = Stages(sample_camera, bounce, ending, bounce_adjoint, places, pick_light
                rows, brightened, surface_values, material_value)
 
 
+PATH = "scene", "proposal", "arrival"
+TABLES = Stages(  # of each stage the arguments that are read at indices
+    sample_camera=("camera",), bounce=PATH, ending=PATH, bounce_adjoint=("scene", "arrival", "adj_L", "memo"),
+    places=("scene", "arrival"), pick_light=("scene", "choice"), chance_of_light=("scene", "choice", "arrival"),
+    appearance_met=("scene",), shines=("scene",), rows=("record",), brightened=("L", "beta"), surface_values=("scene",),
+    material_value=("scene",))
+
+
+def fused(target: Target | None = None) -> Stages:
+    """The stages as fused loops; `target`: what they are compiled for, None: the device that the tensors of a call lie on."""
+    return Stages(*(CompiledStage(stage, tables, target) for stage, tables in zip(EAGER, TABLES)))
+
+
 @made_once
 def compiled() -> Stages:
     """The stages as fused loops; one set for the whole process."""
-    path = "scene", "proposal", "arrival"
-    return Stages(CompiledStage(sample_camera, "camera"), CompiledStage(bounce, *path), CompiledStage(ending, *path),
-                  CompiledStage(bounce_adjoint, "scene", "arrival", "adj_L", "memo"),
-                  CompiledStage(places, "scene", "arrival"), CompiledStage(pick_light, "scene", "choice"),
-                  CompiledStage(chance_of_light, "scene", "choice", "arrival"), CompiledStage(appearance_met, "scene"),
-                  CompiledStage(shines, "scene"), CompiledStage(rows, "record"), CompiledStage(brightened, "L", "beta"),
-                  CompiledStage(surface_values, "scene"), CompiledStage(material_value, "scene"))
+    return fused()
 
 
 class CompiledStage:
@@ -44,10 +52,11 @@ class CompiledStage:
     Args:
         stage: the function.
         tables: its arguments that are read at indices.
+        target: see `fused`.
     """
 
-    def __init__(self, stage: Callable, *tables: str):
-        self.stage, self.fused = stage, LaneFunction(stage, tables)
+    def __init__(self, stage: Callable, tables: tuple[str, ...], target: Target | None = None):
+        self.stage, self.fused = stage, LaneFunction(stage, tables, target)
         self.told: list[str] = []  # why it could not be compiled, once said; one list for all copies
 
     def knowing(self, *arguments) -> CompiledStage:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from tests.jit.emulated import emulated
 from torch_radbp.jit import LaneFunction, elementary
+from torch_radbp.jit.cpu import Cpu
 
 
 def floats(low: float, high: float) -> torch.Tensor:
@@ -32,12 +34,12 @@ RANGES = {  # lowest, highest, greatest error allowed
     "erfc": (-6.0, 10.06, 4.0)}
 
 
-@pytest.mark.parametrize("width", [1, None])
+@pytest.mark.parametrize("target", [Cpu(1), Cpu(), emulated()], ids=["single lanes", "vectors", "gpu"])
 @pytest.mark.parametrize("name", RANGES)
-def test_errors_over_the_whole_range(name, width):
+def test_errors_over_the_whole_range(name, target):
     low, high, most = RANGES[name]
     x, function = floats(low, high), getattr(torch, name)
-    found = LaneFunction(lambda x: function(x), width=width)(x)
+    found = LaneFunction(lambda x: function(x), target=target)(x)
     off = units_off(found, function(x.double()))
     assert 0.3 < off <= most, off
 

@@ -8,7 +8,9 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from tests.jit.emulated import emulated
 from torch_radbp.jit import LaneFunction, UnknownOperation
+from torch_radbp.jit.cpu import Cpu
 
 LANES = (0, 1, 15, 16, 17, 100_003)
 
@@ -65,16 +67,16 @@ def assert_close(found, expected, rtol: float) -> None:
 
 
 @pytest.mark.parametrize("lanes", LANES)
-@pytest.mark.parametrize("width", [1, 4, 8, 16])
+@pytest.mark.parametrize("target", [*map(Cpu, (1, 4, 8, 16)), emulated()], ids=["1", "4", "8", "16", "gpu"])
 @pytest.mark.parametrize("dtype, rtol", [(torch.float32, 3e-6), (torch.float64, 1e-13)], ids=str)
-def test_any_width_and_number_of_lanes(lanes, width, dtype, rtol):
+def test_any_width_and_number_of_lanes(lanes, target, dtype, rtol):
     given = arguments(lanes, dtype)
-    assert_close(LaneFunction(mixed, tables=("colours",), width=width)(*given), mixed(*given), rtol)
+    assert_close(LaneFunction(mixed, tables=("colours",), target=target)(*given), mixed(*given), rtol)
 
 
 def test_results_are_the_same_bits_for_any_width_that_fuses_the_same():
     given = arguments(1003)
-    results = [LaneFunction(mixed, tables=("colours",), width=width)(*given) for width in (1, 4, 8, 16)]
+    results = [LaneFunction(mixed, tables=("colours",), target=Cpu(width))(*given) for width in (1, 4, 8, 16)]
     for other in results[1:]:
         assert torch.equal(other[0].x, results[0][0].x) and torch.equal(other[2], results[0][2])
 
@@ -203,7 +205,7 @@ def test_calls_that_make_no_sense_are_errors():
         function(torch.rand(2, 2), torch.rand(2))
     with pytest.raises(ValueError, match="no tensor with an entry per lane"):
         function(torch.tensor(1.0), torch.tensor(2.0))
-    with pytest.raises(ValueError, match="compiled for the CPU, got a tensor on meta"):
+    with pytest.raises(ValueError, match="all on the CPU or all on one GPU, got one on meta"):
         function(torch.rand(3, device="meta"), torch.rand(3))
     with pytest.raises(TypeError, match="takes 2 arguments by position, got 1"):
         function(torch.rand(3))
@@ -257,10 +259,10 @@ def test_results_that_do_not_fit_are_errors():
         fused.into((torch.empty(20), [torch.empty(20, dtype=torch.float64)]), 0, x)
     with pytest.raises(ValueError, match="returns tuple of 2 where it is to write into tuple of 1"):
         fused.into((torch.empty(20),), 0, x)
-    message = "contiguous tensors of at least 20 entries on the CPU, got one of 20 with stride 2"
+    message = "contiguous tensors of at least 20 entries on cpu, got one of 20 with stride 2"
     with pytest.raises(ValueError, match=message):
         fused.into((torch.empty(20), [torch.empty(40)[::2]]), 0, x)
-    with pytest.raises(ValueError, match="tensors of at least 23 entries on the CPU, got one of 22"):
+    with pytest.raises(ValueError, match="tensors of at least 23 entries on cpu, got one of 22"):
         fused.into((torch.empty(23), [torch.empty(22)]), 3, x)
 
 

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 import torch
 
+from tests.jit.emulated import emulated
 from torch_radbp.jit import LaneFunction
+from torch_radbp.jit.cpu import Cpu
+from torch_radbp.jit.graph import LANES
+from torch_radbp.jit.trace import trace
 
-WIDTHS = (1, 4, 8, 16)
+TARGETS = {str(width): Cpu(width) for width in (1, 4, 8, 16)} | {"gpu": emulated()}
 FLOATS = (torch.float32, torch.float64)
 INTEGERS = (torch.int32, torch.int64)
 EDGES = {
@@ -49,8 +53,8 @@ def assert_same(found: torch.Tensor, expected: torch.Tensor) -> None:
     assert torch.equal(found, expected)
 
 
-def check(function, *arguments, width=None, tables=()):
-    assert_same(LaneFunction(function, tables=tables, width=width)(*arguments), function(*arguments))
+def check(function, *arguments, target=None, tables=()):
+    assert_same(LaneFunction(function, tables=tables, target=target)(*arguments), function(*arguments))
 
 
 UNARY = {name: getattr(torch, name) for name in ("neg", "abs", "floor", "ceil", "trunc", "round", "isnan", "isinf",
@@ -59,22 +63,22 @@ BINARY = {name: getattr(torch, name) for name in ("add", "sub", "mul", "div", "m
                                                   "eq", "ne", "lt", "le", "gt", "ge", "logical_and", "logical_or")}
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("dtype", FLOATS, ids=str)
 @pytest.mark.parametrize("name", UNARY)
-def test_functions_of_one_float(name, dtype, width):
-    check(lambda x: UNARY[name](x), pairs(dtype)[0], width=width)
+def test_functions_of_one_float(name, dtype, target):
+    check(lambda x: UNARY[name](x), pairs(dtype)[0], target=target)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("dtype", FLOATS, ids=str)
 @pytest.mark.parametrize("name", BINARY)
-def test_functions_of_two_floats(name, dtype, width):
+def test_functions_of_two_floats(name, dtype, target):
     a, b = pairs(dtype)
     if name in ("maximum", "minimum"):  # of zeros of both signs torch gives either
         differ = ~((a == 0) & (b == 0))
         a, b = a[differ], b[differ]
-    check(lambda x, y: BINARY[name](x, y), a, b, width=width)
+    check(lambda x, y: BINARY[name](x, y), a, b, target=target)
 
 
 @pytest.mark.parametrize("dtype", FLOATS, ids=str)
@@ -85,13 +89,13 @@ def test_remainders_of_floats(dtype):
     check(lambda x, y: torch.fmod(x, y), a[usual], b[usual])
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("dtype", FLOATS, ids=str)
-def test_square_roots_are_rounded_exactly(dtype, width):
+def test_square_roots_are_rounded_exactly(dtype, target):
     """As numpy's; those of torch may be one unit off."""
     x = pairs(dtype)[0]
     with np.errstate(invalid="ignore"):
-        assert_same(LaneFunction(lambda x: torch.sqrt(x), width=width)(x), torch.from_numpy(np.sqrt(x.numpy())))
+        assert_same(LaneFunction(lambda x: torch.sqrt(x), target=target)(x), torch.from_numpy(np.sqrt(x.numpy())))
 
 
 INTEGER = {
@@ -105,17 +109,17 @@ INTEGER = {
 }
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("dtype", INTEGERS, ids=str)
 @pytest.mark.parametrize("name", INTEGER)
-def test_functions_of_integers_wrap_around_as_in_torch(name, dtype, width):
-    check(INTEGER[name], *pairs(dtype), width=width)
+def test_functions_of_integers_wrap_around_as_in_torch(name, dtype, target):
+    check(INTEGER[name], *pairs(dtype), target=target)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("dtype", INTEGERS, ids=str)
 @pytest.mark.parametrize("name", ["floor", "trunc", "remainder", "fmod"])
-def test_division_of_integers(name, dtype, width):
+def test_division_of_integers(name, dtype, target):
     a, b = pairs(dtype)
     large = torch.iinfo(dtype).max - torch.arange(50, dtype=dtype)
     a, b = torch.cat([a, large, -large]), torch.cat([b, large.flip(0) // 3, large])
@@ -123,24 +127,24 @@ def test_division_of_integers(name, dtype, width):
     a, b = a[defined], b[defined]
     functions = {"remainder": torch.remainder, "fmod": torch.fmod}
     check(lambda x, y: functions[name](x, y) if name in functions else torch.div(x, y, rounding_mode=name), a, b,
-          width=width)
+          target=target)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("name", ["and", "or", "xor", "not", "lt", "ge", "mul", "add"])
-def test_functions_of_bools(name, width):
+def test_functions_of_bools(name, target):
     functions = INTEGER | {"mul": lambda x, y: x * y, "add": lambda x, y: x + y}
-    check(functions[name], *pairs(torch.bool), width=width)
+    check(functions[name], *pairs(torch.bool), target=target)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("want", [*FLOATS, *INTEGERS, torch.bool], ids=str)
 @pytest.mark.parametrize("have", [*FLOATS, *INTEGERS, torch.bool], ids=str)
-def test_conversions(have, want, width):
+def test_conversions(have, want, target):
     x = pairs(have)[0]
     if have.is_floating_point and want in INTEGERS:
         x = x[x.abs() < 2**31 - 200]
-    check(lambda x: x.to(want), x, width=width)
+    check(lambda x: x.to(want), x, target=target)
 
 
 @pytest.mark.parametrize("number", [2, 2.5, -0.0, math.inf], ids=str)
@@ -152,39 +156,45 @@ def test_python_numbers_have_the_dtype_that_torch_gives_them(number, dtype):
         check(function, x)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("dtype", [*FLOATS, *INTEGERS, torch.bool], ids=str)
 @pytest.mark.parametrize("at", INTEGERS, ids=str)
-def test_tables_are_read_at_indices(dtype, at, width):
+def test_tables_are_read_at_indices(dtype, at, target):
     table = pairs(dtype)[0]
     index = torch.randint(len(table), (1003,), generator=torch.Generator().manual_seed(2)).to(at)
-    check(lambda table, i: table.index_select(0, i), table, index, width=width, tables=("table",))
-    check(lambda table, i: table[i], table, index, width=width, tables=("table",))
+    check(lambda table, i: table.index_select(0, i), table, index, target=target, tables=("table",))
+    check(lambda table, i: table[i], table, index, target=target, tables=("table",))
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("at", INTEGERS, ids=str)
-def test_tables_of_bools_may_begin_and_end_at_any_byte(at, width):
+def test_tables_of_bools_may_begin_and_end_at_any_byte(at, target):
     whole = torch.rand(77, generator=torch.Generator().manual_seed(4)) < 0.5
-    function = LaneFunction(lambda table, i: table.index_select(0, i), tables=("table",), width=width)
+    function = LaneFunction(lambda table, i: table.index_select(0, i), tables=("table",), target=target)
     for first in range(5):
         table = whole[first:70 + first]
         index = torch.arange(70, dtype=at).flip(0)
         assert_same(function(table, index), table.index_select(0, index))
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("dtype", FLOATS, ids=str)
-def test_bits_can_be_read_as_another_dtype(dtype, width):
+def test_bits_can_be_read_as_another_dtype(dtype, target):
     integer = {torch.float32: torch.int32, torch.float64: torch.int64}[dtype]
-    check(lambda x: x.view(integer), pairs(dtype)[0], width=width)
-    check(lambda x: (x.view(integer) ^ 1).view(dtype).abs(), pairs(dtype)[0], width=width)
+    check(lambda x: x.view(integer), pairs(dtype)[0], target=target)
+    check(lambda x: (x.view(integer) ^ 1).view(dtype).abs(), pairs(dtype)[0], target=target)
 
 
 @pytest.mark.parametrize("exponent", [-2, -1, 0, 1, 2, 3, 5, 0.5])
 def test_powers(exponent):
     x = torch.rand(1000, dtype=torch.float64) + 0.1
     torch.testing.assert_close(LaneFunction(lambda x: x**exponent)(x), x**exponent, rtol=1e-15, atol=0)
+
+
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+def test_powers_of_small_integers_are_products(dtype):
+    program = trace(lambda x: [x**3, x.square(), torch.pow(x, -2)], [dtype], [LANES])
+    assert {value.operation for value in program.values} == {"input", "constant", "mul", "div"}
 
 
 @pytest.mark.parametrize("dtype, tolerance", [(torch.float32, 1e-6), (torch.float64, 1e-15)], ids=str)
@@ -203,14 +213,14 @@ def test_only_products_and_sums_may_be_fused(dtype):
     assert ((found - expected).abs() <= torch.finfo(dtype).eps * ((a * b)[usual].abs() + expected.abs())).all()
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @pytest.mark.parametrize("dtype", FLOATS, ids=str)
 @pytest.mark.parametrize("length", [1, 2, 3, 7, 64, 1000])
-def test_places_in_sorted_tables(length, dtype, width):
+def test_places_in_sorted_tables(length, dtype, target):
     table = torch.sort(torch.rand(length, generator=torch.Generator().manual_seed(length), dtype=dtype))[0]
     edges = torch.tensor([-1.0, 0.0, 2.0, math.inf, -math.inf], dtype=dtype)
     x = torch.cat([table, table + 1e-3, edges, torch.rand(100).to(dtype)])
-    function = LaneFunction(lambda table, x: torch.searchsorted(table, x, right=True), tables=("table",), width=width)
+    function = LaneFunction(lambda table, x: torch.searchsorted(table, x, right=True), tables=("table",), target=target)
     assert torch.equal(function(table, x), torch.searchsorted(table, x, right=True))
     longer = torch.cat([table, table[-1:] + 1])  # the length is not compiled in
     assert torch.equal(function(longer, x), torch.searchsorted(longer, x, right=True))

@@ -6,7 +6,7 @@ import sys
 import pytest
 import torch
 
-from torch_radbp.jit.emit import emit
+from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE
 from torch_radbp.jit.machine import host_width
 from torch_radbp.jit.trace import trace
@@ -34,14 +34,14 @@ def test_what_no_result_needs_is_left_out_and_equal_values_are_one():
 
 
 def test_a_gather_is_one_instruction_of_base_and_32_bit_indices():
-    text = emit(PROGRAM, 8)
+    text = Cpu(8).text(PROGRAM)
     assert "getelementptr float, ptr %in0, <8 x i32>" in text
     assert text.count("call <8 x float> @llvm.masked.gather.v8f32.v8p0") == 1
     assert "fadd contract <8 x float>" in text and "nnan" not in text and "ninf" not in text
 
 
 def test_single_lanes_have_no_vectors():
-    text = emit(PROGRAM, 1)
+    text = Cpu(1).text(PROGRAM)
     assert "<" not in text.replace("icmp slt", "") and "load float" in text
 
 
@@ -66,12 +66,12 @@ def test_tracing_imports_no_other_compiler():
 
 def test_what_is_the_same_for_all_lanes_is_computed_once():
     program = trace(lambda x, scale: [x * (scale * scale)], [torch.float32] * 2, [LANES, NUMBER])
-    before, loop = emit(program, 8).split("define internal void @lanes(")[1].split("\nloop:\n")
+    before, loop = Cpu(8).text(program).split("define internal void @lanes(")[1].split("\nloop:\n")
     assert before.count("fmul") == 1 and loop.count("fmul") == 1
 
 
 @pytest.mark.parametrize("width", [1, 4, 8, 16])
 def test_blocks_of_lanes_ask_for_memory_ahead(width):
     """Of two arrays and two results, and of a table at every eighth index; single lanes do not."""
-    hints = emit(PROGRAM, width).count("call void @llvm.prefetch")
+    hints = Cpu(width).text(PROGRAM).count("call void @llvm.prefetch")
     assert hints == (0 if width == 1 else 2 + 2 + max(1, width // 8))

@@ -138,7 +138,7 @@ def test_nothing_is_compiled_again_over_iterations_of_an_optimisation(compiled):
 
 @pytest.mark.filterwarnings("default:.*runs eagerly:RuntimeWarning")
 def test_a_stage_that_cannot_be_compiled_runs_eagerly_and_says_so_once():
-    stage, x = stages.CompiledStage(lambda x: x.sort()[0]), torch.tensor([2.0, 1.0, 3.0])
+    stage, x = stages.CompiledStage(lambda x: x.sort()[0], ()), torch.tensor([2.0, 1.0, 3.0])
     with pytest.warns(RuntimeWarning, match="runs eagerly, which is slower: .*sort") as said:
         for _ in range(3):
             assert stage(x).tolist() == [1, 2, 3]

@@ -7,8 +7,6 @@ are of `meta` for autograd and of CUDA for whoever asks: a stage cannot tell the
 
 from __future__ import annotations
 
-from importlib import import_module
-
 import pytest
 import torch
 from torch import Tensor
@@ -16,10 +14,7 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import torch_radbp as rb
-from tests.derivatives.everything import EVERYTHING, build_everything
-from tests.gradients import cotangent
-from tests.texture.networks import room
-from torch_radbp.jit.structure import flatten
+from tests.render.recorded import SAMPLINGS, SCENES, build, calls_of
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.stages import EAGER
 
@@ -65,34 +60,10 @@ OF_MANY_LAMPS = {"pick_light", "chance_of_light"}
 NOT_IN = {"lamps": {"places"}, "networks": {"ending", "shines", *OF_MANY_LAMPS}}  # stages that a scene does without
 
 
-@pytest.fixture
-def calls(monkeypatch) -> dict[str, dict[tuple, tuple]]:
-    """The arguments of all calls of the eager stages, by the stage's name and their structure."""
-    found: dict[str, dict[tuple, tuple]] = {name: {} for name in EAGER._fields}
-
-    def recording(name: str, stage):
-        def call(*arguments):
-            key: list = []
-            flatten(arguments, [], key)
-            found[name].setdefault(tuple(key), arguments)
-            return stage(*arguments)
-        return call
-
-    watched = EAGER._make(recording(name, stage) for name, stage in EAGER._asdict().items())
-    monkeypatch.setattr(import_module("torch_radbp.render"), "EAGER", watched)
-    return found
-
-
-@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
-@pytest.mark.parametrize("name", [*EVERYTHING, "networks"])
-def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling, calls):
-    scene = (room() if name == "networks" else build_everything(name)).requires_grad_()
-    renderer = rb.Renderer(scene, spp=2, max_depth=4, rr_depth=2, sampling=sampling, compile=False)
-    image = renderer()
-    image.backward(cotangent(image.detach()))
-    with torch.no_grad():
-        assert all(values.isfinite().all() for values in renderer.aovs(["sh_normal", "uv", "albedo"]).values())
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("name", SCENES)
+def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
+    calls, scene = calls_of(name, sampling), build(name)
     assert {stage for stage, cases in calls.items() if not cases} <= NOT_IN.get(name, {"places", *OF_MANY_LAMPS})
     appearances = {arguments[0].layout.appearances for arguments in calls["bounce"].values()}
     assert {appearance for part in appearances for appearance in part} == set(rb.scene.pack.pack(scene).layout.appearances)

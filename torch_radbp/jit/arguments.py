@@ -103,7 +103,8 @@ class Arguments:
         RuntimeError: if tensors require grad while gradients are recorded.
     """
 
-    __slots__ = ("given", "numbers", "leaves", "kinds", "read", "pointers", "sizes", "lanes", "shared")
+    __slots__ = ("given", "numbers", "leaves", "kinds", "read", "pointers", "sizes", "lanes", "shared",
+                 "device")
 
     def __init__(self, parameters: Sequence[Parameter], arguments: Sequence, known: Arguments | None = None):
         self.given, self.numbers, self.lanes = tuple(arguments), [], None if known is None else known.lanes
@@ -116,7 +117,7 @@ class Arguments:
             self.leaves += own
             self.kinds += form.kinds
             self.numbers.append(form.number)
-        self.check(parameters)
+        self.device = self.checked_device(parameters, None if known is None else known.device)
         self.read = self.leaves  # whose memory is read
         if not all([leaf.is_contiguous() for leaf in self.leaves]):
             self.read = [leaf.contiguous() for leaf in self.leaves]
@@ -133,14 +134,24 @@ class Arguments:
             self.pointers, self.sizes = known.pointers + self.pointers, known.sizes + self.sizes
         self.shared = self.sharing() if not distinct else () if known is None else known.shared
 
-    def check(self, parameters: Sequence[Parameter]) -> None:
-        """Raises the errors of single tensors."""
+    def checked_device(self, parameters: Sequence[Parameter], device: torch.device | None) -> torch.device | None:
+        """The device of the tensors; raises the errors of single tensors.
+
+        Args:
+            parameters: of the function.
+            device: of the arguments that stand before these.
+        """
         if torch.is_grad_enabled() and any([leaf.requires_grad for leaf in self.leaves]):
             raise RuntimeError(f"{parameters[0].function} is compiled and records no derivative: call it under "
                                "torch.no_grad(), or with detached tensors")
-        if not all([leaf.is_cpu for leaf in self.leaves]):
-            elsewhere = next(leaf.device for leaf in self.leaves if not leaf.is_cpu)
-            raise ValueError(f"{parameters[0].function} is compiled for the CPU, got a tensor on {elsewhere}")
+        device = self.leaves[0].device if device is None and self.leaves else device
+        same = all([leaf.is_cpu for leaf in self.leaves]) if device is None or device.type == "cpu" else (
+            device.type == "cuda" and all([leaf.device == device for leaf in self.leaves]))
+        if not same:
+            elsewhere = next((leaf.device for leaf in self.leaves if leaf.device != device), device)
+            raise ValueError(f"{parameters[0].function} is compiled for tensors that lie all on the CPU or all on one GPU, "
+                             f"got one on {device} and one on {elsewhere}")
+        return device
 
     def sharing(self) -> tuple[tuple[int, int], ...]:
         """The places of tensors that are the same as one before, each with the place of the first.
@@ -163,4 +174,4 @@ class Arguments:
     @property
     def key(self) -> tuple:
         """Equal of arguments that one compiled function serves."""
-        return (*self.numbers, *self.shared)
+        return (*self.numbers, *self.shared, self.device)

@@ -1,12 +1,9 @@
-"""From a program to the text of LLVM's intermediate representation: one loop over blocks of lanes.
+"""From a program to the text of LLVM's intermediate representation: the instructions for a block of W lanes.
 
-    void lanes(i64 first, i64 last, ptr inputs, ptr outputs)
-
-computes the lanes from `first` to `last` in blocks of W, of vectors of W lanes or, for W = 1, of scalars, as a thread of a
-GPU does. If the last block is not full, it is moved back so that it ends at `last`; lanes that are computed twice get the
-same results twice. Fewer than W lanes are computed in copies that are a full block. `inputs` and `outputs` are arrays of
-pointers; behind those of the inputs stand their lengths. `lanes_of_job` calls it for parts of a `team.Job` until none is
-left, and may run on several threads at once.
+They are of vectors of W lanes or, for W = 1, of scalars. What stands around them is the target's: a loop over blocks on a
+processor (`cpu.py`), a lane for each thread on a GPU (`nvptx.py`). It defines `%i`, the first lane of the block, the
+pointers `%in0`, `%in1`, ... to the inputs and `%out0`, ... to the outputs, and `%length<k>`, the number of entries of an
+input that is searched.
 
 What is computed from numbers alone stands before the loop. No processor gathers bytes: of a table of bools the aligned words
 are read that the entries lie in. Nor does one divide vectors of integers: int32 are divided as float64, which is exact.
@@ -19,11 +16,11 @@ Reference: LLVM Language Reference Manual.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import NamedTuple
 
 import torch
 
-from torch_radbp.jit.graph import LANES, NUMBER, TABLE, Program, Value
+from torch_radbp.jit.graph import NUMBER, TABLE, Program, Value
 from torch_radbp.jit.instructions import (
     BOOLEAN,
     FLOATING,
@@ -38,8 +35,17 @@ from torch_radbp.jit.instructions import (
     memory,
     scalar_suffix,
 )
-from torch_radbp.jit.loops import SEARCH, TAKE_PARTS, few_lanes
-from torch_radbp.jit.prefetch import DECLARATION, prefetches
+from torch_radbp.jit.loops import SEARCH
+
+
+class Body(NamedTuple):
+    """The instructions of a program for a block of lanes."""
+
+    program: Program
+    before: list[str]  # computed once, before the first block
+    block: list[str]
+    functions: tuple[str, ...]  # that they call, defined or declared
+    names: dict[Value, str]  # of all values
 
 
 class Emitter:
@@ -53,30 +59,15 @@ class Emitter:
         self.declared: dict[str, str] = {}
         self.names: dict[Value, str] = {}
 
-    def text(self) -> str:
-        """The module."""
-        for number in range(len(self.program.inputs)):
-            self.entry += [f"%place{number} = getelementptr ptr, ptr %inputs, i64 {number}",
-                           f"%in{number} = load ptr, ptr %place{number}, align 8"]
+    def instructions(self) -> Body:
+        """All of them."""
         for value in self.program.values:
             self.here = self.entry if value.kind == NUMBER else self.body
             self.names[value] = self.emit(value)
         self.here = self.body
         for number, value in enumerate(value for value in self.program.outputs if value is not None):
             self.store(number, value)
-        if self.width > 1:
-            self.declared["llvm.prefetch"] = DECLARATION
-            self.body += prefetches(self.program, self.names, self.width)
-        inputs = [alignment(value.dtype) if value.kind == LANES else 0 for value in self.program.inputs]
-        outputs = [alignment(value.dtype) for value in self.program.outputs if value is not None]
-        return "\n".join([
-            TAKE_PARTS.format(width=self.width), few_lanes(inputs, outputs, self.width),
-            "define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {", "entry:",
-            *indented(self.entry), f"  %final = sub i64 %last, {self.width}", "  br label %loop", "loop:",
-            "  %at = phi i64 [ %first, %entry ], [ %next, %loop ]",
-            "  %over = icmp sgt i64 %at, %final", "  %i = select i1 %over, i64 %final, i64 %at", *indented(self.body),
-            f"  %next = add i64 %at, {self.width}", "  %more = icmp slt i64 %next, %last",
-            "  br i1 %more, label %loop, label %done", "done:", "  ret void", "}", *self.declared.values(), ""])
+        return Body(self.program, self.entry, self.body, tuple(self.declared.values()), self.names)
 
     # -- Types and constants --------------------------------------------------------------------------------------------
 
@@ -256,10 +247,7 @@ class Emitter:
     def search(self, value: Value) -> str:
         """The number of entries of a sorted table that are at most the lane's number, by bisection."""
         table, number = value.arguments
-        place = self.program.inputs.index(table)
-        at = self.line(f"getelementptr i64, ptr %inputs, i64 {len(self.program.inputs) + place}", self.entry)
-        length = self.line(f"load i64, ptr {at}, align 8", self.entry)
-        scalar = SCALARS[table.dtype]
+        length, scalar = f"%length{self.program.inputs.index(table)}", SCALARS[table.dtype]
         function = f"search_{scalar}"
         numbers, counts = self.vector(scalar), self.vector("i64")
         gather = f"llvm.masked.gather.{self.suffix(scalar_suffix(scalar))}.{self.suffix('p0')}"
@@ -284,8 +272,6 @@ class Emitter:
 
     def store(self, number: int, value: Value) -> None:
         """Writes a block of an output."""
-        self.entry += [f"%result{number} = getelementptr ptr, ptr %outputs, i64 {number}",
-                       f"%out{number} = load ptr, ptr %result{number}, align 8"]
         kind, name = self.vector(memory(value.dtype)), self.names[value]
         if value.dtype == torch.bool:
             name = self.line(f"zext {self.vector('i1')} {name} to {kind}")
@@ -293,10 +279,6 @@ class Emitter:
         self.body.append(f"store {kind} {name}, ptr {place}, align {alignment(value.dtype)}")
 
 
-def emit(program: Program, width: int) -> str:
-    """The module of `program`, LLVM's text, for blocks of `width` lanes; 1 is a lane at a time."""
-    return Emitter(program, width).text()
-
-
-def indented(lines: list[str]) -> Iterator[str]:
-    return (f"  {line}" for line in lines)
+def emit(program: Program, width: int) -> Body:
+    """The instructions of `program` for blocks of `width` lanes; 1 is a lane at a time."""
+    return Emitter(program, width).instructions()

@@ -55,6 +55,12 @@ class Program(NamedTuple):
     values: tuple[Value, ...]  # all that are used, inputs among them
     outputs: tuple[Value | None, ...]  # in the order of the function's results; None where it returns None
 
+    @property
+    def searched(self) -> tuple[int, ...]:
+        """The numbers of the inputs whose lengths are needed."""
+        tables = {value.arguments[0] for value in self.values if value.operation == "search"}
+        return tuple(number for number, value in enumerate(self.inputs) if value in tables)
+
     def __str__(self) -> str:
         results = ", ".join("none" if value is None else f"v{value.order}" for value in self.outputs)
         return "\n".join([*map(repr, self.values), f"return {results}"])

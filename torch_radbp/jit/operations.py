@@ -222,7 +222,7 @@ def power(tracer, result: Tensor, x: Tensor | float, exponent: Tensor | float, *
     return product if exponent >= 0 else tracer.apply("div", result.dtype, 1, product)
 
 
-@handles(*elementary.IN_LIBRARY)
+@handles(*(name for name in elementary.IN_LIBRARY if name != "pow"))
 def elementary_function(tracer, result: Tensor, *arguments, name: str) -> Value:
     """float64 calls the C library; float32 has a formula of its own or goes by float64."""
     dtype = result.dtype

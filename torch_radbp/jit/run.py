@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import operator
 import threading
-from array import array
 from collections.abc import Callable, Sequence
 from copy import copy
 from typing import Any
@@ -13,12 +12,10 @@ from typing import Any
 from torch import Tensor
 
 from torch_radbp.jit.arguments import Arguments, Parameter
-from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import LANES, Program
-from torch_radbp.jit.machine import MachineCode, host_width
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.structure import assembler, difference, flatten, of_lanes, replaced
-from torch_radbp.jit.team import run_lanes
+from torch_radbp.jit.target import Loop, Target, target_of
 from torch_radbp.jit.trace import trace
 
 
@@ -27,13 +24,13 @@ class Compiled:
 
     Args:
         program: what is computed; each of its outputs once.
-        code: the loop over lanes.
+        code: the program for a target.
         results: of each tensor that is returned: the output number k, or ~k: the argument number k as it is.
         structure: of what is returned, as `flatten` tells it.
         assemble: puts the results into their tuples.
     """
 
-    def __init__(self, program: Program, code: MachineCode, results: tuple[int, ...], structure: tuple,
+    def __init__(self, program: Program, code: Loop, results: tuple[int, ...], structure: tuple,
                  assemble: Callable[[list[Tensor]], Any]):
         self.program, self.code, self.results, self.structure, self.assemble = program, code, results, structure, assemble
         self.inputs = [value.static for value in program.inputs]  # which tensors of the arguments the loop reads
@@ -42,10 +39,10 @@ class Compiled:
         self.others = [place for place, k in enumerate(results) if k < 0 or self.firsts[k] != place]
 
     def run(self, given: Arguments, outputs: list[int]) -> None:
-        """Runs the loop over all lanes, on all of torch's threads; it writes to the addresses `outputs`."""
+        """Computes all lanes; the results go to the addresses `outputs`."""
         if given.lanes and outputs:
-            inputs = [given.pointers[place] for place in self.inputs] + [given.sizes[place] for place in self.inputs]
-            run_lanes(self.code.address, given.lanes, array("q", inputs), array("q", outputs))
+            self.code.run(given.lanes, [given.pointers[place] for place in self.inputs],
+                          [given.sizes[place] for place in self.inputs], outputs)
 
 
 class LaneFunction:
@@ -62,7 +59,7 @@ class LaneFunction:
     Args:
         function: in plain torch.
         tables: names of its parameters that hold tables.
-        width: lanes in a vector; None: what the processor has.
+        target: what to compile for; None: the device that the tensors of a call lie on.
 
     Raises:
         UnknownOperation: when called, if the function comes down to an operation that is not one of lanes.
@@ -73,15 +70,15 @@ class LaneFunction:
 
     compiling = threading.Lock()
 
-    def __init__(self, function: Callable, tables: tuple[str, ...] = (), width: int | None = None):
-        self.function, self.width = function, width
+    def __init__(self, function: Callable, tables: tuple[str, ...] = (), target: Target | None = None):
+        self.function, self.target = function, target
         self.name = getattr(function, "__name__", repr(function))
         names = list(inspect.signature(function).parameters)
         unknown = sorted(set(tables) - set(names))
         if unknown:
             raise ValueError(f"{self.name} has no parameters {unknown}; it has {names}")
         self.parameters = [Parameter(self.name, name in tables) for name in names]
-        self.target = Parameter(self.name, table=True)  # of `into`
+        self.results = Parameter(self.name, table=True)  # of `into`
         self.compiled: dict[tuple, Compiled | str] = {}  # by structure of the arguments; or why it cannot be
         self.known: Arguments | None = None
 
@@ -115,7 +112,7 @@ class LaneFunction:
                 call.
         """
         compiled, given = self.prepared(arguments)
-        tensors = self.checked_results(results, compiled, first + given.lanes)
+        tensors = self.checked_results(results, compiled, given, first + given.lanes)
         compiled.run(given, [tensors[place].data_ptr() + first * tensors[place].itemsize for place in compiled.firsts])
         for place in compiled.others:
             k = compiled.results[place]
@@ -145,18 +142,18 @@ class LaneFunction:
             raise UnknownOperation(compiled)
         return compiled, given
 
-    def checked_results(self, results, compiled: Compiled, entries: int) -> Sequence[Tensor]:
+    def checked_results(self, results, compiled: Compiled, given: Arguments, entries: int) -> Sequence[Tensor]:
         """The tensors of `results`; errors as `into` says."""
-        form, leaves = self.target.take_apart(results)
+        form, leaves = self.results.take_apart(results)
         if form.structure is not compiled.structure:
             if form.structure != compiled.structure:
                 returned, found = difference(compiled.structure, form.structure)
                 raise ValueError(f"{self.name} returns {returned} where it is to write into {found}")
             compiled.structure = form.structure  # the very same object, which is quickly compared
         for leaf in leaves:
-            if leaf.numel() < entries or not leaf.is_contiguous() or not leaf.is_cpu:
-                raise ValueError(f"{self.name} writes into contiguous tensors of at least {entries} entries on the CPU, got "
-                                 f"one of {len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
+            if leaf.numel() < entries or not leaf.is_contiguous() or leaf.device != given.device:
+                raise ValueError(f"{self.name} writes into contiguous tensors of at least {entries} entries on "
+                                 f"{given.device}, got one of {len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
         return leaves
 
     def compile(self, given: Arguments) -> Compiled | str:
@@ -181,5 +178,5 @@ class LaneFunction:
         outputs = tuple(dict.fromkeys(value for value, whole in zip(program.outputs, passed) if not whole))
         results = tuple(~value.static if whole else outputs.index(value) for value, whole in zip(program.outputs, passed))
         program = program._replace(outputs=outputs)
-        return Compiled(program, MachineCode(emit(program, self.width or host_width())), results, of_lanes(structure),
-                        assemble)
+        target = self.target or target_of(given.device)
+        return Compiled(program, target.compile(program), results, of_lanes(structure), assemble)

@@ -1,0 +1,95 @@
+"""Registers and spills of every kernel that a rendering on a GPU runs. Needs no GPU: NVIDIA's assembler tells.
+
+    python -m benchmarks.ptx [--architectures sm_80 sm_90] [--scenes NAME ...] [--samplings hybrid attached]
+
+The scenes are those of `tests/derivatives/everything.py`, which together have every material, shape, light and texture, and a
+room with networks; everything in them is differentiated, forward and backward, by hybrid and attached sampling. A kernel that
+several of them share is listed once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from array import array
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from benchmarks.ptxas import Usage, assemble, find
+from tests.render.recorded import SAMPLINGS, SCENES, calls_of
+from torch_radbp.jit.nvptx import Nvptx, ptx
+from torch_radbp.stages import fused
+
+ARCHITECTURES = ("sm_80", "sm_90")
+
+
+class Listing:
+    """A launcher that notes the kernels and launches none."""
+
+    architecture = ARCHITECTURES[-1]
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def load(self, text: str, name: str) -> Any:
+        self.texts.append(text)
+
+    def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
+        raise RuntimeError("kernels are listed here, not run")
+
+
+class Kernel(NamedTuple):
+    """A kernel of a stage."""
+
+    stage: str
+    kinds: str  # of the materials that its lanes meet; of `bounce` and its adjoint
+    text: str  # LLVM's
+
+    @property
+    def parameters(self) -> int:
+        """How many it takes, of 8 bytes each."""
+        return self.text.split("(", 1)[1].split(") #0", 1)[0].count("%")
+
+
+def kernels(scene: str, sampling: str) -> Iterator[Kernel]:
+    """The kernels of a scene of `SCENES`."""
+    for stage, cases in calls_of(scene, sampling).items():
+        for arguments in cases.values():
+            listing = Listing()
+            getattr(fused(Nvptx(listing)), stage).fused.prepared(arguments)
+            looks = arguments[0].layout.appearances if stage in ("bounce", "bounce_adjoint") else ()
+            kinds = ", ".join(type(look.kind).__name__ for look in looks)
+            yield from (Kernel(stage, kinds, text) for text in listing.texts)
+
+
+def usage(text: str, architecture: str) -> Usage:
+    """What a kernel takes of a GPU."""
+    return assemble(ptx(text, architecture), architecture, find())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--architectures", nargs="+", default=ARCHITECTURES)
+    parser.add_argument("--scenes", nargs="+", default=SCENES, choices=SCENES)
+    parser.add_argument("--samplings", nargs="+", default=SAMPLINGS, choices=SAMPLINGS)
+    given = parser.parse_args()
+    if find() is None:
+        raise SystemExit("no ptxas: install the extra `test`, or NVIDIA's CUDA toolkit")
+    print(f"{'scene':>12} {'sampling':>8} {'stage':>15} {'architecture':>12} {'parameters':>10} {'registers':>9} "
+          f"{'stack':>6} {'stores':>6} {'loads':>6} {'ms':>6}  materials")
+    seen = set()
+    for scene in given.scenes:
+        for sampling in given.samplings:
+            for kernel in kernels(scene, sampling):
+                for architecture in given.architectures if kernel.text not in seen else ():
+                    begun = time.perf_counter()
+                    found = usage(kernel.text, architecture)
+                    took = 1000 * (time.perf_counter() - begun)
+                    print(f"{scene:>12} {sampling:>8} {kernel.stage:>15} {architecture:>12} {kernel.parameters:>10} "
+                          f"{found.registers:>9} {found.stack:>6} {found.stores:>6} {found.loads:>6} {took:>6.0f}  "
+                          f"{kernel.kinds}", flush=True)
+                seen.add(kernel.text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,88 @@
+"""A stand-in for a GPU: kernels run on the processor, one thread after another, from the very text that PTX is made of.
+
+What differs from the GPU's is the target that LLVM compiles for, and that a thread is told by arguments where it is.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from array import array
+from typing import Any, NamedTuple
+
+from torch_radbp.jit.machine import MachineCode
+from torch_radbp.jit.nvptx import Nvptx, ptx
+
+LAUNCH = """\
+define void @launch(i64 %blocks, i64 %threads, ptr %words) {{
+entry:
+{loads}
+  %all = mul i64 %blocks, %threads
+  br label %turn
+turn:
+  %k = phi i64 [ 0, %entry ], [ %next, %turn ]
+  %wide_block = udiv i64 %k, %threads
+  %wide_thread = urem i64 %k, %threads
+  %block = trunc i64 %wide_block to i32
+  %thread = trunc i64 %wide_thread to i32
+  call void @{name}(i32 %block, i32 %thread, {arguments})
+  %next = add i64 %k, 1
+  %more = icmp slt i64 %next, %all
+  br i1 %more, label %turn, label %done
+done:
+  ret void
+}}"""
+SIGNATURE = r"define ptx_kernel void @(\w+)\((.*?)\) #0"
+
+
+def on_processor(text: str) -> str:
+    """The module of a kernel, with a function `launch` that runs all threads, for the processor."""
+    name, parameters = re.search(SIGNATURE, text).groups()
+    kinds = [parameter.split()[0] for parameter in parameters.split(", ")]
+    loads = "\n".join(f"  %at{k} = getelementptr i64, ptr %words, i64 {k}\n  %word{k} = load {kind}, ptr %at{k}, align 8"
+                      for k, kind in enumerate(kinds))
+    text = re.sub(r"target triple.*\n|declare i32 @llvm.nvvm.*\n|attributes #0.*\n|.* = call i32 @llvm.nvvm.*\n", "", text)
+    text = text.replace(f"define ptx_kernel void @{name}(", f"define internal void @{name}(i32 %block, i32 %thread, ")
+    text = text.replace(") #0 {", ") {").replace(' syncscope("device")', "")
+    arguments = ", ".join(f"{kind} %word{k}" for k, kind in enumerate(kinds))
+    return "\n".join([text, LAUNCH.format(loads=loads, name=name, arguments=arguments)])
+
+
+class Launch(NamedTuple):
+    """What a kernel was started with."""
+
+    name: str
+    blocks: int
+    threads: int
+    words: list[int]
+
+
+class Emulated:
+    """A launcher of `Nvptx` whose device is the processor.
+
+    Args:
+        assemble: also makes PTX of each kernel, as for a GPU.
+    """
+
+    architecture = "sm_90"
+
+    def __init__(self, assemble: bool = False):
+        self.assemble = assemble
+        self.ptx: list[str] = []
+        self.launches: list[Launch] = []
+
+    def load(self, text: str, name: str) -> Any:
+        if self.assemble:
+            self.ptx.append(ptx(text, self.architecture))
+        return name, MachineCode(on_processor(text), entry="launch")
+
+    def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
+        name, code = kernel
+        self.launches.append(Launch(name, blocks, threads, parameters.tolist()))
+        words = ctypes.c_void_p(parameters.buffer_info()[0])
+        ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(code.address)(blocks, threads, words)
+
+
+def emulated() -> Nvptx:
+    """A GPU in name, whose tensors lie on the processor."""
+    return Nvptx(Emulated())

@@ -1,0 +1,55 @@
+"""What the stages of a rendering are called with, in the forward and the backward pass."""
+
+from __future__ import annotations
+
+import warnings
+from importlib import import_module
+from unittest import mock
+
+import torch
+
+import torch_radbp as rb
+from tests.derivatives.everything import EVERYTHING, build_everything
+from tests.gradients import cotangent
+from tests.texture.networks import room
+from torch_radbp.integrand import Stages
+from torch_radbp.jit.structure import flatten
+from torch_radbp.stages import EAGER
+
+SCENES = (*EVERYTHING, "networks")
+SAMPLINGS = ("hybrid", "attached")
+Calls = dict[str, dict[tuple, tuple]]  # arguments, by the stage's name and their structure
+
+
+def recording() -> tuple[Stages, Calls]:
+    """The eager stages, and where the arguments of their calls are noted."""
+    found: Calls = {name: {} for name in EAGER._fields}
+
+    def watched(name: str, stage):
+        def call(*arguments):
+            key: list = []
+            flatten(arguments, [], key)
+            found[name].setdefault(tuple(key), arguments)
+            return stage(*arguments)
+        return call
+
+    return EAGER._make(watched(name, stage) for name, stage in EAGER._asdict().items()), found
+
+
+def build(name: str) -> rb.Scene:
+    """A scene of `SCENES`, of which everything is differentiated."""
+    return (room() if name == "networks" else build_everything(name)).requires_grad_()
+
+
+def calls_of(name: str, sampling: str) -> Calls:
+    """The arguments of all calls of the stages while a scene of `SCENES` and its quantities are rendered, and differentiated."""
+    stages, found = recording()
+    with mock.patch.object(import_module("torch_radbp.render"), "EAGER", stages), warnings.catch_warnings():
+        warnings.simplefilter("ignore", rb.SilhouetteWarning)
+        warnings.simplefilter("ignore", rb.JumpWarning)
+        renderer = rb.Renderer(build(name), spp=2, max_depth=4, rr_depth=2, sampling=sampling, compile=False)
+        image = renderer()
+        image.backward(cotangent(image.detach()))
+        with torch.no_grad():
+            assert all(values.isfinite().all() for values in renderer.aovs(["sh_normal", "uv", "albedo"]).values())
+    return found

@@ -1,0 +1,92 @@
+"""The processor as a target: a loop over blocks of vectors, on all of torch's threads.
+
+    void lanes(i64 first, i64 last, ptr inputs, ptr outputs)
+
+computes the lanes from `first` to `last` in blocks of W. If the last block is not full, it is moved back so that it ends at
+`last`; lanes that are computed twice get the same results twice. Fewer than W lanes are computed in copies that are a full
+block. `inputs` and `outputs` are arrays of pointers; behind those of the inputs stand their lengths. `lanes_of_job` calls it
+for parts of a `team.Job` until none is left, and may run on several threads at once.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator, Sequence
+
+from torch_radbp.jit.emit import Body, emit
+from torch_radbp.jit.graph import LANES, Program
+from torch_radbp.jit.instructions import alignment
+from torch_radbp.jit.loops import TAKE_PARTS, few_lanes
+from torch_radbp.jit.machine import MachineCode, host_width
+from torch_radbp.jit.prefetch import DECLARATION, prefetches
+from torch_radbp.jit.team import run_lanes
+
+
+class Cpu:
+    """The processor that this runs on.
+
+    Args:
+        width: lanes in a vector; None: what the processor has.
+    """
+
+    def __init__(self, width: int | None = None):
+        self.width = width or host_width()
+
+    def text(self, program: Program) -> str:
+        """The module of a program."""
+        return framed(emit(program, self.width), self.width)
+
+    def compile(self, program: Program) -> CpuLoop:
+        """See `Target`."""
+        return CpuLoop(self.text(program))
+
+
+class CpuLoop:
+    """A program as machine code of the processor; see `target.Loop`.
+
+    Args:
+        text: its module.
+    """
+
+    def __init__(self, text: str):
+        self.code = MachineCode(text)
+
+    def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
+        """Runs the loop over all lanes, and waits for it."""
+        run_lanes(self.code.address, lanes, array("q", [*inputs, *lengths]), array("q", outputs))
+
+
+def framed(body: Body, width: int) -> str:
+    """The module that runs `body` for blocks of `width` lanes."""
+    outputs = [value for value in body.program.outputs if value is not None]
+    hints = prefetches(body.program, body.names, width) if width > 1 else ()
+    sizes = ([alignment(value.dtype) if value.kind == LANES else 0 for value in body.program.inputs],
+             [alignment(value.dtype) for value in outputs])
+    return "\n".join([
+        TAKE_PARTS.format(width=width), few_lanes(*sizes, width),
+        "define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {", "entry:",
+        *indented([*pointers(body.program, len(outputs)), *body.before]), f"  %final = sub i64 %last, {width}",
+        "  br label %loop", "loop:", "  %at = phi i64 [ %first, %entry ], [ %next, %loop ]",
+        "  %over = icmp sgt i64 %at, %final", "  %i = select i1 %over, i64 %final, i64 %at",
+        *indented([*body.block, *hints]),
+        f"  %next = add i64 %at, {width}", "  %more = icmp slt i64 %next, %last",
+        "  br i1 %more, label %loop, label %done", "done:", "  ret void", "}", *body.functions,
+        *([DECLARATION] if width > 1 else []), ""])
+
+
+def pointers(program: Program, outputs: int) -> Iterator[str]:
+    """Instructions that load what the arrays `%inputs` and `%outputs` hold."""
+    inputs = len(program.inputs)
+    for number in range(inputs):
+        yield from (f"%place{number} = getelementptr ptr, ptr %inputs, i64 {number}",
+                    f"%in{number} = load ptr, ptr %place{number}, align 8")
+    for number in program.searched:
+        yield from (f"%length_at{number} = getelementptr i64, ptr %inputs, i64 {inputs + number}",
+                    f"%length{number} = load i64, ptr %length_at{number}, align 8")
+    for number in range(outputs):
+        yield from (f"%result{number} = getelementptr ptr, ptr %outputs, i64 {number}",
+                    f"%out{number} = load ptr, ptr %result{number}, align 8")
+
+
+def indented(lines: Sequence[str]) -> Iterator[str]:
+    return (f"  {line}" for line in lines)

@@ -1,0 +1,54 @@
+"""Programs for targets without a C library: what they lack, in terms of what they have.
+
+A GPU has no functions of float64 such as `exp`. Wherever a program uses one, the formula of `elementary_double.py` takes its
+place, traced as any function is; so tracing knows nothing of targets.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+
+import torch
+
+from torch_radbp.jit.elementary_double import FORMULAS
+from torch_radbp.jit.graph import LANES, Builder, Program, Value, program
+from torch_radbp.jit.trace import trace
+
+
+@functools.cache
+def formula(operation: str) -> Program:
+    """The program of a function of the C library in basic operations."""
+    arguments = 2 if operation in ("pow", "atan2", "hypot") else 1
+    return trace(lambda *x: [FORMULAS[operation](*x)], [torch.float64] * arguments, [LANES] * arguments)
+
+
+def without_library(given: Program) -> Program:
+    """The same program, without functions of the C library."""
+    builder = Builder()
+    made = inlined(builder, given, {})
+    lowered = program(tuple(None if value is None else made[value] for value in given.outputs))
+    return lowered._replace(inputs=tuple(made[value] for value in given.inputs))  # in the same order, all of them
+
+
+def inlined(builder: Builder, given: Program, made: dict[Value, Value]) -> dict[Value, Value]:
+    """Adds the values of a program to `made`, what `builder` has for them; of its inputs those that are not there yet."""
+    for value in given.values:
+        if value in made:
+            continue
+        arguments = tuple(made[argument] for argument in value.arguments)
+        made[value] = expanded(builder, value.operation, arguments) if value.operation in FORMULAS else builder.value(
+            value.operation, arguments, value.dtype, kind_of(value), value.static)
+    return made
+
+
+def expanded(builder: Builder, operation: str, arguments: Sequence[Value]) -> Value:
+    """A function of the C library by its formula."""
+    body = formula(operation)
+    inputs = {value: arguments[value.static] for value in body.inputs}
+    return inlined(builder, body, inputs)[body.outputs[0]]
+
+
+def kind_of(value: Value) -> str | None:
+    """The kind of a value if its operation does not tell."""
+    return value.kind if value.operation in ("input", "constant", "gather", "search") else None

@@ -1,0 +1,177 @@
+"""A GPU of NVIDIA's as a target: PTX, a lane for each thread.
+
+    .entry lanes(i64 lanes, ptr in0, ptr in1, ..., i64 length3, ..., ptr out0, ...)
+
+Inputs, lengths of those that are searched, and outputs are parameters of the kernel, 8 bytes each. A number of a call is
+read from the device like a table: to fetch it would mean to wait for the device. Threads beyond the last lane do nothing.
+
+The instructions are those of `emit.py` for single lanes, but for functions of float64 that the C library has elsewhere:
+`lowered.py` writes them out. Not yet run on a GPU: what is known of the kernels is that NVIDIA's assembler takes them, and
+that the same text computes the same on a processor.
+
+Reference: NVIDIA, PTX ISA. LLVM project, User Guide for NVPTX Back-end.
+"""
+
+from __future__ import annotations
+
+import functools
+from array import array
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import torch
+from llvmlite import binding as llvm
+
+from torch_radbp.jit.emit import Body, emit
+from torch_radbp.jit.graph import Program
+from torch_radbp.jit.lowered import without_library
+from torch_radbp.jit.machine import made_once
+
+BLOCK = 128  # threads of a block; with 255 registers each, the most that a thread may have, two fit on a multiprocessor
+TRIPLE = "nvptx64-nvidia-cuda"
+
+KERNEL = """\
+target triple = "{triple}"
+define ptx_kernel void @{name}({parameters}) #0 {{
+entry:
+  %block = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+  %thread = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
+  %wide_block = zext i32 %block to i64
+  %wide_thread = zext i32 %thread to i64
+  %before = mul i64 %wide_block, {block}
+  %i = add i64 %before, %wide_thread
+  %inside = icmp slt i64 %i, %lanes
+  br i1 %inside, label %lane, label %done
+lane:
+{body}
+  br label %done
+done:
+  ret void
+}}
+declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
+{functions}
+attributes #0 = {{ nounwind "nvvm.maxntid"="{block}" }}
+"""
+
+
+def kernel(name: str, parameters: Sequence[str], body: Sequence[str], functions: Sequence[str] = ()) -> str:
+    """The module of a kernel that runs `body` for each lane `%i`.
+
+    Args:
+        name: of the kernel.
+        parameters: type and name of each, 8 bytes; the number of lanes comes before them.
+        body: instructions.
+        functions: that they call, defined or declared.
+    """
+    return KERNEL.format(triple=TRIPLE, name=name, parameters=", ".join(["i64 %lanes", *parameters]), block=BLOCK,
+                         body="\n".join(f"  {line}" for line in body), functions="\n".join(functions))
+
+
+def framed(body: Body) -> str:
+    """The kernel of a program."""
+    program = body.program
+    parameters = [*(f"ptr noalias readonly %in{number}" for number in range(len(program.inputs))),
+                  *(f"i64 %length{number}" for number in program.searched),
+                  *(f"ptr noalias writeonly %out{number}" for number in range(len(program.outputs)))]
+    return kernel("lanes", parameters, [*body.before, *body.block], body.functions)
+
+
+class Launcher(Protocol):
+    """What runs kernels: the driver of a device (`driver.py`), or whatever stands in for it."""
+
+    architecture: str
+
+    def load(self, text: str, name: str) -> Any:
+        """The kernel `name` of a module in LLVM's text, ready to be launched."""
+
+    def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
+        """Starts a kernel.
+
+        Args:
+            kernel: from `load`.
+            blocks, threads: how many blocks, of how many threads each.
+            parameters: 64-bit words; read before this returns.
+        """
+
+
+class Nvptx:
+    """A GPU of NVIDIA's.
+
+    Args:
+        launcher: of the device.
+    """
+
+    def __init__(self, launcher: Launcher):
+        self.launcher = launcher
+
+    def text(self, program: Program) -> str:
+        """The module of a program."""
+        return framed(emit(without_library(program), width=1))
+
+    def compile(self, program: Program) -> KernelLoop:
+        """See `Target`."""
+        return KernelLoop(self.launcher, self.text(program), program.searched)
+
+
+class KernelLoop:
+    """A program as a kernel; see `target.Loop`.
+
+    Args:
+        launcher: of the device.
+        text: its module.
+        searched: the inputs whose lengths it takes.
+    """
+
+    def __init__(self, launcher: Launcher, text: str, searched: Sequence[int]):
+        self.launcher, self.searched, self.kernel = launcher, searched, launcher.load(text, "lanes")
+
+    def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
+        """Starts the kernel for all lanes, and does not wait for it."""
+        words = array("q", [lanes, *inputs, *[lengths[number] for number in self.searched], *outputs])
+        self.launcher.launch(self.kernel, -(-lanes // BLOCK), BLOCK, words)
+
+
+@functools.cache
+def nvptx_of(device: torch.device) -> Nvptx:
+    """The GPU that holds the tensors of a device.
+
+    Raises:
+        RuntimeError: if there is no driver to be had; the message says what is missing.
+    """
+    from torch_radbp.jit.driver import driver_of
+
+    return Nvptx(driver_of(device))
+
+
+@made_once
+def initialized() -> llvm.Target:
+    """LLVM's target for NVIDIA's GPUs, ready for use.
+
+    Raises:
+        RuntimeError: if llvmlite was built without it.
+    """
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    return llvm.Target.from_triple(TRIPLE)
+
+
+def features(architecture: str) -> str:
+    """PTX ISA 8.1 (CUDA 12.1), by which parameters of a kernel may take 32 KB instead of 4; younger GPUs have it anyway."""
+    return "+ptx81" if int(architecture.removeprefix("sm_")) < 100 else ""
+
+
+def ptx(text: str, architecture: str) -> str:
+    """The PTX of a module.
+
+    Args:
+        text: LLVM's, from `kernel`.
+        architecture: such as "sm_90".
+    """
+    machine = initialized().create_target_machine(cpu=architecture, features=features(architecture), opt=2)
+    module = llvm.parse_assembly(text)
+    module.verify()
+    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    return machine.emit_assembly(module)
