@@ -6,8 +6,10 @@ from setuptools import find_packages, setup
 from setuptools.command.build_py import build_py
 
 TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli-w>=1.0", "typer>=0.12"]
-CUDA = ["warp-lang>=1.19"]
-TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0", "setuptools>=70.1", *CUDA]
+WARP = "warp-lang>=1.19"
+CUDA = [WARP, "cuda-bindings>=12.8"]
+TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0", "setuptools>=70.1", WARP,
+        'nvidia-cuda-nvcc-cu12>=12.8; sys_platform != "darwin"']
 
 TRAINING = "torch_radbp.training"
 PARTS = [f"{TRAINING}.{name}" for name in find_packages("training")]

@@ -2,9 +2,9 @@
 
     python -m benchmarks.ptx [--architectures sm_80 sm_90] [--scenes NAME ...] [--samplings hybrid attached]
 
-The scenes are those of `tests/derivatives/everything.py`, which together have every material, shape, light and texture, and a
-room with networks; everything in them is differentiated, forward and backward, by hybrid and attached sampling. A kernel that
-several of them share is listed once.
+The scenes are those of `tests/derivatives/everything.py`, which together have every material, shape, light and texture,
+and a room with networks; everything in them is differentiated, forward and backward, by hybrid and attached sampling. A
+kernel that several of them share is listed once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 from benchmarks.ptxas import Usage, assemble, find
 from tests.render.recorded import SAMPLINGS, SCENES, calls_of
-from torch_radbp.jit.nvptx import Nvptx, ptx
+from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.nvptx import ptx
 from torch_radbp.stages import fused
 
 ARCHITECTURES = ("sm_80", "sm_90")
@@ -56,7 +57,7 @@ def kernels(scene: str, sampling: str) -> Iterator[Kernel]:
     for stage, cases in calls_of(scene, sampling).items():
         for arguments in cases.values():
             listing = Listing()
-            getattr(fused(Nvptx(listing)), stage).fused.prepared(arguments)
+            getattr(fused(Gpu(listing)), stage).fused.prepared(arguments)
             looks = arguments[0].layout.appearances if stage in ("bounce", "bounce_adjoint") else ()
             kinds = ", ".join(type(look.kind).__name__ for look in looks)
             yield from (Kernel(stage, kinds, text) for text in listing.texts)

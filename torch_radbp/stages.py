@@ -36,7 +36,7 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
 
 
 def fused(target: Target | None = None) -> Stages:
-    """The stages as fused loops; `target`: what they are compiled for, None: the device that the tensors of a call lie on."""
+    """The stages as fused loops for `target`; None: for the device that the tensors of a call lie on."""
     return Stages(*(CompiledStage(stage, tables, target) for stage, tables in zip(EAGER, TABLES)))
 
 

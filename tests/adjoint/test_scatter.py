@@ -7,7 +7,8 @@ import sys
 import pytest
 import torch
 
-from torch_radbp.adjoint.scatter import SMALL, Contribution, Gradients, gradients_of
+from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
+from torch_radbp.jit.cpu import SMALL
 
 LENGTHS = (1, 4, 511, 513, SMALL, SMALL + 1, 200_000)
 

@@ -10,8 +10,9 @@ import re
 from array import array
 from typing import Any, NamedTuple
 
+from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.machine import MachineCode
-from torch_radbp.jit.nvptx import Nvptx, ptx
+from torch_radbp.jit.nvptx import ptx
 
 LAUNCH = """\
 define void @launch(i64 %blocks, i64 %threads, ptr %words) {{
@@ -58,7 +59,7 @@ class Launch(NamedTuple):
 
 
 class Emulated:
-    """A launcher of `Nvptx` whose device is the processor.
+    """A launcher of `Gpu` whose device is the processor.
 
     Args:
         assemble: also makes PTX of each kernel, as for a GPU.
@@ -83,6 +84,6 @@ class Emulated:
         ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(code.address)(blocks, threads, words)
 
 
-def emulated() -> Nvptx:
+def emulated() -> Gpu:
     """A GPU in name, whose tensors lie on the processor."""
-    return Nvptx(Emulated())
+    return Gpu(Emulated())

@@ -6,8 +6,9 @@ import time
 import pytest
 import torch
 
+from torch_radbp.jit.cpu_scatter import BLOCK
 from torch_radbp.jit.machine import made_once
-from torch_radbp.jit.scatter import BLOCK, Addition, scatter_add
+from torch_radbp.jit.scatter import Addition, scatter_add
 
 LANES = (0, 1, 17, BLOCK, BLOCK + 1, 50_000)
 

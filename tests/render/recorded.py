@@ -42,7 +42,7 @@ def build(name: str) -> rb.Scene:
 
 
 def calls_of(name: str, sampling: str) -> Calls:
-    """The arguments of all calls of the stages while a scene of `SCENES` and its quantities are rendered, and differentiated."""
+    """The arguments of all calls of the stages while a scene of `SCENES` is rendered, differentiated and described."""
     stages, found = recording()
     with mock.patch.object(import_module("torch_radbp.render"), "EAGER", stages), warnings.catch_warnings():
         warnings.simplefilter("ignore", rb.SilhouetteWarning)

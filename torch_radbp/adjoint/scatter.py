@@ -15,10 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, scatter_add
+from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, copies, scatter_add
 
 PAGE = 1 << PAGE_BITS  # entries
-COPIES, SMALL = 4, 1 << 12  # copies of the totals, for tables with at most so many entries
 
 
 class Contribution(NamedTuple):
@@ -38,7 +37,8 @@ class Gradients:
 
     def __init__(self, tables: Sequence[Tensor]):
         self.tables = tables
-        self.totals = [zeros(pages(table.numel()) * PAGE, copies(table.numel()), torch.float64, table.device)
+        self.totals = [zeros(pages(table.numel()) * PAGE, copies(table.numel(), table.device), torch.float64,
+                             table.device)
                        for table in tables]
         self.touched = {table.numel(): torch.zeros(pages(table.numel()), dtype=torch.bool, device=table.device)
                         for table in tables}  # by number of entries
@@ -54,13 +54,7 @@ class Gradients:
                 some = parts[first:first + MOST_TABLES]
                 additions.append(Addition(some[0].index, [part.adjoint for part in some],
                                           [self.totals[part.leaf] for part in some], self.touched[entries]))
-        if additions and additions[0].index.is_cpu:
-            scatter_add(additions)
-        else:
-            for addition in additions:
-                for adjoint, total in zip(addition.numbers, addition.totals):
-                    total[:, 0].index_add_(0, addition.index, adjoint.to(total.dtype))
-                addition.touched.fill_(True)
+        scatter_add(additions)
 
     def add_whole(self, leaf: int, gradient: Tensor) -> None:
         """Adds to the gradient of a whole table."""
@@ -80,7 +74,7 @@ def gradients_of(workers: Sequence[Gradients]) -> list[Tensor]:
         parts = [worker.totals[leaf].view(pages(table.numel()), -1).index_select(0, touched) for worker in workers]
         for part in parts[1:]:
             parts[0] += part
-        total = parts[0].view(len(touched), PAGE, copies(table.numel())).sum(2).to(table.dtype)
+        total = parts[0].view(len(touched), PAGE, workers[0].totals[leaf].shape[1]).sum(2).to(table.dtype)
         gradient = zeros(pages(table.numel()), PAGE, table.dtype, table.device).index_copy_(0, touched, total)
         results.append(gradient.view(-1)[:table.numel()].view(table.shape))
     return results
@@ -89,11 +83,6 @@ def gradients_of(workers: Sequence[Gradients]) -> list[Tensor]:
 def pages(entries: int) -> int:
     """The number of pages of a table, the last perhaps not full."""
     return max(1, -(-entries // PAGE))
-
-
-def copies(entries: int) -> int:
-    """The number of copies of the totals of a table; its lanes take turns."""
-    return COPIES if entries <= SMALL else 1
 
 
 def zeros(rows: int, columns: int, dtype: torch.dtype, device: torch.device) -> Tensor:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Sequence
 
+from torch_radbp.jit import cpu_order, cpu_scatter
 from torch_radbp.jit.emit import Body, emit
 from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.instructions import alignment
@@ -20,6 +21,8 @@ from torch_radbp.jit.loops import TAKE_PARTS, few_lanes
 from torch_radbp.jit.machine import MachineCode, host_width
 from torch_radbp.jit.prefetch import DECLARATION, prefetches
 from torch_radbp.jit.team import run_lanes
+
+COPIES, SMALL = 4, 1 << 12  # copies of the totals of `scatter.py`, for tables with at most so many entries
 
 
 class Cpu:
@@ -39,6 +42,15 @@ class Cpu:
     def compile(self, program: Program) -> CpuLoop:
         """See `Target`."""
         return CpuLoop(self.text(program))
+
+    chosen = staticmethod(cpu_order.chosen)
+    partition = staticmethod(cpu_order.partition)
+    put = staticmethod(cpu_order.put)
+    scatter_add = staticmethod(cpu_scatter.scatter_add)
+
+    def copies(self, entries: int) -> int:
+        """See `Target`."""
+        return COPIES if entries <= SMALL else 1
 
 
 class CpuLoop:

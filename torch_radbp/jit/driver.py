@@ -1,5 +1,115 @@
-"""CUDA's driver."""
+"""Kernels on a device of NVIDIA's, by CUDA's driver: loaded once, launched on torch's current stream.
+
+Machine code is made of PTX by the driver's own assembler, which takes seconds for the longest kernels; so it is kept on disk
+(`kept_code.py`). Not yet run on a GPU; `tests/jit/test_driver.py` holds what is asked of the driver.
+
+Reference: NVIDIA, CUDA Driver API.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+from array import array
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import torch
+
+from torch_radbp.jit import kept_code
+from torch_radbp.jit.nvptx import ptx
+
+# CU_LAUNCH_PARAM_BUFFER_POINTER, _BUFFER_SIZE and _END: a launch hands over its parameters as one piece of memory.
+BUFFER, SIZE, END = 1, 2, 0
 
 
-def driver_of(device):
-    raise RuntimeError("not yet")
+class Driver:
+    """A device; see `gpu.Launcher`.
+
+    Args:
+        driver: the module `cuda.bindings.driver`.
+        architecture: of the device, such as "sm_90".
+        device: torch's.
+        stream: tells the number of the stream that is current on it.
+    """
+
+    def __init__(self, driver: Any, architecture: str, device: torch.device, stream: Callable[[], int]):
+        self.driver, self.architecture, self.device, self.stream = driver, architecture, device, stream
+        self.context = self.ask(driver.cuDevicePrimaryCtxRetain, self.ask(driver.cuDeviceGet, device.index or 0))
+
+    def ask(self, function: Callable, *arguments) -> Any:
+        """The answer of a function of the driver.
+
+        Raises:
+            RuntimeError: with the driver's words, if it reports an error.
+        """
+        error, *answers = function(*arguments)
+        if error != self.driver.CUresult.CUDA_SUCCESS:
+            _, name = self.driver.cuGetErrorName(error)
+            _, words = self.driver.cuGetErrorString(error)
+            raise RuntimeError(f"{function.__name__} on {self.device}: {name.decode()}, {words.decode()}")
+        return answers[0] if len(answers) == 1 else answers
+
+    @contextlib.contextmanager
+    def current(self) -> Iterator[None]:
+        """Inside, this device is the driver's current one; afterwards that of before."""
+        self.ask(self.driver.cuCtxPushCurrent, self.context)
+        try:
+            yield
+        finally:
+            self.ask(self.driver.cuCtxPopCurrent)
+
+    def load(self, text: str, name: str) -> Any:
+        """The kernel `name` of a module in LLVM's text."""
+        with self.current():
+            code = kept_code.machine_code(text, self.architecture, self.assembled)
+            module = self.ask(self.driver.cuModuleLoadData, code)  # stays until the process ends
+            return self.ask(self.driver.cuModuleGetFunction, module, name.encode())
+
+    def assembled(self, text: str) -> bytes:
+        """The machine code of a module, by the driver's assembler."""
+        driver, code = self.driver, ptx(text, self.architecture).encode() + b"\0"
+        state = self.ask(driver.cuLinkCreate, 0, [], [])
+        try:
+            kind = driver.CUjitInputType.CU_JIT_INPUT_PTX
+            self.ask(driver.cuLinkAddData, state, kind, code, len(code), b"lanes", 0, [], [])
+            address, size = self.ask(driver.cuLinkComplete, state)
+            return ctypes.string_at(int(address), size)
+        finally:
+            self.ask(driver.cuLinkDestroy, state)
+
+    def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
+        """Starts a kernel on torch's current stream; `parameters` are copied before this returns."""
+        address, count = parameters.buffer_info()
+        size = ctypes.c_size_t(8 * count)
+        words = (ctypes.c_void_p * 5)(BUFFER, address, SIZE, ctypes.addressof(size), END)
+        with self.current():
+            self.ask(self.driver.cuLaunchKernel, kernel, blocks, 1, 1, threads, 1, 1, 0, self.stream(), 0,
+                     ctypes.addressof(words))
+
+
+class NoDriver(RuntimeError):
+    """Kernels cannot be launched; the message says what is missing, and what to do."""
+
+
+def driver_of(device: torch.device) -> Driver:
+    """The driver of one of torch's CUDA devices.
+
+    Raises:
+        NoDriver: if `cuda-bindings` is not installed, or finds no driver.
+    """
+    try:
+        from cuda.bindings import driver
+    except ImportError as error:
+        raise NoDriver("compiled rendering on CUDA launches its kernels by NVIDIA's `cuda-bindings`, which is not "
+                           "installed: pip install 'torch_radbp[cuda]', or render with compile=False") from error
+    try:
+        error, = driver.cuInit(0)
+    except Exception as missing:  # the bindings have an error of their own for it, by version
+        raise NoDriver(f"compiled rendering on CUDA needs NVIDIA's display driver, which was not found: {missing}. "
+                           "Install it, or render with compile=False") from missing
+    if error != driver.CUresult.CUDA_SUCCESS:
+        raise NoDriver(f"NVIDIA's display driver could not be started: {error.name}. Look at what nvidia-smi says, or "
+                           "render with compile=False")
+    major, minor = torch.cuda.get_device_capability(device)
+    return Driver(driver, f"sm_{major}{minor}", device, lambda: torch.cuda.current_stream(device).cuda_stream)

@@ -16,11 +16,12 @@ Reference: LLVM Language Reference Manual.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 
-from torch_radbp.jit.graph import NUMBER, TABLE, Program, Value
+from torch_radbp.jit.graph import LANES, NUMBER, TABLE, Program, Value
 from torch_radbp.jit.instructions import (
     BOOLEAN,
     FLOATING,
@@ -61,12 +62,16 @@ class Emitter:
 
     def instructions(self) -> Body:
         """All of them."""
+        waiting: dict[Value, list[int]] = {}  # the outputs that each value is
+        for number, value in enumerate(value for value in self.program.outputs if value is not None):
+            waiting.setdefault(value, []).append(number)
         for value in self.program.values:
             self.here = self.entry if value.kind == NUMBER else self.body
             self.names[value] = self.emit(value)
-        self.here = self.body
-        for number, value in enumerate(value for value in self.program.outputs if value is not None):
-            self.store(number, value)
+            if self.width == 1 and value.kind == LANES:  # a thread has no register to spare for what is done
+                self.store(value, waiting.pop(value, ()))
+        for value, numbers in waiting.items():
+            self.store(value, numbers)
         return Body(self.program, self.entry, self.body, tuple(self.declared.values()), self.names)
 
     # -- Types and constants --------------------------------------------------------------------------------------------
@@ -270,13 +275,15 @@ class Emitter:
         return (f"%first = insertelement {vector} poison, i64 {name}, i32 0\n"
                 f"  %step = shufflevector {vector} %first, {vector} poison, <{self.width} x i32> zeroinitializer")
 
-    def store(self, number: int, value: Value) -> None:
-        """Writes a block of an output."""
-        kind, name = self.vector(memory(value.dtype)), self.names[value]
-        if value.dtype == torch.bool:
-            name = self.line(f"zext {self.vector('i1')} {name} to {kind}")
-        place = self.line(f"getelementptr {memory(value.dtype)}, ptr %out{number}, i64 %i")
-        self.body.append(f"store {kind} {name}, ptr {place}, align {alignment(value.dtype)}")
+    def store(self, value: Value, numbers: Sequence[int]) -> None:
+        """Writes a block of some outputs."""
+        kind, self.here = self.vector(memory(value.dtype)), self.body
+        for number in numbers:
+            name = self.names[value]
+            if value.dtype == torch.bool:
+                name = self.line(f"zext {self.vector('i1')} {name} to {kind}")
+            place = self.line(f"getelementptr {memory(value.dtype)}, ptr %out{number}, i64 %i")
+            self.body.append(f"store {kind} {name}, ptr {place}, align {alignment(value.dtype)}")
 
 
 def emit(program: Program, width: int) -> Body:

@@ -1,4 +1,4 @@
-"""A GPU of NVIDIA's as a target: PTX, a lane for each thread.
+"""PTX, the code of NVIDIA's GPUs, from the instructions of a block of lanes: a lane for each thread.
 
     .entry lanes(i64 lanes, ptr in0, ptr in1, ..., i64 length3, ..., ptr out0, ...)
 
@@ -14,17 +14,11 @@ Reference: NVIDIA, PTX ISA. LLVM project, User Guide for NVPTX Back-end.
 
 from __future__ import annotations
 
-import functools
-from array import array
 from collections.abc import Sequence
-from typing import Any, Protocol
 
-import torch
 from llvmlite import binding as llvm
 
-from torch_radbp.jit.emit import Body, emit
-from torch_radbp.jit.graph import Program
-from torch_radbp.jit.lowered import without_library
+from torch_radbp.jit.emit import Body
 from torch_radbp.jit.machine import made_once
 
 BLOCK = 128  # threads of a block; with 255 registers each, the most that a thread may have, two fit on a multiprocessor
@@ -75,73 +69,6 @@ def framed(body: Body) -> str:
                   *(f"i64 %length{number}" for number in program.searched),
                   *(f"ptr noalias writeonly %out{number}" for number in range(len(program.outputs)))]
     return kernel("lanes", parameters, [*body.before, *body.block], body.functions)
-
-
-class Launcher(Protocol):
-    """What runs kernels: the driver of a device (`driver.py`), or whatever stands in for it."""
-
-    architecture: str
-
-    def load(self, text: str, name: str) -> Any:
-        """The kernel `name` of a module in LLVM's text, ready to be launched."""
-
-    def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
-        """Starts a kernel.
-
-        Args:
-            kernel: from `load`.
-            blocks, threads: how many blocks, of how many threads each.
-            parameters: 64-bit words; read before this returns.
-        """
-
-
-class Nvptx:
-    """A GPU of NVIDIA's.
-
-    Args:
-        launcher: of the device.
-    """
-
-    def __init__(self, launcher: Launcher):
-        self.launcher = launcher
-
-    def text(self, program: Program) -> str:
-        """The module of a program."""
-        return framed(emit(without_library(program), width=1))
-
-    def compile(self, program: Program) -> KernelLoop:
-        """See `Target`."""
-        return KernelLoop(self.launcher, self.text(program), program.searched)
-
-
-class KernelLoop:
-    """A program as a kernel; see `target.Loop`.
-
-    Args:
-        launcher: of the device.
-        text: its module.
-        searched: the inputs whose lengths it takes.
-    """
-
-    def __init__(self, launcher: Launcher, text: str, searched: Sequence[int]):
-        self.launcher, self.searched, self.kernel = launcher, searched, launcher.load(text, "lanes")
-
-    def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
-        """Starts the kernel for all lanes, and does not wait for it."""
-        words = array("q", [lanes, *inputs, *[lengths[number] for number in self.searched], *outputs])
-        self.launcher.launch(self.kernel, -(-lanes // BLOCK), BLOCK, words)
-
-
-@functools.cache
-def nvptx_of(device: torch.device) -> Nvptx:
-    """The GPU that holds the tensors of a device.
-
-    Raises:
-        RuntimeError: if there is no driver to be had; the message says what is missing.
-    """
-    from torch_radbp.jit.driver import driver_of
-
-    return Nvptx(driver_of(device))
 
 
 @made_once

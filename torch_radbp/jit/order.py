@@ -1,124 +1,21 @@
-"""Lanes in queues, and entries put into their places: loops that move data and compute nothing, as machine code.
+"""Lanes in queues, and entries put into their places: what moves data and computes nothing.
 
-They run on the calling thread, and their order is that of the lanes.
+How it is done is the target's: `cpu_order.py` for the processor, `nvptx_lanes.py` for GPUs, torch elsewhere.
 """
 
 from __future__ import annotations
 
-import ctypes
-from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, made_once
-
-# The body may begin with values that are carried from turn to turn.
-LOOP = """\
-define {result} @{name}({arguments}, i64 %count) {{
-entry:
-  %some = icmp sgt i64 %count, 0
-  br i1 %some, label %turn, label %done
-turn:
-  %i = phi i64 [ 0, %entry ], [ %next, %turn ]
-{body}
-  %next = add i64 %i, 1
-  %more = icmp slt i64 %next, %count
-  br i1 %more, label %turn, label %done
-done:
-{end}
-}}
-"""
-# A counter of each queue: begun at 0, it ends at the number of lanes; begun where the queue begins, it is each lane's place.
-COUNT = """\
-  %number_at = getelementptr {scalar}, ptr %numbers, i64 %i
-  %number = load {scalar}, ptr %number_at
-  %queue = {wide}
-  %place_at = getelementptr i64, ptr %places, i64 %queue
-  %place = load i64, ptr %place_at, align 8
-  %after = add i64 %place, 1
-  store i64 %after, ptr %place_at, align 8"""
-STORE_LANE = """\
-  %lane_at = getelementptr i32, ptr %order, i64 %place
-  %lane = trunc i64 %i to i32
-  store i32 %lane, ptr %lane_at, align 4"""
-# Without a branch: a lane that is not chosen is overwritten by the next.
-CHOOSE = f"""\
-  %place = phi i64 [ 0, %entry ], [ %after, %turn ]
-{STORE_LANE}
-  %flag_at = getelementptr i8, ptr %flags, i64 %i
-  %flag = load i8, ptr %flag_at, align 1
-  %one = zext i8 %flag to i64
-  %after = add i64 %place, %one"""
-CHOSEN = """\
-  %number = phi i64 [ 0, %entry ], [ %after, %turn ]
-  ret i64 %number"""
-PUT = """\
-  %place_at = getelementptr i32, ptr %places, i64 %i
-  %place32 = load i32, ptr %place_at, align 4
-  %place = sext i32 %place32 to i64
-  %entry_at = getelementptr {scalar}, ptr %from, i64 %i
-  %entry_value = load {scalar}, ptr %entry_at
-  %target = getelementptr {scalar}, ptr %to, i64 %place
-  store {scalar} %entry_value, ptr %target"""
-# Words of a job: where the entries lie, and where they go.
-PUT_ALL = """\
-  %words = shl i64 %i, 1
-  %from_at = getelementptr ptr, ptr %jobs, i64 %words
-  %from = load ptr, ptr %from_at, align 8
-  %to_at = getelementptr ptr, ptr %from_at, i64 1
-  %to = load ptr, ptr %to_at, align 8
-  call void @put_{scalar}(ptr %places, ptr %from, ptr %to, i64 %lanes)"""
-BITS = (8, 32, 64)  # of an element
-
-
-def loop(name: str, arguments: str, body: str, result: str = "void", end: str = "  ret void") -> str:
-    """The text of a function that runs `body` for each `%i` below its last argument, `%count`."""
-    return LOOP.format(name=name, arguments=arguments, body=body, result=result, end=end)
-
-
-def text() -> str:
-    """The module: how lanes are counted, partitioned and put into places, for each size of an element, and are chosen."""
-    functions = [loop("choose", "ptr %flags, ptr %order", CHOOSE, "i64", CHOSEN)]
-    for bits in BITS:
-        scalar = f"i{bits}"
-        count = COUNT.format(scalar=scalar, wide="add i64 %number, 0" if bits == 64 else f"zext {scalar} %number to i64")
-        functions += [
-            loop(f"count_{scalar}", "ptr %numbers, ptr %places", count),
-            loop(f"partition_{scalar}", "ptr %numbers, ptr %places, ptr %order", f"{count}\n{STORE_LANE}"),
-            loop(f"put_{scalar}", "ptr %places, ptr %from, ptr %to", PUT.format(scalar=scalar)),
-            loop(f"put_all_{scalar}", "ptr %places, i64 %lanes, ptr %jobs", PUT_ALL.format(scalar=scalar)),
-        ]
-    return "\n".join(functions)
-
-
-class Code:
-    """The machine code of `text`: functions by the bytes of an element."""
-
-    def __init__(self) -> None:
-        self.module = MachineCode(text(), entry="choose")
-        self.choose = self.function("choose", "ppn", ctypes.c_int64)
-        self.count, self.partition, self.put_all = (
-            {bits // 8: self.function(f"{name}_i{bits}", arguments) for bits in BITS}
-            for name, arguments in (("count", "ppn"), ("partition", "pppn"), ("put_all", "pnpn")))
-
-    def function(self, name: str, arguments: str, result: type | None = None) -> Callable:
-        """A function of the module; of each of its arguments whether it is a pointer (p) or a number (n)."""
-        kinds = {"p": ctypes.c_void_p, "n": ctypes.c_int64}
-        return ctypes.CFUNCTYPE(result, *(kinds[letter] for letter in arguments))(self.module.address_of(name))
-
-
-code = made_once(Code)
+from torch_radbp.jit.target import target_of
 
 
 def chosen(flags: Tensor) -> Tensor:
     """The lanes, (M,) int32, of which `flags`, (N,) bool, are true."""
-    if not flags.is_cpu:
-        return flags.nonzero().squeeze(1).to(torch.int32)
-    flags = flags.contiguous()
-    order = flags.new_empty(flags.numel(), dtype=torch.int32)
-    return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
+    return target_of(flags.device).chosen(flags)
 
 
 def partition(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
@@ -130,20 +27,7 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
     Returns:
         (N,) int32, the lanes of queue 0 in their order, then those of queue 1, ...; and the number of lanes of each queue.
     """
-    if not number.is_cpu:
-        counts = torch.bincount(number.to(torch.int64), minlength=queues).tolist()
-        return number.to(torch.int32).sort(stable=True).indices.to(torch.int32), counts
-    number, lanes, size = number.contiguous(), number.numel(), number.element_size()
-    order = number.new_empty(lanes, dtype=torch.int32)
-    counts = array("q", bytes(8 * queues))
-    address = counts.buffer_info()[0]
-    code().count[size](number.data_ptr(), address, lanes)
-    found, first = counts.tolist(), 0
-    for queue, count in enumerate(found):
-        counts[queue] = first
-        first += count
-    code().partition[size](number.data_ptr(), address, order.data_ptr(), lanes)
-    return order, found
+    return target_of(number.device).partition(number, queues)
 
 
 def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
@@ -158,18 +42,14 @@ def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> 
         ValueError: if lengths, dtypes or devices do not go together.
     """
     lanes = place.numel()
+    if place.dtype != torch.int32:
+        raise ValueError(f"places are int32, got {place.dtype}")
     for target, entry in zip(targets, entries, strict=True):
         if entry.numel() != lanes or entry.dtype != target.dtype or not target.is_contiguous():
             raise ValueError(f"{lanes} entries of {target.dtype} are put into a contiguous tensor, got {entry.numel()} of "
                              f"{entry.dtype}")
-    if not all(tensor.is_cpu for tensor in (place, *targets, *entries)) or place.dtype != torch.int32:
-        for target, entry in zip(targets, entries):
-            target.index_copy_(0, place.long(), entry)
-        return
-    place, entries = place.contiguous(), [entry.contiguous() for entry in entries]
-    for size in {target.element_size() for target in targets}:
-        jobs = array("q")
-        for target, entry in zip(targets, entries):
-            if target.element_size() == size:
-                jobs.extend((entry.data_ptr(), target.data_ptr()))
-        code().put_all[size](place.data_ptr(), lanes, jobs.buffer_info()[0], len(jobs) // 2)
+        if not target.device == entry.device == place.device:
+            raise ValueError(f"entries on {entry.device} are put into a tensor on {target.device} at places on "
+                             f"{place.device}; all must lie on one device")
+    if lanes:
+        target_of(place.device).put(targets, place.contiguous(), [entry.contiguous() for entry in entries])

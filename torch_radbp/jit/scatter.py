@@ -1,175 +1,51 @@
-"""Adds numbers of the lanes to entries of tables: the derivative of a gather, as machine code on the calling thread.
+"""Adds numbers of the lanes to entries of tables: the derivative of a gather.
 
 Totals are float64: millions of lanes may add to one entry, and a float32 sum would lose what is small against the total.
-A few tables that are read at the same index are written in one loop over the lanes, and all additions of a call take turns
-in blocks of lanes, so that entries that lie near each other (the four texels around a point) are still in the cache.
+A few tables that are read at the same index are written together.
 
 Additions to one entry wait for each other. So totals may come in several copies, of which neighbouring lanes take different
-ones; whoever reads the totals sums the copies.
+ones; whoever reads the totals sums the copies. How it is done is the target's: `cpu_scatter.py` for the processor,
+`nvptx_lanes.py` for GPUs, torch elsewhere.
 """
 
 from __future__ import annotations
 
-import ctypes
-from array import array
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, made_once
+from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition
+from torch_radbp.jit.target import target_of
 
-PAGE_BITS = 9  # of a table that is noted as touched: 512 entries, 4 KiB
-MOST_TABLES = 3  # of an addition
-BLOCK = 2048  # lanes
-
-SCALARS = {torch.float32: "float", torch.float64: "double"}
+__all__ = ["MOST_TABLES", "PAGE_BITS", "Addition", "copies", "scatter_add"]
 
 
-class Addition(NamedTuple):
-    """Numbers of N lanes that are added to entries of some tables of K entries, all at one index."""
-
-    index: Tensor  # (N,) int32
-    numbers: Sequence[Tensor]  # of each table, (N,) float32 or float64; at most MOST_TABLES
-    totals: Sequence[Tensor]  # of each table, (K, C) float64, written into: the sum over the C copies, a power of 2, counts
-    touched: Tensor  # (ceil(K / 512),) bool, set for pages of 512 entries that were added to
-
-
-# A job is an array of 64-bit words: the function, the index, the pages, the binary logarithm of the number of copies, the
-# number of copies less 1, then the numbers of each table, then the totals of each.
-HEAD = 5
-JOB = HEAD + 2 * MOST_TABLES
-
-SCATTER = """\
-define void @scatter_{scalar}_{tables}(ptr %job, i64 %first, i64 %last) {{
-entry:
-  %index = call ptr @pointer(ptr %job, i64 1)
-  %pages = call ptr @pointer(ptr %job, i64 2)
-  %bits = call i64 @word(ptr %job, i64 3)
-  %mask = call i64 @word(ptr %job, i64 4)
-  {pointers}
-  br label %lane
-lane:
-  %i = phi i64 [ %first, %entry ], [ %next, %lane ]
-  %at = getelementptr i32, ptr %index, i64 %i
-  %found = load i32, ptr %at, align 4
-  %number = sext i32 %found to i64
-  %page_number = lshr i64 %number, {page_bits}
-  %page = getelementptr i8, ptr %pages, i64 %page_number
-  store i8 1, ptr %page, align 1
-  %copy = and i64 %i, %mask
-  %copies = shl i64 %number, %bits
-  %place = or i64 %copies, %copy
-  {additions}
-  %next = add i64 %i, 1
-  %more = icmp slt i64 %next, %last
-  br i1 %more, label %lane, label %done
-done:
-  ret void
-}}
-"""
-POINTERS = """\
-  %numbers{t} = call ptr @pointer(ptr %job, i64 {numbers})
-  %totals{t} = call ptr @pointer(ptr %job, i64 {totals})"""
-ADDITION = """\
-  %from{t} = getelementptr {scalar}, ptr %numbers{t}, i64 %i
-  %number{t} = load {scalar}, ptr %from{t}, align {size}
-  %wide{t} = {widened}
-  %to{t} = getelementptr double, ptr %totals{t}, i64 %place
-  %total{t} = load double, ptr %to{t}, align 8
-  %sum{t} = fadd double %total{t}, %wide{t}
-  store double %sum{t}, ptr %to{t}, align 8"""
-JOBS = """\
-define internal i64 @word(ptr %job, i64 %number) {{
-  %at = getelementptr i64, ptr %job, i64 %number
-  %word = load i64, ptr %at, align 8
-  ret i64 %word
-}}
-define internal ptr @pointer(ptr %job, i64 %number) {{
-  %word = call i64 @word(ptr %job, i64 %number)
-  %pointer = inttoptr i64 %word to ptr
-  ret ptr %pointer
-}}
-define void @scatter(ptr %jobs, i64 %count, i64 %lanes) {{
-entry:
-  br label %block
-block:
-  %first = phi i64 [ 0, %entry ], [ %last, %blocks ]
-  %full = add i64 %first, {block}
-  %over = icmp sgt i64 %full, %lanes
-  %last = select i1 %over, i64 %lanes, i64 %full
-  br label %turn
-turn:
-  %k = phi i64 [ 0, %block ], [ %next, %turn ]
-  %words = mul i64 %k, {job}
-  %job = getelementptr i64, ptr %jobs, i64 %words
-  %function = call ptr @pointer(ptr %job, i64 0)
-  call void %function(ptr %job, i64 %first, i64 %last)
-  %next = add i64 %k, 1
-  %more = icmp slt i64 %next, %count
-  br i1 %more, label %turn, label %blocks
-blocks:
-  %left = icmp slt i64 %last, %lanes
-  br i1 %left, label %block, label %done
-done:
-  ret void
-}}
-"""
-
-
-def text() -> str:
-    """The module: a loop over lanes for each dtype and number of tables, and the loop over jobs in blocks of lanes."""
-    functions = [JOBS.format(block=BLOCK, job=JOB)]
-    for dtype, scalar in SCALARS.items():
-        widened = "fpext float %number{t} to double" if dtype == torch.float32 else "fadd double %number{t}, -0.0"
-        for tables in range(1, MOST_TABLES + 1):
-            pointers = [POINTERS.format(t=t, numbers=HEAD + t, totals=HEAD + MOST_TABLES + t) for t in range(tables)]
-            additions = [ADDITION.format(t=t, scalar=scalar, size=dtype.itemsize, widened=widened.format(t=t))
-                         for t in range(tables)]
-            functions.append(SCATTER.format(scalar=scalar, tables=tables, page_bits=PAGE_BITS, pointers="\n".join(pointers),
-                                            additions="\n".join(additions)))
-    return "\n".join(functions)
-
-
-class Code:
-    """The machine code of `text`."""
-
-    def __init__(self) -> None:
-        self.module = MachineCode(text(), entry="scatter")
-        self.loops = {(dtype, tables): self.module.address_of(f"scatter_{scalar}_{tables}")
-                      for dtype, scalar in SCALARS.items() for tables in range(1, MOST_TABLES + 1)}
-        self.run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.module.address)
-
-
-code = made_once(Code)
+def copies(entries: int, device: torch.device) -> int:
+    """The number of copies that the totals of a table with so many entries should have on a device."""
+    return target_of(device).copies(entries)
 
 
 def scatter_add(additions: Sequence[Addition]) -> None:
-    """Adds numbers of the lanes to tables; in the order of the lanes, so that the sums are the same each time.
+    """Adds numbers of the lanes to tables.
+
+    On the CPU it is done in the order of the lanes, so that the sums are the same each time; on a GPU in any order, unless
+    torch is told to be deterministic (`torch.use_deterministic_algorithms`).
 
     Args:
-        additions: of equally many lanes, tensors on the CPU. An index must be of an entry, which is not checked.
+        additions: of equally many lanes, tensors on one device. An index must be of an entry, which is not checked.
 
     Raises:
-        ValueError: if tensors of one addition differ in length, or have a dtype or device that `Addition` does not name.
+        ValueError: if tensors of one addition differ in length or device, or have a dtype that `Addition` does not name.
     """
     if not additions or not (lanes := additions[0].index.numel()):
         return
-    loops, words, held = code().loops, array("q"), []
+    device = additions[0].index.device
     for addition in additions:
-        check(addition, lanes)
-        index, numbers = addition.index.contiguous(), [number.contiguous() for number in addition.numbers]
-        held += [index, *numbers]
-        tables, copies = len(numbers), addition.totals[0].shape[1]
-        spare = [0] * (MOST_TABLES - tables)
-        words.extend([loops[numbers[0].dtype, tables], index.data_ptr(), addition.touched.data_ptr(),
-                      copies.bit_length() - 1, copies - 1, *[number.data_ptr() for number in numbers], *spare,
-                      *[total.data_ptr() for total in addition.totals], *spare])
-    code().run(words.buffer_info()[0], len(additions), lanes)
+        check(addition, lanes, device)
+    target_of(device).scatter_add([addition.contiguous() for addition in additions], lanes)
 
 
-def check(addition: Addition, lanes: int) -> None:
+def check(addition: Addition, lanes: int, device: torch.device) -> None:
     """Errors as `scatter_add` says."""
     index, numbers, totals, touched = addition
     shape, dtype = totals[0].shape, numbers[0].dtype
@@ -178,9 +54,9 @@ def check(addition: Addition, lanes: int) -> None:
              and all(total.dtype == torch.float64 and total.shape == shape and total.is_contiguous() for total in totals)
              and shape[1] & (shape[1] - 1) == 0 and touched.dtype == torch.bool
              and touched.numel() << PAGE_BITS >= shape[0] and touched.is_contiguous()
-             and all(tensor.is_cpu for tensor in (index, touched, *numbers, *totals)))
+             and all(tensor.device == device for tensor in (index, touched, *numbers, *totals)))
     if not right:
-        found = [(tuple(tensor.shape), tensor.dtype) for tensor in (index, *numbers, *totals, touched)]
+        found = [(tuple(tensor.shape), tensor.dtype, str(tensor.device)) for tensor in (index, *numbers, *totals, touched)]
         raise ValueError(f"an addition takes int32 indices of {lanes} lanes, numbers of up to {MOST_TABLES} tables, all "
                          f"float32 or all float64, as many totals (K, C) of float64, C a power of 2, and bools for all "
-                         f"pages of {1 << PAGE_BITS} entries, on the CPU; got {found}")
+                         f"pages of {1 << PAGE_BITS} entries, all on {device}; got {found}")

@@ -1,7 +1,7 @@
-"""What lanes are compiled for: a processor with vectors (`cpu.py`) or a GPU (`nvptx.py`).
+"""What lanes are compiled for: a processor with vectors (`cpu.py`) or a GPU (`gpu.py`).
 
-A target knows what stands around the instructions of a block of lanes, makes machine code of both and runs it. The
-instructions themselves are those of `emit.py` for all.
+A target knows what stands around the instructions of a block of lanes, makes machine code of both and runs it; the
+instructions themselves are those of `emit.py` for all. It also moves lanes about, as `order.py` and `scatter.py` say.
 """
 
 from __future__ import annotations
@@ -11,10 +11,13 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import torch
+from torch import Tensor
 
+from torch_radbp.jit.addition import Addition
+from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.cpu import Cpu
+from torch_radbp.jit.gpu import gpu_of
 from torch_radbp.jit.graph import Program
-from torch_radbp.jit.nvptx import nvptx_of
 
 
 class Loop(Protocol):
@@ -37,14 +40,29 @@ class Target(Protocol):
         """The module of a program, LLVM's text."""
 
     def compile(self, program: Program) -> Loop:
-        """The machine code of a program."""
+        """The machine code of a program.
+
+        Raises:
+            RuntimeError: if nothing can be compiled for it; the message says what is missing.
+        """
+
+    def chosen(self, flags: Tensor) -> Tensor:
+        """See `order.chosen`."""
+
+    def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
+        """See `order.partition`."""
+
+    def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
+        """See `order.put`; of at least 1 entry each, all contiguous."""
+
+    def copies(self, entries: int) -> int:
+        """See `scatter.copies`."""
+
+    def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
+        """See `scatter.scatter_add`; of at least 1 lane, all contiguous."""
 
 
 @functools.cache
 def target_of(device: torch.device) -> Target:
-    """The target for tensors of a device.
-
-    Raises:
-        RuntimeError: on CUDA, if what launches kernels is missing; the message says what.
-    """
-    return Cpu() if device.type == "cpu" else nvptx_of(device)
+    """The target for tensors of a device."""
+    return Cpu() if device.type == "cpu" else gpu_of(device) if device.type == "cuda" else AnyDevice()

@@ -1,0 +1,44 @@
+"""PTX of every stage of every kind: NVIDIA's assembler takes it, and what is spilled is known."""
+
+import pytest
+
+from benchmarks.ptx import ARCHITECTURES, kernels, usage
+from benchmarks.ptxas import Rejected, assemble, find
+from tests.render.recorded import SAMPLINGS, SCENES
+
+pytestmark = pytest.mark.skipif(find() is None, reason="no ptxas: the wheel nvidia-cuda-nvcc-cu12 is not installed")
+
+# A thread has 255 registers. The adjoint of a bounce has to keep what its forward half computed until the backward half
+# has used it, for dozens of wanted parameters at once: some hundred numbers of a plain material, and of the rough ones up to
+# a thousand. In the order in which they are computed, and any other that was tried, more are alive than there are registers.
+# The bounce on a principled material is just beyond the limit.
+SPILLS = {"bounce_adjoint": 16_384, "bounce": 64}  # bytes that are stored, at most
+
+
+def check(scene: str, sampling: str, architectures) -> set[str]:
+    """Asserts that all kernels of a scene are assembled, and spill no more than is listed; returns their stages."""
+    found = set()
+    for kernel in {kernel.text: kernel for kernel in kernels(scene, sampling)}.values():
+        found.add(kernel.stage)
+        for architecture in architectures:
+            used = usage(kernel.text, architecture)
+            assert 0 < used.registers <= 255
+            assert used.stores <= SPILLS.get(kernel.stage, 0), (kernel.stage, kernel.kinds, used)
+            assert 8 * kernel.parameters <= 32_764  # bytes that PTX has for them
+    return found
+
+
+def test_kernels_of_a_room_with_networks_are_assembled():
+    assert {"bounce", "bounce_adjoint", "places", "rows"} <= check("networks", "hybrid", ARCHITECTURES[-1:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("scene", SCENES)
+def test_kernels_of_every_stage_and_kind_are_assembled(scene, sampling):
+    assert {"bounce", "bounce_adjoint"} <= check(scene, sampling, ARCHITECTURES)
+
+
+def test_what_is_no_ptx_is_rejected():
+    with pytest.raises(Rejected, match="syntax error|Parsing error"):
+        assemble(".version 8.1\n.target sm_90\n.address_size 64\nnonsense", "sm_90", find())

@@ -1,0 +1,175 @@
+"""What is asked of CUDA's driver: modules, launches, streams and errors, by one that only notes it; no GPU is needed."""
+
+import ctypes
+import sys
+from array import array
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from tests.jit.test_functions import arguments, mixed
+from torch_radbp.jit import LaneFunction, kept_code
+from torch_radbp.jit.driver import Driver, NoDriver, driver_of
+from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.nvptx import BLOCK
+
+GOOD, BAD = "success", "bad"
+DEVICE = torch.device("cuda", 1)
+
+
+class NotingDriver:
+    """Stands for `cuda.bindings.driver`: every function notes its name and arguments, and succeeds but for `failing`."""
+
+    CUresult = SimpleNamespace(CUDA_SUCCESS=GOOD)
+    CUjitInputType = SimpleNamespace(CU_JIT_INPUT_PTX="ptx")
+    answers = {"cuDeviceGet": ("device",), "cuDevicePrimaryCtxRetain": ("context",), "cuModuleLoadData": ("module",),
+               "cuModuleGetFunction": ("kernel",), "cuLinkCreate": ("link",), "cuCtxPopCurrent": ("context",)}
+
+    def __init__(self, failing: str = ""):
+        self.failing, self.calls, self.words = failing, [], []
+        self.cubin = ctypes.create_string_buffer(b"machine code", 12)
+
+    def __getattr__(self, name: str):
+        def function(*given):
+            self.calls.append((name, *given))
+            if name == self.failing:
+                return (BAD, *self.answers.get(name, ()))
+            if name == "cuLinkComplete":
+                return GOOD, ctypes.addressof(self.cubin), 12
+            if name == "cuLaunchKernel":  # the driver reads the parameters now
+                words = (ctypes.c_void_p * 5).from_address(given[-1])
+                assert (words[0], words[2], words[4]) == (1, 2, None)
+                size = ctypes.c_size_t.from_address(words[3]).value
+                self.words.append(array("q", ctypes.string_at(words[1], size)).tolist())
+            return (GOOD, *self.answers.get(name, ()))
+
+        function.__name__ = name
+        return function
+
+    def cuGetErrorName(self, error):
+        return GOOD, b"CUDA_ERROR_OUT_OF_MEMORY"
+
+    def cuGetErrorString(self, error):
+        return GOOD, b"out of memory"
+
+    def of(self, name: str) -> list[tuple]:
+        """The arguments of the calls of a function."""
+        return [call[1:] for call in self.calls if call[0] == name]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("RADBP_KERNEL_CACHE", str(tmp_path))
+    return tmp_path
+
+
+def driver(failing: str = "") -> Driver:
+    return Driver(NotingDriver(failing), "sm_90", DEVICE, stream=lambda: 77)
+
+
+def test_the_device_is_the_one_of_the_tensors():
+    noting = driver().driver
+    assert noting.of("cuDeviceGet") == [(1,)] and noting.of("cuDevicePrimaryCtxRetain") == [("device",)]
+
+
+def test_a_function_of_lanes_is_launched_on_the_current_stream_with_the_addresses_of_its_tensors():
+    launcher = driver()
+    function, given = LaneFunction(mixed, tables=("colours",), target=Gpu(launcher)), arguments(1000)
+    found = function(*given)
+    function(*given)
+    assert len(launcher.driver.of("cuModuleLoadData")) == 1  # once for both
+    for launch in launcher.driver.of("cuLaunchKernel"):
+        assert launch[:9] == ("kernel", -(-1000 // BLOCK), 1, 1, BLOCK, 1, 1, 0, 77) and launch[9] == 0
+    lanes, *words = launcher.driver.words[0]
+    point, (colours,), index, scale, _ = given
+    assert lanes == 1000
+    assert words[:4] == [tensor.data_ptr() for tensor in (point.x, colours, index, scale)]
+    assert words[4] == found[0].x.data_ptr() and len(words) == 4 + 4
+
+
+def test_the_device_of_before_is_current_again_after_each_call():
+    launcher = driver()
+    LaneFunction(mixed, tables=("colours",), target=Gpu(launcher))(*arguments(10))
+    names = [call[0] for call in launcher.driver.calls if call[0].startswith("cuCtx")]
+    assert names == ["cuCtxPushCurrent", "cuCtxPopCurrent"] * 2
+    failing = driver("cuLaunchKernel")
+    with pytest.raises(RuntimeError):
+        failing.launch("kernel", 1, 1, array("q", [1]))
+    assert [call[0] for call in failing.driver.calls][-1] == "cuCtxPopCurrent"
+
+
+def test_ptx_is_assembled_once_and_machine_code_loaded_ever_after(folder):
+    first, second = driver(), driver()
+    for launcher in (first, second):
+        LaneFunction(mixed, tables=("colours",), target=Gpu(launcher))(*arguments(10))
+    (_, kind, text, size, *_), = first.driver.of("cuLinkAddData")
+    assert kind == "ptx" and text.endswith(b"\0") and size == len(text) and b".target sm_90" in text
+    assert first.driver.of("cuLinkDestroy") == [("link",)] and not second.driver.of("cuLinkAddData")
+    assert first.driver.of("cuModuleLoadData") == second.driver.of("cuModuleLoadData") == [(b"machine code",)]
+    assert len(list(folder.rglob("*.cubin"))) == 1
+
+
+def test_an_error_of_the_driver_names_the_function_the_device_and_what_went_wrong():
+    with pytest.raises(RuntimeError, match="cuModuleLoadData on cuda:1: CUDA_ERROR_OUT_OF_MEMORY, out of memory"):
+        LaneFunction(mixed, tables=("colours",), target=Gpu(driver("cuModuleLoadData")))(*arguments(10))
+
+
+def test_without_the_bindings_the_message_says_how_to_get_them(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cuda.bindings", None)
+    monkeypatch.setitem(sys.modules, "cuda", None)
+    with pytest.raises(NoDriver, match=r"pip install 'torch_radbp\[cuda\]', or render with compile=False"):
+        driver_of(DEVICE)
+
+
+def bindings(monkeypatch, initialise) -> None:
+    """Bindings whose cuInit is `initialise`."""
+    found = SimpleNamespace(cuInit=initialise, CUresult=NotingDriver.CUresult)
+    monkeypatch.setitem(sys.modules, "cuda", SimpleNamespace(bindings=SimpleNamespace(driver=found)))
+    monkeypatch.setitem(sys.modules, "cuda.bindings", SimpleNamespace(driver=found))
+
+
+def test_without_a_driver_the_message_says_so(monkeypatch):
+    def missing(flags):
+        raise RuntimeError("libcuda.so is not there")
+
+    bindings(monkeypatch, missing)
+    with pytest.raises(NoDriver, match="display driver, which was not found: libcuda.so is not there"):
+        driver_of(DEVICE)
+    bindings(monkeypatch, lambda flags: (SimpleNamespace(name="CUDA_ERROR_NO_DEVICE"),))
+    with pytest.raises(NoDriver, match="could not be started: CUDA_ERROR_NO_DEVICE. Look at what nvidia-smi says"):
+        driver_of(DEVICE)
+
+
+def test_code_that_cannot_be_kept_is_made_each_time(monkeypatch, folder):
+    blocked = folder / "a file"
+    blocked.write_text("")
+    monkeypatch.setenv("RADBP_KERNEL_CACHE", str(blocked))
+    made: list[str] = []
+    for _ in range(2):
+        assert kept_code.machine_code("text", "sm_90", lambda text: made.append(text) or b"code") == b"code"
+    assert made == ["text"] * 2
+
+
+def test_damaged_code_is_made_anew(folder):
+    assert kept_code.machine_code("text", "sm_90", lambda text: b"code") == b"code"
+    path, = folder.rglob("*.cubin")
+    for damaged in (b"", path.read_bytes()[:-1], path.read_bytes()[:-1] + b"x"):
+        path.write_bytes(damaged)
+        assert kept_code.machine_code("text", "sm_90", lambda text: b"code") == b"code"
+    assert kept_code.machine_code("text", "sm_90", lambda text: b"other") == b"code"  # whole again
+
+
+def test_code_is_told_by_its_text_and_by_the_architecture(folder):
+    for text, architecture, code in (("a", "sm_80", b"1"), ("a", "sm_90", b"2"), ("b", "sm_90", b"3")):
+        assert kept_code.machine_code(text, architecture, lambda text, code=code: code) == code
+    assert len(list(folder.rglob("*.cubin"))) == 3 and not list(folder.rglob("*.part"))
+
+
+@pytest.mark.parametrize("platform, variable, place", [
+    ("linux", "XDG_CACHE_HOME", "torch_radbp/kernels"), ("win32", "LOCALAPPDATA", "torch_radbp/kernels")])
+def test_the_folder_is_that_of_the_platform(monkeypatch, folder, platform, variable, place):
+    monkeypatch.delenv("RADBP_KERNEL_CACHE")
+    monkeypatch.setenv(variable, str(folder))
+    monkeypatch.setattr(sys, "platform", platform)
+    assert kept_code.folder() == folder / place

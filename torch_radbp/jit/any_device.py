@@ -1,0 +1,50 @@
+"""Any device of torch's as a target: lanes are moved by torch's own operations, and nothing is compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.addition import Addition
+from torch_radbp.jit.graph import Program
+
+
+class AnyDevice:
+    """A device that torch alone computes on; see `target.Target`.
+
+    Args:
+        reason: why nothing is compiled for it, and what to do about it.
+    """
+
+    def __init__(self, reason: str = "lanes are compiled for the CPU and for GPUs of NVIDIA's; run the function as it is"):
+        self.reason = reason
+
+    def text(self, program: Program) -> str:
+        raise RuntimeError(self.reason)
+
+    def compile(self, program: Program):
+        raise RuntimeError(self.reason)
+
+    def chosen(self, flags: Tensor) -> Tensor:
+        """Waits for the device, which has to tell how many there are."""
+        return flags.nonzero().squeeze(1).to(torch.int32)
+
+    def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
+        """Waits for the device, which has to tell how many there are."""
+        counts = torch.bincount(number.to(torch.int64), minlength=queues).tolist()
+        return number.to(torch.int32).sort(stable=True).indices.to(torch.int32), counts
+
+    def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
+        for target, entry in zip(targets, entries):
+            target.index_copy_(0, place.long(), entry)
+
+    def copies(self, entries: int) -> int:
+        return 1
+
+    def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
+        for index, numbers, totals, touched in additions:
+            for number, total in zip(numbers, totals):
+                total[:, 0].index_add_(0, index, number.to(total.dtype))
+            touched.fill_(True)

@@ -1,0 +1,144 @@
+"""`order.py` on the processor: loops that move data and compute nothing, as machine code.
+
+They run on the calling thread, and their order is that of the lanes.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from array import array
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.machine import MachineCode, made_once
+
+# The body may begin with values that are carried from turn to turn.
+LOOP = """\
+define {result} @{name}({arguments}, i64 %count) {{
+entry:
+  %some = icmp sgt i64 %count, 0
+  br i1 %some, label %turn, label %done
+turn:
+  %i = phi i64 [ 0, %entry ], [ %next, %turn ]
+{body}
+  %next = add i64 %i, 1
+  %more = icmp slt i64 %next, %count
+  br i1 %more, label %turn, label %done
+done:
+{end}
+}}
+"""
+# A counter of each queue: begun at 0, it ends at the number of lanes; begun where the queue begins, it is each lane's place.
+COUNT = """\
+  %number_at = getelementptr {scalar}, ptr %numbers, i64 %i
+  %number = load {scalar}, ptr %number_at
+  %queue = {wide}
+  %place_at = getelementptr i64, ptr %places, i64 %queue
+  %place = load i64, ptr %place_at, align 8
+  %after = add i64 %place, 1
+  store i64 %after, ptr %place_at, align 8"""
+STORE_LANE = """\
+  %lane_at = getelementptr i32, ptr %order, i64 %place
+  %lane = trunc i64 %i to i32
+  store i32 %lane, ptr %lane_at, align 4"""
+# Without a branch: a lane that is not chosen is overwritten by the next.
+CHOOSE = f"""\
+  %place = phi i64 [ 0, %entry ], [ %after, %turn ]
+{STORE_LANE}
+  %flag_at = getelementptr i8, ptr %flags, i64 %i
+  %flag = load i8, ptr %flag_at, align 1
+  %one = zext i8 %flag to i64
+  %after = add i64 %place, %one"""
+CHOSEN = """\
+  %number = phi i64 [ 0, %entry ], [ %after, %turn ]
+  ret i64 %number"""
+PUT = """\
+  %place_at = getelementptr i32, ptr %places, i64 %i
+  %place32 = load i32, ptr %place_at, align 4
+  %place = sext i32 %place32 to i64
+  %entry_at = getelementptr {scalar}, ptr %from, i64 %i
+  %entry_value = load {scalar}, ptr %entry_at
+  %target = getelementptr {scalar}, ptr %to, i64 %place
+  store {scalar} %entry_value, ptr %target"""
+# Words of a job: where the entries lie, and where they go.
+PUT_ALL = """\
+  %words = shl i64 %i, 1
+  %from_at = getelementptr ptr, ptr %jobs, i64 %words
+  %from = load ptr, ptr %from_at, align 8
+  %to_at = getelementptr ptr, ptr %from_at, i64 1
+  %to = load ptr, ptr %to_at, align 8
+  call void @put_{scalar}(ptr %places, ptr %from, ptr %to, i64 %lanes)"""
+BITS = (8, 32, 64)  # of an element
+
+
+def loop(name: str, arguments: str, body: str, result: str = "void", end: str = "  ret void") -> str:
+    """The text of a function that runs `body` for each `%i` below its last argument, `%count`."""
+    return LOOP.format(name=name, arguments=arguments, body=body, result=result, end=end)
+
+
+def text() -> str:
+    """The module: how lanes are counted, partitioned and put into places, for each size of an element, and are chosen."""
+    functions = [loop("choose", "ptr %flags, ptr %order", CHOOSE, "i64", CHOSEN)]
+    for bits in BITS:
+        scalar = f"i{bits}"
+        count = COUNT.format(scalar=scalar, wide="add i64 %number, 0" if bits == 64 else f"zext {scalar} %number to i64")
+        functions += [
+            loop(f"count_{scalar}", "ptr %numbers, ptr %places", count),
+            loop(f"partition_{scalar}", "ptr %numbers, ptr %places, ptr %order", f"{count}\n{STORE_LANE}"),
+            loop(f"put_{scalar}", "ptr %places, ptr %from, ptr %to", PUT.format(scalar=scalar)),
+            loop(f"put_all_{scalar}", "ptr %places, i64 %lanes, ptr %jobs", PUT_ALL.format(scalar=scalar)),
+        ]
+    return "\n".join(functions)
+
+
+class Code:
+    """The machine code of `text`: functions by the bytes of an element."""
+
+    def __init__(self) -> None:
+        self.module = MachineCode(text(), entry="choose")
+        self.choose = self.function("choose", "ppn", ctypes.c_int64)
+        self.count, self.partition, self.put_all = (
+            {bits // 8: self.function(f"{name}_i{bits}", arguments) for bits in BITS}
+            for name, arguments in (("count", "ppn"), ("partition", "pppn"), ("put_all", "pnpn")))
+
+    def function(self, name: str, arguments: str, result: type | None = None) -> Callable:
+        """A function of the module; of each of its arguments whether it is a pointer (p) or a number (n)."""
+        kinds = {"p": ctypes.c_void_p, "n": ctypes.c_int64}
+        return ctypes.CFUNCTYPE(result, *(kinds[letter] for letter in arguments))(self.module.address_of(name))
+
+
+code = made_once(Code)
+
+
+def chosen(flags: Tensor) -> Tensor:
+    """See `order.chosen`."""
+    flags = flags.contiguous()
+    order = flags.new_empty(flags.numel(), dtype=torch.int32)
+    return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
+
+
+def partition(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
+    """See `order.partition`."""
+    number, lanes, size = number.contiguous(), number.numel(), number.element_size()
+    order = number.new_empty(lanes, dtype=torch.int32)
+    counts = array("q", bytes(8 * queues))
+    address = counts.buffer_info()[0]
+    code().count[size](number.data_ptr(), address, lanes)
+    found, first = counts.tolist(), 0
+    for queue, count in enumerate(found):
+        counts[queue] = first
+        first += count
+    code().partition[size](number.data_ptr(), address, order.data_ptr(), lanes)
+    return order, found
+
+
+def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
+    """See `order.put`; all is contiguous."""
+    for size in {target.element_size() for target in targets}:
+        jobs = array("q")
+        for target, entry in zip(targets, entries):
+            if target.element_size() == size:
+                jobs.extend((entry.data_ptr(), target.data_ptr()))
+        code().put_all[size](place.data_ptr(), place.numel(), jobs.buffer_info()[0], len(jobs) // 2)

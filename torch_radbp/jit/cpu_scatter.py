@@ -1,0 +1,138 @@
+"""`scatter.py` on the processor: machine code, on the calling thread, in the order of the lanes.
+
+The tables of an addition are written in one loop over the lanes, and all additions of a call take turns in blocks of lanes,
+so that entries that lie near each other (the four texels around a point) are still in the cache.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from array import array
+from collections.abc import Sequence
+
+import torch
+
+from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition
+from torch_radbp.jit.machine import MachineCode, made_once
+
+BLOCK = 2048  # lanes
+
+# A job is an array of 64-bit words: the function, the index, the pages, the binary logarithm of the number of copies, the
+# number of copies less 1, then the numbers of each table, then the totals of each.
+HEAD = 5
+JOB = HEAD + 2 * MOST_TABLES
+
+SCATTER = """\
+define void @scatter_{scalar}_{tables}(ptr %job, i64 %first, i64 %last) {{
+entry:
+  %index = call ptr @pointer(ptr %job, i64 1)
+  %pages = call ptr @pointer(ptr %job, i64 2)
+  %bits = call i64 @word(ptr %job, i64 3)
+  %mask = call i64 @word(ptr %job, i64 4)
+  {pointers}
+  br label %lane
+lane:
+  %i = phi i64 [ %first, %entry ], [ %next, %lane ]
+  %at = getelementptr i32, ptr %index, i64 %i
+  %found = load i32, ptr %at, align 4
+  %number = sext i32 %found to i64
+  %page_number = lshr i64 %number, {page_bits}
+  %page = getelementptr i8, ptr %pages, i64 %page_number
+  store i8 1, ptr %page, align 1
+  %copy = and i64 %i, %mask
+  %copies = shl i64 %number, %bits
+  %place = or i64 %copies, %copy
+  {additions}
+  %next = add i64 %i, 1
+  %more = icmp slt i64 %next, %last
+  br i1 %more, label %lane, label %done
+done:
+  ret void
+}}
+"""
+POINTERS = """\
+  %numbers{t} = call ptr @pointer(ptr %job, i64 {numbers})
+  %totals{t} = call ptr @pointer(ptr %job, i64 {totals})"""
+ADDITION = """\
+  %from{t} = getelementptr {scalar}, ptr %numbers{t}, i64 %i
+  %number{t} = load {scalar}, ptr %from{t}, align {size}
+  %wide{t} = {widened}
+  %to{t} = getelementptr double, ptr %totals{t}, i64 %place
+  %total{t} = load double, ptr %to{t}, align 8
+  %sum{t} = fadd double %total{t}, %wide{t}
+  store double %sum{t}, ptr %to{t}, align 8"""
+JOBS = """\
+define internal i64 @word(ptr %job, i64 %number) {{
+  %at = getelementptr i64, ptr %job, i64 %number
+  %word = load i64, ptr %at, align 8
+  ret i64 %word
+}}
+define internal ptr @pointer(ptr %job, i64 %number) {{
+  %word = call i64 @word(ptr %job, i64 %number)
+  %pointer = inttoptr i64 %word to ptr
+  ret ptr %pointer
+}}
+define void @scatter(ptr %jobs, i64 %count, i64 %lanes) {{
+entry:
+  br label %block
+block:
+  %first = phi i64 [ 0, %entry ], [ %last, %blocks ]
+  %full = add i64 %first, {block}
+  %over = icmp sgt i64 %full, %lanes
+  %last = select i1 %over, i64 %lanes, i64 %full
+  br label %turn
+turn:
+  %k = phi i64 [ 0, %block ], [ %next, %turn ]
+  %words = mul i64 %k, {job}
+  %job = getelementptr i64, ptr %jobs, i64 %words
+  %function = call ptr @pointer(ptr %job, i64 0)
+  call void %function(ptr %job, i64 %first, i64 %last)
+  %next = add i64 %k, 1
+  %more = icmp slt i64 %next, %count
+  br i1 %more, label %turn, label %blocks
+blocks:
+  %left = icmp slt i64 %last, %lanes
+  br i1 %left, label %block, label %done
+done:
+  ret void
+}}
+"""
+
+
+def text() -> str:
+    """The module: a loop over lanes for each dtype and number of tables, and the loop over jobs in blocks of lanes."""
+    functions = [JOBS.format(block=BLOCK, job=JOB)]
+    for dtype, scalar in SCALARS.items():
+        widened = "fpext float %number{t} to double" if dtype == torch.float32 else "fadd double %number{t}, -0.0"
+        for tables in range(1, MOST_TABLES + 1):
+            pointers = [POINTERS.format(t=t, numbers=HEAD + t, totals=HEAD + MOST_TABLES + t) for t in range(tables)]
+            additions = [ADDITION.format(t=t, scalar=scalar, size=dtype.itemsize, widened=widened.format(t=t))
+                         for t in range(tables)]
+            functions.append(SCATTER.format(scalar=scalar, tables=tables, page_bits=PAGE_BITS, pointers="\n".join(pointers),
+                                            additions="\n".join(additions)))
+    return "\n".join(functions)
+
+
+class Code:
+    """The machine code of `text`."""
+
+    def __init__(self) -> None:
+        self.module = MachineCode(text(), entry="scatter")
+        self.loops = {(dtype, tables): self.module.address_of(f"scatter_{scalar}_{tables}")
+                      for dtype, scalar in SCALARS.items() for tables in range(1, MOST_TABLES + 1)}
+        self.run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.module.address)
+
+
+code = made_once(Code)
+
+
+def scatter_add(additions: Sequence[Addition], lanes: int) -> None:
+    """See `scatter.scatter_add`; all is contiguous."""
+    loops, words = code().loops, array("q")
+    for index, numbers, totals, touched in additions:
+        tables, copies = len(numbers), totals[0].shape[1]
+        spare = [0] * (MOST_TABLES - tables)
+        words.extend([loops[numbers[0].dtype, tables], index.data_ptr(), touched.data_ptr(), copies.bit_length() - 1,
+                      copies - 1, *[number.data_ptr() for number in numbers], *spare,
+                      *[total.data_ptr() for total in totals], *spare])
+    code().run(words.buffer_info()[0], len(additions), lanes)

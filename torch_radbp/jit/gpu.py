@@ -1,0 +1,131 @@
+"""A GPU of NVIDIA's as a target: the kernels of `nvptx.py` and `nvptx_lanes.py`, launched by the driver of the device.
+
+Lanes are chosen and partitioned by torch's own operations. Not yet run on a GPU.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Sequence
+from threading import Lock
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.addition import Addition
+from torch_radbp.jit.any_device import AnyDevice
+from torch_radbp.jit.driver import NoDriver, driver_of
+from torch_radbp.jit.emit import emit
+from torch_radbp.jit.graph import Program
+from torch_radbp.jit.lowered import without_library
+from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.nvptx import BLOCK, framed
+from torch_radbp.jit.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
+
+
+class Launcher(Protocol):
+    """What runs kernels: the driver of a device (`driver.py`), or whatever stands in for it."""
+
+    architecture: str
+
+    def load(self, text: str, name: str) -> Any:
+        """The kernel `name` of a module in LLVM's text, ready to be launched."""
+
+    def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
+        """Starts a kernel.
+
+        Args:
+            kernel: from `load`.
+            blocks, threads: how many blocks, of how many threads each.
+            parameters: 64-bit words; read before this returns.
+        """
+
+
+class Kernel:
+    """A kernel, loaded.
+
+    Args:
+        launcher: of the device.
+        text: its module.
+        name: its name.
+    """
+
+    def __init__(self, launcher: Launcher, text: str, name: str):
+        self.launcher, self.kernel = launcher, launcher.load(text, name)
+
+    def __call__(self, lanes: int, words: Sequence[int]) -> None:
+        """Starts it for all lanes, at least 1, and does not wait for it; `words`: its other parameters."""
+        self.launcher.launch(self.kernel, -(-lanes // BLOCK), BLOCK, array("q", [lanes, *words]))
+
+
+class KernelLoop:
+    """A program as a kernel; see `target.Loop`."""
+
+    def __init__(self, kernel: Kernel, searched: Sequence[int]):
+        self.kernel, self.searched = kernel, searched
+
+    def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
+        """Starts the kernel for all lanes, and does not wait for it."""
+        self.kernel(lanes, [*inputs, *[lengths[number] for number in self.searched], *outputs])
+
+
+class Gpu(AnyDevice):
+    """A GPU of NVIDIA's; see `target.Target`.
+
+    Args:
+        launcher: of the device.
+    """
+
+    def __init__(self, launcher: Launcher):
+        super().__init__()
+        self.launcher = launcher
+        self.kernels: dict[tuple, Kernel] = {}  # of `put` and `scatter_add`, by name and dtypes
+        self.loading = Lock()
+
+    def text(self, program: Program) -> str:
+        """The module of a program, LLVM's text."""
+        return framed(emit(without_library(program), width=1))
+
+    def compile(self, program: Program) -> KernelLoop:
+        """The kernel of a program."""
+        return KernelLoop(Kernel(self.launcher, self.text(program), "lanes"), program.searched)
+
+    def kernel(self, name: str, case: tuple, text: Callable[[tuple], str]) -> Kernel:
+        """A kernel for tensors of some dtypes, loaded once."""
+        key = (name, *case)
+        if key not in self.kernels:
+            with self.loading:
+                if key not in self.kernels:
+                    self.kernels[key] = Kernel(self.launcher, text(case), name)
+        return self.kernels[key]
+
+    def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
+        words = [place.data_ptr()]
+        for target, entry in zip(targets, entries):
+            words += (entry.data_ptr(), target.data_ptr())
+        self.kernel("put", tuple(target.dtype for target in targets), put_text)(place.numel(), words)
+
+    def copies(self, entries: int) -> int:
+        return COPIES if entries <= SMALL else 1
+
+    def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
+        if torch.are_deterministic_algorithms_enabled():
+            return super().scatter_add(additions, lanes)
+        words: list[int] = []
+        for index, numbers, totals, touched in additions:
+            copies = totals[0].shape[1]
+            words += (index.data_ptr(), touched.data_ptr(), copies.bit_length() - 1, copies - 1)
+            for number, total in zip(numbers, totals):
+                words += (number.data_ptr(), total.data_ptr())
+        case = tuple((addition.numbers[0].dtype, len(addition.numbers)) for addition in additions)
+        self.kernel("scatter", case, scatter_text)(lanes, words)
+
+
+@made_once
+def gpu_of(device: torch.device) -> AnyDevice:
+    """The target of a CUDA device; without NVIDIA's driver one that compiles nothing, and tells why if it is to."""
+    try:
+        return Gpu(driver_of(device))
+    except NoDriver as reason:
+        return AnyDevice(str(reason))
