@@ -24,6 +24,7 @@ from torch_radbp.boundary import JumpWatch, Rendering, Sight
 from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
+from torch_radbp.jit.target import COMPILED
 from torch_radbp.path_state import Settings
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.known import KnownCaster, Mesh
@@ -70,8 +71,9 @@ class Renderer(nn.Module):
         memory_budget: bytes, or a string such as "2GiB" or "2GB": picks chunk and, unless `adjoint` is given, the stride, so
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
         compile: fuse the functions of a bounce into loops of vector instructions, once a process for each kind of material
-            and dtype, in seconds. On the CPU; elsewhere, with `TapeAdjoint` and in forward mode rendering is eager all the
-            same. False: the eager reference, in plain torch.
+            and dtype, in seconds. On the CPU, and on CUDA, where they are kernels of PTX, not yet run on a GPU; elsewhere,
+            with `TapeAdjoint` and in forward mode rendering is eager all the same. False: the eager reference, in plain
+            torch.
         caster: "embree", "direct", "warp" or "brute"; None picks by device and number of triangles.
         light_choice: how next-event estimation picks one of the emitters. "uniform": by their `sampling_weight`, the same
             everywhere, as Mitsuba. "tree": also by what they contribute to the point that is to be illuminated, by a tree of
@@ -258,9 +260,9 @@ class Renderer(nn.Module):
         return call._replace(adjoint=plan.adjoint, chunks=chunks, retrace=call.retrace or plan.retrace)
 
     def runs_compiled(self) -> bool:
-        """True if a call would run fused loops: those are for the CPU, and autograd, backward or forward, records nothing
-        of them."""
-        return (self.compile_stages and self.scene.device.type == "cpu" and not isinstance(self.adjoint, TapeAdjoint)
+        """True if a call would run fused loops: those are for the CPU and for CUDA, and autograd, backward or forward,
+        records nothing of them."""
+        return (self.compile_stages and self.scene.device.type in COMPILED and not isinstance(self.adjoint, TapeAdjoint)
                 and not has_tangents(list(self.scene.parameters())))
 
     @entry

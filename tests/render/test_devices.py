@@ -7,6 +7,8 @@ are of `meta` for autograd and of CUDA for whoever asks: a stage cannot tell the
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import pytest
 import torch
 from torch import Tensor
@@ -14,13 +16,17 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import torch_radbp as rb
+from benchmarks.ptx import Listing
 from tests.render.recorded import SAMPLINGS, SCENES, build, calls_of
+from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.nvptx import ptx
 from torch_radbp.record import leaves_of, with_leaves
-from torch_radbp.stages import EAGER
+from torch_radbp.stages import EAGER, CompiledStage, fused
 
 CUDA = torch.device("cuda", 0)
 ANSWERS = {Tensor.is_cuda.__get__: lambda tensor: tensor.is_meta, Tensor.is_meta.__get__: lambda tensor: False,
-           Tensor.device.__get__: lambda tensor: CUDA if tensor.is_meta else tensor.device}
+           Tensor.device.__get__: lambda tensor: CUDA if tensor.is_meta else tensor.device,
+           Tensor.data_ptr: lambda tensor: getattr(tensor, "address", id(tensor))}
 
 
 def names_cuda(argument) -> bool:
@@ -70,6 +76,37 @@ def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     for name, cases in calls.items():
         for arguments in cases.values():
             assert trace_on_cuda(getattr(EAGER, name), arguments) <= {CUDA}
+
+
+def kernels_on_cuda(stage: CompiledStage, arguments: tuple, monkeypatch) -> list[str]:
+    """The kernels that a compiled stage is for arguments that are moved to CUDA, without their values."""
+    listing, asked = Listing(), set()
+    monkeypatch.setattr(import_module("torch_radbp.jit.run"), "target_of", lambda device: asked.add(device) or Gpu(listing))
+    moved: dict[int, Tensor] = {}
+    for leaf in leaves_of(arguments):
+        if isinstance(leaf, Tensor) and id(leaf) not in moved:
+            moved[id(leaf)] = torch.empty_like(leaf, device="meta")
+            moved[id(leaf)].address = leaf.data_ptr()  # tables that share their memory are one
+    with torch.no_grad(), SaysCuda():
+        stage.fused.prepared(with_leaves(arguments, [moved.get(id(leaf), leaf) for leaf in leaves_of(arguments)]))
+    assert asked == {CUDA}
+    return listing.texts
+
+
+SOME = pytest.param("networks", "hybrid", id="networks-hybrid")
+REST = [pytest.param(name, sampling, marks=pytest.mark.slow, id=f"{name}-{sampling}")
+        for name in SCENES for sampling in SAMPLINGS if (name, sampling) != ("networks", "hybrid")]
+
+
+@pytest.mark.parametrize("name, sampling", [SOME, *REST])
+def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, monkeypatch):
+    """The same kernels as for these arguments on the processor, by a GPU's target."""
+    stages, here = fused(), Listing()
+    for stage, cases in calls_of(name, sampling).items():
+        for arguments in cases.values():
+            texts = kernels_on_cuda(getattr(stages, stage), arguments, monkeypatch)
+            getattr(fused(Gpu(here)), stage).fused.prepared(arguments)
+            assert texts == here.texts[-1:] and ".visible .entry lanes(" in ptx(texts[0], "sm_90")
 
 
 CONSTANT = torch.tensor(0.5)

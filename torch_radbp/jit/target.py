@@ -19,6 +19,8 @@ from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.gpu import gpu_of
 from torch_radbp.jit.graph import Program
 
+COMPILED = ("cpu", "cuda")  # kinds of devices that functions are compiled for
+
 
 class Loop(Protocol):
     """A program as machine code."""
