@@ -140,7 +140,7 @@ CASES = {
     **{f"{wrap_mode}_{filter_type}": Case(
         textured, {"wrap_mode": wrap_mode, "filter_type": filter_type},
         ("floor.bsdf.reflectance.data", "wall.bsdf.reflectance.value", "light.emitter.radiance.value"))
-       for wrap_mode in ("repeat", "mirror", "clamp") for filter_type in ("bilinear", "nearest")},
+       for wrap_mode in ("repeat", "mirror", "clamp") for filter_type in ("bilinear", "nearest", "trilinear")},
     "two_sided": Case(two_sided, {}, ("faces.brdf_0.reflectance.data", "faces.brdf_1.reflectance.value",
                                       "floor.bsdf.brdf_0.reflectance.value", "sky.radiance.value")),
     "textured_lamp": Case(textured_lamp, {}, ("floor.bsdf.reflectance.value", "lamp.bsdf.reflectance.value",

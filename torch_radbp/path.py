@@ -35,6 +35,7 @@ from torch_radbp.sampling.sampler import (
     random_bits,
     uniform,
 )
+from torch_radbp.scene.cone import Cone, camera_cone, cone_beyond
 from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import (
@@ -57,6 +58,15 @@ from torch_radbp.vec import Ray, Vec2, Vec3, max_component, rows
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)
 FILM_U, FILM_V, APERTURE_U, APERTURE_V = range(4)  # those of a camera ray
+
+
+class CameraSample(NamedTuple):
+    """Camera rays, (N,)."""
+
+    ray: Ray
+    key: LaneKey  # of random numbers
+    weight: Tensor | None  # in the pixel; None: all are 1
+    cone: Cone | None  # around the ray; None if not asked for
 
 
 class Scattering(NamedTuple):
@@ -87,15 +97,16 @@ class Vertex(NamedTuple):
     survives: Tensor  # bool: the path goes on
 
 
-def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor,
-                  key: SampleKey) -> tuple[Ray, LaneKey, Tensor | None]:
-    """One camera ray per lane, the lane's key of random numbers, and its weight in the pixel (None: all are 1).
+def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor, key: SampleKey,
+                  cones: bool) -> CameraSample:
+    """One camera ray per lane.
 
     Args:
         camera: the sensor.
         width: () int32, of the crop window, pixels.
         pixel, sample: (N,) int32, row-major pixel of the crop window and number of the sample in it.
         key: of the call.
+        cones: whether textures ask for them.
     """
     lane = lane_key(key, pixel, sample)
     camera_key = bounce_key(lane, CAMERA_COUNTER)
@@ -106,7 +117,8 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor,
     if camera.kind.has_aperture:
         aperture = Vec2(*(uniform(camera_key, dimension, camera.dtype) for dimension in (APERTURE_U, APERTURE_V)))
     ray, weight = camera.sample_ray(column, row, u, v, aperture)
-    return ray, lane, weight
+    cone = camera_cone(camera, ray, camera.film.position(column, row, u, v), aperture) if cones else None
+    return CameraSample(ray, lane, weight, cone)
 
 
 class Place(NamedTuple):
@@ -138,7 +150,7 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
         slides = torch.isinf(arrival.state.pdf) | (settings.sampling == "attached")
         if settings.following:
             slides = slides | arrival.state.followed
-    return surface_interaction(scene, arrival.state.ray, arrival.hit, slides, here, arrival.front)
+    return surface_interaction(scene, arrival.state.ray, arrival.hit, slides, here, arrival.front, arrival.state.cone)
 
 
 def ending(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
@@ -180,7 +192,14 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     here = None if state.vantage is None else vantage(local.si)
     return Vertex(local.Le, local.Ld, F, shadow, distance,
                   PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane, here,
-                            followed_by(local.material, state, settings)), local.survives)
+                            followed_by(local.material, state, settings), cone_after(state, local)), local.survives)
+
+
+def cone_after(state: PathState, local: Scattering) -> Cone | None:
+    """`PathState.cone` of the paths that leave a vertex; attached."""
+    if state.cone is None:
+        return None
+    return cone_beyond(state.cone, torch.where(local.si.valid, local.si.t, 0.0), local.sample.pdf)
 
 
 def followed_by(material: Material, state: PathState, settings: Settings) -> Tensor | None:

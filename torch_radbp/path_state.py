@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
+from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.vec import Ray, Vec3
@@ -42,6 +43,7 @@ class PathState(NamedTuple):
     lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
     vantage: Vantage | None = None  # where the ray begins; None if no light is picked with regard to that
     followed: Tensor | None = None  # bool, see `Settings.following`; None without it
+    cone: Cone | None = None  # around the ray; None if no texture asks how much of a surface a sample sees
 
 
 class Arrival(NamedTuple):
@@ -53,11 +55,12 @@ class Arrival(NamedTuple):
     picked: LightPick | None = None  # None: lights are picked by probabilities that are the same everywhere
 
 
-def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False) -> PathState:
+def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False,
+               cone: Cone | None = None) -> PathState:
     """The state before the first bounce: throughput 1, every lane in its place.
 
     Args:
-        ray, key: of each lane.
+        ray, key, cone: of each lane.
         from_places: paths remember where their rays begin.
         following: as in `Settings`.
     """
@@ -65,4 +68,4 @@ def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: boo
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane,
                      Vantage(ray.o.detach(), ray.d.detach()) if from_places else None,
-                     torch.zeros_like(lane, dtype=torch.bool) if following else None)
+                     torch.zeros_like(lane, dtype=torch.bool) if following else None, cone)

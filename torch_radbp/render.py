@@ -280,7 +280,7 @@ class Renderer(nn.Module):
         triangles = moving and self.sampling != "attached" and any_differentiated(call.scene.triangles.vertices.p)
         work = Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
                         call.stages is not EAGER, call.workers, moving, triangles, call.scene.lights.by_place,
-                        self.working_set(call, integrand, triangles))
+                        call.scene.layout.traces_cones, self.working_set(call, integrand, triangles))
         if self.memory_budget is None:
             return predict(work, chunk, call.adjoint, call.retrace)
         return plan_memory(self.memory_budget, work, chunk, self.adjoint if self.adjoint_is_chosen else None)

@@ -31,7 +31,8 @@ MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed me
              "blend", "mask", "normal map", "bump map")
 SHAPES = ("rectangle", "disk", "sphere", "cylinder", "cube", "mesh", "obj", "ply", "serialized")
 LIGHTS = ("directional", "point", "projector", "spot")
-TEXTURES = ("spectra", "metal by spectra", "named constants", "raw constant", "checkerboard", "rough checkerboard")
+TEXTURES = ("spectra", "metal by spectra", "named constants", "raw constant", "checkerboard", "rough checkerboard",
+            "trilinear", "trilinear bumps")
 
 
 def objects(name: str) -> dict[str, Any]:

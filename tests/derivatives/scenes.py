@@ -34,6 +34,11 @@ def bitmap(height: int = 2, width: int = 3, factor: float = 1.0, seed: int = 1, 
     return {"type": "bitmap", "data": factor * texels(height, width, seed), "raw": True, "to_uv": to_uv} | attributes
 
 
+def fine(height: int = 12, width: int = 13, **attributes: Any) -> dict[str, Any]:
+    """An image with texels smaller than pixels, read at the level of detail that fits."""
+    return bitmap(height, width, filter_type="trilinear", **attributes)
+
+
 def bumps() -> dict[str, Any]:
     """A normal map of gentle slopes."""
     flat = torch.tensor([0.5, 0.5, 1.0], dtype=torch.float64)
@@ -216,6 +221,7 @@ PRINCIPLED = {"type": "principled", "base_color": rgb(0.3, 0.6, 0.4), "roughness
 BRUSHED = {"alpha_u": 0.25, "alpha_v": 0.5}
 GROUP = {"type": "ref", "id": SUBJECT}
 ATTRIBUTE = {"type": "mesh_attribute", "name": "vertex_color", "scale": 0.9}
+TRILINEAR = {"height": 12, "width": 13, "filter_type": "trilinear"}
 REGULAR = {"type": "regular", "wavelength_min": 390.0, "wavelength_max": 720.0, "values": [0.2, 0.5, 0.4, 0.7]}
 IRREGULAR = {"type": "irregular", "wavelengths": [380.0, 470, 520, 710], "values": [0.6, 0.3, 0.5, 0.4]}
 
@@ -246,6 +252,15 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
         type="ply", filename=coloured_file(faces=False), face_normals=True, to_world=AIMED @ scale((0.3, 0.3, 0.3)),
         bsdf={"type": "ref", "id": "dark"}, emitter={"type": "area", "radiance": ATTRIBUTE | {"scale": 9.0}}),
     "diffuse": metal(type="diffuse", reflectance=bitmap(filter_type="nearest")),
+    "trilinear": metal(type="roughplastic", distribution="ggx", alpha=0.3, diffuse_reflectance=fine(),
+                       specular_reflectance=fine(7, 5, seed=4)),
+    "trilinear on a mesh": shape(**quadrilateral(bsdf=printed(**TRILINEAR, wrap_mode="mirror"))),
+    "trilinear in squares": metal(type="diffuse", reflectance=squares(fine(), rgb(0.7, 0.2, 0.4))),
+    "trilinear bumps": metal(type="bumpmap", heights=fine(factor=0.2, seed=6), scale=0.8, nested={
+        "type": "roughplastic", "alpha": 0.4, **PLASTIC}),
+    "mirror of trilinear normals": glass(type="normalmap", nested={"type": "conductor", **METAL}, normalmap=bumps() | {
+        "filter_type": "trilinear", "wrap_mode": "clamp"}),
+    "glass with trilinear tint": glass(type="dielectric", int_ior=1.5, specular_transmittance=fine()),
     "checkerboard": metal(type="diffuse", reflectance=squares(bitmap(), rgb(0.7, 0.2, 0.4))),
     "checkerboard of checkerboards": metal(type="roughplastic", distribution="ggx", alpha=0.3, specular_reflectance=squares(
         0.8, 0.3), diffuse_reflectance=squares(bitmap(seed=5), squares(0.6, rgb(0.2, 0.5, 0.1)) | {
@@ -330,6 +345,13 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
                   texture=bitmap()),
     "perspective": {SUBJECT: camera(principal_point_offset_x=0.03, principal_point_offset_y=-0.02, rfilter="gaussian"),
                     "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
+    "perspective on trilinear": {SUBJECT: camera(rfilter="gaussian"), "plane": plane(bsdf=printed(**TRILINEAR)),
+                                 "lamp": lamp(), "floor": floor()},
+    "orthographic on trilinear": {SUBJECT: parallel(), "plane": plane(bsdf=printed(**TRILINEAR)), "lamp": lamp(),
+                                  "floor": floor()},
+    "lens on trilinear": {SUBJECT: blurred(), "plane": plane(bsdf=printed(**TRILINEAR)), "lamp": lamp(), "floor": floor()},
+    "fisheye on trilinear": {SUBJECT: calibrated(factor=0.4, **FISHEYE), "lamp": lamp(), "floor": floor(),
+                             "plane": rectangle((0, 0, 0), 8.0, (0.35, 1, 0.23), 24, bsdf=printed(**TRILINEAR))},
     "thinlens": {SUBJECT: blurred(), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
     "calibrated": {SUBJECT: calibrated(factor=0.55), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
     "calibrated fisheye": {SUBJECT: calibrated(factor=0.4, **FISHEYE), "lamp": lamp(), "floor": floor(),

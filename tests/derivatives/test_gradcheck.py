@@ -29,7 +29,8 @@ SMALLEST = 1e-4  # of the greatest derivative by a parameter; the sums have size
 # Scenes in which hybrid sampling is not detached sampling.
 FOLLOWED = ("conductor", "dielectric", "pane", "plastic", "blend", "blend of deltas", "mirror with a normal map",
             "mirror with a bump map", "rough glass beckmann", "rough glass ggx", "brushed glass beckmann",
-            "brushed glass ggx", "blend of glasses", "frosted leaf", "glass with bumps", "moving rough glass")
+            "brushed glass ggx", "blend of glasses", "frosted leaf", "glass with bumps", "moving rough glass",
+            "mirror of trilinear normals", "glass with trilinear tint")
 CASES = [(name, sampling) for name in SCENES for sampling in ("attached", "detached", "hybrid")
          if sampling != "hybrid" or name in FOLLOWED]
 

@@ -86,7 +86,8 @@ def test_every_plugin_and_parameter_compiles_to_what_it_is_eagerly(name, samplin
 def test_camera_rays_in_double_precision():
     camera = detached(cornell(torch.float64, SIZE).sensors[0].tensors())
     numbers = torch.arange(256, dtype=torch.int32)
-    arguments = camera, torch.tensor(SIZE, dtype=torch.int32), numbers, numbers % 7, sample_key(3, 0, True, numbers.device)
+    key = sample_key(3, 0, True, numbers.device)
+    arguments = camera, torch.tensor(SIZE, dtype=torch.int32), numbers, numbers % 7, key, False
     (expected, *_), (ray, *_) = (stage.sample_camera(*arguments) for stage in (stages.EAGER, stages.compiled()))
     for part, wanted in zip((*ray.o, *ray.d), (*expected.o, *expected.d)):
         assert part.dtype == torch.float64 and (part - wanted).abs().max() < 1e-14

@@ -81,12 +81,13 @@ def test_compiled_rays_are_the_eager_ones(coefficients):
     sensor = load(sensor=calibrated(16, 0.7, **coefficients), lamp=rectangle((0, 0, 0), emitter=GLOW)).sensors[0]
     numbers = torch.arange(256, dtype=torch.int32)
     arguments = (detached(sensor.tensors()), torch.tensor(16, dtype=torch.int32), numbers, numbers % 7,
-                 sample_key(3, 0, True, numbers.device))
-    (expected, _, weight), (found, _, counts) = (stages.sample_camera(*arguments) for stages in (EAGER, compiled()))
+                 sample_key(3, 0, True, numbers.device), True)
+    (expected, _, weight, cone), (found, _, counts, fused) = (
+        stages.sample_camera(*arguments) for stages in (EAGER, compiled()))
     assert torch.equal(weight, counts) and weight.min() == weight.max() == 1
-    for part, wanted in zip((*found.o, *found.d), (*expected.o, *expected.d)):
+    for part, wanted in zip((*found.o, *found.d, *fused), (*expected.o, *expected.d, *cone)):
         assert (part - wanted).abs().max() < 1e-13
-    assert expected.d.x.std() > 0.1
+    assert expected.d.x.std() > 0.1 and cone.spread.min() > 0
 
 
 def spots(places, sensor) -> torch.Tensor:

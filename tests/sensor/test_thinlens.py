@@ -92,7 +92,7 @@ def test_rays_start_all_over_the_lens():
 def test_compiled_rays_are_the_eager_ones():
     sample = torch.arange(64, dtype=torch.int32)
     arguments = (detached(camera().tensors()), torch.tensor(12, dtype=torch.int32), torch.full_like(sample, 40), sample,
-                 sample_key(3, 0, True, sample.device))
+                 sample_key(3, 0, True, sample.device), False)
     (expected, *_), (found, *_) = (stages.sample_camera(*arguments) for stages in (EAGER, compiled()))
     for part, wanted in zip((*found.o, *found.d), (*expected.o, *expected.d)):
         assert (part - wanted).abs().max() < 1e-14

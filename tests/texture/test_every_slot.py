@@ -21,6 +21,7 @@ BOARD = {"type": "checkerboard", "color0": 0.55, "to_uv": TO_UV, "color1": {
     "type": "bitmap", "data": 0.5 + 0.4 * texels(2, 3), "raw": True}}
 TEXTURES = {
     "checkerboard": BOARD,
+    "trilinear": BOARD["color1"] | {"data": 0.5 + 0.4 * texels(9, 7), "filter_type": "trilinear", "to_uv": TO_UV},
     "of vertices": {"type": "mesh_attribute", "name": "vertex_color"},
     "of faces": {"type": "mesh_attribute", "name": "face_amount", "scale": 0.9},
     "checkerboard of attributes": BOARD | {"color0": {"type": "mesh_attribute", "name": "vertex_color"}},

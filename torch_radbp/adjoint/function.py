@@ -22,18 +22,19 @@ from torch_radbp.adjoint.finite import (
     image_error,
 )
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
-from torch_radbp.adjoint.sweep import PathRecord, Sweep, vector_jacobian_product, zeros_unless
+from torch_radbp.adjoint.sweep import Memo, PathRecord, Sweep, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand, Stages
+from torch_radbp.path import CameraSample
 from torch_radbp.path_state import PathState, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.record import leaves_of, with_leaves
-from torch_radbp.sampling.sampler import LaneKey, SampleKey
+from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Ray, Vec3
+from torch_radbp.vec import Vec3
 from torch_radbp.view import View
 from torch_radbp.wavefront import Step, trace
 
@@ -61,18 +62,23 @@ class RenderCall(NamedTuple):
 
 def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
     """The camera paths of a chunk, pixel by pixel."""
-    ray, lanes, _ = camera_samples(call, chunk, key)
-    return start_path(ray, lanes, call.scene.lights.by_place, call.following)
+    return started(call, camera_samples(call, chunk, key))
 
 
-def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> tuple[Ray, LaneKey, Tensor | None]:
-    """The rays of a chunk's lanes, their keys and their weights; see `sample_camera`."""
+def started(call: RenderCall, sample: CameraSample) -> PathState:
+    """The paths that begin with camera rays."""
+    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone)
+
+
+def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> CameraSample:
+    """The rays of a chunk's lanes; see `sample_camera`."""
     device = call.scene.device
     pixel = chunk.pixels.index(device).repeat_interleave(chunk.samples)
     sample = torch.arange(chunk.samples, dtype=torch.int32, device=device) + chunk.first_sample
     view = call.views[chunk.sensor]
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    return call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key)
+    return call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key,
+                                     call.scene.layout.traces_cones)
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
@@ -81,8 +87,8 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
     width = torch.tensor(view.width, dtype=torch.int32, device=device)
-    ray, lanes, _ = call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0])
-    return start_path(ray, lanes, call.scene.lights.by_place, call.following)
+    return started(call, call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0],
+                                                   call.scene.layout.traces_cones))
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:
@@ -111,10 +117,9 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
         if strategy.keep_hits:
             steps[depth] = step
 
-    ray, lanes, weight = camera_samples(call, chunk, key)
-    start = start_path(ray, lanes, call.scene.lights.by_place, call.following)
-    L = tracer(integrand_of(call, integrand, chunk), start, visit)
-    radiance = L if record and strategy.keep_radiance else None
+    samples = camera_samples(call, chunk, key)
+    L = tracer(integrand_of(call, integrand, chunk), started(call, samples), visit)
+    radiance, weight = L if record and strategy.keep_radiance else None, samples.weight
     return weighted(L, weight), PathRecord(lambda: start_paths(call, chunk, key), radiance, states, steps, bounces, weight)
 
 
@@ -251,7 +256,7 @@ class RenderFunction(torch.autograd.Function):
                 sweep = swept(index, gradients)
                 wants = wanted_of_cameras[chunk.sensor]
                 if any(wants):
-                    for k, adjoint in enumerate(camera_adjoint(call, chunk, key, wants, sweep.memo.adj_ray)):
+                    for k, adjoint in enumerate(camera_adjoint(call, chunk, key, wants, sweep.memo)):
                         gradients.add_whole(first[chunk.sensor] + k, adjoint)
             return gradients
 
@@ -277,17 +282,19 @@ def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 
-def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple[bool, ...], adj_ray: Ray) -> list[Tensor]:
-    """The gradients of the wanted leaves of a camera from the rays of one chunk."""
+def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple[bool, ...], memo: Memo) -> list[Tensor]:
+    """The gradients of the wanted leaves of a camera from what the memo holds of the rays of one chunk."""
     view = call.views[chunk.sensor]
     leaves = leaves_of(view.camera)
     leaves = [leaf.clone().requires_grad_() if want else leaf for leaf, want in zip(leaves, wanted)]
     sensors = [view._replace(camera=with_leaves(view.camera, leaves)) if number == chunk.sensor else other
                for number, other in enumerate(call.views)]
     with torch.enable_grad():
-        ray = start_paths(call._replace(views=sensors, stages=call.stages.eager()), chunk, key).ray
+        start = start_paths(call._replace(views=sensors, stages=call.stages.eager()), chunk, key)
         inputs = [leaf for leaf, want in zip(leaves, wanted) if want]
-        adjoints = vector_jacobian_product([*ray.o, *ray.d], inputs, [*adj_ray.o, *adj_ray.d])
+        outputs, adjoints = (leaves_of((ray, cone or ())) for ray, cone in ((start.ray, start.cone),
+                                                                            (memo.adj_ray, memo.adj_cone)))
+        adjoints = vector_jacobian_product(outputs, inputs, adjoints)
     return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]
 
 

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path import followed_by, scattering
+from torch_radbp.path import cone_after, followed_by, scattering
 from torch_radbp.path_state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.departure import attached_departure
 from torch_radbp.scene.interaction import Corners
 from torch_radbp.scene.tensors import SceneTensors
@@ -25,6 +26,7 @@ class LocalMap(NamedTuple):
     ray: Ray | None  # ray_{k+1}; None if rays carry no derivatives, or the path ends
     pdf: Tensor | None  # density of its direction
     followed: Tensor | None = None  # see `PathState`
+    cone: Cone | None = None  # around ray_{k+1}; None if paths carry none
 
 
 class Verdict(NamedTuple):
@@ -54,4 +56,4 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
         return LocalMap(E, masked(verdict.survives, local.sample.weight * local.thinning), None, None)
     weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling, there)
     return LocalMap(E, masked(verdict.survives, weight * local.thinning), ray, local.sample.pdf,
-                    followed_by(local.material, arrival.state, settings))
+                    followed_by(local.material, arrival.state, settings), cone_after(arrival.state, local))

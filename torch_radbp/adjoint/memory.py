@@ -26,6 +26,7 @@ STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, densi
 # `Step`: barycentrics and distance, perhaps probabilities of lights; triangle, side, order, visibility, survival, lights.
 STEP = {False: (3, 11), True: (5, 15)}
 RADIANCE = (3, 0)  # a `Vec3`
+CONE = 2  # `Cone`, more numbers of a state, and of the memo if rays carry derivatives
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
 
@@ -96,6 +97,7 @@ class Workload(NamedTuple):
     moving: bool = False  # whether rays carry derivatives
     triangles: bool = False  # whether triangles do, each for two bounces
     by_place: bool = False  # whether lights are picked with regard to the place that they are to illuminate
+    cones: bool = False  # whether paths carry cones
     measured: WorkingSet | None = None  # of a bounce; None: the least that it may be
 
     @property
@@ -120,6 +122,8 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     def size(record: tuple[int, int]) -> int:
         return record[0] * dtype.itemsize + record[1]
 
+    cone = CONE * dtype.itemsize * work.cones
+    state = size(STATE[work.by_place]) + cone
     chunk = min(chunk, lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
@@ -129,10 +133,10 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
         return MemoryPlan(chunk, adjoint, False, kept, int(together * (WASTE * bounce.per_lane + spare)))
     depths = adjoint.kept(bounces, work.max_depth)
-    per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * size(STATE[work.by_place])
+    per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * state
     per_lane += sum(fractions) * size(STEP[work.by_place]) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
-    replayed = adjoint.replayed(fractions, depths, work.moving) * size(STATE[work.by_place])
-    held = size(RADIANCE) + size(MEMO[work.moving]) + size(CORNERS[work.triangles]) + size(STATE[work.by_place])
+    replayed = adjoint.replayed(fractions, depths, work.moving) * state
+    held = size(RADIANCE) + size(MEMO[work.moving]) + cone * work.moving + size(CORNERS[work.triangles]) + state
     held += size(STEP[work.by_place]) * (not adjoint.keep_hits)
     share = COMPILED if work.compiled else 1.0
     swept = share * (sweep.per_lane - outside.per_lane) + outside.per_lane

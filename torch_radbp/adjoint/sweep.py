@@ -36,6 +36,7 @@ from torch_radbp.path_state import Arrival, PathState, Position, Settings
 from torch_radbp.queues import Queue
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import with_leaves
+from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
@@ -61,6 +62,7 @@ class Memo(NamedTuple):
     L: Vec3  # L_{k+1}
     adj_ray: Ray | None = None  # dloss/dray_{k+1}; None if rays do not carry derivatives
     adj_pdf: Tensor | None = None  # the same of the density with which the ray was picked
+    adj_cone: Cone | None = None  # the same of the cone around the ray; None if paths carry none
     hit: Hit | None = None  # what the ray meets; triangle -1: nothing
     adj_corners: Corners | None = None  # dloss/dp so far of that triangle's vertices; None unless two bounces contribute
 
@@ -99,7 +101,8 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
     inputs, here, there = (), None, None
     if settings.moving:
         ray, pdf = tree_map(as_leaf, (state.ray, state.pdf))
-        state, inputs = state._replace(ray=ray, pdf=pdf), (*ray.o, *ray.d, pdf)
+        cone = None if state.cone is None else tree_map(as_leaf, state.cone)
+        state, inputs = state._replace(ray=ray, pdf=pdf, cone=cone), (*ray.o, *ray.d, pdf, *(cone or ()))
     if memo.adj_corners is not None:
         here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit)))
         if scene.appearance is not None:
@@ -112,17 +115,20 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
         local = local_map(attached, scene, arrival, verdict, memo.hit, at, settings, given, here, there)
         outputs, adjoints = [*local.E, *local.F], [*adj_L, *(adj_L * memo.L)]
         if local.ray is not None:
-            outputs += [*local.ray.o, *local.ray.d, local.pdf]
-            adjoints += [*memo.adj_ray.o, *memo.adj_ray.d, memo.adj_pdf]
+            outputs += [*local.ray.o, *local.ray.d, local.pdf, *(local.cone or ())]
+            adjoints += [*memo.adj_ray.o, *memo.adj_ray.d, memo.adj_pdf, *(memo.adj_cone or ())]
         reads = [read.leaf for tap in taps for read in tap.reads]
         adjoints = iter(vector_jacobian_product(outputs, [*inputs, *values, *reads], adjoints))
     above = Memo((local.E + local.F * memo.L).detach())
     found = [zeros_unless(next(adjoints), leaf) for leaf in inputs]
     adj_given = tuple(Vec3(*(zeros_unless(next(adjoints), leaf) for leaf in texture.value)) for texture in given)
     if settings.moving:
-        above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], hit)
+        above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], hit=hit)
+        if state.cone is not None:
+            above = above._replace(adj_cone=Cone(*found[7:9]))
     if memo.adj_corners is not None:
-        above = above._replace(adj_corners=tuple(Vec3(*found[first:first + 3]) for first in (7, 10, 13)))
+        of_corners = found[-9:]
+        above = above._replace(adj_corners=tuple(Vec3(*of_corners[first:first + 3]) for first in (0, 3, 6)))
     return above, [table_adjoints(tap, adjoints) for tap in taps], adj_given
 
 
@@ -197,7 +203,7 @@ class Sweep:
         positions = self.numbered.triangles.vertices.p
         twice = self.moving and integrand.settings.sampling != "attached" and positions.x is not None
         self.of_positions = list(positions) if twice else []  # leaves
-        self.memo = empty_memo(adj_L.x, self.moving, twice)
+        self.memo = empty_memo(adj_L.x, self.moving, twice, integrand.scene.layout.traces_cones)
 
     def adjoint_of(self, queue: Queue) -> Adjoint:
         """What the lanes of a queue are differentiated with; made once."""
@@ -247,19 +253,21 @@ class Sweep:
             put_rows(self.memo, rows(state.lane, lanes), above)
 
 
-def empty_memo(like: Tensor, moving: bool, twice: bool) -> Memo:
+def empty_memo(like: Tensor, moving: bool, twice: bool, cones: bool) -> Memo:
     """The memo before the deepest bounce of each lane.
 
     Args:
         like: (N,) tells device and dtype.
         moving: whether rays carry derivatives.
         twice: whether triangles do, for two bounces each.
+        cones: whether there are cones around rays.
     """
     if not moving:
         return Memo(Vec3.buffer(like))
     nothing = torch.zeros_like(like, dtype=torch.int32)
     miss = Hit(nothing - 1, *(torch.zeros_like(like) for _ in range(3)))
-    memo = Memo(Vec3.buffer(like), Ray(Vec3.buffer(like), Vec3.buffer(like)), torch.zeros_like(like), miss)
+    adj_cone = Cone(torch.zeros_like(like), torch.zeros_like(like)) if cones else None
+    memo = Memo(Vec3.buffer(like), Ray(Vec3.buffer(like), Vec3.buffer(like)), torch.zeros_like(like), adj_cone, miss)
     if not twice:
         return memo
     return memo._replace(adj_corners=tuple(Vec3.buffer(like) for _ in range(3)))

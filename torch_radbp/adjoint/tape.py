@@ -58,7 +58,7 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
             add_at(L, then.lane, then.beta * local.E)
             ahead.append(then if local.ray is None else
                          PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane,
-                                   rows_between(vertex.next.vantage, queue.first, queue.last), local.followed))
+                                   rows_between(vertex.next.vantage, queue.first, queue.last), local.followed, local.cone))
         state, depth = rows(joined(ahead), alive), depth + 1
     return L
 

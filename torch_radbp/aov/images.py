@@ -8,14 +8,22 @@ from torch.utils.checkpoint import checkpoint
 
 from torch_radbp.adjoint.chunks import Chunk
 from torch_radbp.adjoint.forward_mode import has_tangents
-from torch_radbp.adjoint.function import RenderCall, assembled, camera_samples, integrand_of, of_chunks, pixel_sums
+from torch_radbp.adjoint.function import (
+    RenderCall,
+    assembled,
+    camera_samples,
+    integrand_of,
+    of_chunks,
+    pixel_sums,
+    started,
+)
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, plain
 from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
 from torch_radbp.lookup import summed
-from torch_radbp.path_state import PathState, start_path
+from torch_radbp.path_state import PathState
 from torch_radbp.wavefront import first_hit
 
 
@@ -37,8 +45,8 @@ def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
 
     @entry
     def sums(chunk: Chunk) -> Tensor:
-        ray, lanes, weight = camera_samples(call, chunk, call.views[chunk.sensor].sample_keys[0])
-        start = start_path(ray, lanes, call.scene.lights.by_place, call.following)
+        samples = camera_samples(call, chunk, call.views[chunk.sensor].sample_keys[0])
+        start, weight = started(call, samples), samples.weight
         values = lane_values(integrand_of(call, integrand, chunk), start, quantities)
         channels = [channel for name in names for channel in moments(name, values[plain(name)])]
         return pixel_sums(chunk, channels if weight is None else [channel * weight for channel in channels])

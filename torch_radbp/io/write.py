@@ -36,7 +36,8 @@ MESH_PARAMETERS = ("vertex_positions", "vertex_normals", "vertex_texcoords")
 def save(scene: Scene, path: str | os.PathLike, strict: bool = False) -> None:
     """Writes a scene as Mitsuba 3 XML or as glTF 2.0, by the extension of the file's name.
 
-    XML is loaded to the same image by this package and by Mitsuba 3. Bitmaps are written beside it as EXR, and meshes as PLY
+    XML is loaded to the same image by this package and by Mitsuba 3, which refuses what it does not have (the sensor
+    `calibrated`, the filter `trilinear` of bitmaps). Bitmaps are written beside it as EXR, and meshes as PLY
     in world space, where their pose has put them, with the normals that they have now; both named after the scene and the
     object and both float32 (PLY: of the parameter's dtype). The saved scene needs no file of the original one.
 

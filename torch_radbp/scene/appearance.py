@@ -28,6 +28,11 @@ class Appearance(NamedTuple):
         return any(reader.needs_edges for reader in self.readers)
 
     @property
+    def needs_footprint(self) -> bool:
+        """True if a value depends on how much of the surface a sample sees."""
+        return any(reader.needs_footprint for reader in self.readers)
+
+    @property
     def outside(self) -> tuple[OutsideReader, ...]:
         """The readers of those values that are given to the functions of a bounce."""
         return tuple(reader for reader in self.readers if reader.outside)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.lookup import lookup
+from torch_radbp.scene.cone import Cone, footprint
 from torch_radbp.scene.growth import growth
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import Edges, TexturePoint
@@ -56,7 +57,7 @@ class SurfaceInteraction(NamedTuple):
 
 
 def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | None = None, here: Corners | None = None,
-                        front: Tensor | None = None) -> SurfaceInteraction:
+                        front: Tensor | None = None, cone: Cone | None = None) -> SurfaceInteraction:
     """Interpolates the triangle that was hit.
 
     Args:
@@ -68,6 +69,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
             None: it does not follow, because nothing moves.
         here: the corners of the triangle; None: as the scene has them.
         front: (N,) bool: the viewer is on the side of the shading normal, where that was decided before; else None.
+        cone: of the rays; None if no texture asks for it.
     """
     triangles, appearance = scene.triangles, scene.appearance
     valid = hit.prim >= 0
@@ -109,6 +111,9 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         changes = dict(zip(names, (*map(along_edges, at_vertices), *level)))
         point = point._replace(edges=Edges((e1, e2), None if uv is None else along_edges(uv_corners), changes,
                                            growth(frame, upright, n, e1, e2)))
+    if appearance is not None and appearance.needs_footprint:
+        come, change = torch.where(valid, t, 0.0), along_edges(uv_corners)
+        point = point._replace(footprint=footprint(cone, come, cosine, (e1, e2), change))
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
     return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, point, t, cosine,
                               lookup(triangles.clearance, prim))

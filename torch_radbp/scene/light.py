@@ -82,7 +82,8 @@ def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
     element = si.emitter.clamp_min(0)
     sends = [of(case, case.kind.sends(si.front)) for case in visible_cases(scene, element)]
     emits = si.valid & functools.reduce(torch.logical_or, sends) & (si.emitter >= 0)
-    point = si.point if scene.layout.radiance_bitmaps else si.point._replace(uv=None)
+    # Next-event estimation finds the same point by no cone: emitters look the same however they are found.
+    point = si.point._replace(uv=si.point.uv if scene.layout.radiance_bitmaps else None, footprint=None)
     return masked(emits, scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point))
 
 

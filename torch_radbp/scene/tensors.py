@@ -41,6 +41,11 @@ class Layout(NamedTuple):
         return tuple(name for name in self.attributes if name.startswith("face_"))
 
     @property
+    def traces_cones(self) -> bool:
+        """True if textures depend on how much of a surface a sample sees, so that paths carry cones."""
+        return any(reader.needs_footprint for reader in self.readers)
+
+    @property
     def surface_lights(self) -> dict[int, LightKind]:
         """The kinds of light on surfaces, by their number in `lights`."""
         return {number: kind for number, kind in enumerate(self.lights) if kind.on_surface}

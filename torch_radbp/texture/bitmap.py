@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,13 +13,14 @@ from torch import Tensor
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
-from torch_radbp.texture.reader import Reader, TableReader, TexturePoint
+from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
+from torch_radbp.texture.reader import Edges, Reader, TableReader, TexturePoint
 from torch_radbp.texture.uv_transform import uv_matrix, uv_rows
 from torch_radbp.vec import Vec2, Vec3
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
-FILTERS = ("bilinear", "nearest")
-FORMATS = ("auto", "variant", "float16", "uint8")
+FILTERS = ("bilinear", "nearest", "trilinear")
+FORMATS = ("auto", "variant", "float16", "fp16", "uint8")
 LUMINANCE = (0.212671, 0.715160, 0.072169)  # weights of linear RGB, ITU-R BT.709 with Mitsuba's digits
 IMAGE = Domain(shapes=(("H", "W", 3),))
 TO_UV = Domain(shapes=((4, 4),))
@@ -63,8 +65,50 @@ class BitmapReader(TableReader):
         return sample_texture(bank, row, point.uv)
 
     def rise(self, bank: TextureBank, row: Tensor, point: TexturePoint) -> Vec2:
-        by_u, by_v = texture_slope(bank, row, point.uv)
-        return Vec2(*(by_u * edge.x + by_v * edge.y for edge in point.edges.uv))
+        return along(texture_slope(bank, row, point.uv), point.edges)
+
+
+@dataclass(frozen=True)
+class PyramidReader(BitmapReader):
+    """Reads images at the level of detail that fits what is seen. Bank: `PyramidBank`."""
+
+    needs_footprint: ClassVar[bool] = True
+
+    def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> PyramidBank:
+        return pyramid_bank(textures, dtype, device)
+
+    def read(self, bank: PyramidBank, row: Tensor, point: TexturePoint) -> Vec3:
+        return sample_pyramid(bank, row, point.uv, point.footprint)
+
+    def rise(self, bank: PyramidBank, row: Tensor, point: TexturePoint) -> Vec2:
+        return along(pyramid_slope(bank, row, point.uv, point.footprint), point.edges)
+
+
+def along(slope: Vec2, edges: Edges) -> Vec2:
+    """The change along two edges of what has these derivatives by u and by v."""
+    return Vec2(*(slope.x * edge.x + slope.y * edge.y for edge in edges.uv))
+
+
+class Level(NamedTuple):
+    """One level of a pyramid, with all that `texture_bank` reads."""
+
+    image: Tensor  # (H, W, 3)
+    to_uv: Tensor
+    wrap_mode: str
+    filter_type: str = "bilinear"
+
+    def texels(self) -> Tensor:
+        """(H, W, 3) linear RGB, attached."""
+        return self.image
+
+
+def pyramid_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> PyramidBank:
+    """The pyramids of images, attached."""
+    levels = [[Level(image, texture.to_uv, texture.wrap_mode) for image in
+               pyramid(texture.texels().to(dtype=dtype, device=device))] for texture in textures]
+    counts = [len(own) for own in levels]
+    first, count = (torch.tensor(column, dtype=torch.int32, device=device) for column in (starts(counts), counts))
+    return PyramidBank(texture_bank([level for own in levels for level in own], dtype, device), first, count)
 
 
 def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
@@ -94,16 +138,20 @@ def reader_of(texture: Texture) -> Reader:
 class Bitmap(Texture):
     """An image; row 0 lies at v = 0, as in Mitsuba.
 
-    Parameters: `data`, (H, W, 3) linear RGB; `to_uv`, (4, 4), if the filter is bilinear. Derivatives: with respect to both.
+    Parameters: `data`, (H, W, 3) linear RGB; `to_uv`, (4, 4), unless the filter is nearest. Derivatives: with respect to
+    both.
 
     Args:
         filename: EXR, HDR, PFM, PNG, JPEG, BMP or TGA. Either this or `data`.
         data, bitmap: (H, W), (H, W, 1) or (H, W, 3) linear values; both names mean the same.
-        filter_type: bilinear; or nearest, where `to_uv` moves nothing but edges of texels and is no parameter.
+        filter_type: bilinear; nearest, where `to_uv` moves nothing but edges of texels and is no parameter; or trilinear,
+            which Mitsuba does not have: of materials, means over about what a pixel sees of the surface are read from a
+            pyramid of coarser images (`torch_radbp.texture.pyramid`, `torch_radbp.scene.cone`), which is quiet and, where a
+            texture is smaller than pixels, blurred. Emitters are read bilinear. Derivatives include that of the level.
         wrap_mode: repeat, mirror or clamp.
         raw: do not decode sRGB when reading an 8- or 16-bit file.
         to_uv: transform of the surface coordinates before the lookup (its 2D affine part).
-        format: auto, variant, float16 or uint8: how Mitsuba stores the image. Here it has the scene's dtype.
+        format: auto, variant, float16 (also fp16) or uint8: how Mitsuba stores the image. Here it has the scene's dtype.
         accel: whether Mitsuba reads it by the texture units of a GPU. Of no effect here.
 
     Raises:
@@ -123,10 +171,10 @@ class Bitmap(Texture):
         self.filename, self.filter_type, self.wrap_mode, self.raw = filename, filter_type, wrap_mode, raw
         self.format, self.accel = format, accel
         self.freeze("data", linear_image("a bitmap", filename, {"data": data, "bitmap": bitmap}, raw))
-        if filter_type == "bilinear":
-            self.freeze("to_uv", uv_matrix(to_uv))
-        else:
+        if filter_type == "nearest":
             self.register_buffer("to_uv", uv_matrix(to_uv))
+        else:
+            self.freeze("to_uv", uv_matrix(to_uv))
 
     bitmap = None  # resolved into `data`
 
@@ -135,7 +183,7 @@ class Bitmap(Texture):
 
     def reader(self) -> BitmapReader:
         """How lanes read it."""
-        return BitmapReader()
+        return PyramidReader() if self.filter_type == "trilinear" else BitmapReader()
 
     def texels(self) -> Tensor:
         """(H, W, 3) linear RGB, attached."""

@@ -39,6 +39,10 @@ class CheckerboardReader(TableReader):
                                 self.colours.bank(colours, dtype, device))
 
     @property
+    def needs_footprint(self) -> bool:
+        return self.colours.needs_footprint
+
+    @property
     def attributes(self) -> tuple[str, ...]:
         return self.colours.attributes
 

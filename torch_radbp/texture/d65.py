@@ -21,6 +21,9 @@ class D65(RGB):
         scale: a factor.
     """
 
+    instead_of_objects = ("a texture in a d65 is shown as it is in Mitsuba's RGB modes, whatever the scale: put the texture "
+                          "itself into this place")
+
     def __init__(self, *, color: Tensor | float = 1.0, scale: float = 1.0):
         super().__init__(value=finite("color", color).to(torch.get_default_dtype()) * scale)
 

@@ -35,6 +35,10 @@ class MixedReader(TableReader):
         return any(reader.needs_uv for reader in self.readers)
 
     @property
+    def needs_footprint(self) -> bool:
+        return any(reader.needs_footprint for reader in self.readers)
+
+    @property
     def attributes(self) -> tuple[str, ...]:
         return tuple(sorted({name for reader in self.readers for name in reader.attributes}))
 

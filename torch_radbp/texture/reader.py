@@ -33,6 +33,7 @@ class TexturePoint(NamedTuple):
     uv: Vec2 | None  # surface coordinates; None if no texture reads them
     attributes: dict[str, Vec3]  # of the meshes, by name: those that textures read
     edges: Edges | None = None  # None if no texture needs them
+    footprint: Tensor | None = None  # natural logarithm of the width in `uv` of what a sample sees; None if no texture asks
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Reader(ABC):
 
     needs_uv: ClassVar[bool] = True  # values depend on surface coordinates
     needs_edges: ClassVar[bool] = False  # they depend on how these change along the surface
+    needs_footprint: ClassVar[bool] = False  # they depend on how much of the surface a sample sees
     attributes: ClassVar[tuple[str, ...]] = ()  # of meshes, that values depend on
     outside: ClassVar[bool] = False  # they are computed outside of the functions of a bounce, by an `OutsideReader`
 

@@ -33,6 +33,10 @@ class SlopeReader(TableReader):
         return self.reader.needs_uv
 
     @property
+    def needs_footprint(self) -> bool:
+        return self.reader.needs_footprint
+
+    @property
     def attributes(self) -> tuple[str, ...]:
         return self.reader.attributes
 

@@ -68,6 +68,8 @@ def slot(texture: Texture, name: str, losses: Losses, as_number: bool = False) -
         return Slot(checked(values, name), None)
     if isinstance(texture, Bitmap):
         values = texture.scalars()[..., None].expand(-1, -1, 3) if as_number else texture.texels()
+        if texture.filter_type == "trilinear":
+            losses.add(name, "its filter trilinear is written as linear: glTF leaves to readers how images shrink")
         return Slot(checked(values, name), Reading(texture.wrap_mode, texture.filter_type == "nearest", rows(texture.to_uv)))
     if isinstance(texture, Checkerboard):
         names = texture.numbers if as_number else ("color0", "color1")

@@ -1,0 +1,83 @@
+"""Ray cones: how much of a surface one sample of a pixel stands for, which tells textures how finely to be read.
+
+A cone has a width at the origin of its ray, and a spread, by which the width grows per unit of distance. It begins as wide
+as the pixel. Scattering adds the width of the solid angle that the sample stands for: the share 1 / SHARING of 1 / density,
+
+    spread' = spread + 2 sqrt(1 / (SHARING pi (density + 1 / (4 pi))))
+
+nothing where a direction is not left to chance (ideal mirrors, straight through), 0.45 rad after diffuse reflection along
+the normal. The term 1 / (4 pi), the density of an isotropic scatterer, bounds it. So textures are blurred behind rough
+reflection as if seen through frosted glass that is much clearer than the material.
+
+What is seen of a surface is an ellipse; its long axis counts, width / |cos|, as is usual for isotropic filters. Curved
+mirrors and refraction leave the spread as it is. All is attached.
+
+Reference: Akenine-Moeller, Nilsson, Andersson, Barre-Brisebois, Toth and Karras 2019, "Texture Level of Detail Strategies
+for Real-Time Ray Tracing", Ray Tracing Gems, section 20.3; Akenine-Moeller, Crassin, Boksansky, Belcour, Panteleev and
+Wright 2021, "Improved Shader and Texture Level of Detail Using Ray Cones".
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot
+
+SHARING = 16.0  # samples among which the directions that a surface scatters to are divided
+ISOTROPIC = 1.0 / (4.0 * math.pi)  # density of directions
+SMALLEST = 1e-36  # of what a logarithm is taken; its reciprocal is finite in float32
+
+
+class Cone(NamedTuple):
+    """The cone around the ray of each lane, (N,); attached."""
+
+    width: Tensor  # at the origin, world units
+    spread: Tensor  # of the width, per unit of distance
+
+
+def camera_cone(camera: Camera, ray: Ray, position: Vec2, aperture: Vec2 | None) -> Cone:
+    """Cones as wide as a pixel: the distances to the rays one pixel to the right and one below.
+
+    Args:
+        camera: of the rays.
+        ray, position, aperture: of `CameraKind.sample_ray`.
+    """
+    film = camera.film
+    places = Vec2(position.x + 1.0 / film.size_x, position.y), Vec2(position.x, position.y + 1.0 / film.size_y)
+    beside = [camera.kind.sample_ray(camera.lens, place, aperture)[0] for place in places]
+    return Cone(*(torch.sqrt((0.5 * sum(dot(apart, apart) for apart in steps)).clamp_min(TINY))
+                  for steps in ([other.o - ray.o for other in beside], [other.d - ray.d for other in beside])))
+
+
+def cone_beyond(cone: Cone, t: Tensor, density: Tensor) -> Cone:
+    """The cone of the ray that leaves a surface.
+
+    Args:
+        cone: of the ray that met it.
+        t: (N,) distance that it has come; finite.
+        density: (N,) over solid angle, of the direction in which it leaves; infinite if not left to chance.
+    """
+    added = 2.0 / math.sqrt(SHARING * math.pi) * torch.rsqrt(density + ISOTROPIC)
+    return Cone(cone.width + cone.spread * t, cone.spread + added)
+
+
+def footprint(cone: Cone, t: Tensor, cosine: Tensor, edges: tuple[Vec3, Vec3], edges_uv: tuple[Vec2, Vec2]) -> Tensor:
+    """The natural logarithm of the width, in surface coordinates, of what a cone meets of a triangle; attached.
+
+    Args:
+        cone, t: as for `cone_beyond`.
+        cosine: (N,) between ray and triangle.
+        edges, edges_uv: of the triangle, in the world and in surface coordinates.
+    """
+    world, (first, second) = cross(*edges), edges_uv
+    area_uv = (first.x * second.y - first.y * second.x).abs()
+
+    def log(value: Tensor) -> Tensor:
+        return torch.log(value.clamp_min(SMALLEST))
+
+    return log(cone.width + cone.spread * t) - log(cosine.abs()) + 0.5 * log(area_uv) - 0.25 * log(dot(world, world))
