@@ -101,7 +101,7 @@ XML = {
     ),
     "daylight on a texture": (
         diffuse('<spectrum type="d65" name="reflectance"><texture type="bitmap" name="color"/></spectrum>'),
-        ["d65 does not take an object called 'color'; 'color' is a plain value"],
+        ["d65 does not take an object called 'color'; 'color' is a plain value", "put the texture itself into this place"],
     ),
     "string for an integer": (
         '<sensor type="perspective"><film type="hdrfilm">\n<string name="width" value="abc"/></film></sensor>',

@@ -221,7 +221,8 @@ class _Builder:
         is_texture = isinstance(value, XMLObject) and value.category == "texture"
         if key in schema or (is_texture and cls.object_of_any_name is None) or not expected:
             takes = f"{key!r} is a plain value" if key in schema else nearest(key, schema)
-            raise self.error(path, value, f"{parent['type']} does not take an object called {key!r}; {takes}")
+            instead = f"; {cls.instead_of_objects}" if cls.instead_of_objects else ""
+            raise self.error(path, value, f"{parent['type']} does not take an object called {key!r}; {takes}{instead}")
         plugin = self.plugin(path, value, list(dict.fromkeys(expected)))
         category = getattr(plugin, "category", "texture")  # a plain module stands for a texture
         return next(name for name in accepted if category in accepted[name]), plugin
