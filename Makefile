@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-slow test-peer lint clean
+.PHONY: demo test test-slow test-peer gpu-check lint clean
 
 $(VENV)/.installed: setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -26,6 +26,12 @@ test-slow: $(VENV)/.installed
 test-peer: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test,peer]"
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/peer tests/bsdf tests/io
+
+# On a machine with a CUDA GPU: the tests that need one, and times beside Mitsuba's; saves a report in runs/gpu-check.
+# Without a GPU it says so, runs nothing and fails.
+gpu-check: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test,peer,cuda]"
+	$(BIN)/python -m benchmarks.gpu_check
 
 lint: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet ruff

@@ -27,7 +27,7 @@ import torch
 from PIL import Image
 
 import torch_radbp as rb
-from benchmarks.peers import mitsuba_with_llvm
+from benchmarks.peers import mitsuba_for
 from benchmarks.sheet import write_sheet
 from tests.peer.agreement import Comparison, Estimate, compare, estimate, p_values
 from tests.peer.matrix import cases
@@ -79,7 +79,7 @@ def compared(case: Case, paths: float, seed: int) -> Found:
         with torch.no_grad():
             ours = [renderer(seed=seed + batch)[0].permute(1, 2, 0).numpy() for batch in range(BATCHES)]
         starts.append(time.perf_counter())
-        theirs = render(path, case, spp, BATCHES, first_seed=PEER_SEED + seed, mi=mitsuba_with_llvm())
+        theirs = render(path, case, spp, BATCHES, first_seed=PEER_SEED + seed, mi=mitsuba_for("cpu"))
         starts.append(time.perf_counter())
     a, b = (estimate(side, spp) for side in (ours, theirs))
     return Found(a["pixels"], b["pixels"], compare(a, b), tuple(np.diff(starts)))

@@ -38,24 +38,28 @@ def change(seed: int) -> float:
     return 1 + CHANGE if seed % 2 else 1 / (1 + CHANGE)
 
 
-def timed(forward: Callable[[], object], backward: Callable[[object], None]) -> Pass:
-    """Times a forward pass, and the backward pass that is given its result."""
+def timed(forward: Callable[[], object], backward: Callable[[object], None], settle: Callable[[], None]) -> Pass:
+    """Times a forward pass, and the backward pass that is given its result; `settle` waits until the work is done."""
+    settle()
     cpu, start = time.process_time(), time.perf_counter()
     image = forward()
+    settle()
     middle = time.perf_counter()
     backward(image)
+    settle()
     end = time.perf_counter()
     return Pass(middle - start, end - middle, time.process_time() - cpu)
 
 
 class Ours:
-    """This renderer."""
+    """This renderer, on the CPU or on CUDA."""
 
-    def __init__(self, scene: BenchmarkScene, compiled: bool):
+    def __init__(self, scene: BenchmarkScene, compiled: bool, device: str = "cpu"):
         warnings.simplefilter("ignore", rb.SilhouetteWarning)  # interior terms are what is compared
-        self.renderer = scene.renderer(compiled)
+        self.renderer = scene.renderer(compiled).to(device)
+        self.settle = torch.cuda.synchronize if device == "cuda" else lambda: None
         self.parameters = {name: self.renderer.scene.get_parameter(name) for name in scene.parameters}
-        self.cotangent = torch.from_numpy(cotangent(scene.setting.resolution)).permute(2, 0, 1)[None]
+        self.cotangent = torch.from_numpy(cotangent(scene.setting.resolution)).permute(2, 0, 1)[None].to(device)
 
     def run(self, seed: int) -> Pass:
         """A forward and backward pass with changed parameters."""
@@ -63,7 +67,8 @@ class Ours:
             for parameter in self.parameters.values():
                 parameter.mul_(change(seed))
         self.renderer.scene.zero_grad()
-        return timed(lambda: self.renderer(seed=seed), lambda image: (image * self.cotangent).sum().backward())
+        return timed(lambda: self.renderer(seed=seed), lambda image: (image * self.cotangent).sum().backward(),
+                     self.settle)
 
     def gradient_sums(self) -> dict[str, float]:
         """The sum of the gradient's entries, for each parameter."""
@@ -75,8 +80,11 @@ class Ours:
             return self.renderer(seed=seed, spp=spp)[0]
 
 
-def mitsuba_with_llvm():
-    """The module `mitsuba` in its variant `llvm_ad_rgb`.
+VARIANTS = {"cpu": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
+
+
+def mitsuba_for(device: str):
+    """The module `mitsuba` in its variant for a device.
 
     Raises:
         ImportError: if Mitsuba is not installed, or finds no LLVM.
@@ -86,20 +94,20 @@ def mitsuba_with_llvm():
         os.environ.setdefault("DRJIT_LIBLLVM_PATH", libraries[0])
     import mitsuba as mi
 
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANTS[device])
     mi.set_log_level(mi.LogLevel.Error)  # a material's colour may be brighter than 1 for a moment
     return mi
 
 
 class Mitsuba:
-    """Mitsuba's `prb` in the variant `llvm_ad_rgb`; what it evaluates lazily is forced within the measured time.
+    """Mitsuba's `prb` in the variant for a device; what it evaluates lazily is forced within the measured time.
 
     Raises:
         ImportError: if Mitsuba is not installed, or finds no LLVM.
     """
 
-    def __init__(self, scene: BenchmarkScene):
-        mi = mitsuba_with_llvm()
+    def __init__(self, scene: BenchmarkScene, device: str = "cpu"):
+        mi = mitsuba_for(device)
         import drjit as dr
 
         self.dr, self.mi, (resolution, self.spp, max_depth) = dr, mi, scene.setting
@@ -133,23 +141,20 @@ class Mitsuba:
             dr.eval(leaves[name])
             dr.enable_grad(leaves[name])
             self.parameters[name] = leaves[name]
-        dr.sync_thread()
 
         def forward():
             self.parameters.update()
             image = self.mi.render(self.scene, self.parameters, integrator=self.integrator, spp=self.spp, seed=2 * seed,
                                    seed_grad=2 * seed + 1)
             dr.eval(image)
-            dr.sync_thread()
             return image
 
         def backward(image) -> None:
             dr.backward(dr.sum(image * self.cotangent, axis=None))
             self.gradients = {name: dr.grad(leaf) for name, leaf in leaves.items()}
             dr.eval(self.gradients)
-            dr.sync_thread()
 
-        return timed(forward, backward)
+        return timed(forward, backward, dr.sync_thread)
 
     def gradient_sums(self) -> dict[str, float]:
         """The sum of the gradient's entries, for each parameter."""

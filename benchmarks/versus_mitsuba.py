@@ -1,6 +1,7 @@
 """Time and gradients beside Mitsuba's: ``python -m benchmarks.versus_mitsuba`` (needs mitsuba==3.9.1 and LLVM).
 
-Scenes of `benchmarks.scenes`, no Russian roulette. Mitsuba renders with ``prb`` in ``llvm_ad_rgb``; it and this renderer,
+Scenes of `benchmarks.scenes`, no Russian roulette. Mitsuba renders with ``prb`` in ``llvm_ad_rgb``, or, with
+``--device cuda``, where both are on the GPU, in ``cuda_ad_rgb``; it and this renderer,
 compiled or with ``--eager``, take turns within one process, one for each scene. Medians of the rounds are compared, and
 beside them the CPU seconds of all threads, which other programs on the machine disturb less. As in training, the parameters
 change a little before every pass, by the same factor on both sides, and what the scene makes of them belongs to the forward
@@ -30,7 +31,8 @@ def measure(options: argparse.Namespace) -> dict:
     make, setting = SCENES[options.only]
     with tempfile.TemporaryDirectory() as folder:
         scene = make(Path(folder), QUICK if options.quick else setting)
-        peers = {MITSUBA: Mitsuba(scene), "eager" if options.eager else "compiled": Ours(scene, not options.eager)}
+        peers = {MITSUBA: Mitsuba(scene, options.device),
+                 "eager" if options.eager else "compiled": Ours(scene, not options.eager, options.device)}
     first = {name: peer.run(10_000)._asdict() for name, peer in peers.items()}
     for peer in peers.values():
         peer.run(10_001)
@@ -94,6 +96,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--eager", action="store_true", help="this renderer with compile=False")
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="that both render on")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--only", choices=SCENES, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -104,7 +107,7 @@ def main() -> None:
     print(HEADER, flush=True)
     results = []
     for name in options.scene:
-        results.append(in_own_process(name, [*flags, "--rounds", str(options.rounds)]))
+        results.append(in_own_process(name, [*flags, "--rounds", str(options.rounds), "--device", options.device]))
         print(row(results[-1]), flush=True)
     print(LEGEND.format(options.rounds))
     if options.json:

@@ -8,9 +8,11 @@ import torch
 pytest_plugins = ["pytester"]
 
 SLOW = "slow: runs with --slow"
+GPU = "gpu: needs a CUDA GPU"
 LEFT_OUT = {  # by what the reason of a skipped test holds
     "'mitsuba'": "comparisons with Mitsuba skipped: install the extra `peer`, or run `make test-peer`",
     "'warp'": "tests of the ray caster of GPUs skipped: install the extra `cuda`",
+    GPU: "tests on a GPU skipped, for there is none: run `make gpu-check` where there is",
     SLOW: "slow tests left out: run `make test-slow`",
 }
 
@@ -53,6 +55,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """What takes longest starts first, so that workers end together; what is slow only runs if asked for."""
     items.sort(key=lambda item: "test_compile" not in item.nodeid)
+    if not torch.cuda.is_available():
+        for item in items:
+            if item.get_closest_marker("gpu"):
+                item.add_marker(pytest.mark.skip(reason=GPU))
     if not config.getoption("--slow"):
         for item in items:
             if item.get_closest_marker("slow"):

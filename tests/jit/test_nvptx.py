@@ -31,7 +31,8 @@ def test_parameters_are_the_lanes_the_inputs_the_lengths_of_searched_tables_and_
 @pytest.mark.parametrize("architecture", ["sm_80", "sm_90", "sm_100"])
 def test_ptx_of_a_kernel(architecture):
     text = ptx(Gpu(Emulated()).text(PROGRAM), architecture)
-    assert f".target {architecture}" in text and ".visible .entry lanes(" in text and f".maxntid {BLOCK}" in text
+    assert f".target {architecture}" in text and ".visible .entry lanes(" in text
+    assert f".maxntid {BLOCK}\n.minnctapersm 1\n" in text
     assert text.count("st.global.b32") == 2 and "ld.global.nc" in text  # read through the cache for what does not change
     assert "call" not in text
 

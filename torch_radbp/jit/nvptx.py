@@ -21,6 +21,7 @@ from llvmlite import binding as llvm
 from torch_radbp.jit.emit import Body
 from torch_radbp.jit.machine import made_once
 
+# Without a least number of blocks the assembler gives some long kernels 32 registers, and spills three times as much.
 BLOCK = 128  # threads of a block; with 255 registers each, the most that a thread may have, two fit on a multiprocessor
 TRIPLE = "nvptx64-nvidia-cuda"
 
@@ -45,7 +46,7 @@ done:
 declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
 declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 {functions}
-attributes #0 = {{ nounwind "nvvm.maxntid"="{block}" }}
+attributes #0 = {{ nounwind "nvvm.maxntid"="{block}" "nvvm.minctasm"="1" }}
 """
 
 

@@ -1,0 +1,112 @@
+"""On a GPU: kernels, images and gradients are those of the processor. Skipped without one; `make gpu-check` runs them."""
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.derivatives.everything import EVERYTHING, build_everything
+from tests.gradients import assert_informative, cotangent, relative_error
+from tests.jit.test_functions import arguments, assert_close, mixed
+from tests.jit.test_scatter import addition
+from tests.scenes import CASES, cornell
+from torch_radbp.jit import LaneFunction
+from torch_radbp.jit.elementary_double import FORMULAS
+from torch_radbp.jit.order import chosen, partition, put
+from torch_radbp.jit.scatter import copies, scatter_add
+from torch_radbp.jit.structure import replaced
+from torch_radbp.record import leaves_of
+
+pytestmark = [pytest.mark.gpu, pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning",
+                                                          "ignore::torch_radbp.SilhouetteWarning",
+                                                          "ignore::torch_radbp.JumpWarning")]
+DTYPES = (torch.bool, torch.int32, torch.float32, torch.float64, torch.int64)
+
+
+def moved(record, device: str):
+    """The same nested tuples with tensors on a device."""
+    leaves = (leaf.to(device) for leaf in leaves_of(record) if isinstance(leaf, torch.Tensor))
+    return replaced(record, lambda: next(leaves))
+
+
+@pytest.mark.parametrize("lanes", [1, 127, 128, 129, 100_003])
+@pytest.mark.parametrize("dtype, rtol", [(torch.float32, 3e-6), (torch.float64, 1e-12)], ids=str)
+def test_a_function_of_lanes(lanes, dtype, rtol):
+    given = arguments(lanes, dtype)
+    found = LaneFunction(mixed, tables=("colours",))(*moved(given, "cuda"))
+    assert_close(moved(found, "cpu"), mixed(*given), rtol)
+
+
+@pytest.mark.parametrize("dtype, tolerance", [(torch.float32, 1e-6), (torch.float64, 3e-15)], ids=str)
+@pytest.mark.parametrize("name", [name for name in FORMULAS if name not in ("pow", "atan2", "hypot")])
+def test_elementary_functions(name, dtype, tolerance):
+    x, function = torch.linspace(0.01, 0.99, 10_001, dtype=dtype), getattr(torch, name)
+    found = LaneFunction(lambda x: function(x))(x.cuda()).cpu()
+    torch.testing.assert_close(found, function(x), rtol=tolerance, atol=0)
+
+
+def test_lanes_are_chosen_partitioned_and_put():
+    number = torch.randint(0, 5, (10_000,), dtype=torch.int32)
+    assert torch.equal(chosen((number > 2).cuda()).cpu(), chosen(number > 2))
+    (order, counts), (expected, expected_counts) = partition(number.cuda(), 6), partition(number, 6)
+    assert torch.equal(order.cpu(), expected) and counts == expected_counts
+    targets = [torch.zeros(20_000, dtype=dtype) for dtype in DTYPES]
+    place, entries = torch.randperm(20_000, dtype=torch.int32)[:10_000], [torch.arange(10_000).to(dtype) for dtype in DTYPES]
+    on_gpu = [target.cuda() for target in targets]
+    put(targets, place, entries)
+    put(on_gpu, place.cuda(), [entry.cuda() for entry in entries])
+    assert all(torch.equal(found.cpu(), wanted) for found, wanted in zip(on_gpu, targets))
+
+
+@pytest.mark.parametrize("deterministic", [False, True])
+@pytest.mark.parametrize("entries", [1, 4, 100_000])
+def test_numbers_are_added_to_tables(entries, deterministic):
+    case = addition(200_000, entries, 3, copies(entries, torch.device("cuda", 0)), torch.float32)
+    there = [case._replace(index=case.index.cuda(), numbers=[number.cuda() for number in case.numbers],
+                           totals=[total.cuda() for total in case.totals], touched=case.touched.cuda()) for _ in range(2)]
+    before = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(deterministic)
+    try:
+        for part in there:
+            scatter_add([part])
+    finally:
+        torch.use_deterministic_algorithms(before)
+    for numbers, *totals in zip(case.numbers, *(part.totals for part in there)):
+        expected = torch.zeros(entries, dtype=torch.float64).index_add_(0, case.index, numbers.double())
+        torch.testing.assert_close(totals[0].sum(1).cpu(), expected, rtol=1e-12, atol=1e-10)
+        assert not deterministic or torch.equal(*totals)
+
+
+def image_and_gradients(scene: rb.Scene, names, device: str, **settings):
+    """Both on the CPU, rendered on a device."""
+    scene = scene.to(device)
+    wanted = [scene.get_parameter(name).requires_grad_() for name in names]
+    image = rb.Renderer(scene, **settings)()
+    gradients = torch.autograd.grad(image, wanted, cotangent(image.detach().cpu()).to(device), allow_unused=True)
+    return image.detach().cpu(), [torch.zeros(1) if gradient is None else gradient.cpu() for gradient in gradients]
+
+
+@pytest.mark.parametrize("caster", ["warp", "brute"])
+def test_the_image_and_gradients_of_the_cornell_box(caster):
+    """Fusing changes roundings of 6e-8, some thousands of which add up; a lane in ten thousand may decide otherwise."""
+    names, settings = CASES["cornell"].parameters, {"spp": 16, "max_depth": 5, "rr_depth": 3}
+    expected, gradients = image_and_gradients(cornell(torch.float32, 32), names, "cpu", **settings)
+    image, found = image_and_gradients(cornell(torch.float32, 32), names, "cuda", caster=caster, **settings)
+    assert_informative(expected, gradients)
+    differs = ((image - expected).abs() > 1e-4 * expected.max()).any(dim=1)
+    assert differs.sum() <= 10  # of 1024 pixels
+    for name, gradient, wanted in zip(names, found, gradients):
+        assert relative_error(gradient, wanted) < 2e-3, name
+
+
+@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
+@pytest.mark.parametrize("name", EVERYTHING)
+def test_every_plugin_and_parameter_in_double_precision(name, sampling):
+    """By the same rays, of `brute`."""
+    names = [name for name, _ in build_everything(name).named_parameters()]
+    settings = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling, "caster": "brute"}
+    (expected, gradients), (image, found) = (
+        image_and_gradients(build_everything(name), names, device, **settings) for device in ("cpu", "cuda"))
+    assert expected.dtype == torch.float64 and expected.isfinite().all() and expected.any()
+    assert relative_error(image, expected) < 1e-9
+    for name, gradient, wanted in zip(names, found, gradients):
+        assert relative_error(gradient, wanted) < 1e-9 if wanted.abs().max() > 1e-9 else gradient.abs().max() < 1e-8, name
