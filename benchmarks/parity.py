@@ -38,6 +38,9 @@ from torch_radbp.training.false_colour import signed_colour
 
 SIZE = {"width": 64, "height": 48}
 BATCHES = 32
+# Of wide filters, where Mitsuba divides by the weights that a pixel has got, a bias by 1 / samples of a batch; and of its
+# particle tracer, whose few bright pixels are far from normal.
+LONG_BATCHES = 8
 LEVEL, ENOUGH = 0.05, 0.9975
 DARKEST = 5.0  # standard errors
 PEER_SEED = 500_000
@@ -72,14 +75,15 @@ class Found(NamedTuple):
 
 def compared(case: Case, paths: float, seed: int) -> Found:
     """Renders a case on both sides, by as many paths as asked for."""
-    spp = max(1, round(paths / (BATCHES * SIZE["width"] * SIZE["height"])))
+    batches = BATCHES if case.thin == 1 and case.peer_integrator == "path" else LONG_BATCHES
+    spp = max(1, round(paths / (batches * SIZE["width"] * SIZE["height"])))
     with tempfile.TemporaryDirectory() as folder:
         path, starts = case.build(Folder(Path(folder))), [time.perf_counter()]
         renderer = rb.Renderer(rb.load(path, **case.variables), spp=spp)
         with torch.no_grad():
-            ours = [renderer(seed=seed + batch)[0].permute(1, 2, 0).numpy() for batch in range(BATCHES)]
+            ours = [renderer(seed=seed + batch)[0].permute(1, 2, 0).numpy() for batch in range(batches)]
         starts.append(time.perf_counter())
-        theirs = render(path, case, spp, BATCHES, first_seed=PEER_SEED + seed, mi=mitsuba_for("cpu"))
+        theirs = render(path, case, spp, batches, first_seed=PEER_SEED + seed, mi=mitsuba_for("cpu"))
         starts.append(time.perf_counter())
     a, b = (estimate(side, spp) for side in (ours, theirs))
     return Found(a["pixels"], b["pixels"], compare(a, b), tuple(np.diff(starts)))

@@ -33,10 +33,12 @@ class Row(NamedTuple):
     texture: str
     shape: str
     camera: str = "perspective"
+    rfilter: str = "box"
 
     def __str__(self) -> str:
         """A name that can be one of a file."""
-        return "-".join(self[:4] if self.camera == "perspective" else self).replace(" ", "_").replace(":", "_of_")
+        special = [piece for piece in self[4:] if piece not in ("perspective", "box")]
+        return "-".join([*self[:4], *special]).replace(" ", "_").replace(":", "_of_")
 
 
 # Textures, for an attribute {}. Numbers that are read from one are between 0 and 1.
@@ -74,6 +76,7 @@ def textured(kind: str, attribute: str, *parts: str) -> Callable[[str], str]:
 
 
 GGX, BECKMANN = names(distribution="ggx"), names(distribution="beckmann")
+ALL_FACETS = '<boolean name="sample_visible" value="false"/>'
 BUMPS = bitmap("normalmap", "bumps.exr", RAW)
 GOLD = bsdf("roughconductor", names(material="Au"), GGX, floats(alpha=0.25))
 BSDFS: dict[str, Callable[[str], str]] = {
@@ -84,15 +87,20 @@ BSDFS: dict[str, Callable[[str], str]] = {
     "roughconductor alpha": textured("roughconductor", "alpha", names(material="Au"), BECKMANN),
     "roughconductor brushed": textured("roughconductor", "specular_reflectance", BECKMANN,
                                        floats(alpha_u=0.1, alpha_v=0.45)),
+    "roughconductor all facets": textured("roughconductor", "specular_reflectance", names(material="Ag"), GGX, ALL_FACETS,
+                                          floats(alpha=0.3)),
     "dielectric": textured("dielectric", "specular_transmittance", names(int_ior="bk7")),
     "thindielectric": textured("thindielectric", "specular_transmittance", names(int_ior="diamond")),
     "roughdielectric": textured("roughdielectric", "specular_transmittance", GGX, floats(alpha=0.3)),
     "roughdielectric alpha": textured("roughdielectric", "alpha", BECKMANN, floats(int_ior=1.7)),
+    "roughdielectric all facets": textured("roughdielectric", "specular_reflectance", BECKMANN, ALL_FACETS,
+                                           floats(alpha=0.25, int_ior=1.6)),
     "plastic": textured("plastic", "diffuse_reflectance", names(int_ior="water")),
     "plastic nonlinear": textured("plastic", "diffuse_reflectance", NONLINEAR),
     "roughplastic": textured("roughplastic", "diffuse_reflectance", BECKMANN, floats(alpha=0.2)),
     "roughplastic nonlinear": textured("roughplastic", "diffuse_reflectance", GGX, NONLINEAR,
                                       floats(alpha=0.3, int_ior=1.8)),
+    "roughplastic all facets": textured("roughplastic", "diffuse_reflectance", BECKMANN, ALL_FACETS, floats(alpha=0.3)),
     "principled": textured("principled", "base_color", floats(roughness=0.4, specular=0.6, spec_tint=0.4, flatness=0.5)),
     "principled metal": textured("principled", "roughness", colours(base_color="0.8, 0.5, 0.3"),
                                  floats(metallic=0.9, anisotropic=0.6)),
@@ -120,9 +128,9 @@ ABOVE = placed('scale x="0.9" y="0.7"', 'rotate x="1" angle="110"', 'translate x
 AIM = pose("1.2, 3, 2.2", "0, 0.6, 0")
 
 
-def of_surface(kind: str, place: str, attribute: str = "radiance") -> Callable[[str], str]:
+def of_surface(kind: str, place: str, attribute: str = "radiance", light: str = "area") -> Callable[[str], str]:
     """A shape that shines, its radiance the texture."""
-    return lambda texture: shape(kind, "lamp", place, f'<emitter type="area">{slot(attribute)(texture)}</emitter>')
+    return lambda texture: shape(kind, "lamp", place, f'<emitter type="{light}">{slot(attribute)(texture)}</emitter>')
 
 
 def emitter(kind: str, *parts: str) -> str:
@@ -140,6 +148,7 @@ EMITTERS: dict[str, Callable[[str], str]] = {
     "area cube": lambda _: shape("cube", "lamp", lamp("5, 6, 7"), placed(
         'scale value="0.3"', 'rotate y="1" angle="30"', 'translate x="0.9" y="2.5" z="0.7"')),
     "textured area": of_surface("rectangle", ABOVE),
+    "beam": of_surface("rectangle", ABOVE, light="directionalarea"),
     "constant": lambda _: SKY.format("0.7, 0.8, 1"),
     "textured constant": lambda texture: emitter("constant", slot("radiance")(texture)),
     "envmap": lambda _: emitter("envmap", file("sky.exr"), placed('rotate y="1" angle="70"')),
@@ -248,6 +257,17 @@ MATRIX = (
     Row("diffuse", "sunsky", "bitmap", "sphere"),
     Row("roughconductor", "sunsky", "checkerboard", "mesh"),
     Row("null", "projector:rgb", "none", "sphere"),
+    Row("roughplastic", "area", "bitmap", "mesh", rfilter="mitchell"),
+    Row("twosided", "envmap", "checkerboard", "cube", rfilter="catmullrom"),
+    Row("diffuse", "point", "nearest", "sphere", rfilter="lanczos"),
+    Row("roughconductor all facets", "area", "bitmap", "cylinder"),
+    Row("roughdielectric all facets", "envmap", "rgb", "sphere"),
+    Row("roughplastic all facets", "spot", "checkerboard", "cube"),
+    Row("diffuse", "beam:rgb", "bitmap", "sphere"),
+    Row("roughplastic", "beam:nearest", "rgb", "mesh"),
+    Row("diffuse", "sunsky", "checked bitmap", "cylinder"),
+    Row("principled", "sunsky", "vertex attribute", "attributes", "thinlens"),
+    Row("diffuse", "area cube", "face attribute", "attributes", "thinlens", "mitchell"),
 )
 
 
@@ -278,18 +298,21 @@ def built(row: Row) -> Callable[[Folder], Path]:
     def build(folder: Folder) -> Path:
         files(folder)
         camera, view = CAMERAS[row.camera]
+        film = VARIABLE_SIZE if row.rfilter == "box" else VARIABLE_SIZE + BORDER
         wall = twosided(diffuse("0.5, 0.55, 0.7"))
         body = "".join([
             shape("rectangle", "floor", twosided(diffuse("0.6, 0.5, 0.4")),
                   placed('rotate x="1" angle="-90"', 'scale x="3" z="2.5"')),
             shape("rectangle", "wall", wall, placed('scale x="3" y="1.6"', 'translate y="1.6" z="-1.6"')),
             SHAPES[row.shape](BSDFS[row.bsdf](row.texture)), light(row.emitter)])
-        text = scene_xml(VARIABLE_SIZE, view, body, '<integer name="max_depth" value="$max_depth"/>', camera=camera)
+        text = scene_xml(film, view, body, '<integer name="max_depth" value="$max_depth"/>',
+                         f'<rfilter type="{row.rfilter}"/>', camera)
         return folder.text("scene.xml", text)
 
     return build
 
 
+BORDER = '<boolean name="sample_border" value="true"/>'  # wide filters: by it all pixels are filtered alike
 VARIABLE_SIZE = '<integer name="width" value="$width"/><integer name="height" value="$height"/>'
 ROWS = {f"matrix_{row}": row for row in MATRIX}
 assert len(ROWS) == len(MATRIX), "two rows are the same"
@@ -300,5 +323,12 @@ SHY = ("area sphere", "area mesh", "area cube")  # half of what is sampled on th
 
 def cases(variables: dict[str, int]) -> dict[str, Case]:
     """The case of every row, with images of a size and of a depth."""
-    return {name: Case(built(row), variables, spp=256 if row.emitter in SHY else 64, peer_batches=32,
-                       peer_spp=512 if row.emitter in SHY else 128) for name, row in ROWS.items()}
+    return {name: case_of(row, variables) for name, row in ROWS.items()}
+
+
+def case_of(row: Row, variables: dict[str, int]) -> Case:
+    """The case of a row. Beams are seen by Mitsuba's particle tracer only; its wide filters share samples among pixels."""
+    beam, shy, wide = row.emitter.startswith("beam"), row.emitter in SHY, row.rfilter != "box"
+    return Case(built(row), variables, spp=256 if shy or beam else 64, peer_batches=16 if wide else 32,
+                peer_spp=2048 if beam else 512 if shy or wide else 128, thin=5 if wide else 1,
+                peer_integrator="ptracer" if beam else "path")
