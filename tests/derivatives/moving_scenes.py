@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.derivatives.scenes import parallel
+from tests.derivatives.scenes import FISHEYE, blurred, calibrated, mesh_file, parallel
 from tests.scenes import diffuse, load, look_at, rgb, sensor
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -208,6 +208,29 @@ def tube() -> dict[str, Any]:
             "bsdf": {"type": "diffuse", "reflectance": texture}}
 
 
+def of_camera(sensor: dict[str, Any], label: str, steps: dict[str, float], fine: float = 1.0) -> dict[str, MovingScene]:
+    """A scene for each of these parameters of a sensor, before a plane whose texture is so many times finer."""
+    before = {"plane": plane(bsdf=textured(half=fine * HALF))} | POINT
+    return {f"{label}, {name}": MovingScene(
+        scene(sensor=sensor, **before), f"sensor.{name}",
+        rigid(TWIST, (0.5, -0.4, 2.6)) if name == "to_world" else constant(1), step, samplings=("hybrid",))
+        for name, step in steps.items()}
+
+
+def of_mesh(shape: dict[str, Any], label: str) -> dict[str, MovingScene]:
+    """A scene for every parameter of a mesh of a few vertices, which fills the view."""
+    build = scene(sheet=shape | {"bsdf": textured()}, **POINT)
+    return {f"{label}, {name}": MovingScene(build, f"sheet.{name}", direction, 0.005, samplings=("hybrid",))
+            for name, direction in {"to_world": rigid(TWIST), "vertex_positions": wave(size=0.02), "vertex_normals": wave(),
+                                    "vertex_texcoords": wave(size=0.05)}.items()}
+
+
+def mesh_of_file(suffix: str) -> dict[str, Any]:
+    pose = translate((0, 0, 0)) @ rotate(TILT, ANGLE) @ scale((20, 20, 1))
+    return {"type": suffix, "filename": mesh_file(suffix), "to_world": pose}
+
+
+VIEW = {name: camera()[name] for name in ("to_world", "film")}
 MIRROR_WORLD = {"behind": bright_plane(9, (0.3, 0.2, 4.5), (1, 0.2, 0), 168)}
 METAL = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.3, "material": "Au"}
 LACQUER = {"type": "principled", "base_color": rgb(0.8, 0.4, 0.3), "roughness": 0.5, "metallic": 0.4, "clearcoat": 0.6}
@@ -319,5 +342,22 @@ SCENES = {
         rigid(TWIST, (0.5, -0.4, 2.6)), 0.005),
     "principal point x": MovingScene(scene(**FLOOR, **POINT), "sensor.principal_point_offset_x", constant(1), 0.005),
     "principal point y": MovingScene(scene(**FLOOR, **SKY), "sensor.principal_point_offset_y", constant(1), 0.005),
+    **of_camera(blurred(SIZE, 40) | VIEW, "thinlens", {"to_world": 0.005, "x_fov": 0.5}),
+    **of_camera(blurred(SIZE, 40) | VIEW | {"focus_distance": 1.5, "aperture_radius": 0.2}, "thinlens",
+                {"aperture_radius": 0.01, "focus_distance": 0.03}, fine=4.0),
+    **of_camera(calibrated(SIZE, 0.8) | VIEW, "calibrated", {
+        "to_world": 0.005, "fx": 0.05, "fy": 0.05, "cx": 0.05, "cy": 0.05, "skew": 0.05, "k1": 0.01, "k2": 0.01, "k3": 0.01,
+        "k4": 0.01, "k5": 0.01, "k6": 0.01, "p1": 0.01, "p2": 0.01}),
+    **of_camera(calibrated(SIZE, 0.6, **FISHEYE) | VIEW, "fisheye", {"fx": 0.05, "k1": 0.01, "k4": 0.01}),
+    # Other shapes.
+    **of_mesh(plane() | {"type": "cube", "to_world": rotate(TILT, ANGLE) @ translate((0, 0, -1)) @ scale((HALF, HALF, 1))},
+              "cube"),
+    **{name: moving for suffix in ("obj", "ply", "serialized") for name, moving in of_mesh(
+        mesh_of_file(suffix), suffix).items()},
+    "disk turned": MovingScene(scene(disk=plane(type="disk", bsdf=diffuse(0.5, 0.6, 0.7)), **POINT), "disk.to_world",
+                               rigid(TWIST), 0.005),
+    "sphere turned": MovingScene(
+        scene(ball={"type": "sphere", "radius": 4.0, "flip_normals": True, "bsdf": diffuse(0.5, 0.6, 0.7),
+                    "to_world": rotate(TILT, ANGLE) @ scale((1, 1.3, 0.9))}, **POINT), "ball.to_world", rigid(TWIST), 0.005),
     "field of view": MovingScene(scene(sensor=camera(rfilter="box"), **FLOOR, **POINT), "sensor.x_fov", constant(1), 0.5),
 }

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from tests.derivatives.pairs import CATEGORIES, Pair, examined, nested, own_parameters, registered
+from tests.derivatives.moving_scenes import SCENES as MOVING_SCENES
+from tests.derivatives.pairs import CATEGORIES, Pair, examined, nested, own_parameters, pairs_of, registered
 from tests.derivatives.scenes import SCENES, build
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, register
 
@@ -23,6 +24,13 @@ def test_a_scene_examines(pair, found):
 @pytest.mark.parametrize("category, kind", [(c, k) for c in CATEGORIES for k in REGISTRY[c] if (c, k) != ("bsdf", "null")])
 def test_a_scene_has_the_plugin(category, kind, found):
     assert any(pair.plugin == f"{category} {kind}" for pair in found), f"no scene examines the {category} {kind}: add one"
+
+
+def test_every_parameter_of_shapes_and_sensors_is_moved_in_expectation():
+    """In a scene of `moving_scenes.py`."""
+    moved = set().union(*(pairs_of(moving.build(), moving.name) for moving in MOVING_SCENES.values()))
+    missing = [str(pair) for pair in PAIRS if pair.plugin.startswith(("shape ", "sensor ")) and pair not in moved]
+    assert not missing, f"no scene moves {missing}: add some"
 
 
 def test_what_modules_register_is_what_their_code_says(found):

@@ -25,7 +25,11 @@ NOISY = {
     "ggx glass shifted": 128, "ggx glass turned": 256, "ggx glass, index": 64, "rough glass, roughness": 256,
     "rough glass, index": 64, "emitter behind rough glass": 256, "pane, index": 256, "lens, vertices": 32,
     "lens, normals": 32, "lens, index": 256, "normals under an envmap": 1024, "envmap turned": 1024,
-    "wall behind the camera": 1024, "principled glass, spec_trans": 64}
+    "wall behind the camera": 1024, "principled glass, spec_trans": 64,
+    "thinlens, aperture_radius": 256, "thinlens, focus_distance": 256, "calibrated, k2": 64, "calibrated, k3": 256,
+    "calibrated, k4": 64, "calibrated, k5": 128, "calibrated, k6": 256, "fisheye, k4": 64}
+# Of the same code as others that are not slow.
+SLOW = ("fisheye", "obj", "serialized")
 COARSE = {"normals under an envmap": 256, "envmap turned": 256, "wall behind the camera": 512,
           "metal under a soft lamp": 128}  # for 5%; 2% is slow
 
@@ -44,7 +48,8 @@ class Row(NamedTuple):
         return f"{self.name}, {self.bias:.0%}"
 
 
-ROWS = [*(Row(name, 0.02, NOISY.get(name, SPP)) for name in SCENES if name not in COARSE),
+ROWS = [*(pytest.param(Row(name, 0.02, NOISY.get(name, SPP)), marks=[pytest.mark.slow] * name.startswith(SLOW))
+          for name in SCENES if name not in COARSE),
         *(Row(name, 0.05, spp) for name, spp in COARSE.items()),
         *(pytest.param(Row(name, 0.02, NOISY[name]), marks=pytest.mark.slow) for name in COARSE)]
 
