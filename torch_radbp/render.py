@@ -210,7 +210,7 @@ class Renderer(nn.Module):
         """Warns of what derivatives of a call lack."""
         seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
         sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
-        self.jump_watch.look(Rendering(self.scene, seen, sights, call.caster, self.sampling))
+        self.jump_watch.look(Rendering(self.scene, seen, sights, call.caster, self.sampling, Kept(self.kept)))
 
     def prepare(self, seed: int, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                 aovs: bool = False) -> RenderCall:

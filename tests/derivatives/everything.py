@@ -29,7 +29,7 @@ from tests.scenes import diffuse, load, rgb
 MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
              "brushed glass beckmann", "plastic", "rough plastic ggx", "principled", "principled glass", "principled sheet",
              "blend", "mask", "normal map", "bump map")
-SHAPES = ("rectangle", "disk", "sphere", "cylinder", "cube", "mesh", "obj", "ply", "serialized")
+SHAPES = ("rectangle", "disk", "sphere", "cylinder", "cube", "mesh", "obj", "ply", "serialized", "distances")
 LIGHTS = ("directional", "point", "projector", "spot")
 TEXTURES = ("spectra", "metal by spectra", "named constants", "raw constant", "checkerboard", "rough checkerboard",
             "trilinear", "trilinear bumps")

@@ -30,7 +30,7 @@ def tent() -> dict[str, Any]:
 
 
 def crowd(material: dict[str, Any], dtype: torch.dtype, view: np.ndarray | None = None, **changes: Any) -> rb.Scene:
-    """A panel, a tent, a cube and a ball of a material above a floor, between all kinds of light; `changes` by name."""
+    """A panel, a tent, a cube, a disk and a lump of a material above a floor, between all kinds of light; `changes` by name."""
     own = {"type": "ref", "id": "material"}
     up, down = look_at((1.2, 2.5, 1.6), (0, 0, 0), (0, 1, 0)), look_at((-1.5, 2, 1), (0.1, 0, 0.2), (0, 1, 0))
     objects = {
@@ -42,6 +42,7 @@ def crowd(material: dict[str, Any], dtype: torch.dtype, view: np.ndarray | None 
         "tent": tent() | {"to_world": translate((0.9, 0, 0.2)), "bsdf": own},
         "cube": {"type": "cube", "to_world": translate((0.1, 0.3, 0.3)) @ rotate((1, 2, 3), 33) @ scale((0.3, 0.25, 0.3)),
                  "bsdf": own},
+        "lump": lump() | {"bsdf": own},
         "disk": {"type": "disk", "to_world": translate((0.4, 1.3, -0.7)) @ rotate((1, 1, 0), 20) @ scale((0.4, 0.4, 0.4)),
                  "bsdf": {"type": "twosided", "front": own}
                  if not any(name in material["type"] for name in ("electric", "mask", "null", "thin"))
@@ -57,6 +58,14 @@ def crowd(material: dict[str, Any], dtype: torch.dtype, view: np.ndarray | None 
     }
     objects |= changes
     return rb.load_dict({"type": "scene", **{name: value for name, value in objects.items() if value is not None}}).to(dtype)
+
+
+def lump(factor: float = 1.0) -> dict[str, Any]:
+    """A ball given by distances, times a factor, and cut off by the cube that they are given in; some are exactly 0."""
+    places = torch.meshgrid(*(torch.linspace(-1, 1, count) for count in (4, 5, 6)), indexing="ij")
+    grid = torch.stack(places).norm(dim=0) - 1.1
+    grid[1, 2, 3] = grid[2, 4, 3] = 0.0
+    return {"type": "sdfgrid", "grid": factor * grid[..., None], "to_world": translate((-0.6, 0.1, 0.5)) @ scale((0.4, 0.4, 0.4))}
 
 
 def put(scene: rb.Scene, **values: Any) -> rb.Scene:
@@ -206,6 +215,8 @@ def places() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
         "triangles without area": lambda dtype: crowd(BRUSHED, dtype, tent=ragged() | {"bsdf": BRUSHED}),
         "lamp with triangles without area": lambda dtype: crowd(
             BRUSHED, dtype, lamp=ragged() | {"emitter": {"type": "area", "radiance": rgb(1, 2, 3)}}),
+        "tiny distances": lambda dtype: crowd(BRUSHED, dtype, lump=lump(1e-30)),
+        "huge distances": lambda dtype: crowd(BRUSHED, dtype, lump=lump(1e17) | {"normals": "analytic"}),
         "small": scaled(1e-2), "large": scaled(1e4),
         "coordinates in one point": lambda dtype: put(crowd(BRUSHED, dtype), tent__vertex_texcoords=0.3),
         "coordinates on a line": lambda dtype: put(crowd(BRUSHED, dtype), tent__vertex_texcoords=torch.tensor(

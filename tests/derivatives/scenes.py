@@ -124,6 +124,15 @@ def quadrilateral(smooth: bool = True, **attributes: Any) -> dict[str, Any]:
     return mesh | ({"vertex_normals": NORMALS} if smooth else {}) | attributes
 
 
+def distances(**attributes: Any) -> dict[str, Any]:
+    """A dented ball given by distances on a coarse grid."""
+    places = torch.meshgrid(*(torch.linspace(-1, 1, count, dtype=torch.float64) for count in (4, 5, 6)), indexing="ij")
+    noise = torch.as_tensor(texels(4, 10, 8)).reshape(4, 5, 6)
+    grid = torch.stack(places).norm(dim=0) - 0.8 + 0.3 * (noise - 0.5)
+    pose = turned((0.1, -0.05, 0.1), 11, 23, 37, size=2.4)["to_world"] @ translate((-0.5, -0.5, -0.5))
+    return {"type": "sdfgrid", "grid": grid[..., None], "to_world": pose, "bsdf": diffuse(0.7, 0.5, 0.3)} | attributes
+
+
 @functools.cache
 def folder() -> tempfile.TemporaryDirectory:
     """Where files of meshes are, until the process ends."""
@@ -240,6 +249,9 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "obj": lambda: shape(type="obj", filename=mesh_file("obj"), bsdf=printed()),
     "ply": lambda: shape(type="ply", filename=mesh_file("ply"), bsdf=printed()),
     "serialized": lambda: shape(type="serialized", filename=mesh_file("serialized"), bsdf=printed()),
+    "distances": {"sensor": camera(fov=16), "sky": sky(), SUBJECT: distances()},
+    "distances with kinks": {"sensor": camera(fov=16), "sky": sky(), SUBJECT: distances(normals="analytic", bsdf={
+        "type": "roughconductor", "alpha": 0.4, **ROUGH_METAL})},
     "instances": shape(type="shapegroup", sheet=quadrilateral(bsdf=printed()), ball=turned(
         (0.4, 0.3, 0.5), 20, -30, 10, size=0.3, type="sphere", bsdf=printed(seed=9))) | {
             f"{SUBJECT}_instance": turned((0.7, -0.5, 1.2), 14, -23, 31, size=0.3, type="instance", group=GROUP),

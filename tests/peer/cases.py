@@ -38,7 +38,7 @@ from .scenes import (
     sky,
     spots,
 )
-from .shape_scenes import instances, tubes
+from .shape_scenes import distances, instances, tubes
 from .texture_scenes import textures
 
 BOX = '<rfilter type="box"/>'
@@ -116,6 +116,7 @@ CASES = {
     "cornell_roulette": Case(cornell_box, {"resolution": 32, "max_depth": -1, "rr_depth": 1}),
     "shapes": Case(shapes),
     "tubes": Case(tubes),
+    "distances": Case(distances),
     "instances": Case(instances),
     "bitmaps": Case(bitmaps),
     "textures": Case(textures),

@@ -13,6 +13,7 @@ import trimesh
 from PIL import Image
 
 from tests.io.serialized_files import mesh, serialized
+from torch_radbp.io.volume import write_volume
 
 
 class Folder:
@@ -31,6 +32,13 @@ class Folder:
         """Serialized meshes, of which each is the arguments of `serialized_files.mesh`: lists of rounded numbers."""
         self.contents.update(f"{name}\0{meshes!r}\0".encode())
         (self.path / name).write_bytes(serialized(*(mesh(**arguments) for arguments in meshes)))
+        return self.path / name
+
+    def volume(self, name: str, values: np.ndarray) -> Path:
+        """A volume of (Z, Y, X) values, rounded to 1 / 4096."""
+        values = np.round(values * 4096)
+        self.contents.update(f"{name}\0{values.shape}\0".encode() + values.astype(np.int32).tobytes())
+        write_volume(self.path / name, values[..., None] / 4096)
         return self.path / name
 
     def pixels(self, name: str, values: np.ndarray, **options) -> Path:

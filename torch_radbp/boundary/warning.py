@@ -24,10 +24,12 @@ from torch_radbp.plugin import Plugin, Sensor, Shape, Texture
 from torch_radbp.raycast.known import same
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
+from torch_radbp.scene.geometry import number_of_triangles
+from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.material import followed, sampling_at, turning_values
 from torch_radbp.scene.pack import one_sided
 
-MOVE_SHAPES = ("to_world", "vertex_positions")
+MOVE_SHAPES = ("to_world", "vertex_positions", "grid")
 MOVE_LIGHTS = ("to_world", "position")
 MOST_LIGHTS = 32  # that move, and that do not, whose shadows are searched
 FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
@@ -50,10 +52,11 @@ class Rendering(NamedTuple):
     sights: Sequence[Sight]  # one for each sensor
     caster: RayCaster  # of the scene as it is now
     sampling: str  # "detached", "hybrid" or "attached"
+    kept: Kept  # of this rendering
 
     def counts(self) -> list[int]:
         """The number of triangles of each shape; the caster has them in the order of the shapes."""
-        return [len(shape.faces) * (1 if instances is None else len(instances))
+        return [number_of_triangles(self.kept, shape) * (1 if instances is None else len(instances))
                 for shape, instances in zip(self.scene.shapes, self.scene.shown_by)]
 
     def movers(self) -> list[list[str]]:

@@ -22,12 +22,14 @@ from torch_radbp.io.gltf.write import gltf_files
 from torch_radbp.io.image import save_image
 from torch_radbp.io.mesh_arrays import MeshArrays
 from torch_radbp.io.ply import write_ply
+from torch_radbp.io.volume import write_volume
 from torch_radbp.plugin import REGISTRY, Filename, Matrix4, Plugin, Point3, SceneError, attributes
 from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.surface import transform_normals, transform_points
 from torch_radbp.texture.rgb import RGB
 
 VERSION = "3.0.0"
+FILED = ("data", "grid")  # attributes that are written as files
 ORDER = ("texture", "bsdf", "sensor", "emitter", "shape")  # so that what is referred to comes first
 MESH_PARAMETERS = ("vertex_positions", "vertex_normals", "vertex_texcoords")
 
@@ -37,9 +39,9 @@ def save(scene: Scene, path: str | os.PathLike, strict: bool = False) -> None:
     """Writes a scene as Mitsuba 3 XML or as glTF 2.0, by the extension of the file's name.
 
     XML is loaded to the same image by this package and by Mitsuba 3, which refuses what it does not have (the sensor
-    `calibrated`, the filter `trilinear` of bitmaps). Bitmaps are written beside it as EXR, and meshes as PLY
-    in world space, where their pose has put them, with the normals that they have now; both named after the scene and the
-    object and both float32 (PLY: of the parameter's dtype). The saved scene needs no file of the original one.
+    `calibrated`, the filter `trilinear` of bitmaps). Bitmaps are written beside it as EXR, distances on a grid as VOL, and
+    meshes as PLY in world space, where their pose has put them, with the normals that they have now; all named after the
+    scene and the object and all float32 (PLY: of the parameter's dtype). The saved scene needs no file of the original one.
 
     glTF has shapes as meshes under their pose, materials as metallic-roughness and its extensions, textures as PNG of 8 bits
     inside the file, lights and cameras, under the names that they have in the scene; a .gltf has a .bin beside it. What glTF
@@ -121,12 +123,17 @@ class _Writer:
             return element
         element = ElementTree.Element(plugin.category, type=plugin.type)
         for attribute in attributes(type(plugin)):
-            if attribute == "data" and hasattr(plugin, "data"):
-                continue
-            self.add(element, plugin, attribute, name)
+            if attribute not in FILED or not hasattr(plugin, attribute):
+                self.add(element, plugin, attribute, name)
         if hasattr(plugin, "data"):
             file = self.file(name, ".exr")
             save_image(file, plugin.data.movedim(-1, 0))
+            ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
+        if hasattr(plugin, "grid"):
+            if not torch.isfinite(plugin.grid).all():
+                raise SceneError(f"{name}.grid: not written, it has values that are NaN or infinite")
+            file = self.file(name, ".vol")
+            write_volume(file, plugin.grid.detach().cpu().numpy())
             ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
         return element
 

@@ -10,13 +10,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.differentiated import differentiated
-from torch_radbp.plugin import Shape
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.tensors import TriangleTable, VertexTable
 from torch_radbp.shape.ball import TRIANGLES, Ball, Balls
 from torch_radbp.shape.instance import Instance, instanced
-from torch_radbp.shape.surface import Triangles
+from torch_radbp.shape.surface import Surface, Triangles
 from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
 
 BLOCK = 1 << 15  # number of triangles that are processed at a time
@@ -53,9 +52,9 @@ class Columns(NamedTuple):
     numbers: tuple[Numbers, ...] | None = None  # of each shape, for AOVs
 
 
-def placed_shape(kept: Kept, shape: Shape, instances: Sequence[Instance] | None, dtype: torch.dtype) -> PlacedShape:
+def placed_shape(kept: Kept, shape: Surface, instances: Sequence[Instance] | None, dtype: torch.dtype) -> PlacedShape:
     """A shape as it is now; where instances show it, if it belongs to a group."""
-    surface = kept(without_flat_normals, kept(oriented, kept.twin(id(shape), shape)))
+    surface = kept(without_flat_normals, kept(oriented, kept.twin(id(shape), shape), connections(kept, shape)))
     if instances is not None:
         poses = tuple(kept.part((id(instance), "to_world"), instance.to_world) for instance in instances)
         surface = kept(instanced, surface, poses)
@@ -69,9 +68,25 @@ def frozen_ball(kept: Kept, place: Hashable, ball: Ball | None) -> Ball | None:
     return None if ball is None else kept(Ball, kept.frozen((place, "ball"), ball.placement), ball.turned)
 
 
-def oriented(shape: Shape) -> Triangles:
-    """The triangles of a shape in world space."""
-    return shape.oriented()
+def connections(kept: Kept, shape: Surface) -> tuple[NamedTuple, ...]:
+    """What a shape's triangles are to be told, see `Surface.connections`; found anew only if its values have changed."""
+    recipe = shape.connections()
+    if recipe is None:
+        return ()
+    make, arguments = recipe
+    return (kept(make, *(kept.frozen((id(shape), make, number), value) if isinstance(value, Tensor) else value
+                         for number, value in enumerate(arguments))),)
+
+
+def number_of_triangles(kept: Kept, shape: Surface) -> int:
+    """The number of a shape's triangles."""
+    found = connections(kept, shape)
+    return len(found[0].faces if found else shape.faces)
+
+
+def oriented(shape: Surface, found: tuple[NamedTuple, ...]) -> Triangles:
+    """The triangles of a shape in world space; `found`: its connections, if it has any."""
+    return shape.oriented(*found)
 
 
 def without_flat_normals(surface: Triangles) -> Triangles:

@@ -7,6 +7,7 @@ from torch_radbp.shape import (  # noqa: F401 (registers the plugins)
     instance,
     mesh,
     rectangle,
+    sdfgrid,
     serialized,
     shapegroup,
     sphere,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -74,7 +75,7 @@ class Surface(Shape):
     analytic shapes here, but for the sphere, whose normals it turns there and here.
     """
 
-    faces: Tensor  # (F, 3) int64, a buffer: `triangles()` has as many, in the same order
+    faces: Tensor  # (F, 3) int64: `triangles()` has as many, in the same order
 
     def __init__(self, *, bsdf: BSDF | None = None, emitter: Emitter | None = None, flip_normals: bool = False):
         super().__init__()
@@ -88,13 +89,21 @@ class Surface(Shape):
     def shown_often(self) -> None:
         """Told to a shape of which instances show many: it may take fewer triangles."""
 
+    def connections(self) -> tuple[Callable[..., NamedTuple], tuple[Any, ...]] | None:
+        """How to find what `triangles` is to be told of the shape's values without their derivatives.
+
+        Returns:
+            A function of a module and its arguments, tensors and plain values, attached or not; None: it is told nothing.
+        """
+        return None
+
     def triangles(self) -> Triangles:
-        """The shape as triangles in world space."""
+        """The shape as triangles in world space; one that has `connections` may be told them, lest it finds them itself."""
         raise TypeError(f"{type(self).__name__} does not define its triangles")
 
-    def oriented(self) -> Triangles:
-        """`triangles()`, turned inside out if `flip_normals` is set."""
-        surface = self.triangles()
+    def oriented(self, *found: NamedTuple) -> Triangles:
+        """`triangles()`, turned inside out if `flip_normals` is set; `found`: its `connections`, if it has any."""
+        surface = self.triangles(*found)
         if not self.flip_normals:
             return surface
         normals = None if surface.normals is None else -surface.normals

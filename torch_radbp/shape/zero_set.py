@@ -1,0 +1,221 @@
+"""The zero set of the trilinear interpolant of a grid, as triangles with derivatives.
+
+Marching cubes on a lattice which is that of the grid, or finer if the grid is coarse. Along an edge of the lattice the
+interpolant is linear, so that all vertices are on the zero set exactly. Which edges are cut follows from signs, and changes
+in steps; where they are cut is differentiable with respect to the values at the ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.shape.marching_cubes import CORNERS, case_table, edge_starts
+from torch_radbp.vec import Vec3, dot, gather, normalize, scaled, where
+
+LEAST_CELLS = 60  # of the lattice, along the longest side of the grid
+
+
+class Net(NamedTuple):
+    """Which edges of the lattice are cut, and how the cuts are connected. Detached. In coordinates of voxels, x first."""
+
+    faces: Tensor  # (F, 3) int64, counter-clockwise as seen from where values are positive
+    voxel: Tensor  # (V, 3) int64, the grid point from which the vertex's voxel extends
+    start: Tensor  # (V, 3) float64, where the cut edge starts, relative to that point, in [0, 1]
+    axis: Tensor  # (V,) int64, along which it runs
+
+
+class Cell(NamedTuple):
+    """The voxels of some points."""
+
+    voxel: tuple[Tensor, Tensor, Tensor]  # (V,) int64 each, x first
+    place: Vec3  # (V,) the points in their voxels, in [0, 1]; attached
+
+
+def check_grid(name: str, values: Tensor) -> None:
+    """Raises ValueError unless a grid, (Z, Y, X), has a voxel that the zero set goes through."""
+    if min(values.shape) < 2:
+        raise ValueError(f"{name} must have at least 2 values along each axis, got {tuple(values.shape)} (z, y, x)")
+    inside = values < 0
+    if bool(inside.all()) or not bool(inside.any()):
+        raise ValueError(f"{name} must have values below 0 (inside) and others, or there is no surface; they are from "
+                         f"{float(values.min()):g} to {float(values.max()):g}")
+
+
+def subdivision(size: tuple[int, ...]) -> int:
+    """How many cells of the lattice a voxel has along each axis, if the grid has this size."""
+    return -(-LEAST_CELLS // (max(size) - 1))
+
+
+def zero_net(values: Tensor, finer: bool, of_voxels: bool) -> Net:
+    """The net of the zero set.
+
+    Args:
+        values: (Z, Y, X), detached.
+        finer: the lattice has at least 60 cells along the longest side; else it is that of the grid.
+        of_voxels: vertices on the border between voxels are one for each.
+    """
+    check_grid("the grid", values)
+    cells = subdivision(values.shape) if finer else 1
+    voxels = occupied(values)
+    signs = refined(at_corners(values, voxels.unbind(1)), cells) < 0
+    case = cases(signs)
+    number, z, y, x = ((case > 0) & (case < 255)).nonzero().unbind(1)
+    table = case_table()
+    case = case[number, z, y, x].long()
+    count = table.count.to(values.device)[case]
+    row = torch.arange(len(case), device=values.device).repeat_interleave(count)
+    triangle = torch.arange(len(row), device=values.device) - (count.cumsum(0) - count)[row]
+    edges = table.edges.to(values.device)[case[row], triangle]
+    number = number[row]
+    corner = voxels[number] * cells + torch.stack([x, y, z], 1)[row]
+    return connected(edges, corner, number if of_voxels else None, voxels, cells, values.shape)
+
+
+def connected(edges: Tensor, corner: Tensor, number: Tensor | None, voxels: Tensor, cells: int,
+              size: tuple[int, ...]) -> Net:
+    """The net of triangles between edges of cells.
+
+    Args:
+        edges: (F, 3), of the cell that a triangle is in.
+        corner: (F, 3), the lattice point from which that cell extends.
+        number: (F,), the row of `voxels` that it is in; None: vertices belong to the first voxel that they touch.
+        voxels: (M, 3).
+        cells: how many a voxel has along each axis.
+        size: of the grid, z first.
+    """
+    depth, height, width = (cells * (length - 1) + 1 for length in size)
+    x, y, z = (edge_starts().to(edges.device)[edges] + corner[:, None]).unbind(2)
+    key = 3 * ((z * height + y) * width + x) + edges // 4
+    if number is not None:
+        key = key + 3 * depth * height * width * number[:, None]
+    key, faces = torch.unique(key, return_inverse=True)
+    axis, key = key % 3, key // 3
+    start = torch.stack([key % width, key // width % height, key // (width * height) % depth], 1)
+    if number is None:
+        last = torch.tensor(size, device=start.device).flip(0) - 2
+        voxel = torch.minimum(start // cells, last)
+    else:
+        voxel = voxels[key // (depth * height * width)]
+    return Net(faces, voxel, (start - cells * voxel).double() / cells, axis)
+
+
+def occupied(values: Tensor) -> Tensor:
+    """The voxels of a grid, (Z, Y, X), in which the interpolant changes its sign; (M, 3) int64 of their first points."""
+    inside, outside = values < 0, values >= 0
+    for axis in range(3):
+        inside, outside = (part.narrow(axis, 0, part.shape[axis] - 1) | part.narrow(axis, 1, part.shape[axis] - 1)
+                           for part in (inside, outside))
+    return (inside & outside).nonzero().flip(1)
+
+
+def at_corners(values: Tensor, voxel: tuple[Tensor, ...]) -> list[Tensor]:
+    """The values at the 8 corners of voxels, (V,) each, in the order of `marching_cubes`; attached."""
+    return [at(values, tuple(first + (k >> axis & 1) for axis, first in enumerate(voxel))) for k in range(CORNERS)]
+
+
+def at(values: Tensor, point: tuple[Tensor, ...]) -> Tensor:
+    """The values at points of the grid, x first, (V,) each; attached."""
+    x, y, z = point
+    _, height, width = values.shape
+    return gather(values.flatten(), (z * height + y) * width + x)
+
+
+def between(a: Tensor, b: Tensor, share: Tensor) -> Tensor:
+    """The linear interpolant, exactly `a` and `b` at its ends, so that neighbouring voxels agree."""
+    return a * (1.0 - share) + b * share
+
+
+def refined(corners: list[Tensor], cells: int) -> Tensor:
+    """The interpolant in M voxels on a lattice of `cells` cells along each axis, (M, cells + 1, cells + 1, cells + 1)."""
+    found = torch.stack(corners, 1).unflatten(1, (2, 2, 2))
+    share = torch.linspace(0.0, 1.0, cells + 1, dtype=found.dtype, device=found.device)
+    for axis in (1, 2, 3):
+        a, b = found.unbind(axis)
+        along = share.reshape([-1 if other == axis else 1 for other in range(4)])
+        found = between(a.unsqueeze(axis), b.unsqueeze(axis), along)
+    return found
+
+
+def cases(inside: Tensor) -> Tensor:
+    """The case of each cell, (M, n, n, n) uint8, by the signs at the lattice points of voxels, (M, n + 1, n + 1, n + 1)."""
+    count, bits = inside.shape[1] - 1, inside.to(torch.uint8)
+    case = torch.zeros_like(bits[:, :count, :count, :count])
+    for k in range(CORNERS):
+        x, y, z = (slice(k >> axis & 1, (k >> axis & 1) + count) for axis in range(3))
+        case |= bits[:, z, y, x] << k
+    return case
+
+
+def vertices(values: Tensor, net: Net) -> tuple[Cell, list[Tensor]]:
+    """Where the edges of a net are cut, and the values at the corners of the voxels there; attached to `values`, (Z, Y, X)."""
+    voxel = net.voxel.unbind(1)
+    corners = at_corners(values, voxel)
+    start = Vec3.of(net.start.to(values.dtype))
+    along = [net.axis == axis for axis in range(3)]
+    low, high = (interpolant(corners, Vec3(*(torch.where(own, end, part) for own, part in zip(along, start))))
+                 for end in (0.0, 1.0))
+    cut = low / (low - high)
+    return Cell(voxel, Vec3(*(torch.where(own, cut, part) for own, part in zip(along, start)))), corners
+
+
+def interpolant(corners: list[Tensor], place: Vec3) -> Tensor:
+    """The trilinear interpolant of the values at the corners of voxels."""
+    for share in place:
+        corners = [between(a, b, share) for a, b in zip(corners[::2], corners[1::2])]
+    return corners[0]
+
+
+def face_interpolants(corners: list[Tensor], place: Vec3, axis: int) -> tuple[Tensor, Tensor]:
+    """The interpolants on the two faces of voxels across an axis."""
+    low, high = ([corners[k] for k in range(CORNERS) if (k >> axis & 1) == end] for end in (0, 1))
+    return bilinear(low, place, axis), bilinear(high, place, axis)
+
+
+def bilinear(corners: list[Tensor], place: Vec3, axis: int) -> Tensor:
+    """The interpolant on a plane across an axis, of the values at its four corners: the first of the other axes first."""
+    first, second = (share for other, share in enumerate(place) if other != axis)
+    return between(between(corners[0], corners[1], first), between(corners[2], corners[3], first), second)
+
+
+def voxel_gradient(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
+    """The gradient of the interpolant in the points' own voxels, per unit of the grid's cube; attached."""
+    found = (face_interpolants(corners, cell.place, axis) for axis in range(3))
+    return Vec3(*((high - low) * (length - 1) for (low, high), length in zip(found, reversed(values.shape))))
+
+
+def smooth_normal(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
+    """Unit normals that are continuous across the borders of voxels; attached.
+
+    The unit gradients of the eight voxels around the grid point that is nearest, each continued to the place itself, are
+    interpolated between the voxels' centres. Voxels beyond the border of the grid are left out.
+
+    Reference: Hansson-Soderlund, Evans and Akenine-Moller 2022, "Ray Tracing of Signed Distance Function Grids", section 5.
+    """
+    slopes, shares = [], []
+    for axis, length in enumerate(reversed(values.shape)):
+        share, own = cell.place[axis], cell.voxel[axis]
+        upper = (share.detach() >= 0.5)
+        there = torch.where(upper, own < length - 2, own > 0)
+        beyond = torch.where(upper, own + 2, own - 1).clamp(0, length - 1)
+        others = [at(values, tuple(beyond if other == axis else cell.voxel[other] + (k >> other & 1) for other in range(3)))
+                  for k in range(CORNERS) if not k >> axis & 1]
+        low, high = face_interpolants(corners, cell.place, axis)
+        outer = bilinear(others, cell.place, axis)
+        here, next_to_it = high - low, torch.where(upper, outer - high, low - outer)
+        slopes.append([torch.where(upper, *pair) * (length - 1) for pair in ((here, next_to_it), (next_to_it, here))])
+        blend = torch.where(upper, share - 0.5, share + 0.5)
+        shares.append(torch.where(there, blend, torch.where(upper, 0.0, 1.0)))
+    normals = [normalize(scaled(Vec3(*(slopes[axis][k >> axis & 1] for axis in range(3))))) for k in range(CORNERS)]
+    for share in shares:
+        normals = [Vec3(*(between(*parts, share) for parts in zip(a, b))) for a, b in zip(normals[::2], normals[1::2])]
+    return unit(normals[0])
+
+
+def unit(a: Vec3) -> Vec3:
+    """The unit vector along `a`; (1, 0, 0) along a vector of length zero."""
+    a = scaled(a)
+    none = dot(a, a).detach() == 0
+    return where(none, Vec3(torch.ones_like(a.x), torch.zeros_like(a.x), torch.zeros_like(a.x)), normalize(a))
