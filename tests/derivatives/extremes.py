@@ -30,7 +30,7 @@ def tent() -> dict[str, Any]:
 
 
 def crowd(material: dict[str, Any], dtype: torch.dtype, view: np.ndarray | None = None, **changes: Any) -> rb.Scene:
-    """A panel, a tent, a cube, a disk and a lump of a material above a floor, between all kinds of light; `changes` by name."""
+    """A panel, a tent, a cube and others of a material above a floor, between all kinds of light; `changes` by name."""
     own = {"type": "ref", "id": "material"}
     up, down = look_at((1.2, 2.5, 1.6), (0, 0, 0), (0, 1, 0)), look_at((-1.5, 2, 1), (0.1, 0, 0.2), (0, 1, 0))
     objects = {
@@ -65,7 +65,8 @@ def lump(factor: float = 1.0) -> dict[str, Any]:
     places = torch.meshgrid(*(torch.linspace(-1, 1, count) for count in (4, 5, 6)), indexing="ij")
     grid = torch.stack(places).norm(dim=0) - 1.1
     grid[1, 2, 3] = grid[2, 4, 3] = 0.0
-    return {"type": "sdfgrid", "grid": factor * grid[..., None], "to_world": translate((-0.6, 0.1, 0.5)) @ scale((0.4, 0.4, 0.4))}
+    return {"type": "sdfgrid", "grid": factor * grid[..., None],
+            "to_world": translate((-0.6, 0.1, 0.5)) @ scale((0.4, 0.4, 0.4))}
 
 
 def put(scene: rb.Scene, **values: Any) -> rb.Scene:

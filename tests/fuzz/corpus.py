@@ -29,8 +29,8 @@ from tests.training.conftest import RECIPE, SCENE
 from torch_radbp.plugin import REGISTRY, attributes
 
 ROOT = Path(__file__).parents[2]
-FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "exr", "png", "bmp", "tga", "hdr", "pfm",
-                                          "toml", "gltf", "glb")} | {"colmap": ".txt", "nerf": ".json"}
+FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "vol", "exr", "png", "bmp", "tga", "hdr",
+                                          "pfm", "toml", "gltf", "glb")} | {"colmap": ".txt", "nerf": ".json"}
 NEXT_FILE = b"# the next file\n"  # between cameras.txt and images.txt of a COLMAP model, which mutate as one
 
 
@@ -56,6 +56,7 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
         "obj": [Seed(folders["meshes"], text.encode()) for text in OBJ],
         "ply": [Seed(folders["meshes"], content) for content in (PLY, _binary_ply("<"), _binary_ply(">"))],
         "serialized": [Seed(folders["meshes"], content) for content in SERIALIZED],
+        "vol": [Seed(folders["meshes"], content) for content in VOLUMES],
         **image_seeds,
         "toml": _recipes(root, folders["recipe"]),
         **_assets(root),
@@ -179,6 +180,12 @@ def _images(folder: Path) -> list[Path]:
     return [*paths, folder / "deep.png"]
 
 
+def _volume(*size: int) -> bytes:
+    """A volume of random distances, of a size along x, y and z."""
+    values = np.random.default_rng(1).uniform(-1, 1, int(np.prod(size))).astype("<f4")
+    return struct.pack("<3sB5i6f", b"VOL", 3, 1, *size, 1, 0, 0, 0, 1, 1, 1) + values.tobytes()
+
+
 SPECTRA = [
     '<spectrum name="reflectance" value="400:0.1, 550:0.6, 700:0.3"/>',
     '<spectrum name="reflectance" type="irregular"><string name="wavelengths" value="400, 500, 700"/>'
@@ -277,6 +284,7 @@ f -6/1/-1 -5/2/-1 -1/3/-1 -2/4/-1
 ]
 CORNERS, UV = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]], [[0, 0], [1, 0], [1, 1], [0, 1]]
 FACES, NORMALS = [[0, 1, 2], [0, 2, 3]], [[0, 0, 1], [0, 1, 1], [0.1, 1, 1], [0, 0, 1]]
+VOLUMES = [_volume(3, 4, 2), _volume(40, 5, 6)]
 SERIALIZED = [
     serialized(mesh(CORNERS, FACES, 3), mesh(CORNERS, FACES, 3, double=True, normals=NORMALS)),
     serialized(mesh(CORNERS, FACES, normals=NORMALS, uv=UV, colours=NORMALS)),

@@ -111,6 +111,9 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
         if family == "serialized":
             mesh.pop("flip_tex_coords", None)  # which it lacks
         return rb.load_dict({**scene, "sky": {"type": "constant"}, "mesh": mesh})
+    if family == "vol":
+        grid = {"type": "sdfgrid", "filename": str(path), "normals": one_of(("smooth", "analytic"), path)}
+        return rb.load_dict({**scene, "sky": {"type": "constant"}, "grid": grid})
     picture = {"type": "bitmap", "filename": str(path)}
     return rb.load_dict({**scene, "sky": {"type": "envmap", "filename": str(path)},
                          "wall": {"type": "rectangle", "emitter": {"type": "area", "radiance": picture}},

@@ -10,6 +10,7 @@ from tests.io.documents import scene_dict, write_scene
 from tests.io.serialized_files import mesh, serialized
 from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
+from torch_radbp.io.volume import write_volume
 from torch_radbp.io.write import save
 from torch_radbp.plugin import Plugin, SceneError, attributes
 from torch_radbp.shape.mesh import Mesh
@@ -39,6 +40,8 @@ EVERYTHING = """
 <shape type="cube" id="die"><boolean name="face_normals" value="true"/>
   <transform name="to_world"><scale value="0.2"/></transform></shape>
 <shape type="serialized" id="packed"><string name="filename" value="m.dat"/><integer name="shape_index" value="1"/></shape>
+<shape type="sdfgrid" id="lump"><string name="filename" value="g.vol"/><string name="normals" value="analytic"/>
+  <transform name="to_world"><scale x="1" y="0.5" z="0.7"/></transform></shape>
 <shape type="obj"><string name="filename" value="m.obj"/><transform name="to_world"><translate x="-1.5"/></transform>
   <bsdf type="diffuse" id="nested"><spectrum name="reflectance" value="0.3"/></bsdf></shape>
 <shape type="ply" id="flat"><string name="filename" value="m.ply"/><boolean name="face_normals" value="true"/>
@@ -92,6 +95,7 @@ def everything(request, tmp_path):
     (folder / "m.obj").write_text(SEAM)
     (folder / "m.ply").write_text(PLY)
     (folder / "m.dat").write_bytes(serialized(mesh(CORNERS, [[0, 1, 2]]), mesh(CORNERS, [[0, 1, 2]], normals=CORNERS)))
+    write_volume(folder / "g.vol", np.linspace(-1, 2, 60, dtype="f4").reshape(3, 5, 4, 1))
     save_image(folder / "sky.exr", torch.rand(3, 5, 8, generator=torch.Generator().manual_seed(1)))
     return write_scene(folder, EVERYTHING + SURROUNDS[request.param], complete=False)
 

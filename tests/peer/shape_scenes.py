@@ -77,7 +77,7 @@ def tubes(folder: Folder) -> Path:
 def knot(count: int, noise: float = 0.0) -> np.ndarray:
     """Distances, but for noise, from a ring with a ball in it, on a cube of points; the same along x, y and z in number.
 
-    Mitsuba 3.9.1 exchanges the sizes of voxels along x and z, and loses the surface if `to_world` turns it: instances do not.
+    Mitsuba 3.9.1 exchanges the sizes of voxels along x and z, and loses the surface if `to_world` turns it.
     """
     z, y, x = np.meshgrid(*3 * [np.linspace(-1, 1, count)], indexing="ij")
     ring = np.hypot(np.hypot(x, y) - 0.6, z) - 0.2

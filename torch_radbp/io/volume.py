@@ -1,8 +1,8 @@
 """Reads and writes grids of numbers in Mitsuba's volume format, version 3; strictly.
 
-After "VOL" and the version, a byte, follow as int32: the kind of numbers (1: float32, the only one that Mitsuba reads), the
-sizes along x, y and z, and the number of channels; then as float32 the two corners of a box, which an `sdfgrid` does not use,
-and the values, all channels of a point together, x fastest. Little-endian.
+After "VOL" and the version, a byte, follow as int32: the kind of numbers (1: float32, the only one that Mitsuba reads),
+the sizes along x, y and z, and the number of channels; then as float32 the two corners of a box, which an `sdfgrid` does not
+use, and the values, all channels of a point together, x fastest. Little-endian.
 
 Reference: the format's description in the documentation of Mitsuba 3, "Grid-based volume data source".
 """

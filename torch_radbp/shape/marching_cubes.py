@@ -1,11 +1,12 @@
 """Marching cubes: how the zero set of a function runs through a cell, by the signs at the cell's corners.
 
-Corner k of a cell is at (k & 1, k >> 1 & 1, k >> 2 & 1). Edge 4 a + j is along axis a, at (j & 1, j >> 1) along the two axes
-that follow a in the cycle x, y, z. A case is the sum of 1 << k over the corners k inside, where the function is negative.
+Corner k of a cell is at (k & 1, k >> 1 & 1, k >> 2 & 1). Edge 4 a + j is along axis a, at (j & 1, j >> 1) along the two
+axes that follow a in the cycle x, y, z. A case is the sum of 1 << k over the corners k inside, where the function is
+negative.
 
-On each face of the cell the zero set is drawn as lines between edges whose ends differ; together they are closed loops, which
-become fans of triangles. On a face whose opposite corners agree there are two ways to draw them: each inside corner is cut off
-by itself, whatever the cell, so that neighbours agree and the surface has no cracks.
+On each face of the cell the zero set is drawn as lines between edges whose ends differ; together they are closed loops,
+which become fans of triangles. On a face whose opposite corners agree there are two ways to draw them: each inside corner is
+cut off by itself, whatever the cell, so that neighbours agree and the surface has no cracks.
 
 Reference: Lorensen and Cline 1987, "Marching Cubes"; Duerst 1988, "Additional Reference to Marching Cubes", for the cracks.
 """
@@ -23,7 +24,7 @@ CORNERS, EDGES, CASES = 8, 12, 256
 
 
 class CaseTable(NamedTuple):
-    """The triangles of all cases; their corners are edges of the cell, counter-clockwise as seen from outside the surface."""
+    """The triangles of all cases; their corners are edges of the cell, counter-clockwise as seen from outside."""
 
     count: Tensor  # (256,) int64, how many triangles
     edges: Tensor  # (256, most, 3) int64
@@ -63,7 +64,8 @@ def faces() -> list[list[tuple[int, int]]]:
         for side in (0, 1):
             places = [(0, 0), (1, 0), (1, 1), (0, 1)] if side else [(0, 0), (0, 1), (1, 1), (1, 0)]
             corners = [sum(bit << k for k, bit in enumerate(placed(axis, side, *place))) for place in places]
-            found.append([(corner, edge_between(corner, after)) for corner, after in zip(corners, corners[1:] + corners[:1])])
+            following = corners[1:] + corners[:1]
+            found.append([(corner, edge_between(corner, after)) for corner, after in zip(corners, following)])
     return found
 
 

@@ -150,7 +150,7 @@ def cases(inside: Tensor) -> Tensor:
 
 
 def vertices(values: Tensor, net: Net) -> tuple[Cell, list[Tensor]]:
-    """Where the edges of a net are cut, and the values at the corners of the voxels there; attached to `values`, (Z, Y, X)."""
+    """Where the edges of a net are cut, and the values at the corners of the voxels there; attached to (Z, Y, X) values."""
     voxel = net.voxel.unbind(1)
     corners = at_corners(values, voxel)
     start = Vec3.of(net.start.to(values.dtype))
