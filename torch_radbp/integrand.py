@@ -33,6 +33,7 @@ class Stages(NamedTuple):
     pick_light: Callable
     chance_of_light: Callable
     appearance_met: Callable
+    side_met: Callable
     shines: Callable
     rows: Callable
     brightened: Callable

@@ -51,7 +51,7 @@ class Arrival(NamedTuple):
 
     state: PathState
     hit: Hit
-    front: Tensor | None  # bool: they meet the side of the shading normal; None: not needed to tell appearances apart
+    front: Tensor | None  # bool: they meet the side of the shading normal, where that tells appearances apart; None: nowhere
     picked: LightPick | None = None  # None: lights are picked by probabilities that are the same everywhere
 
 

@@ -12,7 +12,7 @@ from torch_radbp.lookup import lookup
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Ray
+from torch_radbp.vec import Ray, rows
 
 
 class Queue(NamedTuple):
@@ -43,21 +43,34 @@ def queues_by(number: Tensor, appearances: int, surround: bool) -> tuple[Tensor,
     return order[:first], tuple(queues) or (NOTHING,)
 
 
-def appearance_met(scene: SceneTensors, ray: Ray, hit: Hit, nothing: Tensor, sides_differ: bool
-                   ) -> tuple[Tensor, Tensor | None]:
-    """The number of the appearance that each ray meets, (N,) int32, and `Step.front`.
+def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor) -> tuple[Tensor, Tensor | None]:
+    """The number of the appearance that each ray meets if it comes from the front, (N,) int32, and where it matters.
+
+    Args:
+        scene: detached; any part of it.
+        hit: (N,).
+        nothing: () int32, the number where there is none.
+
+    Returns:
+        Also (N,) bool, where that from behind is another; None: nowhere.
+    """
+    row, met = lookup(scene.triangles.material, hit.prim.clamp_min(0)), hit.prim >= 0
+    differs = None if scene.materials.differs is None else met & lookup(scene.materials.differs, row)
+    return torch.where(met, lookup(scene.materials.appearance, row), nothing), differs
+
+
+def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor) -> tuple[Tensor, Tensor]:
+    """The number of the appearance of the side that rays meet, (M,) int32, and whether that is the front, (M,) bool.
 
     Args:
         scene: detached; any part of it.
         ray, hit: (N,).
-        nothing: () int32, the number where there is none.
-        sides_differ: whether the two sides of a surface may have different ones.
+        lanes: (M,) int32, those that meet a surface.
     """
-    row, front = lookup(scene.triangles.material, hit.prim.clamp_min(0)), None
-    if sides_differ:
-        front = is_in_front(scene, ray, hit)
-        row = row + (~front).to(row.dtype) * scene.materials.count
-    return torch.where(hit.prim >= 0, lookup(scene.materials.appearance, row), nothing), front
+    ray, hit = rows((ray, hit), lanes)
+    front = is_in_front(scene, ray, hit)
+    row = lookup(scene.triangles.material, hit.prim)
+    return lookup(scene.materials.appearance, row + (~front).to(row.dtype) * scene.materials.count), front
 
 
 def shines(scene: SceneTensors, hit: Hit) -> Tensor:

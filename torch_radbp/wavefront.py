@@ -142,7 +142,10 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor
         order = chosen(hit.prim >= 0)
         return None, order, (Queue(0, 0, len(order)),)
     absent = hit.prim.new_tensor(nothing)
-    number, front = integrand.stages.appearance_met(scene, ray, hit, absent, layout.sides_differ)
+    number, differs = integrand.stages.appearance_met(scene, hit, absent)
+    front = None if differs is None else torch.zeros_like(differs)
+    if differs is not None and len(lanes := chosen(differs)):
+        put_rows((number, front), lanes, integrand.stages.side_met(scene, ray, hit, lanes))
     return front, *queues_by(number, nothing, layout.surround is not None)
 
 

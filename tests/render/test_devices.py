@@ -62,15 +62,17 @@ def trace_on_cuda(stage, arguments: tuple) -> set[torch.device]:
         return {leaf.device for leaf in leaves_of(stage(*with_leaves(arguments, moved))) if isinstance(leaf, Tensor)}
 
 
-OF_MANY_LAMPS = {"pick_light", "chance_of_light"}
-NOT_IN = {"lamps": {"places"}, "networks": {"ending", "shines", *OF_MANY_LAMPS}}  # stages that a scene does without
+OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "chance_of_light"}, {"side_met"}
+NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_SIDES},
+          "networks": {"ending", "shines", *OF_MANY_LAMPS, *OF_TWO_SIDES}}  # stages that a scene does without
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("name", SCENES)
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
-    assert {stage for stage, cases in calls.items() if not cases} <= NOT_IN.get(name, {"places", *OF_MANY_LAMPS})
+    without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES})
+    assert {stage for stage, cases in calls.items() if not cases} <= without
     appearances = {arguments[0].layout.appearances for arguments in calls["bounce"].values()}
     assert {appearance for part in appearances for appearance in part} == set(rb.scene.pack.pack(scene).layout.appearances)
     for name, cases in calls.items():

@@ -68,7 +68,8 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
             the triangle. False: it is glued to the triangle, at fixed barycentric coordinates, whatever the ray does.
             None: it does not follow, because nothing moves.
         here: the corners of the triangle; None: as the scene has them.
-        front: (N,) bool: the viewer is on the side of the shading normal, where that was decided before; else None.
+        front: (N,) bool: the viewer is on the side of the shading normal, which was decided before where the sides of a
+            material differ in appearance; None: nowhere.
         cone: of the rays; None if no texture asks for it.
     """
     triangles, appearance = scene.triangles, scene.appearance
@@ -86,7 +87,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     cosine = dot(n, ray.d)
     shading = shading_normal(scene, hit, n)
     shading_cosine = dot(shading, ray.d)
-    front = shading_cosine < 0 if front is None else front
+    own = shading_cosine < 0
     emitter = lookup(triangles.emitter, prim) if layout.lit_surfaces else None
     uv, uv_corners = None, None
     if layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv):
@@ -100,9 +101,12 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     material, along, side, upright = None, None, None, shading
     if appearance is not None:
         material = lookup(triangles.material, prim)
+        if front is not None:
+            differs = lookup(scene.materials.differs, material)
+            own = (front & differs) | (own & ~differs)
         along = lookup(triangles.along, prim) if appearance.kind.oriented else None
         if layout.back_sides:
-            material = material + (~front).to(material.dtype) * scene.materials.count
+            material = material + (~own).to(material.dtype) * scene.materials.count
             side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
             shading, shading_cosine = shading * side, shading_cosine * side
     frame = ShadingFrame(shading, along, side)
@@ -115,7 +119,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         come, change = torch.where(valid, t, 0.0), along_edges(uv_corners)
         point = point._replace(footprint=footprint(cone, come, cosine, (e1, e2), change))
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
-    return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, front, wi, point, t, cosine,
+    return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, own, wi, point, t, cosine,
                               lookup(triangles.clearance, prim))
 
 

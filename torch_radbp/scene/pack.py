@@ -87,7 +87,7 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
             differentiated(source) for bsdf in one_sided(bsdfs) for slot in bsdf.kind().bending
             for source in bsdf.textures()[slot].sources()),
         shading_normals=any(shape.surface.normals is not None for shape in placed),
-        back_sides=bool(materials.turned.any()), sides_differ=sides_differ(materials), appearances=appearances,
+        back_sides=bool(materials.turned.any()), appearances=appearances,
         readers=readers, radiance=radiance.reader, radiance_bitmaps=radiance.has_bitmaps, attributes=attributes,
         lights=kinds_of(scene.emitters))
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
@@ -155,21 +155,17 @@ def material_tables(kept: Kept, bsdfs: list[BSDF], dtype: torch.dtype, device: t
     def column(values: Sequence[int | bool], kind: torch.dtype = torch.int32) -> Tensor:
         return torch.tensor(values, dtype=kind, device=device)
 
+    differs = [front != back for front, back in zip(looks, looks[len(bsdfs):])]
     table = MaterialTable(
         column([appearances.index(look) for look in looks]),
         tuple(column([own[k] if k < len(own) else 0 for own in slots]) for k in range(max(map(len, slots), default=0))),
-        column([False] * len(bsdfs) + two_sided, torch.bool), column(len(bsdfs)))
+        column([False] * len(bsdfs) + two_sided, torch.bool), column(differs, torch.bool) if any(differs) else None,
+        column(len(bsdfs)))
     # A module that is read outside is taken as it is: only it knows what its values depend on.
     banks = tuple(reader.bank(list(of_reader[reader].values()), dtype, device) if reader.outside else
                   kept(bank_of, reader, twins(kept, reader, of_reader[reader].values()), dtype, device)
                   for reader in readers)
     return Materials(table, appearances, readers, banks)
-
-
-def sides_differ(materials: MaterialTable) -> bool:
-    """True if a material has another appearance from behind."""
-    front, back = materials.appearance.chunk(2)
-    return not torch.equal(front, back)
 
 
 def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:

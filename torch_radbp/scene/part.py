@@ -56,7 +56,7 @@ def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) 
 def layout_of_part(layout: Layout, appearance: Appearance | None) -> Layout:
     """The features that matter to the part."""
     appearances, readers = ((), ()) if appearance is None else ((appearance,), tuple(dict.fromkeys(appearance.readers)))
-    return layout._replace(bending=False, sides_differ=False, appearances=appearances, readers=readers,
+    return layout._replace(bending=False, appearances=appearances, readers=readers,
                            attributes=attributes_of_part(layout, appearance))
 
 

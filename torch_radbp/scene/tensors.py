@@ -22,7 +22,6 @@ class Layout(NamedTuple):
     bending: bool  # parameters with derivatives steer ideal specular scattering
     shading_normals: bool  # some differ from the triangles' own normals
     back_sides: bool  # some materials are different, or turned, from behind
-    sides_differ: bool  # some materials have another appearance from behind, so that lanes queue by the side they are on
     appearances: tuple[Appearance, ...]  # of materials
     readers: tuple[Reader, ...]  # of their textures
     radiance: TableReader  # of the textures of emitters
@@ -97,6 +96,7 @@ class MaterialTable(NamedTuple):
     appearance: Tensor  # (2 M,) int32, of `Layout.appearances`
     slots: tuple[Tensor, ...]  # (2 M,) int32 each: the texture that gives this value, a row of its reader's bank
     turned: Tensor  # (2 M,) bool: the shading frame is turned towards the viewer
+    differs: Tensor | None  # (M,) bool: another appearance from behind, so that lanes queue by the side; None: no material
     count: Tensor  # () int32, M
 
 
