@@ -171,6 +171,17 @@ def test_two_materials_of_one_colour_have_lines_that_can_be_told_apart():
     assert len(set(colours.values())) == 4
 
 
+def test_eight_numbers_have_lines_of_eight_colours():
+    assert len(set(curve_colours([{"name": name, "recovered": [0.2]} for name in "abcdefgh"]).values())) == 8
+
+
+def test_the_headline_says_what_the_run_is_and_which_parameter_is_furthest_off(folder, edit_recipe):
+    recipe = edit_recipe("steps = 6", 'steps = 2\ndescription = "One <colour>."')
+    run(recipe, [], folder / "run", False, Console(quiet=True))
+    text = (folder / "run" / "report.html").read_text(encoding="utf-8")
+    assert "One &lt;colour&gt;." in text and "largest parameter error, paint.reflectance.value" in text
+
+
 def test_the_report_compares_with_a_slider_and_folds_the_recipe(run_folder):
     text = (run_folder / "report.html").read_text(encoding="utf-8")
     page = Page(text)

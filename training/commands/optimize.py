@@ -113,10 +113,10 @@ def recovered_table(summary: dict) -> Table:
     for each in summary["parameters"]:
         recovered = _numbers(each["recovered"]) if "recovered" in each else f"mean {each['mean']:.4f}"
         truth = _numbers(each["truth"]) if "truth" in each else "not known"
-        error = "" if "largest_error" not in each else f"{each['largest_error']:.4f}"
+        error = "" if "largest_error" not in each else f"{each['largest_error']:.2g}"
         if "largest_error" in each and "truth" not in each:
             truth = f"mean {each['mean_truth']:.4f}"
-            error = f"RMSE {each['rmse']:.4f}"
+            error = f"RMSE {each['rmse']:.2g}"
         if "motion" in each:
             recovered = _motion(each["motion"])
         if "pose_error" in each:

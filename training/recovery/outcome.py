@@ -71,6 +71,7 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
     folder.save_parameters({each.name: each.value for each in recovery.parameters})
     summary = {
         "title": recovery.recipe.title or folder.path.name,
+        "description": recovery.recipe.description,
         "status": status,
         "step": recovery.step,
         "steps": recovery.recipe.steps,
@@ -89,7 +90,7 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
         },
     }
     for parameter in recovery.parameters:
-        parameter.settle()
+        parameter.settle(recovery.scene)
     folder.save_scene(recovery.scene)
     folder.save_summary(summary)
     return summary

@@ -8,7 +8,7 @@ import torch
 from torch_radbp.io.image import linear_to_srgb
 
 CHANNELS = ("#c8383a", "#2e8b4f", "#2f6fb5")  # red, green, blue; also x, y, z
-PALETTE = ("#3b4a6b", "#b86b1d", "#7a4a9c", "#1f8a8a", "#a33d6b", "#5f6b1f")  # for everything else
+PALETTE = ("#3b4a6b", "#b86b1d", "#7a4a9c", "#1f8a8a", "#c23d5f", "#5f6b1f", "#2b8fe0", "#3fae49", "#111111")  # of the rest
 GREY = "#8a8f99"
 CLOSE = 70.0  # distance of two colours, in levels of 255, below which lines are mixed up
 LIGHTNESS = (0.32, 0.5)  # within which a line is seen on white

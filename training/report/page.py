@@ -48,9 +48,9 @@ def _headline(summary: dict[str, Any]) -> str:
     for each in summary["parameters"]:
         if "pose_error" in each:
             cells.append((f"pose of {each['name']}", _pose_errors(each)))
-    errors = [each["largest_error"] for each in summary["parameters"] if "truth" in each]
+    errors = [(each["largest_error"], each["name"]) for each in summary["parameters"] if "truth" in each]
     if errors:
-        cells.append(("largest parameter error", f"{max(errors):.4f}"))
+        cells.append((f"largest parameter error, {max(errors)[1]}", f"{max(errors)[0]:.2g}"))
     for each in summary["parameters"]:
         if "rmse" in each and "truth" not in each:
             cells.append((f"RMSE of {each['name']}", f"{each['rmse']:.4f} (was {each['rmse_before']:.4f})"))
@@ -61,7 +61,8 @@ def _headline(summary: dict[str, Any]) -> str:
         cells.append(("skipped steps", str(summary["skipped"])))
     facts = "".join(f"<div><dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd></div>" for k, v in cells)
     verdict = f"<p class=note>{html.escape(summary['verdict']['explanation'])}</p>"
-    return f"<header><h1>{html.escape(summary['title'])}</h1><dl>{facts}</dl>{verdict}</header>"
+    about = f"<p class=about>{html.escape(summary['description'])}</p>" if summary["description"] else ""
+    return f"<header><h1>{html.escape(summary['title'])}</h1>{about}<dl>{facts}</dl>{verdict}</header>"
 
 
 def _pose_errors(parameter: dict[str, Any]) -> str:
@@ -83,7 +84,7 @@ def _parameters_table(summary: dict[str, Any]) -> str:
         cells.append(_value(each["recovered"]) if small else _mean(each["mean"]))
         if with_truth and "largest_error" in each:
             cells.append(_value(each["truth"]) if small else _mean(each["mean_truth"]))
-            cells += [f"<td class=number>{each['largest_error']:.4f}</td>", f"<td class=number>{each['rmse']:.4f}</td>"]
+            cells += [f"<td class=number>{each[key]:.2g}</td>" for key in ("largest_error", "rmse")]
         elif with_truth:
             cells.append("<td colspan=3>not known</td>")
         rows.append(f"<tr>{''.join(cells)}</tr>")

@@ -7,6 +7,7 @@ STYLE = """
 body { margin: 0; background: var(--wash); color: var(--ink); font: 15px/1.5 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
 main { max-width: 1180px; margin: 0 auto; padding: 32px 24px 64px; }
 h1 { margin: 0 0 16px; font-size: 26px; letter-spacing: -0.01em; }
+.about { margin: -8px 0 18px; max-width: 92ch; }
 h2 { margin: 0 0 14px; font-size: 17px; }
 h3 { margin: 16px 0 8px; font-size: 14px; font-weight: 600; overflow-wrap: anywhere; }
 h2 + h3 { margin-top: 0; }
