@@ -95,6 +95,16 @@ Initial = Annotated[
 ]
 
 
+class Network(Table):
+    """A network from surface coordinates to colours; see `recovery.network`."""
+
+    waves: Count = 64  # random sines and cosines of the coordinates, which it gets in their place
+    frequency: Positive = 20.0  # their standard deviation, radians per width of the bitmap
+    layers: Count = 2  # hidden ones
+    width: Count = 64  # of these
+    seed: Whole = Field(0, ge=0)  # of waves and initial weights
+
+
 class Parameter(Table):
     """Parameters to recover: a name as `radbp info` prints it, or a glob such as `*.reflectance.value`."""
 
@@ -104,16 +114,23 @@ class Parameter(Table):
     learning_rate: Positive | None = None  # None: the optimiser's
     # How the bounds are kept: projected back after every step, or never left because a sigmoid (log) of the
     # parameter is what the optimiser sees. "rigid" is for (4, 4) matrices, which have no bounds: the optimiser sees a
-    # rotation vector (radians) and a translation, see `rigid`.
-    parametrisation: Literal["clamp", "sigmoid", "log", "rigid"] = "clamp"
+    # rotation vector (radians) and a translation, see `rigid`. "network" is for bitmaps: a network takes the place of one,
+    # within the bounds by a sigmoid, and the optimiser sees its weights.
+    parametrisation: Literal["clamp", "sigmoid", "log", "rigid", "network"] = "clamp"
+    network: Network | None = None  # None: of the default size
     truth: Literal["scene"] | Value | None = None  # for reports only; "scene": the value in the scene file
 
     @model_validator(mode="after")
     def _check_bounds(self):
         if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
             raise ValueError(f"bounds must be [lower, upper] with lower < upper, got {list(self.bounds)}")
-        if self.parametrisation == "sigmoid" and self.bounds is None:
-            raise ValueError('parametrisation = "sigmoid" needs bounds = [lower, upper]')
+        if self.parametrisation in ("sigmoid", "network") and self.bounds is None:
+            raise ValueError(f'parametrisation = "{self.parametrisation}" needs bounds = [lower, upper]')
+        if self.parametrisation == "network" and self.initial is not None:
+            raise ValueError("a network begins with random weights and takes no initial value; its network = { seed = 1 } "
+                             "draws others")
+        if self.network is not None and self.parametrisation != "network":
+            raise ValueError(f'network = ... needs parametrisation = "network", got "{self.parametrisation}"')
         if self.parametrisation == "log" and self.bounds is not None:
             raise ValueError('parametrisation = "log" keeps a value positive and takes no bounds')
         if self.parametrisation == "rigid" and self.bounds is not None:

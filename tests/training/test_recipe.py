@@ -28,6 +28,12 @@ BAD_RECIPES = {
     "offset of no pose": ("initial = 0.5", "initial = { rotation = [0, 1, 0] }", ["needs parametrisation", "rigid"]),
     "unknown key of an offset": ("initial = 0.5", "initial = { rotate = [0, 1, 0] }", ["initial: unknown", "'rotation'"]),
     "offset of two axes": ("initial = 0.5", "initial = { translation = [0, 1] }", ["initial.translation", "at least 3"]),
+    "network without bounds": ("bounds = [0.0, 1.0]", 'parametrisation = "network"', ["network", "needs bounds"]),
+    "network with an initial value": ("initial = 0.5", 'initial = 0.5\nparametrisation = "network"', ["random weights"]),
+    "network of another parametrisation": ("initial = 0.5", "network = { width = 8 }", ["needs parametrisation", "clamp"]),
+    "network of no layers": (
+        "initial = 0.5", 'parametrisation = "network"\nnetwork = { layers = 0 }', ["network.layers", "got 0"],
+    ),
     "unknown loss": ('"two_buffer_l2"', '"l3"', ["loss[0]", "'l1'", "got 'l3'"]),
     "tone mapping of two buffers": (
         'name = "two_buffer_l2"', 'name = "two_buffer_l2"\ntone_mapping = "srgb"', ["loss[0]", "'tone_mapping'"],
@@ -159,7 +165,8 @@ def test_recipes_that_come_with_the_package_fit_their_scenes(path):
     recovery = Recovery(read_recipe(path, ["render.caster=brute"]))
     for parameter in recovery.parameters:
         assert parameter.truth is not None
-        assert not torch.allclose(parameter.value, parameter.truth, atol=0.01), "a recipe does not start from the truth"
+        off, size = (parameter.value - parameter.truth).abs().max(), parameter.truth.abs().max()
+        assert off > min(0.01, 0.1 * size), "a recipe does not start from the truth"  # coefficients of a lens are small
 
 
 def test_a_memory_budget_reaches_the_renderer_in_any_unit(folder):

@@ -12,7 +12,10 @@ from torch_radbp.domain import Domain
 from torch_radbp.io.image import read_image
 from torch_radbp.plugin import nearest
 from torch_radbp.scene.parameters import held_values
+from torch_radbp.texture.bitmap import Bitmap
+from torch_radbp.texture.neural import NeuralTexture
 from torch_radbp.training import recipe
+from torch_radbp.training.recovery.network import OnBitmap, Texels, WaveNetwork
 from torch_radbp.training.recovery.rigid import PoseError, Rigid, components, moved
 
 
@@ -60,6 +63,7 @@ class RecoveredParameter:
     spec: recipe.Parameter
     before: Tensor
     truth: Tensor | None
+    stand_in: nn.Module | None = None  # what the scene has instead of the plugin: a network
 
     @property
     def value(self) -> Tensor:
@@ -121,8 +125,10 @@ class RecoveredParameter:
         if self.spec.bounds is not None and self.spec.parametrisation == "clamp":
             self.raw.clamp_(*self.spec.bounds)
 
-    def settle(self) -> None:
+    def settle(self, scene: nn.Module) -> None:
         """Ends the parametrisation: the scene holds the plain value again."""
+        if self.stand_in is not None:
+            replace(scene, self.stand_in, self.module)
         if parametrize.is_parametrized(self.module, self.attribute):
             parametrize.remove_parametrizations(self.module, self.attribute)
         self.raw.requires_grad_(False)
@@ -148,12 +154,16 @@ def choose_parameters(scene: nn.Module, specs: list[recipe.Parameter]) -> list[R
                 raise ValueError(f"parameter {name!r} is named twice, by {chosen[name].spec.name!r} and {spec.name!r}")
             chosen[name] = _choose(scene, name, known[name], spec, held[name].domains)
     for parameter in chosen.values():
-        _start(parameter)
+        _start(scene, parameter)
     return list(chosen.values())
 
 
 def _choose(scene: nn.Module, name: str, held: Tensor, spec: recipe.Parameter, domains: list[Domain]) -> RecoveredParameter:
     path, _, attribute = name.rpartition(".")
+    module = scene.get_submodule(path)
+    if spec.parametrisation == "network" and not (isinstance(module, Bitmap) and attribute == "data"):
+        raise ValueError(f'parametrisation = "network" is for the data of bitmaps, and parameter {name!r} is the '
+                         f"{attribute} of a {type(module).__name__}; name a bitmap's data, or take another parametrisation")
     before = _initial(held, spec, name)
     if spec.truth is None or spec.truth == "scene":
         truth = None if spec.truth is None else held.detach().clone()
@@ -174,7 +184,7 @@ def _choose(scene: nn.Module, name: str, held: Tensor, spec: recipe.Parameter, d
     for role, value in (("initial", before), ("truth", truth)):
         for domain in domains if value is not None else ():
             domain.check(f"parameter {name!r}: {role}", value)
-    return RecoveredParameter(name, scene.get_submodule(path), attribute, spec, before, truth)
+    return RecoveredParameter(name, module, attribute, spec, before, truth)
 
 
 def _initial(held: Tensor, spec: recipe.Parameter, name: str) -> Tensor:
@@ -182,6 +192,9 @@ def _initial(held: Tensor, spec: recipe.Parameter, name: str) -> Tensor:
     if spec.parametrisation == "rigid" and held.shape != (4, 4):
         raise ValueError(f'parameter {name!r}: parametrisation = "rigid" is for matrices of shape (4, 4), this one has '
                          f"{tuple(held.shape)}; leave it out or name a to_world")
+    if spec.parametrisation == "network":
+        texels = make_texels(spec, held)
+        return texels(texels.right_inverse(held))
     if spec.initial is None:
         return held.detach().clone()
     if isinstance(spec.initial, recipe.Offset):
@@ -228,7 +241,7 @@ def _tensor_like(held: Tensor, value: recipe.Value, name: str, role: str) -> Ten
     return tensor.clone()
 
 
-def _start(parameter: RecoveredParameter) -> None:
+def _start(scene: nn.Module, parameter: RecoveredParameter) -> None:
     spec = parameter.spec
     leaf = parameter.raw
     with torch.no_grad():
@@ -240,3 +253,21 @@ def _start(parameter: RecoveredParameter) -> None:
         parametrize.register_parametrization(parameter.module, parameter.attribute, Exponential())
     elif spec.parametrisation == "rigid":
         parametrize.register_parametrization(parameter.module, parameter.attribute, Rigid(parameter.before))
+    elif spec.parametrisation == "network":
+        texels = make_texels(spec, leaf)
+        parametrize.register_parametrization(parameter.module, parameter.attribute, texels)
+        parameter.stand_in = NeuralTexture(OnBitmap(texels.network, parameter.raw, parameter.module))
+        replace(scene, parameter.module, parameter.stand_in)
+
+
+def make_texels(spec: recipe.Parameter, held: Tensor) -> Texels:
+    """Returns the map from the weights of a recipe's network to the texels of a bitmap like `held`."""
+    return Texels(WaveNetwork(spec.network or recipe.Network(), spec.bounds), held.shape).to(held)
+
+
+def replace(scene: nn.Module, old: nn.Module, new: nn.Module) -> None:
+    """Puts a module wherever another one stands in a scene."""
+    for holder in list(scene.modules()):
+        for name, child in list(holder.named_children()):
+            if child is old:
+                setattr(holder, name, new)

@@ -1,0 +1,89 @@
+"""A network in the place of a bitmap: the optimiser sees its weights, the light path calls it where it meets the surface.
+
+The weights of all layers are one vector. It is the leaf of a parametrisation of the bitmap, whose texels thereby are the
+values of the network at their centres: in the report, in the metrics, and in the scene that is saved.
+"""
+
+import math
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from torch_radbp.texture.bitmap import Bitmap
+from torch_radbp.training.recipe import Network
+
+CHANNELS = 3
+
+
+class WaveNetwork(nn.Module):
+    """Linear RGB at (N, 2) places: waves of random directions and lengths, then layers with ReLU, then a sigmoid.
+
+    Reference: Tancik et al. 2020, "Fourier Features Let Networks Learn High Frequency Functions in Low Dimensional Domains".
+
+    Args:
+        spec: its size and seed.
+        bounds: of its values.
+    """
+
+    def __init__(self, spec: Network, bounds: tuple[float, float]):
+        super().__init__()
+        self.bounds = bounds
+        self.sizes = [2 * spec.waves, *[spec.width] * spec.layers, CHANNELS]
+        generator = torch.Generator().manual_seed(spec.seed)
+        self.register_buffer("waves", spec.frequency * torch.randn(2, spec.waves, generator=generator))
+        # Drawn as `nn.Linear` draws them.
+        initial = [(2.0 * torch.rand((before + 1) * after, generator=generator) - 1.0) / math.sqrt(before)
+                   for before, after in pairwise(self.sizes)]
+        self.register_buffer("initial_weights", torch.cat(initial))
+
+    def forward(self, weights: Tensor, place: Tensor) -> Tensor:
+        """(N, 3) values at (N, 2) places, attached to both."""
+        phase = place @ self.waves
+        values, used = torch.cat([phase.sin(), phase.cos()], 1), 0
+        for number, (before, after) in enumerate(pairwise(self.sizes)):
+            matrix, bias = weights[used : used + before * after].view(after, before), used + before * after
+            values = nn.functional.linear(values.relu() if number else values, matrix, weights[bias : bias + after])
+            used = bias + after
+        lower, upper = self.bounds
+        return lower + (upper - lower) * values.sigmoid()
+
+
+class Texels(nn.Module):
+    """Maps a vector of weights to the values of the network at the centres of the texels of a bitmap of shape (H, W, 3)."""
+
+    def __init__(self, network: WaveNetwork, shape: tuple[int, ...]):
+        super().__init__()
+        self.network, self.shape = network, shape
+        height, width, _ = shape
+        v, u = torch.meshgrid((torch.arange(height) + 0.5) / height, (torch.arange(width) + 0.5) / width, indexing="ij")
+        self.register_buffer("centres", torch.stack([u, v], 2).view(-1, 2))
+
+    def forward(self, weights: Tensor) -> Tensor:
+        return self.network(weights, self.centres).view(self.shape)
+
+    def right_inverse(self, value: Tensor) -> Tensor:
+        """The initial weights, whatever the value is."""
+        return self.network.initial_weights.clone()
+
+
+class OnBitmap(nn.Module):
+    """The network at surface coordinates, which a bitmap's transform and wrap mode bring into the unit square."""
+
+    def __init__(self, network: WaveNetwork, weights: nn.Parameter, bitmap: Bitmap):
+        super().__init__()
+        self.network, self.weights, self.wrap_mode = network, weights, bitmap.wrap_mode
+        self.register_buffer("to_uv", bitmap.to_uv.detach().clone())
+
+    def forward(self, uv: Tensor) -> Tensor:
+        place = uv @ self.to_uv[:2, :2].T + self.to_uv[:2, 3]
+        return self.network(self.weights, wrapped(place, self.wrap_mode))
+
+
+def wrapped(place: Tensor, mode: str) -> Tensor:
+    """Brings (N, 2) places into the unit square by a bitmap's wrap mode, attached."""
+    if mode == "clamp":
+        return place.clamp(0.0, 1.0)
+    if mode == "mirror":
+        return 1.0 - (1.0 - place.remainder(2.0)).abs()
+    return place.remainder(1.0)
