@@ -5,9 +5,9 @@ import torch
 from rich.console import Console
 
 import torch_radbp as rb
+from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.recovery.network import wrapped
 from torch_radbp.training.recovery.optimize import Recovery, render_buffers
-from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.run import run
 
 COLOUR = 'name = "paint.reflectance.value"\ninitial = 0.5\nbounds = [0.0, 1.0]'
