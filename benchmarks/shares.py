@@ -41,8 +41,7 @@ from benchmarks.scenes import QUICK, SCENES
 from torch_radbp.adjoint import function
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary import JumpWatch
-from torch_radbp.jit import LaneFunction
-from torch_radbp.jit import run as lane_run
+from torch_radbp.jit import LaneFunction, cpu
 from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.render import Renderer
@@ -51,7 +50,7 @@ BACKWARD, REST = "derivative of packing", "the rest"
 TIMED = {  # part: what is timed for it; what is called inside of another part counts for the inner one
     "closest hits": [(Direct, "intersect"), (Embree, "intersect")],
     "shadow rays": [(Direct, "occluded"), (Embree, "occluded")],
-    "fused code": [(lane_run, "run_lanes")],
+    "fused code": [(cpu, "run_lanes")],
     "lane compiler": [(LaneFunction, "__call__"), (LaneFunction, "into")],
     "scatter": [(Gradients, "add"), (function, "gradients_of")],
     "packing": [(Renderer, "prepare")],

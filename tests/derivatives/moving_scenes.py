@@ -230,6 +230,14 @@ def mesh_of_file(suffix: str) -> dict[str, Any]:
     return {"type": suffix, "filename": mesh_file(suffix), "to_world": pose}
 
 
+def relief() -> dict[str, Any]:
+    """Hills given by distances on a coarse grid, which fill the view."""
+    height = torch.as_tensor(smooth_noise(5, 0.35, 0.65, (6, 7), 1.0)[..., 0])
+    grid = torch.linspace(0, 1, 4, dtype=torch.float64)[:, None, None] - height
+    pose = rotate(TILT, ANGLE) @ scale((2 * HALF, 2 * HALF, 1)) @ translate((-0.5, -0.5, -0.5))
+    return {"type": "sdfgrid", "grid": grid[..., None], "to_world": pose, "bsdf": diffuse(0.5, 0.6, 0.7)}
+
+
 VIEW = {name: camera()[name] for name in ("to_world", "film")}
 MIRROR_WORLD = {"behind": bright_plane(9, (0.3, 0.2, 4.5), (1, 0.2, 0), 168)}
 METAL = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.3, "material": "Au"}
@@ -359,5 +367,8 @@ SCENES = {
     "sphere turned": MovingScene(
         scene(ball={"type": "sphere", "radius": 4.0, "flip_normals": True, "bsdf": diffuse(0.5, 0.6, 0.7),
                     "to_world": rotate(TILT, ANGLE) @ scale((1, 1.3, 0.9))}, **POINT), "ball.to_world", rigid(TWIST), 0.005),
+    "distances turned": MovingScene(scene(hills=relief(), **POINT), "hills.to_world", rigid(TWIST), 0.005),
+    # By less than what changes the pattern of triangles, which the derivative does not see: it is 0.2% of the slope.
+    "distances": MovingScene(scene(hills=relief(), **POINT), "hills.grid", wave(size=0.3), 0.001),
     "field of view": MovingScene(scene(sensor=camera(rfilter="box"), **FLOOR, **POINT), "sensor.x_fov", constant(1), 0.5),
 }
