@@ -192,8 +192,8 @@ class RoughPlastic(Plastic):
 
     Parameters: `alpha` and `eta`, numbers, the roughness and the index of refraction inside over the one outside;
     `diffuse_reflectance`, `specular_reflectance`, textures. Derivatives: with respect to all of them; roughness below 1e-4
-    counts as 1e-4 and has the derivatives that it has there. What R contributes to those of `alpha` and `eta` is the slope of
-    its sum over nodes, which ripples about that of the integral by up to 12%; over steps of 1% it averages out.
+    counts as 1e-4 and has the derivatives that it has there. What R contributes to those of `alpha` and `eta` is the slope
+    of its sum over nodes, which ripples about that of the integral by up to 12%; over steps of 1% it averages out.
 
     The coat is sampled with the probability that Mitsuba has, but by the reflectances at the point and not by their means
     over the surface, and as if each were at least 0.02.
