@@ -21,6 +21,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.angles import angle_of, cosine, log_beyond_1, polynomial, sine, tangent
+
 LN2_HIGH, LN2_LOW = 0.693359375, -2.12194440e-4  # of ln 2: the first has few digits, so that its multiples are exact
 
 # Coefficients of (exp(r) - 1 - r) / r^2, (log(1 + f) - f + f^2 / 2) / f^3, (sin(x) - x) / x^3, (cos(x) - 1 + x^2 / 2) / x^4
@@ -43,14 +45,6 @@ IN_LIBRARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh
 def in_double(function: Callable[..., Tensor], *arguments: Tensor | float) -> Tensor:
     """`function` of float32 arguments by way of float64."""
     return function(*(argument.double() if isinstance(argument, Tensor) else argument for argument in arguments)).float()
-
-
-def polynomial(x: Tensor, coefficients: tuple[float, ...]) -> Tensor:
-    """The sum of coefficients[k] x^k."""
-    total = torch.full_like(x, coefficients[-1])
-    for coefficient in reversed(coefficients[:-1]):
-        total = total * x + coefficient
-    return total
 
 
 def power_of_two(exponent: Tensor) -> Tensor:
@@ -103,11 +97,7 @@ def log(x: Tensor) -> Tensor:
 
 
 def log1p(x: Tensor) -> Tensor:
-    """Kahan's: the rounding of 1 + x cancels."""
-    rounded = 1.0 + x
-    exact = rounded == 1.0
-    result = log(rounded) * (x / torch.where(exact, 1.0, rounded - 1.0))
-    return torch.where(exact | (x == math.inf), x, result)
+    return log_beyond_1(x, log)
 
 
 def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -121,36 +111,19 @@ def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def sin(x: Tensor) -> Tensor:
-    sine, cosine, quarter = quadrant(x)
-    value = torch.where((quarter == 1) | (quarter == 3), cosine, sine)
-    return torch.where(x == 0, x, torch.where(quarter >= 2, -value, value))
+    return sine(x, quadrant(x))
 
 
 def cos(x: Tensor) -> Tensor:
-    sine, cosine, quarter = quadrant(x)
-    value = torch.where((quarter == 1) | (quarter == 3), sine, cosine)
-    return torch.where((quarter == 1) | (quarter == 2), -value, value)
+    return cosine(quadrant(x))
 
 
 def tan(x: Tensor) -> Tensor:
-    sine, cosine, quarter = quadrant(x)
-    odd = (quarter == 1) | (quarter == 3)
-    return torch.where(x == 0, x, torch.where(odd, -cosine, sine) / torch.where(odd, sine, cosine))
+    return tangent(x, quadrant(x))
 
 
 def atan2(y: Tensor, x: Tensor) -> Tensor:
-    ax, ay = x.abs(), y.abs()
-    low, high = torch.minimum(ax, ay), torch.maximum(ax, ay)
-    slope = torch.where(high == 0, 0.0, torch.where(low == math.inf, 1.0, low / high))
-    # atan(t) = pi / 4 + atan((t - 1) / (t + 1)), so that the polynomial ends at tan(pi / 8).
-    steep = slope > math.tan(math.pi / 8)
-    t = torch.where(steep, (slope - 1.0) / (slope + 1.0), slope)
-    square = t * t
-    angle = t + t * square * polynomial(square, ATAN)
-    angle = torch.where(steep, math.pi / 4 + angle, angle)
-    angle = torch.where(ay > ax, math.pi / 2 - angle, angle)
-    angle = torch.where(torch.copysign(torch.ones_like(x), x) < 0, math.pi - angle, angle)
-    return torch.where((x != x) | (y != y), math.nan, torch.copysign(angle, y))
+    return angle_of(y, x, ATAN)
 
 
 def atan(x: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.elementary import polynomial
+from torch_radbp.jit.angles import angle_of, cosine, log_beyond_1, polynomial, sine, tangent
 
 # Parts of ln 2 and of pi / 2; all but the last have few digits, so that their multiples are exact.
 LN2_HIGH, LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
@@ -120,11 +120,7 @@ def log10(x: Tensor) -> Tensor:
 
 
 def log1p(x: Tensor) -> Tensor:
-    """Kahan's: the rounding of 1 + x cancels."""
-    rounded = 1.0 + x
-    exact = rounded == 1.0
-    result = log(rounded) * (x / torch.where(exact, 1.0, rounded - 1.0))
-    return torch.where(exact | (x == math.inf), x, result)
+    return log_beyond_1(x, log)
 
 
 def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -138,36 +134,19 @@ def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def sin(x: Tensor) -> Tensor:
-    sine, cosine, quarter = quadrant(x)
-    value = torch.where((quarter == 1) | (quarter == 3), cosine, sine)
-    return torch.where(x == 0, x, torch.where(quarter >= 2, -value, value))
+    return sine(x, quadrant(x))
 
 
 def cos(x: Tensor) -> Tensor:
-    sine, cosine, quarter = quadrant(x)
-    value = torch.where((quarter == 1) | (quarter == 3), sine, cosine)
-    return torch.where((quarter == 1) | (quarter == 2), -value, value)
+    return cosine(quadrant(x))
 
 
 def tan(x: Tensor) -> Tensor:
-    sine, cosine, quarter = quadrant(x)
-    odd = (quarter == 1) | (quarter == 3)
-    return torch.where(x == 0, x, torch.where(odd, -cosine, sine) / torch.where(odd, sine, cosine))
+    return tangent(x, quadrant(x))
 
 
 def atan2(y: Tensor, x: Tensor) -> Tensor:
-    ax, ay = x.abs(), y.abs()
-    low, high = torch.minimum(ax, ay), torch.maximum(ax, ay)
-    slope = torch.where(high == 0, 0.0, torch.where(low == math.inf, 1.0, low / high))
-    # atan(t) = pi / 4 + atan((t - 1) / (t + 1)), so that the series ends at tan(pi / 8).
-    steep = slope > math.tan(math.pi / 8)
-    t = torch.where(steep, (slope - 1.0) / (slope + 1.0), slope)
-    square = t * t
-    angle = t + t * square * polynomial(square, ATAN)
-    angle = torch.where(steep, math.pi / 4 + angle, angle)
-    angle = torch.where(ay > ax, math.pi / 2 - angle, angle)
-    angle = torch.where(torch.copysign(torch.ones_like(x), x) < 0, math.pi - angle, angle)
-    return torch.where((x != x) | (y != y), math.nan, torch.copysign(angle, y))
+    return angle_of(y, x, ATAN)
 
 
 def atan(x: Tensor) -> Tensor:
