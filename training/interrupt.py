@@ -45,8 +45,8 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def check(self) -> None:
-        """Raises KeyboardInterrupt if a signal is pending."""
-        if self.pending:
+        """Raises KeyboardInterrupt if a signal is pending and not held back."""
+        if self.pending and not self._held:
             raise KeyboardInterrupt
 
     @contextlib.contextmanager
@@ -62,6 +62,15 @@ class Interrupts:
         finally:
             self._held -= 1
         self.check()
+
+    @contextlib.contextmanager
+    def left_to(self, decision: bool) -> Iterator[None]:
+        """Holds signals back to the end of the block if `decision` about them is made by others; none is raised after it."""
+        self._held += decision
+        try:
+            yield
+        finally:
+            self._held -= decision
 
     def settle(self) -> None:
         """Declares the pending signal dealt with."""

@@ -7,6 +7,7 @@ from rich.console import Console
 
 from torch_radbp.training.interrupt import Interrupts
 from torch_radbp.training.progress import TimedProgress
+from torch_radbp.training.ranks import ALONE, RankError, Ranks
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery.checkpoint import check_state, load_checkpoint, save_checkpoint
 from torch_radbp.training.recovery.optimize import Recovery, train
@@ -22,7 +23,8 @@ def run(
     resume: bool,
     console: Console,
     interrupts: Interrupts | None = None,
-) -> tuple[dict[str, Any], Path]:
+    ranks: Ranks = ALONE,
+) -> tuple[dict[str, Any] | None, Path]:
     """Runs a recipe, or continues the run in `folder_path`.
 
     A signal (see `interrupt`) during the steps ends them, and state and report are saved as they are; during the report it
@@ -35,23 +37,28 @@ def run(
         resume: continue the run that is there.
         console: what is printed on.
         interrupts: receives the signals; None: one of its own does.
+        ranks: the processes that run it together; the first writes and prints, the others only take steps.
 
     Returns:
-        the summary, whose "status" is "finished" or "interrupted"; the path of the report.
+        the summary, whose "status" is "finished" or "interrupted", None of a process that is not the first; the path of the
+        report.
 
     Raises:
         ValueError, OSError: something in the recipe or its files is wrong; nothing has been written then.
-        KeyboardInterrupt: a signal came before the first step.
+        KeyboardInterrupt: a signal came before the first step, or to another process than the first.
+        RankError: another process has ended; the state reached is saved.
     """
     interrupts = Interrupts() if interrupts is None else interrupts
     folder = RunFolder(folder_path)
     with interrupts:
         recipe = read_recipe(recipe_path, overrides)
-        state = _state_to_resume(folder, recipe) if resume else None
-        recovery = Recovery(recipe)
+        state = ranks.from_first(lambda: _state_to_resume(folder, recipe)) if resume else None
+        recovery = Recovery(recipe, ranks)
         interrupts.check()
         if state is not None:
             check_state(folder.checkpoint, state, recovery.state_dict(), recipe.steps)
+        if not ranks.is_first:
+            return _steps_alone(recovery, state, folder, interrupts), folder.report
         with interrupts.held():
             if state is None:
                 folder.start(recipe)
@@ -80,6 +87,13 @@ def _state_to_resume(folder: RunFolder, recipe) -> dict[str, Any]:
     return load_checkpoint(folder.checkpoint)
 
 
+def _steps_alone(recovery: Recovery, state: dict[str, Any] | None, folder: RunFolder, interrupts: Interrupts) -> None:
+    """The steps of a process that is not the first."""
+    if state is not None:
+        recovery.load_state_dict(state)
+    train(recovery, folder, lambda row: None, interrupts)
+
+
 def _steps_and_report(
     recovery: Recovery, folder: RunFolder, console: Console, interrupts: Interrupts
 ) -> tuple[dict[str, Any], Path]:
@@ -90,6 +104,10 @@ def _steps_and_report(
     except KeyboardInterrupt:
         interrupts.settle()
         status = "interrupted"
+    except RankError as error:
+        save_checkpoint(folder.checkpoint, recovery.state_dict())
+        raise RankError(f"{error}; the state after {recovery.step} steps is saved; to continue: --resume --out "
+                        f"{folder.path}") from error
     finally:
         folder.close()
     with interrupts.held():

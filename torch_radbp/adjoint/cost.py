@@ -67,9 +67,9 @@ def check_cost(request: Request) -> None:
 
 
 def memory_of(device: torch.device) -> float:
-    """All bytes that a device has, used or not; infinite if it does not tell."""
+    """All bytes that a device has, used or not; infinite if it does not tell. Processes under torchrun share the host's."""
     if device.type == "cuda":
         return torch.cuda.get_device_properties(device).total_memory
     if device.type != "cpu" or not hasattr(os, "sysconf"):
         return float("inf")
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / int(os.environ.get("LOCAL_WORLD_SIZE", "1"))

@@ -20,6 +20,8 @@ EPILOG = (
     "radbp optimize recipe.toml --out runs/bright -D render.spp=32 -D optimizer.learning_rate=0.05\n\n"
     "radbp optimize recipe.toml --steps 20  (a quick look)\n\n"
     "radbp optimize recipe.toml --out runs/bright --resume  (after Ctrl-C, or with more --steps)\n\n"
+    "torchrun --nproc-per-node 2 -m torch_radbp.training.cli optimize recipe.toml  (two processes share the views, or the "
+    "samples, of every step)\n\n"
     "Ctrl-C or SIGTERM saves the state reached and writes its report; exit code 130 or 143."
 )
 
@@ -59,20 +61,23 @@ def optimize(
     debug: Debug = False,
 ) -> None:
     """Recover scene parameters from images, as a recipe says."""
-    console = Console()
     with clear_errors(debug) as interrupts:
+        from torch_radbp.training.ranks import joined
         from torch_radbp.training.run import run
 
         interrupts.check()
 
         overrides = [*(define or []), *([f"steps={steps}"] if steps is not None else [])]
         recipe = recipe_path(recipe)
-        folder_path = choose_folder(recipe, out, resume)
-        with warnings.catch_warnings():
+        with joined() as ranks, warnings.catch_warnings():
+            console = Console(quiet=not ranks.is_first)
             warnings.showwarning = lambda message, *_, **__: console.print(
                 f"[yellow]warning:[/] {escape(str(message))}", soft_wrap=True, highlight=False
             )
-            summary, report = run(recipe, overrides, folder_path, resume, console, interrupts)
+            folder_path = ranks.from_first(lambda: choose_folder(recipe, out, resume))
+            summary, report = run(recipe, overrides, folder_path, resume, console, interrupts, ranks)
+    if summary is None:
+        return
     console.print(recovered_table(summary))
     verdict = summary["verdict"]
     console.print(f"[bold]{verdict['word']}[/]: {verdict['explanation']}", soft_wrap=True, highlight=False)

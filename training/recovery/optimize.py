@@ -13,9 +13,11 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
+from torch_radbp.adjoint.memory import parse_budget
 from torch_radbp.differentiated import differentiable
 from torch_radbp.training import recipe as schema
 from torch_radbp.training.interrupt import Interrupts
+from torch_radbp.training.ranks import ALONE, Ranks, on_this_machine
 from torch_radbp.training.recovery.checkpoint import save_checkpoint
 from torch_radbp.training.recovery.losses import Objective
 from torch_radbp.training.recovery.parameters import RecoveredParameter, choose_parameters
@@ -32,15 +34,17 @@ class Recovery:
 
     Args:
         recipe: a checked recipe.
+        ranks: the processes that solve it together.
 
     Raises:
         ValueError: the scene, the parameters or the targets do not fit the recipe.
     """
 
-    def __init__(self, recipe: schema.Recipe):
-        self.recipe = recipe
+    def __init__(self, recipe: schema.Recipe, ranks: Ranks = ALONE):
+        self.recipe, self.ranks = recipe, ranks
         self.scene = rb.load(recipe.scene, **recipe.variables)
         self.targets = read_targets(recipe.targets, sensor_films(self.scene))
+        self.share = ranks.share(len(self.targets.images))
         self.parameters = choose_parameters(self.scene, recipe.parameters)
         self.renderer = make_renderer(self.scene, recipe.render)
         # The renderer checks parameters and caster when it first renders: make it do so now, before files are written.
@@ -60,6 +64,7 @@ class Recovery:
             "step": self.step,
             "skipped": self.skipped,
             "seconds": self.seconds,
+            "processes": self.ranks.count,
             "parameters": {each.name: each.raw.detach() for each in self.parameters},
             "optimizer": self.optimizer.state_dict(),
             "scheduler": self.scheduler.state_dict(),
@@ -67,6 +72,9 @@ class Recovery:
 
     def load_state_dict(self, state: dict) -> None:
         self.step, self.skipped, self.seconds = state["step"], state["skipped"], state["seconds"]
+        if state["processes"] != self.ranks.count:
+            warnings.warn(f"the run had {state['processes']} processes so far and has {self.ranks.count} now: it goes on "
+                          "with other random numbers", stacklevel=2)
         with torch.no_grad():
             for each in self.parameters:
                 each.raw.copy_(state["parameters"][each.name])
@@ -112,10 +120,17 @@ def make_renderer(scene, spec: schema.Render) -> rb.Renderer:
         adjoint=None if spec.adjoint is None else make_adjoint(spec.adjoint),
         sampling=spec.sampling,
         chunk=spec.chunk,
-        memory_budget=spec.memory_budget,
+        memory_budget=own_budget(spec.memory_budget, scene.device),
         compile=spec.compile,
         caster=spec.caster,
     )
+
+
+def own_budget(budget: int | str | None, device: torch.device) -> int | None:
+    """The bytes of a recipe's `memory_budget` that are this process's own: those of a machine are shared, not of a GPU."""
+    if budget is None:
+        return None
+    return parse_budget(budget) // (on_this_machine() if device.type == "cpu" else 1)
 
 
 def make_adjoint(spec: schema.Adjoint):
@@ -146,13 +161,14 @@ def step_seed(seed: int, step: int, stream: int) -> int:
 
 
 def render_buffers(recovery: Recovery, step: int) -> list[Tensor]:
-    """Returns the step's independent renderings, each (B, 3, H, W)."""
-    spec = recovery.recipe.render
+    """Returns the independent renderings of this process's share of a step, each (B, 3, H, W)."""
+    spec, share = recovery.recipe.render, recovery.share
+    turn = step * share.count + share.number
     return [
         recovery.renderer(
-            seed=step_seed(spec.seed, step, buffer),
-            sensors=recovery.targets.sensors,
-            seed_grad=step_seed(spec.seed, step, 2 + buffer) if spec.decorrelate else None,
+            seed=step_seed(spec.seed, turn, buffer),
+            sensors=[recovery.targets.sensors[view] for view in share.views],
+            seed_grad=step_seed(spec.seed, turn, 2 + buffer) if spec.decorrelate else None,
         )
         for buffer in range(recovery.objective.buffers_needed)
     ]
@@ -173,13 +189,22 @@ def train(
         KeyboardInterrupt: a signal came; `recovery` is then whole, at the last finished step.
         RuntimeError: too many steps in a row whose gradient is not finite.
     """
-    recipe, targets = recovery.recipe, recovery.targets.images
+    with interrupts.left_to(recovery.ranks.count > 1):
+        take_steps(recovery, folder, on_step, interrupts)
+
+
+def take_steps(
+    recovery: Recovery, folder: RunFolder, on_step: Callable[[dict[str, float]], None], interrupts: Interrupts
+) -> None:
+    """As `train`; of several processes, all stop after the step in which one has received a signal."""
+    recipe, targets = recovery.recipe, recovery.targets.images[recovery.share.views]
     skipped_in_a_row = 0
     for step in range(recovery.step, recipe.steps):
         interrupts.check()
         started = time.perf_counter()
         recovery.optimizer.zero_grad()
         loss, terms, rendered, trouble = take_gradient(recovery, step, targets)
+        loss, terms, trouble, stopped = together(recovery, loss, terms, trouble, interrupts.pending)
         finished = time.perf_counter()
 
         usable = trouble is None
@@ -199,11 +224,14 @@ def train(
             row |= {"backward_seconds": finished - rendered, "seconds": recovery.seconds}
             for parameter in recovery.parameters:
                 row |= parameter.metrics()
-            folder.log(row)
-            if recovery.step % recipe.report.checkpoint_every == 0:
+            if recovery.ranks.is_first:
+                folder.log(row)
+            if recovery.step % recipe.report.checkpoint_every == 0 and recovery.ranks.is_first:
                 save_checkpoint(folder.checkpoint, recovery.state_dict())
         on_step(row)
 
+        if stopped:
+            raise KeyboardInterrupt
         skipped_in_a_row = 0 if usable else skipped_in_a_row + 1
         if not usable:
             warnings.warn(
@@ -239,6 +267,37 @@ def take_gradient(recovery: Recovery, step: int, targets: Tensor) -> tuple[Tenso
         return loss, terms, rendered, str(error)
     bad = [each.name for each in recovery.parameters if not _is_finite(each.raw.grad)]
     return loss, terms, rendered, f"the gradient of {', '.join(bad)} is not finite" if bad else None
+
+
+def together(recovery: Recovery, loss: Tensor, terms: dict[str, Tensor], trouble: str | None, pending: bool
+             ) -> tuple[Tensor, dict[str, Tensor], str | None, bool]:
+    """Puts the gradient of all processes into the parameters, from the own one.
+
+    Args:
+        recovery: with the gradient of its share.
+        loss, terms, trouble: of it, as from `take_gradient`.
+        pending: whether this process is asked to stop.
+
+    Returns:
+        the means of losses and terms over the processes; what is wrong with any of them; whether one is asked to stop.
+
+    Raises:
+        RankError: a process has ended.
+    """
+    ranks, weight = recovery.ranks, recovery.share.weight
+    if ranks.count == 1:
+        return loss, terms, trouble, False
+    raws = [each.raw for each in recovery.parameters]
+    own = [torch.zeros_like(raw) if raw.grad is None or trouble else raw.grad for raw in raws]
+    flags = loss.detach().new_tensor([trouble is not None, pending])
+    values = torch.stack([loss.detach(), *(term.detach() for term in terms.values())])
+    gradients = [gradient.double() * weight for gradient in own]
+    troubled, means, *sums = ranks.sums([flags, values.double() * weight, *gradients])
+    for raw, total in zip(raws, sums):
+        raw.grad = total.to(raw)
+    if troubled[0] and trouble is None:
+        trouble = f"in {int(troubled[0])} of {ranks.count} processes the gradient is not finite"
+    return means[0], dict(zip(terms, means[1:])), trouble, bool(troubled[1])
 
 
 def _is_finite(gradient: Tensor | None) -> bool:

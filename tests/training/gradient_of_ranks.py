@@ -1,0 +1,34 @@
+"""A program for torchrun: the gradient of one step in float64, written by the first process. Arguments: recipe, result."""
+
+import sys
+from pathlib import Path
+
+import torch
+
+import torch_radbp as rb
+from torch_radbp.training.ranks import Ranks, joined
+from torch_radbp.training.recipe_file import read_recipe
+from torch_radbp.training.recovery import optimize
+
+
+def gradient(recipe: Path, ranks: Ranks) -> list[torch.Tensor]:
+    """The gradients of the first step, those of all processes put together, and the loss."""
+    load = rb.load
+    optimize.rb.load = lambda *arguments, **named: load(*arguments, **named).double()
+    try:
+        recovery = optimize.Recovery(read_recipe(recipe, []), ranks)
+    finally:
+        optimize.rb.load = load
+    targets = recovery.targets.images[recovery.share.views].double()
+    loss, terms, _, trouble = optimize.take_gradient(recovery, 0, targets)
+    loss, _, trouble, _ = optimize.together(recovery, loss, terms, trouble, False)
+    assert trouble is None
+    return [*(each.raw.grad for each in recovery.parameters), loss.detach().double()]
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    with joined() as ranks:
+        found = gradient(Path(sys.argv[1]), ranks)
+        if ranks.is_first:
+            torch.save(found, sys.argv[2])
