@@ -118,12 +118,12 @@ def test_a_signal_during_the_steps_saves_state_and_report(number, code, word, si
 def test_a_signal_that_a_library_swallows_ends_the_run_at_the_next_step(signalled, folder):
     swallow = """
 swallowed = optimize.Recovery.__init__
-def __init__(self, recipe):
+def __init__(self, *arguments):
     try:
         reached(optimize, 'read_targets')
-        swallowed(self, recipe)
+        swallowed(self, *arguments)
     except KeyboardInterrupt:
-        swallowed(self, recipe)
+        swallowed(self, *arguments)
 optimize.Recovery.__init__ = __init__
 """
     code, _, stderr = signalled(swallow, signal.SIGINT)
