@@ -36,7 +36,7 @@ def signed_colour(values: Tensor, scale: float) -> Tensor:
 
 def _interpolated(anchors: Tensor, level: Tensor) -> Tensor:
     """Returns (3, H, W) colours between the anchors for (H, W) levels in [0, 1]."""
-    level = level * (len(anchors) - 1)
+    anchors, level = anchors.to(level), level * (len(anchors) - 1)
     below = level.floor().long().clamp(max=len(anchors) - 2)
     fraction = (level - below)[..., None]
     colours = anchors[below] * (1 - fraction) + anchors[below + 1] * fraction

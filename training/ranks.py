@@ -12,7 +12,8 @@ Gradients travel as float64 in one message a step, by gloo, from and to the memo
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from datetime import timedelta
 from typing import Any, NamedTuple, TypeVar
 
 import torch
@@ -20,6 +21,10 @@ import torch.distributed as dist
 from torch import Tensor
 
 Result = TypeVar("Result")
+
+# How long a process waits for the others, while the first renders images for the report, say. One that has ended is noticed
+# at once.
+PATIENCE = timedelta(hours=12)
 
 
 class RankError(RuntimeError):
@@ -103,13 +108,18 @@ def exchanging(ranks: Ranks) -> Iterator[None]:
 
 @contextmanager
 def joined() -> Iterator[Ranks]:
-    """The processes that torchrun has started, connected; without torchrun this one alone."""
+    """The processes that torchrun has started, connected; without torchrun this one alone.
+
+    None leaves before all have come to the end, or have failed: the first, which writes the report, is the last to come.
+    """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield Ranks()
         return
-    dist.init_process_group("gloo")
+    dist.init_process_group("gloo", timeout=PATIENCE)
     try:
         yield Ranks(dist.get_rank(), dist.get_world_size())
+        with suppress(RuntimeError):  # whoever has ended is not waited for
+            dist.barrier()
     finally:
         dist.destroy_process_group()
 
