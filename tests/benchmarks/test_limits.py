@@ -2,7 +2,7 @@
 
 import torch
 
-from benchmarks.limits import Work, watched
+from benchmarks.limits import Work, watched, without_reads
 from torch_radbp.jit import LaneFunction
 
 
@@ -11,9 +11,23 @@ def test_work_of_a_loop_is_counted():
     function = LaneFunction(lambda table, x, index: x * 2.0 + table[index], ("table",))
     arguments = torch.rand(5), torch.rand(100), torch.zeros(100, dtype=torch.int32)
     expected = function(*arguments)
-    with watched() as loops:
+    with watched({}) as loops:
         assert torch.equal(function(*arguments), expected)
         function(*arguments)
     (work,) = loops.work.values()
     assert work == Work(moved=2 * 100 * 12.0, operations=2 * 100 * 2.0, gathers=2 * 100.0)
-    assert sum(loops.seconds.values()) > 0
+    assert sum(loops.seconds.values()) > 0 and sum(loops.unread.values()) > 0
+
+
+def test_a_loop_without_its_gathers_reads_zeros():
+    """x * 2 + table[index] with 0 in the stead of the table, also where its entries are bools."""
+    def function(table, flags, x, index):
+        return x * 2.0 + table[index] + flags[index]
+
+    arguments = torch.rand(5), torch.ones(5, dtype=torch.bool), torch.rand(100), torch.zeros(100, dtype=torch.int32)
+    function = LaneFunction(function, ("table", "flags"))
+    compiled, given = function.prepared(arguments)
+    found = torch.empty(100)
+    compiled.code = without_reads(compiled.program)
+    compiled.run(given, [found.data_ptr()])
+    assert torch.equal(found, arguments[2] * 2.0)
