@@ -19,8 +19,9 @@ from torch import Tensor
 from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.boundary.shadow import shadows_in_view
 from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
+from torch_radbp.bsdf.kind import Kind
 from torch_radbp.differentiated import tangent_of
-from torch_radbp.plugin import Plugin, Sensor, Shape, Texture
+from torch_radbp.plugin import BSDF, Plugin, Sensor, Shape, Texture
 from torch_radbp.raycast.known import same
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
@@ -53,6 +54,10 @@ class Rendering(NamedTuple):
     caster: RayCaster  # of the scene as it is now
     sampling: str  # "detached", "hybrid" or "attached"
     kept: Kept  # of this rendering
+
+    def materials(self) -> list[tuple[BSDF, Kind]]:
+        """The materials, one for each side, and how they scatter."""
+        return [(bsdf, bsdf.kind()) for bsdf in {id(bsdf): bsdf for bsdf in one_sided(self.scene.bsdfs())}.values()]
 
     def counts(self) -> list[int]:
         """The number of triangles of each shape; the caster has them in the order of the shapes."""
@@ -134,8 +139,7 @@ class JumpWatch:
         Directions without derivatives miss that; see `Kind.jumps`.
         """
         scene, sensors, sampling = rendering.scene, rendering.sensors, rendering.sampling
-        jumping = [bsdf for bsdf in one_sided(scene.bsdfs())
-                   if bsdf.kind().jumps and sampling_at(bsdf.kind(), sampling) != "attached"]
+        jumping = [bsdf for bsdf, kind in rendering.materials() if kind.jumps and sampling_at(kind, sampling) != "attached"]
         turning = [name for plugins, attributes in ((sensors, None), (jumping, ("eta",)))
                    for plugin in plugins for name in moving(scene, plugin, attributes)]
         turning = [*(name for names in rendering.movers() for name in names), *turning]
@@ -155,16 +159,17 @@ class JumpWatch:
         """
         scene, sampling = rendering.scene, rendering.sampling
         turning: dict[str, bool] = {}  # names of parameters; True: hybrid sampling follows at all these surfaces, too
-        for bsdf in one_sided(scene.bsdfs()):
-            if followed(bsdf.kind(), sampling):
-                turning |= {texture_name(scene, bsdf.textures()[slot]): bsdf.kind().follows or not bsdf.kind().smooth
-                            for slot in turning_values(bsdf.kind(), sampling)
-                            if any(map(asks_for_derivatives, bsdf.textures()[slot].sources()))}
+        materials = [(bsdf, kind) for bsdf, kind in rendering.materials() if followed(kind, sampling)]
+        for bsdf, kind in materials:
+            slots, textures = turning_values(kind, sampling), bsdf.textures()
+            turning |= {texture_name(scene, textures[slot]): kind.follows or not kind.smooth
+                        for slot in slots if any(map(asks_for_derivatives, textures[slot].sources()))}
+        hybrid = {id(bsdf): followed(kind, "hybrid") for bsdf, kind in materials}
         for shape, names in zip(scene.shapes, rendering.movers()):
-            delta = [followed(bsdf.kind(), "hybrid") for bsdf in one_sided([shape.bsdf]) if followed(bsdf.kind(), sampling)]
+            delta = [hybrid[id(bsdf)] for bsdf in one_sided([shape.bsdf]) if id(bsdf) in hybrid]
             turning |= {name: all(delta) for name in moving(scene, shape, ("vertex_normals",)) if delta}
             turning |= {name: True for name in names if any(delta)}
-        if sampling != "detached" and any(followed(bsdf.kind(), "hybrid") for bsdf in one_sided(scene.bsdfs())):
+        if sampling != "detached" and any(hybrid.values()):
             turning |= {name: True for sensor in rendering.sensors for name in moving(scene, sensor)}
         named = self.missing(rendering) if turning else {}
         turning = {name: ideal for name, ideal in turning.items() if name not in named}

@@ -73,7 +73,7 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     dtype, device = scene.dtype, scene.device
     radiance = BankBuilder()
     bsdfs = list(scene.bsdfs())
-    materials, appearances, readers, banks = material_tables(kept, bsdfs, dtype, device)
+    materials, appearances, readers, banks, bending = material_tables(kept, bsdfs, dtype, device)
     placed = [placed_shape(kept, shape, instances, dtype) for shape, instances in zip(scene.shapes, scene.shown_by)]
     check_extent(scene, [kept(largest_coordinate, shape.vertices) for shape in placed])
     radiated = {id(emitter): emitter.radiated() for emitter in scene.emitters}
@@ -83,9 +83,7 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     if attributes:
         check_attributes(scene, kept)
     layout = Layout(
-        bending=any_differentiated(scene, attributes) or any(
-            differentiated(source) for bsdf in one_sided(bsdfs) for slot in bsdf.kind().bending
-            for source in bsdf.textures()[slot].sources()),
+        bending=bending or any_differentiated(scene, attributes),
         shading_normals=any(shape.surface.normals is not None for shape in placed),
         back_sides=bool(materials.turned.any()), appearances=appearances,
         readers=readers, radiance=radiance.reader, radiance_bitmaps=radiance.has_bitmaps, attributes=attributes,
@@ -135,14 +133,16 @@ class Materials(NamedTuple):
     appearances: tuple[Appearance, ...]
     readers: tuple[Reader, ...]
     textures: tuple[Any, ...]  # the banks of the readers
+    bending: bool  # parameters with derivatives steer ideal specular scattering
 
 
 def material_tables(kept: Kept, bsdfs: list[BSDF], dtype: torch.dtype, device: torch.device) -> Materials:
     """The rows of all materials, their appearances, and their textures."""
     two_sided = [isinstance(bsdf, TwoSided) for bsdf in bsdfs]
     sides = one_sided(bsdfs)
-    textures = [bsdf.textures() for bsdf in sides]
-    looks = [Appearance(bsdf.kind(), tuple(map(reader_of, own))) for bsdf, own in zip(sides, textures)]
+    described = {id(bsdf): (bsdf.kind(), bsdf.textures()) for bsdf in sides}
+    kinds, textures = zip(*(described[id(bsdf)] for bsdf in sides)) if sides else ((), ())
+    looks = [Appearance(kind, tuple(map(reader_of, own))) for kind, own in zip(kinds, textures)]
     appearances = tuple(dict.fromkeys(looks))
     readers = tuple(dict.fromkeys(reader for look in appearances for reader in look.readers))
     of_reader: dict[Reader, dict[int, Texture]] = {reader: {} for reader in readers}
@@ -165,7 +165,9 @@ def material_tables(kept: Kept, bsdfs: list[BSDF], dtype: torch.dtype, device: t
     banks = tuple(reader.bank(list(of_reader[reader].values()), dtype, device) if reader.outside else
                   kept(bank_of, reader, twins(kept, reader, of_reader[reader].values()), dtype, device)
                   for reader in readers)
-    return Materials(table, appearances, readers, banks)
+    bending = any(differentiated(source) for kind, own in zip(kinds, textures) for slot in kind.bending
+                  for source in own[slot].sources())
+    return Materials(table, appearances, readers, banks, bending)
 
 
 def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:
