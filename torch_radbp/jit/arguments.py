@@ -15,7 +15,7 @@ from torch import Tensor
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE
 from torch_radbp.jit.structure import flatten, unpacker
 
-RECENT = 16  # structures that are looked through
+MOST_FORMS = 64  # that are looked through
 
 
 class Form:
@@ -58,7 +58,9 @@ class Parameter:
         self.function, self.table = function, table
         self.forms: dict[tuple, Form] = {}  # by structure and types of the tensors
         self.numbers: dict[tuple, int] = {}  # by structure
-        self.recent: tuple[Form, ...] = ()  # the last first
+        # Calls come in turns, one for each kind of what is met: after the last form, the next is the likeliest.
+        self.ring: tuple[Form, ...] = ()
+        self.place = 0  # of the last that was met
 
     def take_apart(self, argument: Any) -> tuple[Form, Sequence[Tensor]]:
         """The structure of an argument, and its tensors.
@@ -66,11 +68,12 @@ class Parameter:
         Raises:
             ValueError: if a tensor has neither shape () nor (N,).
         """
-        for form in self.recent:
+        ring, first = self.ring, self.place
+        for step, form in enumerate((*ring[first:], *ring[:first])):
             leaves = form.tensors(argument)
             if leaves is not None:
-                if form is not self.recent[0]:
-                    self.remember(form)
+                if step:
+                    self.place = (first + step) % len(ring)
                 return form, leaves
         leaves, items = [], []
         flatten(argument, leaves, items)
@@ -82,12 +85,8 @@ class Parameter:
         if form is None:
             number = self.numbers.setdefault(structure, len(self.numbers))
             form = self.forms[structure, types] = Form(argument, leaves, structure, number, self.table)
-        self.remember(form)
+        self.ring, self.place = (form, *ring[first:], *ring[:first])[:MOST_FORMS], 0
         return form, leaves
-
-    def remember(self, form: Form) -> None:
-        """Notes that a structure is the last that was met."""
-        self.recent = (form, *(other for other in self.recent if other is not form))[:RECENT]
 
 
 class Arguments:
