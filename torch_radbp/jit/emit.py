@@ -65,7 +65,7 @@ class Emitter:
         waiting: dict[Value, list[int]] = {}  # the outputs that each value is
         for number, value in enumerate(value for value in self.program.outputs if value is not None):
             waiting.setdefault(value, []).append(number)
-        for value in self.program.values:
+        for value in self.program.values if self.width == 1 else gathers_first(self.program.values):
             self.here = self.entry if value.kind == NUMBER else self.body
             self.names[value] = self.emit(value)
             if self.width == 1 and value.kind == LANES:  # a thread has no register to spare for what is done
@@ -284,6 +284,23 @@ class Emitter:
                 name = self.line(f"zext {self.vector('i1')} {name} to {kind}")
             place = self.line(f"getelementptr {memory(value.dtype)}, ptr %out{number}, i64 %i")
             self.body.append(f"store {kind} {name}, ptr {place}, align {alignment(value.dtype)}")
+
+
+def gathers_first(values: Sequence[Value]) -> list[Value]:
+    """The same values, each after those that it is computed from, with the gathers as early as that allows.
+
+    So the processor waits for many entries at a time, not for one after the other. For that, vectors are kept in memory; a
+    thread of a GPU waits while others go on.
+    """
+    level: dict[Value, int] = {}  # how many gathers stand one after the other before a value
+    needed: set[Value] = set()  # by gathers, themselves included
+    for value in values:
+        level[value] = max((level[argument] + (argument.operation == "gather") for argument in value.arguments), default=0)
+    for value in reversed(values):
+        if value.operation == "gather" or value in needed:
+            needed.update((value, *value.arguments))
+    return sorted((value for value in values if value in needed), key=level.__getitem__) + [
+        value for value in values if value not in needed]
 
 
 def emit(program: Program, width: int) -> Body:
