@@ -29,15 +29,17 @@ class Cpu:
     """The processor that this runs on.
 
     Args:
-        width: lanes in a vector; None: what the processor has.
+        width: lanes in a block; None: those of a vector of the processor, or of two where tables are searched. A search
+            waits for one entry after the other, and two at a time wait together.
     """
 
     def __init__(self, width: int | None = None):
-        self.width = width or host_width()
+        self.width = width
 
     def text(self, program: Program) -> str:
         """The module of a program."""
-        return framed(emit(program, self.width), self.width)
+        width = self.width or host_width() * (2 if program.searched else 1)
+        return framed(emit(program, width), width)
 
     def compile(self, program: Program) -> CpuLoop:
         """See `Target`."""
