@@ -15,9 +15,10 @@ from torch_radbp.bsdf.principled import FEATURES
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
 from torch_radbp.bsdf.principledthin import FEATURES as SHEET
 from torch_radbp.bsdf.principledthin import PrincipledThinKind
+from torch_radbp.bsdf.rough_coat import coat_of
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.bsdf.roughdielectric import RoughDielectricKind
-from torch_radbp.bsdf.roughplastic import RoughPlasticKind, coat_of
+from torch_radbp.bsdf.roughplastic import RoughPlasticKind
 from torch_radbp.bsdf.thindielectric import ThinDielectricKind
 from torch_radbp.vec import Vec3
 
