@@ -141,7 +141,7 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor
     if nothing == 1 and not layout.surround:
         order = chosen(hit.prim >= 0)
         return None, order, (Queue(0, 0, len(order)),)
-    absent = hit.prim.new_tensor(nothing)
+    absent = hit.prim.new_full((), nothing)
     number, differs = integrand.stages.appearance_met(scene, hit, absent)
     front = None if differs is None else torch.zeros_like(differs)
     if differs is not None and len(lanes := chosen(differs)):

@@ -76,7 +76,7 @@ def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> CameraSamp
     pixel = chunk.pixels.index(device).repeat_interleave(chunk.samples)
     sample = torch.arange(chunk.samples, dtype=torch.int32, device=device) + chunk.first_sample
     view = call.views[chunk.sensor]
-    width = torch.tensor(view.width, dtype=torch.int32, device=device)
+    width = torch.full((), view.width, dtype=torch.int32, device=device)
     return call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key,
                                      call.scene.layout.traces_cones)
 
@@ -86,7 +86,7 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     view, device = call.views[0], call.scene.device
     pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
-    width = torch.tensor(view.width, dtype=torch.int32, device=device)
+    width = torch.full((), view.width, dtype=torch.int32, device=device)
     return started(call, call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0],
                                                    call.scene.layout.traces_cones))
 

@@ -70,7 +70,7 @@ def gradients_of(workers: Sequence[Gradients]) -> list[Tensor]:
     """
     results = []
     for leaf, table in enumerate(workers[0].tables):
-        touched = torch.stack([worker.touched[table.numel()] for worker in workers]).any(0).nonzero().squeeze(1)
+        touched = pages_touched([worker.touched[table.numel()] for worker in workers])
         parts = [worker.totals[leaf].view(pages(table.numel()), -1).index_select(0, touched) for worker in workers]
         for part in parts[1:]:
             parts[0] += part
@@ -78,6 +78,13 @@ def gradients_of(workers: Sequence[Gradients]) -> list[Tensor]:
         gradient = zeros(pages(table.numel()), PAGE, table.dtype, table.device).index_copy_(0, touched, total)
         results.append(gradient.view(-1)[:table.numel()].view(table.shape))
     return results
+
+
+def pages_touched(flags: Sequence[Tensor]) -> Tensor:
+    """The numbers of the pages that a worker has touched; elsewhere than on the CPU all, which asks the device nothing."""
+    if not flags[0].is_cpu:
+        return torch.arange(len(flags[0]), device=flags[0].device)
+    return torch.stack(list(flags)).any(0).nonzero().squeeze(1)
 
 
 def pages(entries: int) -> int:

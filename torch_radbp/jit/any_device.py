@@ -32,9 +32,11 @@ class AnyDevice:
         return flags.nonzero().squeeze(1).to(torch.int32)
 
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
-        """Waits for the device, which has to tell how many there are."""
-        counts = torch.bincount(number.to(torch.int64), minlength=queues).tolist()
-        return number.to(torch.int32).sort(stable=True).indices.to(torch.int32), counts
+        """Waits for the device once, which has to tell how many there are."""
+        numbers, order = number.to(torch.int32).sort(stable=True)
+        queue = torch.arange(queues, dtype=torch.int32, device=number.device)
+        ends = torch.searchsorted(numbers, queue, right=True).tolist()
+        return order.to(torch.int32), [end - first for first, end in zip([0, *ends], ends)]
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         for target, entry in zip(targets, entries):

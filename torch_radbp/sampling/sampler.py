@@ -74,8 +74,8 @@ def seed_key(seed: int, sensor: int) -> int:
 
 def sample_key(seed: int, sensor: int, low_discrepancy: bool, device: torch.device) -> SampleKey:
     """The key of a call's random numbers for one sensor."""
-    key = torch.tensor([seed_key(seed, sensor), -int(low_discrepancy)], dtype=torch.int32, device=device)
-    return SampleKey(*key.unbind())
+    return SampleKey(*(torch.full((), value, dtype=torch.int32, device=device)
+                       for value in (seed_key(seed, sensor), -int(low_discrepancy))))
 
 
 def lane_key(key: SampleKey, pixel: Tensor, sample: Tensor) -> LaneKey:

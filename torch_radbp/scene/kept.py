@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import operator
+import weakref
 from collections.abc import Callable, Hashable, Iterable
 from functools import cache
 from types import SimpleNamespace
@@ -25,7 +26,7 @@ from torch.nn.utils import parametrize
 from torch_radbp.differentiated import differentiated, primal
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import BSDF, Emitter, Plugin, Shape
-from torch_radbp.scene.same_bits import same_bits
+from torch_radbp.scene.same_bits import bits_of, comparable, same_bits
 
 # Values that are equal if and only if they compare so.
 PLAIN = (int, str, bool, type(None), type, torch.dtype, torch.device, Domain)
@@ -83,6 +84,9 @@ class Kept:
         self.last_constants: dict[int, tuple[Any, tuple]] = {} if last is None else last.constants
         self.constants: dict[int, tuple[Any, tuple]] = {}
         self.seen: dict[int, tuple[Tensor, Tensor]] = {}  # tensors of this rendering and their copies
+        self.places: dict[Hashable, weakref.ref[Tensor]] = {}  # of tensors that are not on the CPU
+        self.last_places = {} if last is None else last.places
+        self.unchanged: set[tuple[Hashable, int]] | None = None  # of `last_places`, found when first asked for
         self.fixed: set[int] = set()  # ids of the objects handed out
 
     def __reduce__(self):
@@ -92,6 +96,7 @@ class Kept:
         """Lets go of what only the last rendering needed."""
         self.last_copies, self.last_results, self.last_twins = {}, {}, {}
         self.last_structures, self.last_constants, self.seen, self.fixed = {}, {}, {}, set()
+        self.last_places, self.unchanged = {}, None
         return self
 
     def __call__(self, make: Callable, *arguments):
@@ -150,13 +155,25 @@ class Kept:
             return tensor
         if id(tensor) not in self.seen:
             copy = self.last_copies.get(place)
-            if copy is None or not same_bits(copy, tensor):
+            if not self.known_unchanged(place, tensor) and (copy is None or not same_bits(copy, tensor)):
                 with torch.inference_mode(False), torch.no_grad():
                     copy = primal(tensor).clone(memory_format=torch.contiguous_format)
             self.seen[id(tensor)] = tensor, copy
             self.copies[place] = copy
             self.fixed.add(id(copy))
         return self.seen[id(tensor)][1]
+
+    def known_unchanged(self, place: Hashable, tensor: Tensor) -> bool:
+        """True if all tensors of the last rendering have been compared together, and this one has not changed.
+
+        To ask a device for one answer takes as long as to ask it for many; on the CPU each is compared when its turn comes.
+        """
+        if tensor.is_cpu:
+            return False
+        self.places[place] = weakref.ref(tensor)
+        if self.unchanged is None:
+            self.unchanged = unchanged(self.last_places, self.last_copies)
+        return (place, id(tensor)) in self.unchanged
 
     def twin(self, place: Hashable, thing):
         """A copy of a module, or of another object, as it is now; the same one as last time if nothing in it has changed.
@@ -257,6 +274,16 @@ class Kept:
                 self.fix(part)
         if not isinstance(result, (*PLAIN, float)):
             self.fixed.add(id(result))
+
+
+def unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
+    """The places, with the ids of tensors that are still there with the bits of their copies; all are compared at once."""
+    there = [(place, tensor, copies[place]) for place, found in places.items() if (tensor := found()) is not None]
+    there = [each for each in there if comparable(*each[1:])]
+    if not there:
+        return set()
+    same = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
+    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, same) if equal}
 
 
 @cache

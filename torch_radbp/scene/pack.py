@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable
 from typing import Any, NamedTuple
 
 import torch
@@ -73,7 +73,8 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     dtype, device = scene.dtype, scene.device
     radiance = BankBuilder()
     bsdfs = list(scene.bsdfs())
-    materials, appearances, readers, banks, bending = material_tables(kept, bsdfs, dtype, device)
+    materials = material_tables(kept, bsdfs, dtype, device)
+    appearances, readers = materials.appearances, materials.readers
     placed = [placed_shape(kept, shape, instances, dtype) for shape, instances in zip(scene.shapes, scene.shown_by)]
     check_extent(scene, [kept(largest_coordinate, shape.vertices) for shape in placed])
     radiated = {id(emitter): emitter.radiated() for emitter in scene.emitters}
@@ -83,9 +84,9 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     if attributes:
         check_attributes(scene, kept)
     layout = Layout(
-        bending=bending or any_differentiated(scene, attributes),
+        bending=materials.bending or any_differentiated(scene, attributes),
         shading_normals=any(shape.surface.normals is not None for shape in placed),
-        back_sides=bool(materials.turned.any()), appearances=appearances,
+        back_sides=materials.back_sides, appearances=appearances,
         readers=readers, radiance=radiance.reader, radiance_bitmaps=radiance.has_bitmaps, attributes=attributes,
         lights=kinds_of(scene.emitters))
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
@@ -105,7 +106,7 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     lit = kept(bank_of, layout.radiance, twins(kept, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
     lights = light_table(kept, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
                          tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout, lit, light_choice)
-    return SceneTensors(triangles, materials, banks, lights, lit, layout)
+    return SceneTensors(triangles, materials.table, materials.textures, lights, lit, layout)
 
 
 def numbers_of(scene: Scene) -> tuple[Numbers, ...]:
@@ -134,11 +135,12 @@ class Materials(NamedTuple):
     readers: tuple[Reader, ...]
     textures: tuple[Any, ...]  # the banks of the readers
     bending: bool  # parameters with derivatives steer ideal specular scattering
+    back_sides: bool  # whether a material looks the same from behind as from the front, seen from there
 
 
 def material_tables(kept: Kept, bsdfs: list[BSDF], dtype: torch.dtype, device: torch.device) -> Materials:
     """The rows of all materials, their appearances, and their textures."""
-    two_sided = [isinstance(bsdf, TwoSided) for bsdf in bsdfs]
+    two_sided = tuple(isinstance(bsdf, TwoSided) for bsdf in bsdfs)
     sides = one_sided(bsdfs)
     described = {id(bsdf): (bsdf.kind(), bsdf.textures()) for bsdf in sides}
     kinds, textures = zip(*(described[id(bsdf)] for bsdf in sides)) if sides else ((), ())
@@ -151,23 +153,25 @@ def material_tables(kept: Kept, bsdfs: list[BSDF], dtype: torch.dtype, device: t
             of_reader[reader].setdefault(id(texture), texture)
     row = {reader: {key: number for number, key in enumerate(found)} for reader, found in of_reader.items()}
     slots = [[row[reader][id(texture)] for reader, texture in zip(look.readers, own)] for look, own in zip(looks, textures)]
-
-    def column(values: Sequence[int | bool], kind: torch.dtype = torch.int32) -> Tensor:
-        return torch.tensor(values, dtype=kind, device=device)
-
-    differs = [front != back for front, back in zip(looks, looks[len(bsdfs):])]
-    table = MaterialTable(
-        column([appearances.index(look) for look in looks]),
-        tuple(column([own[k] if k < len(own) else 0 for own in slots]) for k in range(max(map(len, slots), default=0))),
-        column([False] * len(bsdfs) + two_sided, torch.bool), column(differs, torch.bool) if any(differs) else None,
-        column(len(bsdfs)))
+    columns = [[appearances.index(look) for look in looks],
+               *([own[k] if k < len(own) else 0 for own in slots] for k in range(max(map(len, slots), default=0)))]
+    differs = tuple(front != back for front, back in zip(looks, looks[len(bsdfs):]))
+    appearance, *values = (kept(column, tuple(each), torch.int32, device) for each in columns)
+    table = MaterialTable(appearance, tuple(values), kept(column, (False,) * len(bsdfs) + two_sided, torch.bool, device),
+                          kept(column, differs, torch.bool, device) if any(differs) else None,
+                          kept(column, len(bsdfs), torch.int32, device))
     # A module that is read outside is taken as it is: only it knows what its values depend on.
     banks = tuple(reader.bank(list(of_reader[reader].values()), dtype, device) if reader.outside else
                   kept(bank_of, reader, twins(kept, reader, of_reader[reader].values()), dtype, device)
                   for reader in readers)
     bending = any(differentiated(source) for kind, own in zip(kinds, textures) for slot in kind.bending
                   for source in own[slot].sources())
-    return Materials(table, appearances, readers, banks, bending)
+    return Materials(table, appearances, readers, banks, bending, any(two_sided))
+
+
+def column(values: tuple[int | bool, ...] | int, kind: torch.dtype, device: torch.device) -> Tensor:
+    """A column of a table, or a number."""
+    return torch.tensor(values, dtype=kind, device=device)
 
 
 def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:

@@ -18,12 +18,22 @@ PART = 16 << 20  # bytes that a thread compares at a time
 
 def same_bits(a: Tensor, b: Tensor) -> bool:
     """True if two tensors have one shape, dtype and device, and the same bits: NaN equals itself, 0 does not equal -0."""
-    if a.shape != b.shape or a.dtype != b.dtype or a.device != b.device:
+    if not comparable(a, b):
         return False
-    a, b = (each if each.is_contiguous() else primal(each).contiguous() for each in (a, b))
     if not a.is_cpu:
-        return torch.equal(primal(a).view(-1).view(torch.uint8), primal(b).view(-1).view(torch.uint8))
+        return torch.equal(bits_of(a), bits_of(b))
+    a, b = (each if each.is_contiguous() else primal(each).contiguous() for each in (a, b))
     return same_memory(a.data_ptr(), b.data_ptr(), a.nbytes)
+
+
+def comparable(a: Tensor, b: Tensor) -> bool:
+    """True if two tensors have one shape, dtype and device."""
+    return a.shape == b.shape and a.dtype == b.dtype and a.device == b.device
+
+
+def bits_of(tensor: Tensor) -> Tensor:
+    """The bytes of a tensor, detached."""
+    return primal(tensor).contiguous().view(-1).view(torch.uint8)
 
 
 def same_memory(a: int, b: int, length: int) -> bool:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.domain import LEEWAY, Domain
+from torch_radbp.jit.order import partition
 from torch_radbp.plugin import Plugin, Texture, nearest
 from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.texture.reader import OutsideReader
@@ -100,10 +101,11 @@ class ModuleBank(NamedTuple):
             return place.new_zeros(0, 3)
         if len(self.functions) == 1:
             return self.functions[0](self.parameters[0], place)
-        lanes = [(row == number).nonzero().squeeze(1) for number in range(len(self.functions))]
+        order, counts = partition(row, len(self.functions))
+        lanes = order.long().split(counts)
         parts = [function(parameters, place[own]) for function, parameters, own in
                  zip(self.functions, self.parameters, lanes) if len(own)]
-        return torch.cat(parts)[torch.argsort(torch.cat(lanes))]
+        return torch.cat(parts)[torch.argsort(order)]
 
 
 @dataclass(frozen=True)

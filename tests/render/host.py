@@ -1,0 +1,74 @@
+"""What a rendering on a GPU waits for, counted on the CPU: tensors that compute here say that they lie on CUDA.
+
+So all that depends on the device takes the way of CUDA. Operations whose result the host has to see, or whose input it has
+to send, are counted where they are called.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections import Counter
+
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+
+CUDA = torch.device("cuda", 0)
+ANSWERS = {Tensor.is_cuda.__get__: lambda tensor: True, Tensor.is_cpu.__get__: lambda tensor: False,
+           Tensor.device.__get__: lambda tensor: CUDA}
+# By what they are called: on CUDA each of them waits until the device has come to the end of its work.
+READS = ("_local_scalar_dense", "nonzero", "masked_select", "unique", "_unique2", "bincount", "equal",
+         "repeat_interleave.Tensor")
+TO_HOST = (Tensor.tolist, Tensor.cpu, Tensor.numpy)
+FROM_HOST = (torch.tensor, torch.as_tensor, torch.from_numpy, Tensor.new_tensor)
+
+
+def place() -> str:
+    """The innermost line of the package that is being run."""
+    for frame in reversed(traceback.extract_stack()):
+        if "/torch_radbp/" in frame.filename and "/tests/" not in frame.filename:
+            return f"{frame.filename.rsplit('/torch_radbp/', 1)[1]}:{frame.name}"
+    return "elsewhere"
+
+
+class SaysCuda(TorchFunctionMode):
+    """Tensors say that they are on CUDA, and what is to be made there is made here."""
+
+    def __init__(self, counted: Counter):
+        super().__init__()
+        self.counted = counted
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):
+        if function in ANSWERS:
+            return ANSWERS[function](*args)
+        kwargs = kwargs or {}
+        if function in TO_HOST or function in FROM_HOST:
+            self.counted["from the host" if function in FROM_HOST else "to the host", place()] += 1
+        here = {"device": "cpu"} if str(kwargs.get("device", "")).startswith("cuda") else {}
+        args = ["cpu" if isinstance(each, torch.device) and each.type == "cuda" else each for each in args]
+        return function(*args, **kwargs | here)
+
+
+class Reads(TorchDispatchMode):
+    """Counts the operations that the host waits for."""
+
+    def __init__(self, counted: Counter):
+        super().__init__()
+        self.counted = counted
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        name = function.name().removeprefix("aten::")
+        masked = name.startswith("index.") and any(
+            isinstance(index, Tensor) and index.dtype == torch.bool for index in args[1] if index is not None)
+        if masked or name in READS or name.split(".")[0] in READS:
+            self.counted["to the host", place()] += 1
+        return function(*args, **kwargs or {})
+
+
+def exchanges(run) -> Counter:
+    """How often `run()` has sent to the host or from it, by direction and place."""
+    counted: Counter = Counter()
+    with SaysCuda(counted), Reads(counted):
+        run()
+    return counted

@@ -1,0 +1,94 @@
+"""How often a rendering on a GPU exchanges something with the host: twice a bounce for numbers of lanes, and little else.
+
+A bounce asks for the numbers of lanes in its queues, and for those that survive it. A tree of lights asks for the lanes that
+meet one. Networks in the place of textures ask for the numbers of lanes of each, forwards and backwards, and for the range
+of the values of each, which is checked.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.gradients import cotangent
+from tests.render.host import exchanges
+from tests.texture.networks import room
+from torch_radbp.adjoint.function import RenderFunction
+
+SHALLOW, DEEP = 3, 5
+
+
+def box(material: dict, lamps: int = 1) -> rb.Scene:
+    """A closed box, in which no path ends before its time; with balls of another material, and lamps in its corners."""
+    def at(x: float, y: float, z: float, size: float) -> torch.Tensor:
+        return torch.tensor([[size, 0, 0, x], [0, size, 0, y], [0, 0, size, z], [0, 0, 0, 1]])
+
+    corners = [(x, y, z) for x in (-0.6, 0.6) for y in (-0.6, 0.6) for z in (-0.6, 0.6)][:lamps]
+    return rb.load_dict({
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 60.0, "film": {"type": "hdrfilm", "width": 6, "height": 6}},
+        "walls": {"type": "cube", "to_world": at(0, 0, 0, 3.0), "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse"}}},
+        "thing": {"type": "cube", "to_world": at(0, 0, 1.8, 0.5), "bsdf": material},
+        **{f"lamp_{k}": {"type": "cube", "to_world": at(*place, 0.1), "emitter": {"type": "area"}}
+           for k, place in enumerate(corners)}})
+
+
+SCENES = {  # with the exchanges of a bounce
+    "one material": (lambda: box({"type": "twosided", "bsdf": {"type": "diffuse"}}), 2),
+    "two materials": (lambda: box({"type": "roughconductor"}), 2),
+    "many lights": (lambda: box({"type": "roughconductor"}, lamps=8), 3),
+    "networks": (room, 9),
+}
+
+
+@pytest.fixture(autouse=True)
+def no_memory_is_asked_for(monkeypatch):
+    monkeypatch.setattr("torch_radbp.adjoint.cost.memory_of", lambda device: float("inf"))
+
+
+def of_second_call(scene: rb.Scene, depth: int) -> Counter:
+    """What is exchanged in the second rendering and backward pass of a scene, of which the first is forgotten."""
+    renderer = rb.Renderer(scene, spp=2, max_depth=depth, rr_depth=100, caster="brute", compile=False)
+
+    def render() -> None:
+        image = renderer(seed=1)
+        RenderFunction.backward(image.grad_fn, cotangent(image.detach()))  # by autograd's engine it would leave the mode
+
+    exchanges(render)
+    return exchanges(render)
+
+
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
+@pytest.mark.parametrize("name", SCENES)
+def test_a_bounce_asks_the_device_for_the_numbers_of_lanes_only(name):
+    make, allowed = SCENES[name]
+    scene = make()
+    for parameter, value in scene.named_parameters():
+        if parameter.endswith(("reflectance.value", "alpha.value")) or "module" in parameter:
+            value.requires_grad_()
+    shallow, deep = of_second_call(scene, SHALLOW), of_second_call(scene, DEEP)
+    more = {what: count - shallow[what] for what, count in deep.items() if count > shallow[what]}
+    assert 0 < sum(more.values()) <= allowed * (DEEP - SHALLOW), more
+    assert not any(direction == "from the host" for direction, _ in more), more
+
+
+def test_a_call_with_a_scene_as_it_was_asks_little():
+    """Whether tensors are as they were, parameters in their domains, the image and the gradients finite."""
+    scene = box({"type": "roughconductor"})
+    scene.get_parameter("thing.bsdf.alpha.value").requires_grad_()
+    counted = of_second_call(scene, SHALLOW)
+    bounces = {what: count for what, count in counted.items() if "jit/any_device.py" in what[1]}
+    assert 0 < sum(bounces.values()) <= 2 * SHALLOW
+    assert sum((counted - Counter(bounces)).values()) <= 8, counted
+
+
+def test_exchanges_are_found():
+    x = torch.arange(6.0)
+    assert sum(exchanges(lambda: x[x > 2]).values()) == 1
+    assert sum(exchanges(lambda: float(x.sum())).values()) == 1
+    assert sum(exchanges(lambda: x.tolist()).values()) == 1
+    assert sum(exchanges(lambda: torch.tensor(3.0, device=x.device)).values()) == 1
+    assert not exchanges(lambda: x.new_zeros(3) + x[:3] * torch.full((), 2.0, device=x.device))
