@@ -1,7 +1,7 @@
 """How often a rendering on a GPU exchanges something with the host: twice a bounce for numbers of lanes, and little else.
 
 A bounce asks for the numbers of lanes in its queues, and for those that survive it. A tree of lights asks for the lanes that
-meet one. Networks in the place of textures ask for the numbers of lanes of each, forwards and backwards, and for the range
+meet one, and materials with another appearance on their backs for the lanes that may see these. Networks in the place of textures ask for the numbers of lanes of each, forwards and backwards, and for the range
 of the values of each, which is checked.
 """
 
@@ -39,6 +39,7 @@ def box(material: dict, lamps: int = 1) -> rb.Scene:
 SCENES = {  # with the exchanges of a bounce
     "one material": (lambda: box({"type": "twosided", "bsdf": {"type": "diffuse"}}), 2),
     "two materials": (lambda: box({"type": "roughconductor"}), 2),
+    "other backs": (lambda: box({"type": "twosided", "front": {"type": "diffuse"}, "back": {"type": "roughconductor"}}), 3),
     "many lights": (lambda: box({"type": "roughconductor"}, lamps=8), 3),
     "networks": (room, 9),
 }
