@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable
 from copy import copy
 
-from torch_radbp.adjoint.sweep import bounce_adjoint
+from torch_radbp.adjoint.bounce import bounce_adjoint
 from torch_radbp.aov.material import material_value
 from torch_radbp.aov.surface import surface_values
 from torch_radbp.integrand import Stages

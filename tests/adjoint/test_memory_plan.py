@@ -55,6 +55,15 @@ CASES = {
 }
 
 
+@pytest.fixture(autouse=True)
+def one_thread():
+    """The profiler sees what the thread that starts it allocates."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
 def prepared(name: str, **settings) -> rb.Renderer:
     build, parameters = CASES[name]
     scene = build()

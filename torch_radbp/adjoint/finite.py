@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten
 
-from torch_radbp.adjoint.sweep import Sweep, bounce_adjoint
+from torch_radbp.adjoint.bounce import bounce_adjoint
+from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.integrand import Integrand, Stages
 from torch_radbp.path import bounce, ending, scattering
 from torch_radbp.path_state import Arrival, PathState, Position

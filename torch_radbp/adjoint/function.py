@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+from torch_radbp.adjoint.bounce import Memo, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.chunks import Chunk
 from torch_radbp.adjoint.finite import (
     CheckedSweep,
@@ -22,7 +23,7 @@ from torch_radbp.adjoint.finite import (
     image_error,
 )
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
-from torch_radbp.adjoint.sweep import Memo, PathRecord, Sweep, vector_jacobian_product, zeros_unless
+from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.entry import entry

@@ -1,0 +1,164 @@
+"""The backward pass of one bounce: its local vector-Jacobian product, and the memo that it moves up.
+
+If geometry, camera or directions carry derivatives, the local map is (theta, ray_k) -> (E_k, F_k, ray_{k+1}), and beside the
+radiance the memo holds dloss/dray_{k+1}, which has come up from below; the same product turns it into dloss/dray_k.
+
+Two bounces read a triangle whose vertices carry derivatives: the one that aims at it, and the one below, which stands on it.
+So the memo also holds what the one below has found, and both are added to the gradient at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.utils._pytree import tree_map
+
+from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.lookup import Tap, tapped
+from torch_radbp.path_state import Arrival, Position, Settings
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.cone import Cone
+from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.reader import Given
+from torch_radbp.vec import Ray, Vec3, rows
+
+
+class Memo(NamedTuple):
+    """The results of the bounce below, (N,) each; zeros where there was none."""
+
+    L: Vec3  # L_{k+1}
+    adj_ray: Ray | None = None  # dloss/dray_{k+1}; None if rays do not carry derivatives
+    adj_pdf: Tensor | None = None  # the same of the density with which the ray was picked
+    adj_cone: Cone | None = None  # the same of the cone around the ray; None if paths carry none
+    hit: Hit | None = None  # what the ray meets; triangle -1: nothing
+    adj_corners: Corners | None = None  # dloss/dp so far of that triangle's vertices; None unless two bounces contribute
+
+
+def empty_memo(like: Tensor, moving: bool, twice: bool, cones: bool) -> Memo:
+    """The memo before the deepest bounce of each lane.
+
+    Args:
+        like: (N,) tells device and dtype.
+        moving: whether rays carry derivatives.
+        twice: whether triangles do, for two bounces each.
+        cones: whether there are cones around rays.
+    """
+    if not moving:
+        return Memo(Vec3.buffer(like))
+    nothing = torch.zeros_like(like, dtype=torch.int32)
+    miss = Hit(nothing - 1, *(torch.zeros_like(like) for _ in range(3)))
+    adj_cone = Cone(torch.zeros_like(like), torch.zeros_like(like)) if cones else None
+    memo = Memo(Vec3.buffer(like), Ray(Vec3.buffer(like), Vec3.buffer(like)), torch.zeros_like(like), adj_cone, miss)
+    if not twice:
+        return memo
+    return memo._replace(adj_corners=tuple(Vec3.buffer(like) for _ in range(3)))
+
+
+class TableAdjoint(NamedTuple):
+    """The adjoint of one read of a table, (N,) each; still to be scattered into its gradient."""
+
+    index: Tensor  # int32
+    adjoint: Tensor
+
+
+def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, verdict: Verdict | None,
+                   adj_L: Vec3, memo: Memo, at: Position, settings: Settings, given: tuple[Given, ...]
+                   ) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
+    """The local vector-Jacobian product of one bounce.
+
+    Args:
+        scene: the part that these lanes read, detached.
+        wanted: of each leaf of `scene` (counted as `leaves_of` does), whether to differentiate it.
+        arrival, lanes: as for `bounce`.
+        verdict: what was decided for these lanes; None where nothing is scattered.
+        adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
+        memo: of all lanes of the chunk.
+        at, settings, given: as in the forward pass.
+
+    Returns:
+        The memo for the bounce above, of these lanes, for each wanted leaf what its reads add to its gradient, and the
+        adjoints of the values that were given.
+    """
+    arrival = rows(arrival, lanes)
+    state, hit = arrival.state, arrival.hit
+    memo = rows(memo, state.lane)
+    adj_L = rows(adj_L, state.lane) * state.beta
+    taps: list[Tap] = []
+    attached, _ = tapped(scene, wanted, 0, taps)
+    inputs, here, there = (), None, None
+    if settings.moving:
+        ray, pdf = tree_map(as_leaf, (state.ray, state.pdf))
+        cone = None if state.cone is None else tree_map(as_leaf, state.cone)
+        state, inputs = state._replace(ray=ray, pdf=pdf, cone=cone), (*ray.o, *ray.d, pdf, *(cone or ()))
+    if memo.adj_corners is not None:
+        here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit)))
+        if scene.appearance is not None:
+            there = read_again(attached.triangles.vertices.p, corner_rows(scene, memo.hit), memo.adj_corners)
+        inputs = (*inputs, *(coordinate for corner in here for coordinate in corner))
+    given = tuple(texture._replace(value=texture.value.map(as_leaf)) for texture in given)
+    values = [channel for texture in given for channel in texture.value]
+    with torch.enable_grad():
+        arrival = arrival._replace(state=state)
+        local = local_map(attached, scene, arrival, verdict, memo.hit, at, settings, given, here, there)
+        outputs, adjoints = [*local.E, *local.F], [*adj_L, *(adj_L * memo.L)]
+        if local.ray is not None:
+            outputs += [*local.ray.o, *local.ray.d, local.pdf, *(local.cone or ())]
+            adjoints += [*memo.adj_ray.o, *memo.adj_ray.d, memo.adj_pdf, *(memo.adj_cone or ())]
+        reads = [read.leaf for tap in taps for read in tap.reads]
+        adjoints = iter(vector_jacobian_product(outputs, [*inputs, *values, *reads], adjoints))
+    above = Memo((local.E + local.F * memo.L).detach())
+    found = [zeros_unless(next(adjoints), leaf) for leaf in inputs]
+    adj_given = tuple(Vec3(*(zeros_unless(next(adjoints), leaf) for leaf in texture.value)) for texture in given)
+    if settings.moving:
+        above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], hit=hit)
+        if state.cone is not None:
+            above = above._replace(adj_cone=Cone(*found[7:9]))
+    if memo.adj_corners is not None:
+        of_corners = found[-9:]
+        above = above._replace(adj_corners=tuple(Vec3(*of_corners[first:first + 3]) for first in (0, 3, 6)))
+    return above, [table_adjoints(tap, adjoints) for tap in taps], adj_given
+
+
+def as_leaf(tensor: Tensor) -> Tensor:
+    """A copy that derivatives can be taken with respect to."""
+    return tensor.clone().requires_grad_()
+
+
+def read_again(positions: Vec3, corners: tuple[Tensor, Tensor, Tensor], adj_corners: Corners) -> Corners:
+    """The vertices `corners` from tapped positions, with a part of their adjoints that the bounce below has found."""
+    return tuple(Vec3(*(tap.read(row, found) for tap, found in zip(positions, adj_p)))
+                 for row, adj_p in zip(corners, adj_corners))
+
+
+def vector_jacobian_product(outputs: list[Tensor], inputs: list[Tensor], adjoints: list[Tensor]) -> tuple:
+    """The adjoints of `inputs`; None where nothing depends on them."""
+    dependent = [(output, adjoint) for output, adjoint in zip(outputs, adjoints) if output.requires_grad]
+    if not dependent or not inputs:
+        return (None,) * len(inputs)
+    outputs, adjoints = zip(*dependent)
+    return torch.autograd.grad(outputs, inputs, adjoints, allow_unused=True)
+
+
+def zeros_unless(adjoint: Tensor | None, like: Tensor) -> Tensor:
+    """The adjoint, or zeros where there is none."""
+    return torch.zeros_like(like) if adjoint is None else adjoint
+
+
+def table_adjoints(tap: Tap, adjoints: Iterator[Tensor | None]) -> list[TableAdjoint]:
+    """The adjoints of the reads of a table.
+
+    Args:
+        tap: of the table.
+        adjoints: of its leaves come next.
+    """
+    found = []
+    for read in tap.reads:
+        adjoint = next(adjoints)
+        parts = [part for part in (adjoint, read.found) if part is not None]
+        if parts:
+            found.append(TableAdjoint(read.index, sum(parts[1:], parts[0])))
+    return found
