@@ -18,6 +18,7 @@ from pydantic import (
 
 from torch_radbp.adjoint.memory import parse_budget
 from torch_radbp.plugin import nearest
+from torch_radbp.training.device import parse_device
 
 
 class Table(BaseModel):
@@ -159,6 +160,11 @@ def _check_budget(budget: int | str) -> int | str:
     return budget
 
 
+def _check_device(name: str) -> str:
+    parse_device(name)
+    return name
+
+
 class Render(Table):
     """Arguments of `torch_radbp.Renderer`; what is left out is taken from the scene file."""
 
@@ -171,6 +177,7 @@ class Render(Table):
     memory_budget: Annotated[Whole64 | str, AfterValidator(_check_budget)] | None = None  # bytes, "2GiB" or "2GB"
     compile: Switch = True  # False: in plain torch, slower; nothing is compiled
     caster: str | None = None
+    device: Annotated[str, AfterValidator(_check_device)] | None = None  # "cpu", "cuda" or "cuda:1"; None: the CPU
     seed: Whole = Field(0, ge=0)
     # Independent samples for the backward pass: unbiased gradients of non-linear losses, at the price of a second
     # forward pass.

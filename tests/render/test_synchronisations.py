@@ -1,8 +1,9 @@
 """How often a rendering on a GPU exchanges something with the host: twice a bounce for numbers of lanes, and little else.
 
 A bounce asks for the numbers of lanes in its queues, and for those that survive it. A tree of lights asks for the lanes that
-meet one, and materials with another appearance on their backs for the lanes that may see these. Networks in the place of textures ask for the numbers of lanes of each, forwards and backwards, and for the range
-of the values of each, which is checked.
+meet one, and materials with another appearance on their backs for the lanes that may see these. Networks in the place of
+textures ask for the numbers of lanes of each, forwards and backwards, and for the range of the values of each, which is
+checked.
 """
 
 from __future__ import annotations

@@ -12,8 +12,10 @@ import pytest
 import torch
 
 from tests.training.gradient_of_ranks import gradient
+from torch_radbp.adjoint.cost import memory_of
 from torch_radbp.training.ranks import ALONE, Ranks
 from torch_radbp.training.recovery.metrics import MetricsFile
+from torch_radbp.training.recovery.optimize import own_budget
 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "200", "MASTER_ADDR": "127.0.0.1"}
 TWO_VIEWS = ('image = "target.exr"\n', 'image = "target.exr"\nsensor = "camera"\n\n[[targets]]\nimage = "target.exr"\n'
@@ -74,6 +76,16 @@ def test_shares_cover_all_views_once_and_their_weights_sum_to_one():
             else:
                 assert all(share.views == list(range(views)) for share in shares)
                 assert {share[2:] for share in shares} == {(number, count) for number in range(count)}
+
+
+def test_processes_share_the_memory_of_a_machine(monkeypatch):
+    cpu, gpu = torch.device("cpu"), torch.device("cuda", 0)
+    alone = memory_of(cpu)
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "4")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 3)
+    assert own_budget("2GiB", cpu) == 2**29 and memory_of(cpu) == alone / 4
+    assert own_budget("2GiB", gpu) == 2**30  # two of them share a GPU
+    assert own_budget(None, cpu) is None
 
 
 def test_a_killed_process_ends_the_run_with_a_message_and_resume_continues(folder, edit_recipe):

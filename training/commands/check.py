@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from torch_radbp.training.commands.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.device import Device
 from torch_radbp.training.commands.render import chosen_sensors
 from torch_radbp.training.commands.scene_variables import Define, parse_variables
 from torch_radbp.training.progress import TimedProgress
@@ -53,6 +54,7 @@ def check(
     ] = None,
     batches: Annotated[int, typer.Option(help="Repetitions that give the standard errors; at least 8.")] = 16,
     sensor: Annotated[list[str] | None, typer.Option(help=r"Name of a sensor; may be repeated.  \[default: all]")] = None,
+    device: Device = None,
     define: Define = None,
     debug: Debug = False,
 ) -> None:
@@ -60,9 +62,10 @@ def check(
     console = Console()
     with clear_errors(debug):
         import torch_radbp as rb
+        from torch_radbp.training.device import usable_device
         from torch_radbp.training.recovery.targets import sensor_films
 
-        loaded = rb.load(scene, **parse_variables(define))
+        loaded = rb.load(scene, **parse_variables(define)).to(usable_device(device))
         indices = chosen_sensors(sensor, list(sensor_films(loaded)))
         moves = parse_direction(direction, tuple(loaded.get_parameter(param).shape))
         folder = Path("checks") / param if out is None else out

@@ -51,6 +51,9 @@ def optimize(
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out, or the last one.")] = False,
     steps: Annotated[int | None, typer.Option(help="Number of steps instead of the recipe's.")] = None,
+    device: Annotated[
+        str | None, typer.Option(metavar="DEVICE", help=r"cpu, cuda, or cuda:1 and so on.  \[default: the recipe's, or cpu]")
+    ] = None,
     define: Annotated[
         list[str] | None,
         typer.Option("-D", "--define", metavar="KEY=VALUE", help="Set a key of the recipe, dotted: render.spp=32"),
@@ -67,7 +70,8 @@ def optimize(
 
         interrupts.check()
 
-        overrides = [*(define or []), *([f"steps={steps}"] if steps is not None else [])]
+        options = {"steps": steps, "render.device": device}
+        overrides = [*(define or []), *(f"{key}={value}" for key, value in options.items() if value is not None)]
         recipe = recipe_path(recipe)
         with joined() as ranks, warnings.catch_warnings():
             console = Console(quiet=not ranks.is_first)

@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from torch_radbp.training.commands.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.device import Device
 from torch_radbp.training.commands.scene_variables import Define, parse_variables
 from torch_radbp.training.progress import TimedProgress
 
@@ -44,6 +45,7 @@ def render(
     compile: Annotated[
         bool, typer.Option("--compile/--eager", help="Fused loops, or plain torch: slower, but nothing to compile.")
     ] = True,
+    device: Device = None,
     define: Define = None,
     debug: Debug = False,
 ) -> None:
@@ -53,6 +55,7 @@ def render(
         from torch_radbp.io.image import WRITABLE
         from torch_radbp.settings import samples_per_pixel
         from torch_radbp.training.commands.outputs import outputs_of, save_with_outputs
+        from torch_radbp.training.device import usable_device
         from torch_radbp.training.recovery.passes import render_in_passes
         from torch_radbp.training.recovery.targets import sensor_films
 
@@ -60,7 +63,7 @@ def render(
             raise ValueError(f"{output}: the image must end in {' or '.join(WRITABLE)}, got {output.suffix!r}")
         if not output.parent.is_dir():
             raise ValueError(f"{output}: no such folder: {output.parent}")
-        loaded = rb.load(scene, **parse_variables(define))
+        loaded = rb.load(scene, **parse_variables(define)).to(usable_device(device))
         indices = chosen_sensors(sensor, list(sensor_films(loaded)))
         renderer = rb.Renderer(
             loaded, spp=spp, max_depth=max_depth, rr_depth=rr_depth, chunk=chunk, compile=compile

@@ -2,7 +2,7 @@
 
 Seeds are functions of the recipe's seed and the step, the random numbers functions of the seed. With parameters,
 optimiser and scheduler saved, a resumed run therefore computes bit for bit what the uninterrupted run would have
-(on CPU; scatter-adds on CUDA are not deterministic).
+(on a CPU; on a GPU only under `torch.use_deterministic_algorithms`).
 """
 
 import time
@@ -16,6 +16,7 @@ import torch_radbp as rb
 from torch_radbp.adjoint.memory import parse_budget
 from torch_radbp.differentiated import differentiable
 from torch_radbp.training import recipe as schema
+from torch_radbp.training.device import usable_device
 from torch_radbp.training.interrupt import Interrupts
 from torch_radbp.training.ranks import ALONE, Ranks, on_this_machine
 from torch_radbp.training.recovery.checkpoint import save_checkpoint
@@ -37,13 +38,14 @@ class Recovery:
         ranks: the processes that solve it together.
 
     Raises:
-        ValueError: the scene, the parameters or the targets do not fit the recipe.
+        ValueError: the scene, the parameters or the targets do not fit the recipe, or this machine lacks its device.
     """
 
     def __init__(self, recipe: schema.Recipe, ranks: Ranks = ALONE):
         self.recipe, self.ranks = recipe, ranks
-        self.scene = rb.load(recipe.scene, **recipe.variables)
-        self.targets = read_targets(recipe.targets, sensor_films(self.scene))
+        device = usable_device(recipe.render.device)
+        self.scene = rb.load(recipe.scene, **recipe.variables).to(device)
+        self.targets = read_targets(recipe.targets, sensor_films(self.scene)).to(device)
         self.share = ranks.share(len(self.targets.images))
         self.parameters = choose_parameters(self.scene, recipe.parameters)
         self.renderer = make_renderer(self.scene, recipe.render)
@@ -71,6 +73,7 @@ class Recovery:
         }
 
     def load_state_dict(self, state: dict) -> None:
+        """Continues from a state, on whatever device it was reached."""
         self.step, self.skipped, self.seconds = state["step"], state["skipped"], state["seconds"]
         if state["processes"] != self.ranks.count:
             warnings.warn(f"the run had {state['processes']} processes so far and has {self.ranks.count} now: it goes on "
@@ -127,10 +130,11 @@ def make_renderer(scene, spec: schema.Render) -> rb.Renderer:
 
 
 def own_budget(budget: int | str | None, device: torch.device) -> int | None:
-    """The bytes of a recipe's `memory_budget` that are this process's own: those of a machine are shared, not of a GPU."""
+    """The bytes of a recipe's `memory_budget`, which is that of a device, that are this process's own."""
     if budget is None:
         return None
-    return parse_budget(budget) // (on_this_machine() if device.type == "cpu" else 1)
+    devices = torch.cuda.device_count() if device.type == "cuda" else 1
+    return parse_budget(budget) // max(1, -(-on_this_machine() // devices))
 
 
 def make_adjoint(spec: schema.Adjoint):

@@ -55,17 +55,15 @@ class RunFolder:
         write_recipe(recipe, self.path / Recipe.FILE_NAME)
 
     def check_same_recipe(self, recipe: Recipe) -> None:
-        """Raises ValueError if the run was made with a recipe that differs in more than the number of steps."""
-        used = read_recipe(self.path / Recipe.FILE_NAME)
-        changed = [
-            key for key in Recipe.model_fields if key != "steps" and getattr(used, key) != getattr(recipe, key)
-        ]
+        """Raises ValueError if the run was made with a recipe that differs in more than steps and device."""
+        used, wanted = (each.model_copy(update={"steps": 1, "render": each.render.model_copy(update={"device": None})})
+                        for each in (read_recipe(self.path / Recipe.FILE_NAME), recipe))
+        changed = [key for key in Recipe.model_fields if getattr(used, key) != getattr(wanted, key)]
         if changed:
             raise ValueError(
                 f"{self.path} was run with another recipe: {', '.join(changed)} differ; a resumed run may only change "
-                "steps. Use the recipe.toml in that folder, or start anew with another --out"
+                "steps and render.device. Use the recipe.toml in that folder, or start anew with another --out"
             )
-
 
     def forget_from(self, step: int) -> None:
         """Cuts metrics.csv back to the steps before `step`, and warns if some of them are not there."""

@@ -27,6 +27,10 @@ class Targets(NamedTuple):
     sensors: list[int]
     images: Tensor
 
+    def to(self, device: torch.device) -> "Targets":
+        """The same with the images on a device."""
+        return self._replace(images=self.images.to(device))
+
 
 def sensor_films(scene: Scene) -> dict[str, tuple[int, int]]:
     """Returns (height, width) of every sensor's image by name, in the order `renderer(sensors=)` counts."""
