@@ -1,8 +1,10 @@
 """One command for whoever has a CUDA GPU: `make gpu-check`, or, installed with the extras, `python -m benchmarks.gpu_check`.
 
-It runs the tests that need a GPU (those marked `gpu`), then forward and backward passes beside Mitsuba's `cuda_ad_rgb`
-(`benchmarks.versus_mitsuba --device cuda`), and saves what they print, with the names of the card and of the versions, in a
-folder. A step that fails does not keep the next from running. Without a GPU it says so, runs nothing and ends with status 1.
+It runs the tests that need a GPU (those marked `gpu`); then forward and backward passes by themselves: first call, samples
+a second, over our own CPU, peak of memory beside the prediction (`benchmarks.device_figures --device cuda`); then the same
+passes beside Mitsuba's `cuda_ad_rgb` (`benchmarks.versus_mitsuba --device cuda`). What they print, and `report.json` with all
+figures and the names of the card and of the versions, are saved in a folder. A step that fails does not keep the next from
+running. Without a GPU it says so, runs nothing and ends with status 1.
 """
 
 from __future__ import annotations
@@ -37,8 +39,16 @@ class Step(NamedTuple):
 def steps(folder: Path, quick: bool) -> list[Step]:
     """What is run."""
     tests = (sys.executable, "-m", "pytest", "-m", "gpu", "tests/gpu", "-rf")
-    times = (sys.executable, "-m", "benchmarks.versus_mitsuba", "--device", "cuda", "--json", str(folder / "times.json"))
-    return [Step("tests", tests), Step("times", (*times, "--quick", "--rounds", "2") if quick else times)]
+    size = ("--quick", "--rounds", "2") if quick else ("--resolution", "512", "--spp", "64")
+    measured = [Step(name, (sys.executable, "-m", f"benchmarks.{module}", "--device", "cuda", *size, "--json",
+                            str(folder / f"{name}.json")))
+                for name, module in (("figures", "device_figures"), ("times", "versus_mitsuba"))]
+    return [Step("tests", tests), *measured]
+
+
+def saved(folder: Path) -> dict[str, list]:
+    """The figures that the steps have saved, by the name of the step."""
+    return {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
 
 
 def machine() -> dict[str, str]:
@@ -79,7 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
     about = machine()
     print("\n".join(f"{key}: {value}" for key, value in about.items()))
     status = {step.name: run(step, folder) for step in steps(folder, options.quick)}
-    (folder / "report.json").write_text(json.dumps({"machine": about, "status": status}, indent=1))
+    (folder / "report.json").write_text(json.dumps({"machine": about, "status": status, **saved(folder)}, indent=1))
     print(f"saved in {folder}; " + ", ".join(f"{name}: {'passed' if code == 0 else f'failed with status {code}'}"
                                              for name, code in status.items()))
     return max(status.values())

@@ -30,7 +30,9 @@ def measure(options: argparse.Namespace) -> dict:
     """First calls, times and gradients of both peers on one scene, in this process."""
     make, setting = SCENES[options.only]
     with tempfile.TemporaryDirectory() as folder:
-        scene = make(Path(folder), QUICK if options.quick else setting)
+        setting = QUICK if options.quick else setting
+        scene = make(Path(folder), setting._replace(resolution=options.resolution or setting.resolution,
+                                                    spp=options.spp or setting.spp))
         peers = {MITSUBA: Mitsuba(scene, options.device),
                  "eager" if options.eager else "compiled": Ours(scene, not options.eager, options.device)}
     first = {name: peer.run(10_000)._asdict() for name, peer in peers.items()}
@@ -94,6 +96,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", choices=SCENES, nargs="+", default=list(SCENES))
     parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--resolution", type=int, help="pixels a side; default: that of the scene")
+    parser.add_argument("--spp", type=int, help="samples a pixel; default: those of the scene")
     parser.add_argument("--eager", action="store_true", help="this renderer with compile=False")
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="that both render on")
@@ -104,6 +108,7 @@ def main() -> None:
         print(json.dumps(measure(options)))
         return
     flags = [f"--{name}" for name in ("eager", "quick") if getattr(options, name)]
+    flags += [f"--{name}={value}" for name in ("resolution", "spp") if (value := getattr(options, name))]
     print(HEADER, flush=True)
     results = []
     for name in options.scene:
