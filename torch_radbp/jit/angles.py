@@ -55,6 +55,24 @@ def angle_of(y: Tensor, x: Tensor, series: Sequence[float]) -> Tensor:
     return torch.where((x != x) | (y != y), math.nan, torch.copysign(angle, y))
 
 
+def angle_functions(quadrant: Callable[[Tensor], Quadrant], series: Sequence[float]) -> dict[str, Callable[..., Tensor]]:
+    """The functions of angles by their names.
+
+    Args:
+        quadrant: reduces an angle.
+        series: of `angle_of`.
+    """
+    def atan2(y: Tensor, x: Tensor) -> Tensor:
+        return angle_of(y, x, series)
+
+    def other_leg(x: Tensor) -> Tensor:
+        return torch.sqrt((1.0 - x) * (1.0 + x))
+
+    return {"sin": lambda x: sine(x, quadrant(x)), "cos": lambda x: cosine(quadrant(x)),
+            "tan": lambda x: tangent(x, quadrant(x)), "atan2": atan2, "atan": lambda x: atan2(x, torch.ones_like(x)),
+            "asin": lambda x: atan2(x, other_leg(x)), "acos": lambda x: atan2(other_leg(x), x)}
+
+
 def log_beyond_1(x: Tensor, log: Callable[[Tensor], Tensor]) -> Tensor:
     """log1p by Kahan's formula: the rounding of 1 + x cancels."""
     rounded = 1.0 + x

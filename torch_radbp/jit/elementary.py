@@ -21,7 +21,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.angles import angle_of, cosine, log_beyond_1, polynomial, sine, tangent
+from torch_radbp.jit.angles import angle_functions, log_beyond_1, polynomial
 
 LN2_HIGH, LN2_LOW = 0.693359375, -2.12194440e-4  # of ln 2: the first has few digits, so that its multiples are exact
 
@@ -110,34 +110,5 @@ def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return sine, cosine, (turns - 4.0 * torch.floor(0.25 * turns)).float()
 
 
-def sin(x: Tensor) -> Tensor:
-    return sine(x, quadrant(x))
-
-
-def cos(x: Tensor) -> Tensor:
-    return cosine(quadrant(x))
-
-
-def tan(x: Tensor) -> Tensor:
-    return tangent(x, quadrant(x))
-
-
-def atan2(y: Tensor, x: Tensor) -> Tensor:
-    return angle_of(y, x, ATAN)
-
-
-def atan(x: Tensor) -> Tensor:
-    return atan2(x, torch.ones_like(x))
-
-
-def asin(x: Tensor) -> Tensor:
-    return atan2(x, torch.sqrt((1.0 - x) * (1.0 + x)))
-
-
-def acos(x: Tensor) -> Tensor:
-    return atan2(torch.sqrt((1.0 - x) * (1.0 + x)), x)
-
-
 FORMULAS: dict[str, Callable[..., Tensor]] = {
-    "exp": exp, "log": log, "log1p": log1p, "sin": sin, "cos": cos, "tan": tan, "atan2": atan2, "atan": atan, "asin": asin,
-    "acos": acos, "erfc": erfc}
+    "exp": exp, "log": log, "log1p": log1p, "erfc": erfc, **angle_functions(quadrant, ATAN)}

@@ -20,7 +20,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.angles import angle_of, cosine, log_beyond_1, polynomial, sine, tangent
+from torch_radbp.jit.angles import angle_functions, log_beyond_1, polynomial
 
 # Parts of ln 2 and of pi / 2; all but the last have few digits, so that their multiples are exact.
 LN2_HIGH, LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
@@ -133,34 +133,6 @@ def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return sine, cosine, turns - 4.0 * torch.floor(0.25 * turns)
 
 
-def sin(x: Tensor) -> Tensor:
-    return sine(x, quadrant(x))
-
-
-def cos(x: Tensor) -> Tensor:
-    return cosine(quadrant(x))
-
-
-def tan(x: Tensor) -> Tensor:
-    return tangent(x, quadrant(x))
-
-
-def atan2(y: Tensor, x: Tensor) -> Tensor:
-    return angle_of(y, x, ATAN)
-
-
-def atan(x: Tensor) -> Tensor:
-    return atan2(x, torch.ones_like(x))
-
-
-def asin(x: Tensor) -> Tensor:
-    return atan2(x, torch.sqrt((1.0 - x) * (1.0 + x)))
-
-
-def acos(x: Tensor) -> Tensor:
-    return atan2(torch.sqrt((1.0 - x) * (1.0 + x)), x)
-
-
 def sinh(x: Tensor) -> Tensor:
     size = x.abs()
     grown = expm1(size.clamp_max(40.0))
@@ -216,6 +188,5 @@ def pow(x: Tensor, y: Tensor) -> Tensor:  # noqa: A001 (the operation's name)
 
 
 FORMULAS: dict[str, Callable[..., Tensor]] = {
-    "sin": sin, "cos": cos, "tan": tan, "asin": asin, "acos": acos, "atan": atan, "sinh": sinh, "cosh": cosh, "tanh": tanh,
-    "exp": exp, "exp2": exp2, "expm1": expm1, "log": log, "log2": log2, "log10": log10, "log1p": log1p, "erf": erf,
-    "erfc": erfc, "pow": pow, "atan2": atan2, "hypot": hypot}
+    "sinh": sinh, "cosh": cosh, "tanh": tanh, "exp": exp, "exp2": exp2, "expm1": expm1, "log": log, "log2": log2,
+    "log10": log10, "log1p": log1p, "erf": erf, "erfc": erfc, "pow": pow, "hypot": hypot, **angle_functions(quadrant, ATAN)}
