@@ -210,7 +210,9 @@ class Renderer(nn.Module):
         """Warns of what derivatives of a call lack."""
         seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
         sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
-        self.jump_watch.look(Rendering(self.scene, seen, sights, call.caster, self.sampling, Kept(self.kept)))
+        instances = call.scene.triangles.instances
+        self.jump_watch.look(Rendering(self.scene, seen, sights, call.caster, self.sampling, Kept(self.kept),
+                                       None if instances is None else instances.casting))
 
     def prepare(self, seed: int, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                 aovs: bool = False) -> RenderCall:
@@ -280,7 +282,8 @@ class Renderer(nn.Module):
         triangles = moving and self.sampling != "attached" and any_differentiated(call.scene.triangles.vertices.p)
         work = Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
                         call.stages is not EAGER, call.workers, moving, triangles, call.scene.lights.by_place,
-                        call.scene.layout.traces_cones, self.working_set(call, integrand, triangles))
+                        call.scene.layout.traces_cones, scene.triangles.instances is not None,
+                        self.working_set(call, integrand, triangles))
         if self.memory_budget is None:
             return predict(work, chunk, call.adjoint, call.retrace)
         return plan_memory(self.memory_budget, work, chunk, self.adjoint if self.adjoint_is_chosen else None)
@@ -303,11 +306,15 @@ class Renderer(nn.Module):
         Each call keeps its own, and so does the graph behind its image: neither geometry that moves later nor another
         thread changes what they see.
         """
-        mesh = Mesh(scene.triangles.vertices.p.map(primal), scene.triangles.corners, scene.triangles.balls)
+        triangles = scene.triangles
+        instances = None if triangles.instances is None else triangles.instances.casting
+        mesh = Mesh(triangles.vertices.p.map(primal), triangles.corners, triangles.balls, instances)
         known = self.known_caster
         if known is None or not known.mesh.equals(mesh):
-            known = self.known_caster = None  # freed first, if no graph and no thread holds it
-            known = KnownCaster(make_caster(self.caster_name, *mesh.stacked()), mesh)
+            # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
+            last = None if known is None or instances is None else known.caster
+            known = self.known_caster = None
+            known = KnownCaster(make_caster(self.caster_name, *mesh.stacked(), last), mesh)
         self.known_caster = known._replace(mesh=mesh)  # the next call may bring the very same tensors again
         return known.caster
 

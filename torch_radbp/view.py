@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
+
 from torch_radbp.differentiated import detached
 from torch_radbp.plugin import Sensor
 from torch_radbp.sampling.sampler import SampleKey, sample_key
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.shape.placement import Instances
 from torch_radbp.vec import Vec3
 
 
@@ -28,7 +31,9 @@ def view_of(sensor: Sensor, index: int, seeds: tuple[int, int], scene: SceneTens
     sampler, film = sensor.sampler, sensor.film
     camera = kept(camera_of, kept.twin(id(sensor), sensor))
     keys = tuple(sample_key(seed + sampler.seed, index, sampler.low_discrepancy, scene.device) for seed in seeds)
-    return View(camera, film.crop_width, film.crop_height, keys, kept(reaches_beyond, scene.triangles.vertices.p, camera))
+    instances = scene.triangles.instances
+    reaches = kept(reaches_beyond, scene.triangles.vertices.p, None if instances is None else instances.casting, camera)
+    return View(camera, film.crop_width, film.crop_height, keys, reaches)
 
 
 def camera_of(sensor: Sensor) -> Camera:
@@ -36,6 +41,10 @@ def camera_of(sensor: Sensor) -> Camera:
     return sensor.tensors()
 
 
-def reaches_beyond(vertices: Vec3, camera: Camera) -> bool:
-    """True if any of some vertices, (V,), lies beyond the far plane of a camera."""
-    return bool(detached(camera).beyond_far_plane(vertices.detach()).any())
+def reaches_beyond(vertices: Vec3, instances: Instances | None, camera: Camera) -> bool:
+    """True if any vertex, (V,), or a corner of the box around an instance lies beyond the far plane of a camera."""
+    points = vertices.detach()
+    if instances is not None:
+        own, boxes = int(instances.first_vertex[0]), Vec3.of(instances.boxes.flatten(0, 1))
+        points = Vec3(*(torch.cat([own_vertices[:own], corners]) for own_vertices, corners in zip(points, boxes)))
+    return bool(detached(camera).beyond_far_plane(points).any())

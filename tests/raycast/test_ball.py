@@ -111,7 +111,7 @@ def test_the_width_of_vectors_changes_nothing(width, dtype):
     read = [*ray.o, *ray.d, *mesh_in_units(vertices, others, dtype), *tables(balls, dtype), numbers]
     run_lanes(machine_code(queries.closest_hit, dtype, True, width).address, 5003, addresses(read), addresses(hit))
     found = Hit(*hit) if dtype == torch.float32 else refined(vertices, faces, ray, Hit(*hit))
-    assert all(torch.equal(a, b) for a, b in zip(found, caster.intersect(ray)))
+    assert all(torch.equal(a, b) for a, b in zip(found[:4], caster.intersect(ray)))
 
 
 @pytest.mark.parametrize("dtype", DTYPES)

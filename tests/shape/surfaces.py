@@ -22,7 +22,8 @@ def meets(origin: tuple[float, ...], direction: tuple[float, ...], objects: dict
     ray = Ray(*(Vec3(*torch.tensor(row, dtype=torch.float64)[:, None].unbind(0)) for row in (origin, direction)))
     triangles = scene.triangles
     faces = torch.stack(triangles.corners, 1)
-    hit = make_caster("embree", triangles.vertices.p.stack().detach(), faces, triangles.balls).intersect(ray)
+    instances = None if triangles.instances is None else triangles.instances.casting
+    hit = make_caster("embree", triangles.vertices.p.stack().detach(), faces, triangles.balls, instances).intersect(ray)
     return surface_interaction(scene, ray, hit)
 
 

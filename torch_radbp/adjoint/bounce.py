@@ -38,20 +38,21 @@ class Memo(NamedTuple):
     adj_corners: Corners | None = None  # dloss/dp so far of that triangle's vertices; None unless two bounces contribute
 
 
-def empty_memo(like: Tensor, moving: bool, twice: bool, cones: bool) -> Memo:
+def empty_memo(like: Tensor, moving: bool, twice: bool, scene: SceneTensors) -> Memo:
     """The memo before the deepest bounce of each lane.
 
     Args:
         like: (N,) tells device and dtype.
         moving: whether rays carry derivatives.
         twice: whether triangles do, for two bounces each.
-        cones: whether there are cones around rays.
+        scene: tells whether rays have cones around them, and hits instances.
     """
     if not moving:
         return Memo(Vec3.buffer(like))
     nothing = torch.zeros_like(like, dtype=torch.int32)
-    miss = Hit(nothing - 1, *(torch.zeros_like(like) for _ in range(3)))
-    adj_cone = Cone(torch.zeros_like(like), torch.zeros_like(like)) if cones else None
+    instance = None if scene.triangles.instances is None else torch.zeros_like(nothing)
+    miss = Hit(nothing - 1, *(torch.zeros_like(like) for _ in range(3)), instance)
+    adj_cone = Cone(torch.zeros_like(like), torch.zeros_like(like)) if scene.layout.traces_cones else None
     memo = Memo(Vec3.buffer(like), Ray(Vec3.buffer(like), Vec3.buffer(like)), torch.zeros_like(like), adj_cone, miss)
     if not twice:
         return memo

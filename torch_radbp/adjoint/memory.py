@@ -27,6 +27,7 @@ STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, densi
 STEP = {False: (3, 11), True: (5, 15)}
 RADIANCE = (3, 0)  # a `Vec3`
 CONE = 2  # `Cone`, more numbers of a state, and of the memo if rays carry derivatives
+INSTANCE = (0, 4)  # of a `Hit`, if there are any
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
 
@@ -98,6 +99,7 @@ class Workload(NamedTuple):
     triangles: bool = False  # whether triangles do, each for two bounces
     by_place: bool = False  # whether lights are picked with regard to the place that they are to illuminate
     cones: bool = False  # whether paths carry cones
+    instances: bool = False  # whether hits tell which instance
     measured: WorkingSet | None = None  # of a bounce; None: the least that it may be
 
     @property
@@ -134,10 +136,11 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
         return MemoryPlan(chunk, adjoint, False, kept, int(together * (WASTE * bounce.per_lane + spare)))
     depths = adjoint.kept(bounces, work.max_depth)
     per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * state
-    per_lane += sum(fractions) * size(STEP[work.by_place]) * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
+    step = size(STEP[work.by_place]) + size(INSTANCE) * work.instances
+    per_lane += sum(fractions) * step * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
     held = size(RADIANCE) + size(MEMO[work.moving]) + cone * work.moving + size(CORNERS[work.triangles]) + state
-    held += size(STEP[work.by_place]) * (not adjoint.keep_hits)
+    held += step * (not adjoint.keep_hits) + size(INSTANCE) * (work.instances and work.moving)
     share = COMPILED if work.compiled else 1.0
     swept = share * (sweep.per_lane - outside.per_lane) + outside.per_lane
     busy = max(WASTE * (swept + held), WASTE * share * bounce.per_lane) + spare

@@ -78,7 +78,7 @@ class Sweep:
         positions = self.numbered.triangles.vertices.p
         twice = self.moving and integrand.settings.sampling != "attached" and positions.x is not None
         self.of_positions = list(positions) if twice else []  # leaves
-        self.memo = empty_memo(adj_L.x, self.moving, twice, integrand.scene.layout.traces_cones)
+        self.memo = empty_memo(adj_L.x, self.moving, twice, integrand.scene)
 
     def adjoint_of(self, queue: Queue) -> Adjoint:
         """What the lanes of a queue are differentiated with; made once."""

@@ -72,5 +72,6 @@ def spread(hit: Hit | None, alive: Tensor, like: Tensor) -> Hit | None:
     if hit is None:
         return None
     zero = torch.zeros_like(like)
-    miss = Hit(torch.full_like(like, -1, dtype=hit.prim.dtype), zero, zero, zero)
-    return Hit(*(old.index_copy(0, alive.long(), new) for old, new in zip(miss, hit)))
+    nothing = torch.zeros_like(like, dtype=hit.prim.dtype)
+    miss = Hit(nothing - 1, zero, zero, zero, None if hit.instance is None else nothing)
+    return Hit(*(None if new is None else old.index_copy(0, alive.long(), new) for old, new in zip(miss, hit)))

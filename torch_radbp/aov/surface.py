@@ -9,10 +9,19 @@ from torch import Tensor
 
 from torch_radbp.lookup import lookup
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.interaction import at_corners, corner_rows, edges, shading_normal, where_the_ray_goes
+from torch_radbp.scene.interaction import (
+    at_corners,
+    corner_rows,
+    edges,
+    shading_normal,
+    triangle_normal,
+    unit_normal_shown,
+    where_the_ray_goes,
+)
 from torch_radbp.scene.part import part_of
+from torch_radbp.scene.placement import for_lanes, shown
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Frame, Ray, Vec2, Vec3, attached, dot, interpolated, unit_normal, where
+from torch_radbp.vec import Frame, Ray, Vec2, Vec3, attached, dot, interpolated, where
 
 Values = tuple[Tensor, ...]  # (N,) one for each channel
 
@@ -44,13 +53,13 @@ def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> Sight:
         moving: whether ray and geometry carry derivatives: the point stays on the ray.
     """
     triangles = scene.triangles
-    p0, e1, e2 = edges(*at_corners(triangles.vertices.p, corner_rows(scene, hit)))
-    t, n = hit.t, lookup(triangles.n, hit.prim.clamp_min(0))
+    p0, e1, e2 = edges(*shown(scene, hit, at_corners(triangles.vertices.p, corner_rows(scene, hit))))
+    t, n = hit.t, triangle_normal(scene, hit, e1, e2)
     if moving:
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, hit.prim >= 0)
     p = p0 + e1 * hit.u + e2 * hit.v
     if moving:
-        t, n = attached(t, dot(p - ray.o, ray.d)), attached(n, unit_normal(e1, e2))
+        t, n = attached(t, dot(p - ray.o, ray.d)), attached(n, unit_normal_shown(scene, hit, e1, e2))
     return Sight(scene, hit, e1, e2, p, n, t)
 
 
@@ -74,7 +83,11 @@ def tangents(seen: Sight) -> tuple[Vec3, Vec3]:
 
 def number(seen: Sight, which: int) -> Values:
     """A number of the triangle, floating point: 0 the triangle's in its shape, 1 the shape's."""
-    return lookup(seen.scene.triangles.numbers[which], seen.hit.prim.clamp_min(0)).to(seen.t.dtype),
+    triangles = seen.scene.triangles
+    found = lookup(triangles.numbers[which], seen.hit.prim.clamp_min(0))
+    if which == 1 and triangles.instances is not None:  # shapes of groups have the number 0
+        found = found + lookup(triangles.instances.number, seen.hit.instance)
+    return found.to(seen.t.dtype),
 
 
 FUNCTIONS = {
@@ -92,8 +105,9 @@ FUNCTIONS = {
 
 def without_materials(scene: SceneTensors) -> SceneTensors:
     """The tables of a scene that these quantities read, so that what is compiled for them serves scenes of any materials."""
-    triangles = scene.triangles._replace(balls=None, along=None, attributes=(), vertices=scene.triangles.vertices._replace(
-        attributes=()))
+    triangles = scene.triangles._replace(
+        balls=None, along=None, attributes=(), vertices=scene.triangles.vertices._replace(attributes=()),
+        instances=for_lanes(scene.triangles.instances))
     return part_of(scene, None)._replace(triangles=triangles)
 
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -29,10 +31,13 @@ from torch_radbp.scene.geometry import number_of_triangles
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.material import followed, sampling_at, turning_values
 from torch_radbp.scene.pack import one_sided
+from torch_radbp.shape.placement import Instances, expanded
+from torch_radbp.shape.surface import Surface
 
 MOVE_SHAPES = ("to_world", "vertex_positions", "grid")
 MOVE_LIGHTS = ("to_world", "position")
 MOST_LIGHTS = 32  # that move, and that do not, whose shadows are searched
+MOST_OF_GROUP = 1 << 16  # triangles of instances of a group that are looked at
 FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
 CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
 
@@ -45,7 +50,8 @@ class JumpWarning(SilhouetteWarning):
     """The derivatives to be computed lack the contribution of a jump in a BSDF: a silhouette of its microfacets."""
 
 
-class Rendering(NamedTuple):
+@dataclass(frozen=True)
+class Rendering:
     """The rendering that is about to start."""
 
     scene: Scene  # with the parameters of this rendering
@@ -54,20 +60,59 @@ class Rendering(NamedTuple):
     caster: RayCaster  # of the scene as it is now
     sampling: str  # "detached", "hybrid" or "attached"
     kept: Kept  # of this rendering
+    instances: Instances | None = None  # of the scene as it is now
 
     def materials(self) -> list[tuple[BSDF, Kind]]:
         """The materials, one for each side, and how they scatter."""
         return [(bsdf, bsdf.kind()) for bsdf in {id(bsdf): bsdf for bsdf in one_sided(self.scene.bsdfs())}.values()]
 
-    def counts(self) -> list[int]:
-        """The number of triangles of each shape; the caster has them in the order of the shapes."""
-        return [number_of_triangles(self.kept, shape) * (1 if instances is None else len(instances))
-                for shape, instances in zip(self.scene.shapes, self.scene.shown_by)]
+    def moving(self, plugin: Plugin, attributes: Sequence[str] | None = None) -> list[str]:
+        """The full names of those attributes of a plugin, or of all, that have derivatives in this rendering."""
+        attributes = plugin.domains() if attributes is None else attributes
+        asked = [name for name in attributes if asks_for_derivatives(getattr(plugin, name, None))]
+        return [f"{self.names.get(id(plugin), type(plugin).__name__)}.{name}" for name in asked]
 
+    @cached_property
+    def names(self) -> dict[int, str]:
+        """The names of all modules of the scene by their ids."""
+        return {id(module): name for name, module in self.scene.named_modules()}
+
+    @cached_property
+    def shapes(self) -> list[Surface]:
+        """Those of the scene."""
+        return self.scene.shapes
+
+    @cached_property
+    def sizes(self) -> list[int]:
+        """The number of triangles of each shape; the caster has them in the order of the shapes."""
+        return [number_of_triangles(self.kept, shape) for shape in self.shapes]
+
+    @cached_property
+    def seen(self) -> ShownTriangles:
+        """The triangles in the world; of groups of many, those of some instances."""
+        sizes = self.sizes
+        if self.instances is None:
+            return ShownTriangles(self.caster.vertices, self.caster.faces, sizes)
+        shown = expanded(self.caster.vertices, self.caster.faces, self.instances, MOST_OF_GROUP)
+        shape = torch.repeat_interleave(torch.tensor(sizes, device=shown.faces.device))[shown.triangle.long()]
+        order = shape.argsort(stable=True)
+        return ShownTriangles(shown.vertices, shown.faces[order], shape.bincount(minlength=len(sizes)).tolist())
+
+    @cached_property
     def movers(self) -> list[list[str]]:
-        """For each shape, the parameters that move it, of those with derivatives."""
-        return [[name for plugin in (shape, *(instances or ())) for name in moving(self.scene, plugin, MOVE_SHAPES)]
-                for shape, instances in zip(self.scene.shapes, self.scene.shown_by)]
+        """For each shape, the parameters that move it, of those with derivatives; its own and those of its instances."""
+        of_groups = {group: [name for instance in instances for name in self.moving(instance, MOVE_SHAPES)]
+                     for group, instances in self.scene.groups.items()}
+        return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]
+                for shape, instances in zip(self.shapes, self.scene.shown_by)]
+
+
+class ShownTriangles(NamedTuple):
+    """Triangles in the world, in the order of the shapes that they belong to."""
+
+    vertices: Tensor  # (V, 3)
+    faces: Tensor  # (T, 3) int32
+    counts: list[int]  # of each shape
 
 
 class JumpWatch:
@@ -106,18 +151,20 @@ class JumpWatch:
         Parameters that move silhouettes too are left out. Shadows are searched once for each parameter, by casting rays
         from some of the lights.
         """
-        scene, vertices, faces = rendering.scene, rendering.caster.vertices, rendering.caster.faces
-        shapes = rendering.movers()
-        names = {name for plugin in scene.emitters for name in moving(scene, plugin, MOVE_LIGHTS)}.union(*shapes)
+        scene, shapes = rendering.scene, rendering.movers
+        names = {name for plugin in scene.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}.union(*shapes)
         if names <= self.looked_at:
             return None
         self.looked_at |= names
-        lights, counts, owners = some_of(list(lights_of(rendering))), rendering.counts(), scene.shapes
+        lights, owners = some_of(list(lights_of(rendering))), rendering.shapes
         if not lights:
             return None
+        vertices, faces, counts = rendering.seen
         edges = self.edges("world", vertices, faces, counts)
-        shape_of = torch.repeat_interleave(torch.tensor(counts, device=faces.device))
-        shape_at = shape_of.new_zeros(len(vertices)).index_copy(0, faces.flatten().long(), shape_of.repeat_interleave(3))
+        casts_at = torch.repeat_interleave(torch.tensor(counts, device=faces.device))
+        shape_at = casts_at.new_zeros(len(vertices)).index_copy(0, faces.flatten().long(), casts_at.repeat_interleave(3))
+        # A hit counts the triangles of a group once.
+        shape_of = torch.repeat_interleave(torch.tensor(rendering.sizes, device=faces.device))
         missing: set[str] = set()
         for light in lights:
             found = shadows_in_view(edges, vertices, rendering.caster, light.place, light.axis, rendering.sights)
@@ -141,8 +188,8 @@ class JumpWatch:
         scene, sensors, sampling = rendering.scene, rendering.sensors, rendering.sampling
         jumping = [bsdf for bsdf, kind in rendering.materials() if kind.jumps and sampling_at(kind, sampling) != "attached"]
         turning = [name for plugins, attributes in ((sensors, None), (jumping, ("eta",)))
-                   for plugin in plugins for name in moving(scene, plugin, attributes)]
-        turning = [*(name for names in rendering.movers() for name in names), *turning]
+                   for plugin in plugins for name in rendering.moving(plugin, attributes)]
+        turning = [*(name for names in rendering.movers for name in names), *turning]
         if not (jumping and turning):
             return None
         bsdf = f"{jumping[0].type} `{scene.name_of(jumping[0])}`"
@@ -165,15 +212,15 @@ class JumpWatch:
             turning |= {texture_name(scene, textures[slot]): kind.follows or not kind.smooth
                         for slot in slots if any(map(asks_for_derivatives, textures[slot].sources()))}
         hybrid = {id(bsdf): followed(kind, "hybrid") for bsdf, kind in materials}
-        for shape, names in zip(scene.shapes, rendering.movers()):
+        for shape, names in zip(rendering.shapes, rendering.movers):
             delta = [hybrid[id(bsdf)] for bsdf in one_sided([shape.bsdf]) if id(bsdf) in hybrid]
-            turning |= {name: all(delta) for name in moving(scene, shape, ("vertex_normals",)) if delta}
+            turning |= {name: all(delta) for name in rendering.moving(shape, ("vertex_normals",)) if delta}
             turning |= {name: True for name in names if any(delta)}
         if sampling != "detached" and any(hybrid.values()):
-            turning |= {name: True for sensor in rendering.sensors for name in moving(scene, sensor)}
+            turning |= {name: True for sensor in rendering.sensors for name in rendering.moving(sensor)}
         named = self.missing(rendering) if turning else {}
         turning = {name: ideal for name, ideal in turning.items() if name not in named}
-        if not turning or flat(rendering.caster.vertices):
+        if not turning or flat(rendering.seen.vertices):
             return None
         instead = "" if all(turning.values()) else (" With sampling='hybrid' those of surfaces that are neither ideal nor "
                                                     "of glass do not.")
@@ -184,17 +231,18 @@ class JumpWatch:
 
     def missing(self, rendering: Rendering) -> dict[str, int]:
         """The parameters that move silhouettes in view, each with the number of edges found."""
-        scene, missing = rendering.scene, {}
-        vertices, faces, counts = rendering.caster.vertices, rendering.caster.faces, rendering.counts()
-        for shape, names, own in zip(scene.shapes, rendering.movers(), faces.split(counts)):
+        missing: dict[str, int] = {}
+        cameras = {number: names for number, sensor in enumerate(rendering.sensors) if (names := rendering.moving(sensor))}
+        if not cameras and not any(rendering.movers):
+            return missing
+        vertices, faces, counts = rendering.seen
+        for shape, names, own in zip(rendering.shapes, rendering.movers, faces.split(counts)):
             if names:
                 count = number_in_view(self.edges(id(shape), vertices, own, [len(own)]), vertices, rendering.sights)
                 missing |= {name: count for name in names}
-        for sensor, sight in zip(rendering.sensors, rendering.sights):
-            names = moving(scene, sensor)
-            if names:
-                count = number_in_view(self.edges("world", vertices, faces, counts), vertices, [sight])
-                missing |= {name: count for name in names}
+        for number, names in cameras.items():
+            count = number_in_view(self.edges("world", vertices, faces, counts), vertices, [rendering.sights[number]])
+            missing |= {name: count for name in names}
         return {name: count for name, count in missing.items() if count}
 
     def edges(self, key: object, vertices: Tensor, faces: Tensor, counts: Sequence[int]) -> Edges:
@@ -232,15 +280,15 @@ def lights_of(rendering: Rendering) -> Iterator[Light]:
     for emitter in scene.emitters:
         source = emitter.source()
         if source is not None:
-            yield Light(*source, None, moving(scene, emitter, MOVE_LIGHTS))
-    for shape, faces in zip(scene.shapes, caster.faces.split(rendering.counts())):
+            yield Light(*source, None, rendering.moving(emitter, MOVE_LIGHTS))
+    for shape, faces in zip(rendering.shapes, caster.faces.split(rendering.sizes)):
         if shape.emitter is not None:
             first, second, third = caster.vertices[faces.long()].unbind(1)
             normals = torch.linalg.cross(second - first, third - first)
             middle = ((first + second + third) / 3.0).mean(0)
             # The normals of a closed surface add up to zero, but for rounding.
             axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
-            yield Light(*shape.emitter.kind().source(middle, axis), shape, moving(scene, shape, MOVE_SHAPES))
+            yield Light(*shape.emitter.kind().source(middle, axis), shape, rendering.moving(shape, MOVE_SHAPES))
 
 
 def some_of(lights: list[Light]) -> list[Light]:
@@ -265,13 +313,6 @@ def flat(vertices: Tensor) -> bool:
     centred = vertices.double() - vertices.double().mean(0)
     squared_extent = torch.linalg.eigvalsh(centred.T @ centred)
     return bool(squared_extent[0] <= FLAT**2 * squared_extent[-1])
-
-
-def moving(scene: Scene, plugin: Plugin, attributes: Sequence[str] | None = None) -> list[str]:
-    """The full names of those attributes of a plugin, or of all, that have derivatives in this rendering."""
-    attributes = plugin.domains() if attributes is None else attributes
-    asked = [name for name in attributes if asks_for_derivatives(getattr(plugin, name, None))]
-    return [f"{scene.name_of(plugin)}.{name}" for name in asked]
 
 
 def asks_for_derivatives(value) -> bool:

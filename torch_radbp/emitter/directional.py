@@ -14,7 +14,7 @@ from torch_radbp.emitter.kind import Aim, Light, LightKind, Pick, ShadowSource
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
 from torch_radbp.pose import look_at
-from torch_radbp.shape.surface import affine
+from torch_radbp.shape.surface import transform
 from torch_radbp.vec import Vec3
 
 
@@ -51,7 +51,7 @@ class Directional(Light):
         super().__init__()
         if direction is not None and to_world is not None:
             raise ValueError("give either direction or to_world, not both")
-        self.freeze("to_world", affine("to_world", to_world if direction is None else facing(direction)))
+        self.freeze("to_world", transform("to_world", to_world if direction is None else facing(direction)))
         self.irradiance = colour(self, "irradiance", irradiance)
         self.sampling_weight = weight(sampling_weight)
 

@@ -24,7 +24,7 @@ from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Filename, Matrix4, register
 from torch_radbp.sampling.grid import GridDistribution, grid_distribution
 from torch_radbp.sampling.sampler import fine_unit
-from torch_radbp.shape.surface import affine
+from torch_radbp.shape.surface import transform
 from torch_radbp.texture.bitmap import IMAGE, LUMINANCE, linear_image
 from torch_radbp.vec import TINY, Frame, Vec2, Vec3, dot
 
@@ -179,7 +179,7 @@ class Envmap(Light):
         self.filename, self.mis_compensation = filename, mis_compensation
         self.freeze("data", image)
         self.freeze("scale", factor(scale))
-        self.freeze("to_world", affine("to_world", to_world))
+        self.freeze("to_world", transform("to_world", to_world))
         self.sampling_weight = weight(sampling_weight)
 
     bitmap = None  # resolved into `data`

@@ -16,7 +16,7 @@ from torch_radbp.emitter.kind import Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.sensor.perspective import field_of_view, horizontal_fov
-from torch_radbp.shape.surface import affine
+from torch_radbp.shape.surface import transform
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Frame, Vec2, Vec3, normalize
 
@@ -70,7 +70,7 @@ class Projector(Light):
         fov, fov_axis = field_of_view(fov, focal_length, fov_axis)
         self.fov = float(fov) if fov_axis == "x" else horizontal_fov(fov, fov_axis, self.aspect())
         self.freeze("scale", factor(scale))
-        self.freeze("to_world", affine("to_world", to_world))
+        self.freeze("to_world", transform("to_world", to_world))
         self.sampling_weight = weight(sampling_weight)
 
     fov_axis, focal_length = "x", None  # resolved into `fov`

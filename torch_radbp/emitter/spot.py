@@ -15,7 +15,7 @@ from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction
 from torch_radbp.plugin import Matrix4, Texture, register
-from torch_radbp.shape.surface import affine
+from torch_radbp.shape.surface import transform
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Frame, Vec2, Vec3, normalize
 
@@ -87,7 +87,7 @@ class Spot(Light):
         dtype = torch.get_default_dtype()
         self.freeze("cutoff_angle", torch.tensor(float(cutoff_angle), dtype=dtype))
         self.freeze("beam_width", torch.tensor(float(beam_width), dtype=dtype))
-        self.freeze("to_world", affine("to_world", to_world))
+        self.freeze("to_world", transform("to_world", to_world))
         self.sampling_weight = weight(sampling_weight)
 
     def domains(self) -> dict[str, Domain]:

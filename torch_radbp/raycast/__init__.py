@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib
+from functools import partial
 
 from torch import Tensor
 
 from torch_radbp.raycast.ball import castable
+from torch_radbp.raycast.expanded import ExpandedCaster
 from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
 from torch_radbp.shape.ball import TRIANGLES, Balls
+from torch_radbp.shape.placement import Instances
 
 __all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 
@@ -18,7 +21,8 @@ FEW_TRIANGLES = 100  # a path's rays, camera rays aside, test so many one by one
 FEW_BALLS = 128  # likewise; of incoherent rays, 256 take half of the time that a tree of their triangles does
 
 
-def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls | None = None) -> RayCaster:
+def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls | None = None,
+                instances: Instances | None = None, last: RayCaster | None = None) -> RayCaster:
     """Builds the ray caster called `name` over a triangle mesh.
 
     Args:
@@ -27,6 +31,9 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
         vertices: (V, 3) float32 or float64, finite.
         faces: (F, 3) int32, counted from 0.
         balls: which of the triangles are tessellated spheres, found faster; None: none are known.
+        instances: of groups, whose triangles come last and are seen only there; None: there are none. Only "embree" keeps
+            the triangles of a group once.
+        last: a caster whose parts the new one may take over; None: none.
 
     Raises:
         ValueError: unknown name, or a mesh that cannot be used.
@@ -35,10 +42,15 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
     if balls is not None and (len(balls.first) > FEW_BALLS or not bool(castable(balls).all())):
         balls = None
     if name is None:
-        others = len(faces) - (0 if balls is None else TRIANGLES * len(balls.first))
+        seen = len(faces) if instances is None else instances.triangles()
+        others = seen - (0 if balls is None else TRIANGLES * len(balls.first))
         on_cpu = "direct" if others <= FEW_TRIANGLES else "embree"
         name = on_cpu if vertices.device.type == "cpu" else "warp"
     if name not in CASTERS:
         raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))}")
-    module = importlib.import_module(f"torch_radbp.raycast.{name}")
-    return getattr(module, CASTERS[name])(vertices, faces, balls)
+    caster = getattr(importlib.import_module(f"torch_radbp.raycast.{name}"), CASTERS[name])
+    if instances is None:
+        return caster(vertices, faces, balls)
+    if name == "embree":
+        return caster(vertices, faces, balls, instances, last if isinstance(last, caster) else None)
+    return ExpandedCaster(partial(caster, balls=balls), vertices, faces, instances)

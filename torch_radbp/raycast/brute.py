@@ -39,7 +39,7 @@ class Brute:
         check_lanes(ray, None, self.vertices.device)
         chunks = [self._closest(chunk) for chunk, _ in self._chunks(ray)]
         self.rays_cast += ray.o.x.numel()
-        return Hit(*(torch.cat(column).view(ray.o.x.shape) for column in zip(*chunks, strict=True)))
+        return Hit(*(torch.cat(column).view(ray.o.x.shape) for column in list(zip(*chunks, strict=True))[:4]))
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, self.vertices.device)

@@ -61,7 +61,7 @@ class Direct:
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         hit = Hit(torch.empty(shape, dtype=torch.int32, device=CPU),
                   *(torch.empty(shape, dtype=dtype, device=CPU) for _ in range(3)))
-        self._run(queries.closest_hit, [*ray.o, *ray.d], hit)
+        self._run(queries.closest_hit, [*ray.o, *ray.d], hit[:4])
         # The vertices of a ball are on the sphere only up to the rounding of float32, in which a scene may have been loaded.
         exact = self.balls is None or dtype == torch.float32
         return hit if exact else refined(self.vertices, self.faces, ray, hit)

@@ -6,7 +6,6 @@ the packets of `packets.py`, on the threads of `jit/team.py`.
 
 from __future__ import annotations
 
-import weakref
 from array import array
 from collections.abc import Callable, Iterable
 from threading import Lock
@@ -21,8 +20,10 @@ from torch_radbp.raycast.ball import other_triangles, tables
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
+from torch_radbp.raycast.tree import Device, Geometry, Group, Tree, groups_of
 from torch_radbp.raycast.vectors import Vectors
 from torch_radbp.shape.ball import Balls
+from torch_radbp.shape.placement import Instances
 
 CPU = torch.device("cpu")
 ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what Embree writes into a `Hit`
@@ -37,58 +38,60 @@ class Embree:
     contiguous are copied. A copied or unpickled caster builds its own scene and counts its rays from zero.
 
     Geometry that moves gets a new scene each time, about one microsecond a triangle: as fast as committing the old scene
-    again, and queries stay fast however far vertices move.
+    again, and queries stay fast however far vertices move. The trees of groups are taken from the last caster as long as
+    their triangles stay as they are, wherever instances show them.
 
     Args:
         vertices: (V, 3) float32 or float64, finite; copied.
         faces: (F, 3) integers in [0, V); copied. Triangles without area are never hit.
         balls: those among the triangles, which Embree does not see; None: none.
+        instances: of groups of the triangles; None: none.
+        last: a caster that this one follows.
 
     Raises:
         ValueError: the mesh is not as said above, or not on the CPU.
         RuntimeError: Embree is not installed, or reports an error.
     """
 
-    def __init__(self, vertices: Tensor, faces: Tensor, balls: Balls | None = None) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor, balls: Balls | None = None, instances: Instances | None = None,
+                 last: Embree | None = None) -> None:
         self.vertices = checked_vertices(vertices, device=CPU)
         self.faces = checked_faces(faces, len(self.vertices), device=CPU)
-        self.balls = balls
-        self._others, self._tables = self.faces, []
+        self.balls, self.instances = balls, instances
+        own = self.faces if instances is None else self.faces[:int(instances.first_triangle[0])]
+        self._tables, numbers = [], None
         if balls is not None:
-            self._others, numbers = other_triangles(self.faces, balls)
-            self._tables = [*tables(balls, torch.float32), numbers]
+            own, numbers = other_triangles(own, balls)
         self.rays_cast = 0
         self._counting = Lock()
-        # Embree reads this buffer in place, and 16 bytes at a time: past the last vertex by 4.
-        self._buffer = torch.zeros(len(self.vertices) + 1, 3, dtype=torch.float32, device=CPU)
-        self._buffer[:-1] = self.vertices
-        extent = self._buffer[:-1].amax(dim=0) - self._buffer[:-1].amin(dim=0)
-        self._near = packets.NEAR * extent.max()
         embree = library.load()
         self._intersect, self._occluded = library.address(embree.rtcIntersect8), library.address(embree.rtcOccluded8)
-        self._device = library.new_device()
-        self._scene = embree.rtcNewScene(self._device)
-        self._geometry = embree.rtcNewGeometry(self._device, library.GEOMETRY_TYPE_TRIANGLE)
-        weakref.finalize(self, _release, embree, self._geometry, self._scene, self._device)
-
-        # Robust: no ray slips between two triangles that share an edge.
-        embree.rtcSetSceneFlags(self._scene, library.SCENE_FLAG_ROBUST)
-        for kind, item, data, count in (
-            (library.BUFFER_TYPE_VERTEX, library.FORMAT_FLOAT3, self._buffer, len(self.vertices)),
-            (library.BUFFER_TYPE_INDEX, library.FORMAT_UINT3, self._others, len(self._others)),
-        ):
-            embree.rtcSetSharedGeometryBuffer(self._geometry, kind, 0, item, data.data_ptr(), 0, 12, count)
-        embree.rtcAttachGeometry(self._scene, self._geometry)
-        embree.rtcCommitGeometry(self._geometry)
-        embree.rtcCommitScene(self._scene)
-        library.check(self._device, f"building a scene of {len(self._others)} triangles")
+        extent = self.vertices.amax(0) - self.vertices.amin(0) if instances is None else instances.extent(self.vertices)
+        self._near = (packets.NEAR * extent.max()).float()
+        device = Device() if instances is None or last is None else last.device
+        geometries = [Geometry.of_triangles(device, self.vertices, own)] if len(own) else []
+        self.groups: list[Group] = []
+        if instances is not None:
+            self.groups = groups_of(device, self.vertices, self.faces, instances, [] if last is None else last.groups)
+            places = instances.to_world.float().split(instances.first_instance.diff().tolist())
+            shown = [Geometry.of_instances(device, group.tree, own) for group, own in zip(self.groups, places)]
+            geometries = [*shown, *geometries]  # Embree numbers them in this order
+            self._tables = [torch.cat([torch.zeros(1), instances.first_triangle[:-1] - int(instances.first_triangle[0])
+                                       + len(own)]).to(torch.int32),
+                            torch.cat([torch.ones(1), instances.first_instance[:-1] + 1]).to(torch.int32)]
+        if balls is not None:
+            shown = torch.arange(0 if instances is None else int(instances.first_triangle[0]), len(self.faces))
+            numbers = numbers if instances is None else torch.cat([numbers, shown.to(torch.int32)])
+            self._tables += [*tables(balls, torch.float32), numbers]
+        self.device, self._scene = device, Tree(device, geometries)
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, CPU)
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
-        hit = Hit(*(torch.empty(shape, dtype=answer, device=CPU) for answer in ANSWERS))
-        self._run(queries.closest_hit, self._intersect, [*ray.o, *ray.d], hit)
-        return hit if dtype == torch.float32 else refined(self.vertices, self.faces, ray, hit)
+        answers = ANSWERS if self.instances is None else (*ANSWERS, torch.int32)
+        hit = Hit(*(torch.empty(shape, dtype=answer, device=CPU) for answer in answers))
+        self._run(queries.closest_hit, self._intersect, [*ray.o, *ray.d], hit[:len(answers)])
+        return hit if dtype == torch.float32 else refined(self.vertices, self.faces, ray, hit, self.instances)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
@@ -100,25 +103,20 @@ class Embree:
         """Runs a loop of `queries` over all lanes."""
         lanes = columns[0].numel()
         columns = columns_of(columns, torch.float32)
-        inputs = array("q", [*(column.data_ptr() for column in columns), query, self._scene, self._near.data_ptr(),
+        inputs = array("q", [*(column.data_ptr() for column in columns), query, self._scene.handle, self._near.data_ptr(),
                              *(table.data_ptr() for table in self._tables)])
         outputs = array("q", [answer.data_ptr() for answer in answers])
-        run_lanes(machine_code(loop, self.balls is not None).address, lanes, inputs, outputs, PART)
+        code = machine_code(loop, self.balls is not None, self.instances is not None)
+        run_lanes(code.address, lanes, inputs, outputs, PART)
         with self._counting:
             self.rays_cast += lanes
 
     def __reduce__(self):
-        return Embree, (self.vertices, self.faces, self.balls)
+        return Embree, (self.vertices, self.faces, self.balls, self.instances)
 
 
 @made_once
-def machine_code(loop: Callable, balls: bool) -> MachineCode:
+def machine_code(loop: Callable, balls: bool, instances: bool = False) -> MachineCode:
     """A loop of `queries` over packets."""
-    return MachineCode(loop(Vectors(packets.WIDTH, "float"),
-                            every_ball.beside(packets.KERNEL) if balls else packets.KERNEL))
-
-
-def _release(embree, geometry: int, scene: int, device: int) -> None:
-    embree.rtcReleaseGeometry(geometry)
-    embree.rtcReleaseScene(scene)
-    embree.rtcReleaseDevice(device)
+    kernel = packets.OF_INSTANCES if instances else packets.KERNEL
+    return MachineCode(loop(Vectors(packets.WIDTH, "float"), every_ball.beside(kernel) if balls else kernel))

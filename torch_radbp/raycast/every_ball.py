@@ -59,12 +59,14 @@ class Nearest(NamedTuple):
 def beside(kernel: Kernel) -> Kernel:
     """A kernel for balls and for the other triangles, which `kernel` sees under numbers of their own."""
 
-    def closest(code: Vectors, rays: Rays) -> tuple[str, str, str, str]:
-        prim, u, v, t = kernel.closest(code, rays)
+    def closest(code: Vectors, rays: Rays) -> tuple[str, ...]:
+        prim, u, v, t, *instance = kernel.closest(code, rays)
         found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
         prim = code.choose(found, code.gather("i32", "%numbers", prim, found), prim, "i32")
         farthest = code.choose(found, t, code.choose(rays.valid, code.constant(INFINITY), ZERO))
-        return closest_ball(code, rays, (farthest, prim, u, v))
+        answer = closest_ball(code, rays, (farthest, prim, u, v))
+        kept = code.line(f"icmp eq {code.integers} {prim}, {answer[0]}")  # balls are in no group
+        return *answer, *(code.choose(kept, shown, ZERO, "i32") for shown in instance)
 
     def occluded(code: Vectors, rays: Rays, tmax: str) -> str:
         met = kernel.occluded(code, rays, tmax)
@@ -74,7 +76,7 @@ def beside(kernel: Kernel) -> Kernel:
         kernel.prepare(code)
         code.lay("%ball_count = load i64, ptr %ball_count_at", f"%starts = alloca {code.numbers}, i64 %ball_count")
 
-    return Kernel((*kernel.inputs, *INPUTS), prepare, closest, occluded)
+    return Kernel((*kernel.inputs, *INPUTS), prepare, closest, occluded, kernel.instances)
 
 
 def closest_ball(code: Vectors, rays: Rays, before: tuple[str, str, str, str]) -> tuple[str, str, str, str]:

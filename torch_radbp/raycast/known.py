@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.shape.ball import Balls
+from torch_radbp.shape.placement import Instances
 from torch_radbp.vec import Vec3
 
 
@@ -18,15 +19,16 @@ class Mesh(NamedTuple):
     p: Vec3  # (V,) positions
     corners: tuple[Tensor, Tensor, Tensor]  # (T,) int32 each, rows of `p`
     balls: Balls | None  # among them
+    instances: Instances | None = None  # of some of them
 
     def equals(self, other: Mesh) -> bool:
         """True if the other has the same triangles."""
-        mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ())) for mesh in (self, other))
+        mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ()), *(mesh.instances or ())) for mesh in (self, other))
         return len(mine) == len(others) and all(map(same, mine, others))
 
-    def stacked(self) -> tuple[Tensor, Tensor, Balls | None]:
-        """The vertices (V, 3), the faces (T, 3), and the balls among them."""
-        return self.p.stack(), torch.stack(self.corners, 1), self.balls
+    def stacked(self) -> tuple[Tensor, Tensor, Balls | None, Instances | None]:
+        """The vertices (V, 3), the faces (T, 3), the balls among them, and the instances of some."""
+        return self.p.stack(), torch.stack(self.corners, 1), self.balls, self.instances
 
 
 class KnownCaster(NamedTuple):

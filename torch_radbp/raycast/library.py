@@ -8,9 +8,9 @@ from pathlib import Path
 
 # Values of rtcore_device.h, rtcore_geometry.h, rtcore_buffer.h, rtcore_common.h and rtcore_scene.h.
 PROPERTY_VERSION, PROPERTY_NATIVE_RAY8_SUPPORTED, PROPERTY_TRIANGLES_SUPPORTED = 0, 33, 96
-GEOMETRY_TYPE_TRIANGLE = 0
-BUFFER_TYPE_INDEX, BUFFER_TYPE_VERTEX = 0, 1
-FORMAT_UINT3, FORMAT_FLOAT3 = 0x5003, 0x9003
+GEOMETRY_TYPE_TRIANGLE, GEOMETRY_TYPE_INSTANCE_ARRAY = 0, 122
+BUFFER_TYPE_INDEX, BUFFER_TYPE_VERTEX, BUFFER_TYPE_TRANSFORM = 0, 1, 23
+FORMAT_UINT3, FORMAT_FLOAT3, FORMAT_FLOAT3X4_ROW_MAJOR = 0x5003, 0x9003, 0x9134
 SCENE_FLAG_ROBUST = 1 << 2
 # A robust scene's watertight triangle test in a hierarchy with plain boxes instead of widened ones: a quarter faster on
 # closest hits, and as tight as the robust scene in 60 million rays at edges and along axes. Needs AVX.
@@ -33,6 +33,7 @@ PROTOTYPES = {
         None,  # geometry, type, slot, format, pointer, byte offset, byte stride, item count
         [c_void_p, c_int, c_uint, c_int, c_void_p, c_size_t, c_size_t, c_size_t],
     ),
+    "rtcSetGeometryInstancedScene": (None, [c_void_p, c_void_p]),
     "rtcCommitGeometry": (None, [c_void_p]),
     "rtcAttachGeometry": (c_uint, [c_void_p, c_void_p]),
     "rtcIntersect8": (None, [c_void_p] * 4),

@@ -18,7 +18,8 @@ from torch_radbp.raycast.vectors import ZERO, Vectors
 WIDTH = 8  # rays in a packet
 
 # Rows of RTCRayHit8 (rtcore_ray.h), each a vector of 32-bit words.
-ORIGIN, TNEAR, DIRECTION, TFAR, MASK, NORMAL, U, V, PRIM_ID, GEOM_ID, ROWS = 0, 3, 4, 8, 9, 12, 15, 16, 17, 18, 21
+ORIGIN, TNEAR, DIRECTION, TFAR, MASK, NORMAL, U, V, PRIM_ID, GEOM_ID = 0, 3, 4, 8, 9, 12, 15, 16, 17, 18
+INST_ID, INST_PRIM_ID, ROWS = 19, 20, 21
 QUERY = "call void %query(ptr %active, ptr %scene, ptr %packet, ptr %arguments)"
 COHERENT = 1 << 16  # RTC_RAY_QUERY_FLAG_COHERENT
 NEAR = 0.05  # how far origins of coherent rays may differ, in units of the mesh's extent
@@ -109,5 +110,21 @@ def occluded(code: Vectors, rays: Rays, tmax: str) -> str:
     return code.compare(get(code, TFAR), "olt", ZERO)
 
 
+def closest_of_instances(code: Vectors, rays: Rays) -> tuple[str, str, str, str, str]:
+    """As `closest`, in a scene of triangles and of arrays of instances; and the instance, counted through all arrays.
+
+    Embree counts both anew in each of its geometries: what comes before is read from two tables, first that of the
+    triangles that no instance shows, whose geometry Embree calls -1.
+    """
+    prim, *place = closest(code, rays)
+    found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    geometry = code.line(f"sub {code.integers} {get(code, INST_ID, 'i32')}, {NOTHING}")
+    before, first = (code.gather("i32", table, geometry, found) for table in ("%first_triangles", "%first_instances"))
+    prim = code.choose(found, code.line(f"add {code.integers} {prim}, {before}"), prim, "i32")
+    instance = code.line(f"add {code.integers} {get(code, INST_PRIM_ID, 'i32')}, {first}")
+    return prim, *place, code.choose(found, instance, ZERO, "i32")
+
+
 # Embree's function and scene, and the address of the distance within which origins are near.
 KERNEL = Kernel(("query", "scene", "near_at"), prepare, closest, occluded)
+OF_INSTANCES = Kernel((*KERNEL.inputs, "first_triangles", "first_instances"), prepare, closest_of_instances, occluded, True)

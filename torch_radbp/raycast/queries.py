@@ -23,8 +23,10 @@ class Kernel(NamedTuple):
 
     inputs: tuple[str, ...]  # names of the addresses behind the columns
     prepare: Callable[[Vectors], None]  # what comes before the loop
-    closest: Callable[[Vectors, Rays], tuple[str, str, str, str]]  # prim (i32, -1 on a miss), u, v and t (0 on a miss)
+    # prim (i32, -1 on a miss), u, v and t (0 on a miss); and where there are instances, which (i32, 0 on a miss).
+    closest: Callable[[Vectors, Rays], tuple[str, ...]]
     occluded: Callable[[Vectors, Rays, str], str]  # with tmax > 0: flags
+    instances: bool = False
 
 
 def begin(code: Vectors, kernel: Kernel, columns: int, outputs: int) -> list[str]:
@@ -56,12 +58,13 @@ def rays_of(code: Vectors, columns: list[str], mask: str) -> Rays:
 
 
 def closest_hit(code: Vectors, kernel: Kernel) -> str:
-    """The text of the loop for closest hits: prim, u, v and t of every lane."""
-    columns = begin(code, kernel, columns=6, outputs=4)
+    """The text of the loop for closest hits: prim, u, v and t of every lane, and the instance if there are any."""
+    kinds = ("i32", *[code.scalar] * 3, *["i32"] * kernel.instances)
+    columns = begin(code, kernel, columns=6, outputs=len(kinds))
     code.lay("br label %cast\ncast:\n%at = phi i64 [ %first, %entry ], [ %at.next, %answered ]")
     mask = lanes_before(code, "%last", "%at")
     answers = kernel.closest(code, rays_of(code, [code.load_where(mask, column, "%at") for column in columns], mask))
-    for number, (kind, answer) in enumerate(zip(("i32", *[code.scalar] * 3), answers)):
+    for number, (kind, answer) in enumerate(zip(kinds, answers, strict=True)):
         code.store_where(mask, kind, answer, f"%out{number}", "%at")
     code.lay("br label %answered", "answered:",
              f"%at.next = add i64 %at, {code.width}", "%at.more = icmp slt i64 %at.next, %last",

@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.raycast.protocol import Hit, Ray
+from torch_radbp.shape.placement import Instances
 from torch_radbp.vec import Vec3, crossing, dot
 
 
-def refined(vertices: Tensor, faces: Tensor, ray: Ray, hit: Hit) -> Hit:
+def refined(vertices: Tensor, faces: Tensor, ray: Ray, hit: Hit, instances: Instances | None = None) -> Hit:
     """The hit with u, v and t of the ray's line and the triangle's plane, in the ray's dtype.
 
     Args:
@@ -17,13 +18,18 @@ def refined(vertices: Tensor, faces: Tensor, ray: Ray, hit: Hit) -> Hit:
         faces: (F, 3).
         ray: (N,).
         hit: of these rays; its triangle is kept.
+        instances: of parts of the mesh.
     """
     ray = Ray(ray.o.detach(), ray.d.detach())
     corners = vertices.to(ray.o.x.dtype)[faces[hit.prim.clamp(min=0)].long()]
+    if instances is not None:
+        matrices = instances.by_hit(corners.dtype)[hit.instance.long()]
+        corners = (matrices[..., None, :, :3] * corners[..., None, :]).sum(-1) + matrices[..., None, :, 3]
     p0, p1, p2 = (Vec3.of(corners[..., corner, :]) for corner in range(3))
     e1, e2 = p1 - p0, p2 - p0
     volume, of_u, of_v = crossing(ray, p0, e1, e2)
     u, v = of_u / volume, of_v / volume
     t = dot(p0 + e1 * u + e2 * v - ray.o, ray.d) / dot(ray.d, ray.d)
     found = (hit.prim >= 0) & (volume != 0)
-    return Hit(hit.prim, *(torch.where(found, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:])))
+    places = (torch.where(found, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:4]))
+    return Hit(hit.prim, *places, hit.instance)

@@ -73,7 +73,7 @@ class Warp:
         check_lanes(ray, None, self.vertices.device)
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         hit = Hit(*(self.vertices.new_empty(shape, dtype=answer) for answer in ANSWERS))
-        self._launch(closest_hit, [*ray.o, *ray.d], hit)
+        self._launch(closest_hit, [*ray.o, *ray.d], hit[:4])
         return hit if dtype == torch.float32 else refined(self.vertices, self.faces, ray, hit)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:

@@ -40,4 +40,4 @@ def behind_emitters(caster, scene: SceneTensors, ray: Ray, hit):
         start = si.offset(seen.d)
         beyond = caster.intersect(Ray(start, seen.d))
         beyond = beyond._replace(t=beyond.t + dot(start - seen.o, seen.d))
-        hit = type(hit)(*(old.index_copy(0, hidden, new) for old, new in zip(hit, beyond)))
+        hit = type(hit)(*(None if old is None else old.index_copy(0, hidden, new) for old, new in zip(hit, beyond)))

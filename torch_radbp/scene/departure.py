@@ -19,6 +19,7 @@ from torch import Tensor
 
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, at_corners, corner_rows, edges
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, sampling_at
+from torch_radbp.scene.placement import shown
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
 
@@ -39,7 +40,8 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
         sample: the direction.
         following: the `raycast.Hit` of that ray.
         sampling: "detached", "hybrid" or "attached".
-        there: the corners of the triangle that the ray meets; None: as the scene has them.
+        there: the corners of the triangle that the ray meets, where it is an instance's in the frame of the group; None: as
+            the scene has them.
 
     Returns:
         bsdf * |cos| / pdf, and the ray.
@@ -51,6 +53,7 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
     chance = torch.isfinite(sample.pdf)
     if there is None:
         there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
+    there = shown(scene, following, there)
     d, change = glued_direction(there, o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))
     specular = ray if sampling == "hybrid" else Ray(o, fixed)
     if not material.kind.smooth:

@@ -12,9 +12,11 @@ from torch import Tensor
 from torch_radbp.differentiated import differentiated
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.placement import InstanceTable, boxes, instance_table
 from torch_radbp.scene.tensors import TriangleTable, VertexTable
 from torch_radbp.shape.ball import TRIANGLES, Ball, Balls
-from torch_radbp.shape.instance import Instance, instanced
+from torch_radbp.shape.instance import Instance
+from torch_radbp.shape.placement import Instances
 from torch_radbp.shape.surface import Surface, Triangles
 from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
 
@@ -24,7 +26,7 @@ FLAT = 1e-5  # largest difference between a vertex normal and that of its face o
 
 
 class PlacedShape(NamedTuple):
-    """A shape as triangles in world space."""
+    """A shape as triangles in world space, or in the frame of its group."""
 
     surface: Triangles  # attached
     vertices: Tensor  # (V, 3) of the surface, detached; the same object as in the last rendering while the values are
@@ -36,7 +38,7 @@ class Numbers(NamedTuple):
     """How the triangles of a shape are counted."""
 
     counted: bool  # if not, they are one primitive, of number 0
-    shapes: tuple[int, ...]  # the number of the shape in the scene, or those of the instances that show it, in turn
+    shape: int  # the number of the shape in the scene; 0: it belongs to a group
 
 
 class Columns(NamedTuple):
@@ -52,15 +54,13 @@ class Columns(NamedTuple):
     numbers: tuple[Numbers, ...] | None = None  # of each shape, for AOVs
 
 
-def placed_shape(kept: Kept, shape: Surface, instances: Sequence[Instance] | None, dtype: torch.dtype) -> PlacedShape:
-    """A shape as it is now; where instances show it, if it belongs to a group."""
+def placed_shape(kept: Kept, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:
+    """A shape as it is now; if instances show it, in the frame of its group, and as triangles only."""
     surface = kept(without_flat_normals, kept(oriented, kept.twin(id(shape), shape), connections(kept, shape)))
-    if instances is not None:
-        poses = tuple(kept.part((id(instance), "to_world"), instance.to_world) for instance in instances)
-        surface = kept(instanced, surface, poses)
-    place = id(shape), instances is not None
+    place = id(shape)
     return PlacedShape(surface, kept.frozen((place, "vertices"), surface.vertices.to(dtype)),
-                       kept.frozen((place, "faces"), surface.faces), frozen_ball(kept, place, surface.ball))
+                       kept.frozen((place, "faces"), surface.faces),
+                       None if instanced else frozen_ball(kept, place, surface.ball))
 
 
 def frozen_ball(kept: Kept, place: Hashable, ball: Ball | None) -> Ball | None:
@@ -106,7 +106,7 @@ def flat_normals(surface: Triangles, faces: Tensor) -> bool:
 
 
 def triangle_table(kept: Kept, shapes: Sequence[PlacedShape], columns: Columns, dtype: torch.dtype,
-                   device: torch.device) -> TriangleTable:
+                   device: torch.device, instances: InstanceTable | None = None) -> TriangleTable:
     """The triangles of all shapes, in order."""
     counts = tuple(len(shape.faces) for shape in shapes)
     surfaces = tuple(shape.surface for shape in shapes)
@@ -126,7 +126,60 @@ def triangle_table(kept: Kept, shapes: Sequence[PlacedShape], columns: Columns, 
                          emitter=kept(emitter_rows, columns.emitting, counts, device),
                          balls=kept(balls_among, tuple(shape.ball for shape in shapes), counts, device),
                          attributes=kept(face_table, surfaces, counts, columns.face_attributes, dtype, device),
-                         numbers=None if columns.numbers is None else kept(numbers, columns.numbers, counts, device))
+                         numbers=None if columns.numbers is None else kept(numbers, columns.numbers, counts, device),
+                         instances=instances)
+
+
+def shown_instances(kept: Kept, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,
+                    numbers: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> InstanceTable | None:
+    """The instances of a scene, attached to their poses; None if it has none.
+
+    Args:
+        kept: what is known from the last rendering.
+        groups: the instances of each group.
+        shapes: of the scene, then of each group.
+        normals: whether a vertex has a normal.
+        numbers: of all instances, for AOVs.
+        dtype, device: of the result.
+    """
+    if not groups:
+        return None
+    members = [len(instances[0].shapegroup.shapes) for instances in groups]
+    poses = kept(stacked, tuple(kept.part((id(instance), "to_world"), instance.to_world)
+                                for instances in groups for instance in instances), dtype)
+    casting = kept(casting_of, kept.frozen("poses of instances", poses), tuple(map(len, groups)), tuple(members),
+                   tuple(shape.vertices for shape in shapes), tuple(shape.faces for shape in shapes))
+    return kept(instance_table, poses, normals, casting, numbers)
+
+
+def stacked(poses: tuple[Tensor, ...], dtype: torch.dtype) -> Tensor:
+    """(I, 4, 4) poses in one tensor."""
+    return torch.stack(poses).to(dtype)
+
+
+def casting_of(poses: Tensor, counts: tuple[int, ...], members: tuple[int, ...], vertices: tuple[Tensor, ...],
+               faces: tuple[Tensor, ...]) -> Instances:
+    """What ray casters need to know of instances.
+
+    Args:
+        poses: (I, 4, 4) detached.
+        counts: the number of instances of each group.
+        members: the number of shapes in each group.
+        vertices: (V, 3) of all shapes, those of groups last.
+        faces: (F, 3) likewise.
+    """
+    own, device = len(vertices) - sum(members), poses.device
+
+    def firsts(sizes: list[int]) -> Tensor:
+        in_groups = iter(sizes[own:])
+        sums = [sum(itertools.islice(in_groups, count)) for count in members]
+        return torch.tensor(list(itertools.accumulate(sums, initial=sum(sizes[:own]))), device=device)
+
+    to_world, in_groups = poses[:, :3].contiguous(), iter(vertices[own:])
+    points = [torch.cat(list(itertools.islice(in_groups, count))) for count in members]
+    return Instances(to_world, firsts(list(map(len, vertices))), firsts(list(map(len, faces))),
+                     torch.tensor(list(itertools.accumulate(counts, initial=0)), device=device),
+                     boxes(points, to_world.split(counts)))
 
 
 def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: torch.device) -> Balls | None:
@@ -209,11 +262,8 @@ def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.
 def numbers(shapes: Sequence[Numbers], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
     """The number of each triangle in its shape, and that of the shape, (T,) int32 each; `counts` are of triangles."""
     none = torch.zeros(0, dtype=torch.int32)
-    sizes = [count // len(shape.shapes) for shape, count in zip(shapes, counts)]
-    own = [torch.arange(size, dtype=torch.int32).repeat(len(shape.shapes)) * shape.counted
-           for shape, size in zip(shapes, sizes)]
-    of_shapes = [torch.tensor(shape.shapes, dtype=torch.int32).repeat_interleave(size) for shape, size in zip(shapes, sizes)]
-    return torch.cat([none, *own]).to(device), torch.cat([none, *of_shapes]).to(device)
+    own = [torch.arange(count, dtype=torch.int32) * shape.counted for shape, count in zip(shapes, counts)]
+    return torch.cat([none, *own]).to(device), of_each([shape.shape for shape in shapes], counts, torch.int32, device)
 
 
 def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tensor]:

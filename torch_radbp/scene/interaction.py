@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import torch
@@ -11,6 +10,13 @@ from torch import Tensor
 from torch_radbp.lookup import lookup
 from torch_radbp.scene.cone import Cone, footprint
 from torch_radbp.scene.growth import growth
+from torch_radbp.scene.placement import (
+    largest_coordinate,
+    power_of_two_above,
+    shown,
+    shown_direction,
+    shown_normals,
+)
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import Edges, TexturePoint
 from torch_radbp.vec import (
@@ -67,7 +73,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         slides: (N,) bool: how the point follows when ray and scene are attached. True: it stays on the ray and slides over
             the triangle. False: it is glued to the triangle, at fixed barycentric coordinates, whatever the ray does.
             None: it does not follow, because nothing moves.
-        here: the corners of the triangle; None: as the scene has them.
+        here: the corners of the triangle, where it is an instance's in the frame of the group; None: as the scene has them.
         front: (N,) bool: the viewer is on the side of the shading normal, which was decided before where the sides of a
             material differ in appearance; None: nowhere.
         cone: of the rays; None if no texture asks for it.
@@ -76,14 +82,16 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     valid = hit.prim >= 0
     prim = hit.prim.clamp_min(0)
     vertices, layout = triangles.vertices, scene.layout
-    t, n, rows = hit.t, lookup(triangles.n, prim), corner_rows(scene, hit)
-    p0, e1, e2 = edges(*(at_corners(vertices.p, rows) if here is None else here))
+    t, rows = hit.t, corner_rows(scene, hit)
+    corners = shown(scene, hit, at_corners(vertices.p, rows) if here is None else here)
+    p0, e1, e2 = edges(*corners)
+    n = triangle_normal(scene, hit, e1, e2)
     if slides is not None:
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
     p = p0 + e1 * hit.u + e2 * hit.v  # not o + t d, which for a long ray lies off the surface by rounding
     if slides is not None:
         t = attached(t, dot(p - ray.o, ray.d))
-        n = attached(n, unit_normal(e1, e2))
+        n = attached(n, unit_normal_shown(scene, hit, e1, e2))
     cosine = dot(n, ray.d)
     shading = shading_normal(scene, hit, n)
     shading_cosine = dot(shading, ray.d)
@@ -104,7 +112,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         if front is not None:
             differs = lookup(scene.materials.differs, material)
             own = (front & differs) | (own & ~differs)
-        along = lookup(triangles.along, prim) if appearance.kind.oriented else None
+        along = shown_direction(scene, hit, lookup(triangles.along, prim)) if appearance.kind.oriented else None
         if layout.back_sides:
             material = material + (~own).to(material.dtype) * scene.materials.count
             side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
@@ -120,7 +128,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         point = point._replace(footprint=footprint(cone, come, cosine, (e1, e2), change))
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
     return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, own, wi, point, t, cosine,
-                              lookup(triangles.clearance, prim))
+                              clearance_at(scene, hit, corners))
 
 
 def shading_normal(scene: SceneTensors, hit, n: Vec3) -> Vec3:
@@ -128,13 +136,38 @@ def shading_normal(scene: SceneTensors, hit, n: Vec3) -> Vec3:
     triangles = scene.triangles
     if not scene.layout.shading_normals:
         return n
-    shading = normalize(interpolated(at_corners(triangles.vertices.n, corner_rows(scene, hit)), hit.u, hit.v))
+    normals = shown_normals(scene, hit, at_corners(triangles.vertices.n, corner_rows(scene, hit)))
+    shading = normalize(interpolated(normals, hit.u, hit.v))
     return shading if triangles.smooth is None else where(lookup(triangles.smooth, hit.prim.clamp_min(0)), shading, n)
 
 
 def is_in_front(scene: SceneTensors, ray: Ray, hit) -> Tensor:
     """(N,) bool: the rays meet the side of the shading normal."""
-    return dot(shading_normal(scene, hit, lookup(scene.triangles.n, hit.prim.clamp_min(0))), ray.d) < 0
+    return dot(shading_normal(scene, hit, triangle_normal(scene, hit)), ray.d) < 0
+
+
+def triangle_normal(scene: SceneTensors, hit, e1: Vec3 | None = None, e2: Vec3 | None = None) -> Vec3:
+    """The unit geometric normals where triangles were hit, detached; `e1`, `e2`: their edges in the world, if known."""
+    if scene.triangles.instances is None:
+        return lookup(scene.triangles.n, hit.prim.clamp_min(0))
+    if e1 is None:
+        _, e1, e2 = edges(*shown(scene, hit, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))))
+    return unit_normal_shown(scene, hit, e1.detach(), e2.detach())
+
+
+def unit_normal_shown(scene: SceneTensors, hit, e1: Vec3, e2: Vec3) -> Vec3:
+    """The unit normals of the triangles that were hit, attached to their edges in the world."""
+    n, instances = unit_normal(e1, e2), scene.triangles.instances
+    return n if instances is None else n * lookup(instances.side, hit.instance)
+
+
+def clearance_at(scene: SceneTensors, hit, corners: Corners) -> Tensor:
+    """The distances off the triangles that were hit at which rays leave them, detached; see `clearance`."""
+    instances = scene.triangles.instances
+    if instances is None:
+        return lookup(scene.triangles.clearance, hit.prim.clamp_min(0))
+    own = ROUNDINGS * 2.0**-24 * power_of_two_above(largest_coordinate(corners))
+    return torch.maximum(own, lookup(instances.clearance, hit.instance))
 
 
 def clearance(corners: Corners) -> Tensor:
@@ -151,9 +184,8 @@ def clearance(corners: Corners) -> Tensor:
 
     Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section 6.8.6.
     """
-    largest = functools.reduce(torch.maximum, (component.detach().abs() for corner in corners for component in corner))
-    _, exponent = torch.frexp(largest)
-    return torch.ldexp(torch.full_like(largest, ROUNDINGS * 2.0**-24), exponent)
+    _, exponent = torch.frexp(largest_coordinate(corners))
+    return torch.ldexp(torch.full_like(corners[0].x, ROUNDINGS * 2.0**-24), exponent)
 
 
 def corner_rows(scene: SceneTensors, hit) -> tuple[Tensor, Tensor, Tensor]:

@@ -14,10 +14,10 @@ from torch_radbp.emitter.kind import Light
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.attributes import any_differentiated, check_attributes
-from torch_radbp.scene.geometry import Columns, Numbers, placed_shape, triangle_table
+from torch_radbp.scene.geometry import Columns, Numbers, placed_shape, shown_instances, triangle_table
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.light_table import Emission, kinds_of, light_table
-from torch_radbp.scene.parameters import check_extent, check_parameters, largest_coordinate
+from torch_radbp.scene.parameters import check_extent, check_parameters, check_places, largest_coordinate
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors
 from torch_radbp.shape.instance import Instance
@@ -72,12 +72,13 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     check_parameters(scene, kept)
     dtype, device = scene.dtype, scene.device
     radiance = BankBuilder()
-    bsdfs = list(scene.bsdfs())
+    bsdfs, shapes, emitters = list(scene.bsdfs()), scene.shapes, scene.emitters  # once: a scene may have many objects
     materials = material_tables(kept, bsdfs, dtype, device)
     appearances, readers = materials.appearances, materials.readers
-    placed = [placed_shape(kept, shape, instances, dtype) for shape, instances in zip(scene.shapes, scene.shown_by)]
-    check_extent(scene, [kept(largest_coordinate, shape.vertices) for shape in placed])
-    radiated = {id(emitter): emitter.radiated() for emitter in scene.emitters}
+    groups = list(scene.groups.values())
+    placed = [placed_shape(kept, shape, instances is not None, dtype) for shape, instances in zip(shapes, scene.shown_by)]
+    check_extent(scene, shapes, [kept(largest_coordinate, shape.vertices) for shape in placed])
+    radiated = {id(emitter): emitter.radiated() for emitter in emitters}
     textures = {name: 0 if texture is None else radiance.add(texture) for name, texture in radiated.items()}
     named = {name for reader in (*readers, radiance.reader) for name in reader.attributes}
     attributes = tuple(sorted(named))
@@ -88,33 +89,47 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
         shading_normals=any(shape.surface.normals is not None for shape in placed),
         back_sides=materials.back_sides, appearances=appearances,
         readers=readers, radiance=radiance.reader, radiance_bitmaps=radiance.has_bitmaps, attributes=attributes,
-        lights=kinds_of(scene.emitters))
+        lights=kinds_of(emitters))
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
     columns = Columns(layout.shading_normals, layout.radiance_bitmaps or aovs or any(look.needs_uv for look in appearances),
                       layout.vertex_attributes, layout.face_attributes, any(look.kind.oriented for look in appearances),
-                      tuple(row[id(shape.bsdf)] for shape in scene.shapes),
-                      tuple(shape.emitter is not None for shape in scene.shapes),
-                      numbers_of(scene) if aovs else None)
-    triangles = triangle_table(kept, placed, columns, dtype, device)
+                      tuple(row[id(shape.bsdf)] for shape in shapes),
+                      tuple(shape.emitter is not None for shape in shapes),
+                      numbers_of(scene, shapes) if aovs else None)
+    instances = shown_instances(kept, groups, placed, layout.shading_normals,
+                                instance_numbers(scene, groups) if aovs else (0,) * sum(map(len, groups)), dtype, device)
+    if instances is not None:
+        check_places(scene, groups, instances.casting.boxes)
+    triangles = triangle_table(kept, placed, columns, dtype, device, instances)
 
     def emission(emitter: Light, count: int | None) -> Emission:
         return Emission(emitter.kind(), emitter.type, emitter.sampling_weight, textures[id(emitter)], count)
 
-    carriers = [emission(shape.emitter, len(own.faces)) for shape, own in zip(scene.shapes, placed)
+    carriers = [emission(shape.emitter, len(own.faces)) for shape, own in zip(shapes, placed)
                 if shape.emitter is not None]
-    lamps = [emitter for emitter in scene.emitters if not emitter.kind().on_surface]
+    lamps = [emitter for emitter in emitters if not emitter.kind().on_surface]
     lit = kept(bank_of, layout.radiance, twins(kept, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
     lights = light_table(kept, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
                          tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout, lit, light_choice)
     return SceneTensors(triangles, materials.table, materials.textures, lights, lit, layout)
 
 
-def numbers_of(scene: Scene) -> tuple[Numbers, ...]:
-    """How the triangles of each shape are counted: shapes and instances from 1 on, in the order of the scene."""
+def numbers_of(scene: Scene, shapes: list[Surface]) -> tuple[Numbers, ...]:
+    """How the triangles of each shape of a scene are counted."""
+    number = numbers_in(scene)
+    return tuple(Numbers(not shape.whole, number.get(id(shape), 0)) for shape in shapes)
+
+
+def instance_numbers(scene: Scene, groups: list[list[Instance]]) -> tuple[int, ...]:
+    """The number of each instance of a scene, group by group."""
+    number = numbers_in(scene)
+    return tuple(number[id(instance)] for instances in groups for instance in instances)
+
+
+def numbers_in(scene: Scene) -> dict[int, int]:
+    """The numbers of shapes and instances by their ids: from 1 on, in the order of the scene."""
     places = [id(child) for child in scene.children() if isinstance(child, (Surface, Instance))]
-    number = {place: count for count, place in enumerate(places, 1)}
-    return tuple(Numbers(not shape.whole, tuple(number[id(seen)] for seen in ([shape] if instances is None else instances)))
-                 for shape, instances in zip(scene.shapes, scene.shown_by))
+    return {place: count for count, place in enumerate(places, 1)}
 
 
 def twins(kept: Kept, place: Hashable, textures: Iterable[Texture]) -> tuple[Texture, ...]:

@@ -16,6 +16,8 @@ from torch_radbp.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.scene import Scene
+from torch_radbp.shape.instance import Instance
+from torch_radbp.shape.surface import Surface
 from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.neural import Use
 
@@ -178,18 +180,36 @@ def check_types(scene: Scene, found: dict[str, Held], values: dict[str, Tensor])
         raise TypeError(f"parameter {first!r} is on the device meta, which holds no numbers: load the scene again")
 
 
-def check_extent(scene: Scene, largest: list[float]) -> None:
+def check_extent(scene: Scene, shapes: list[Surface], largest: list[float]) -> None:
     """Raises ValueError naming the first shape that is too large for float32.
 
     Args:
-        scene: gives the names of its shapes.
+        scene: gives the names.
+        shapes: of the scene.
         largest: of each shape the largest coordinate.
     """
-    for shape, coordinate in zip(scene.shapes, largest):
+    for shape, coordinate in zip(shapes, largest):
         if not coordinate <= LARGEST_COORDINATE:
             raise ValueError(f"the shape {scene.name_of(shape)!r} has vertices up to {coordinate:.3g} from the origin along "
                              f"an axis, and would vanish: areas overflow in float32 beyond {LARGEST_COORDINATE:g}; scale "
                              f"the whole scene down")
+
+
+def check_places(scene: Scene, groups: list[list[Instance]], boxes: Tensor) -> None:
+    """Raises ValueError naming the first instance that shows its group too far away for float32.
+
+    Args:
+        scene: gives the names.
+        groups: the instances of each group.
+        boxes: (I, 8, 3) around all of them, in this order.
+    """
+    largest = boxes.abs().amax((1, 2))
+    if not bool((largest <= LARGEST_COORDINATE).all()):
+        first = int((~(largest <= LARGEST_COORDINATE)).nonzero()[0])
+        instance = [instance for instances in groups for instance in instances][first]
+        raise ValueError(f"the instance {scene.name_of(instance)!r} shows its group up to {float(largest[first]):.3g} "
+                         f"from the origin along an axis, where it would vanish: areas overflow in float32 beyond "
+                         f"{LARGEST_COORDINATE:g}; scale the whole scene down")
 
 
 def largest_coordinate(vertices: Tensor) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from torch_radbp.record import leaves_of
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.light_choice import TreeChoice
+from torch_radbp.scene.placement import for_lanes
 from torch_radbp.scene.tensors import Layout, SceneTensors
 
 
@@ -33,7 +34,7 @@ def leaves_of_part(belonging: SceneTensors, layout: Layout, appearance: Appearan
 
 def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) -> SceneTensors:
     """A record like that of a scene with this layout, without the tables that its part has not."""
-    triangles = scene.triangles._replace(balls=None, numbers=None)
+    triangles = scene.triangles._replace(balls=None, numbers=None, instances=for_lanes(scene.triangles.instances))
     if not (layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv)):
         triangles = triangles._replace(vertices=triangles.vertices._replace(uv=None))
     wanted = attributes_of_part(layout, appearance)

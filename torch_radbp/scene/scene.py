@@ -13,8 +13,6 @@ from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, Scen
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
 
-MANY = 128  # surfaces shown by instances
-
 
 class Scene(nn.Module):
     """Shapes, materials, emitters and sensors, each a submodule under its name in the scene description.
@@ -40,7 +38,6 @@ class Scene(nn.Module):
         named = {id(child) for child in self._modules.values()}
         for child in list(self._modules.values()):
             self._name_once(child, named)
-        self._thin_out()
         if not self.sensors:
             raise SceneError("the scene has no sensor: add <sensor type=\"perspective\">")
         if not self.emitters:
@@ -52,13 +49,6 @@ class Scene(nn.Module):
             raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
                              "their radiances in one")
         self.integrator.check(self.bsdfs())
-
-    def _thin_out(self) -> None:
-        """Tells the shapes of groups if instances show so many surfaces that their triangles would be too many."""
-        shown = [instances for instances in self.shown_by if instances is not None]
-        if sum(map(len, shown)) > MANY:
-            for shape in self.shapes[len(self.shapes) - len(shown):]:
-                shape.shown_often()
 
     def _check_places(self) -> None:
         """Raises SceneError unless every emitter on a surface is on one."""

@@ -11,6 +11,7 @@ from torch_radbp.emitter.kind import LightKind, Table
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.light_choice import TreeChoice
+from torch_radbp.scene.placement import InstanceTable
 from torch_radbp.shape.ball import Balls
 from torch_radbp.texture.reader import Reader, TableReader
 from torch_radbp.vec import Vec2, Vec3
@@ -68,14 +69,14 @@ class Layout(NamedTuple):
 class VertexTable(NamedTuple):
     """The V vertices of some surfaces; attached."""
 
-    p: Vec3  # (V,) each; position, world space
+    p: Vec3  # (V,) each; position, world space or that of the group
     n: Vec3 | None  # unit shading normal, unused for surfaces with flat faces; None if no surface has any
     uv: Vec2 | None  # surface coordinates, None if no texture reads them
     attributes: tuple[Vec3, ...]  # those that textures read; 0 where a mesh has none of that name
 
 
 class TriangleTable(NamedTuple):
-    """The T triangles of all shapes, in order."""
+    """The T triangles of all shapes, in order: those of the scene in the world, then those of each group in its frame."""
 
     vertices: VertexTable
     corners: tuple[Tensor, Tensor, Tensor]  # (T,) int32 each, rows of `vertices`
@@ -88,6 +89,7 @@ class TriangleTable(NamedTuple):
     balls: Balls | None  # those of them that tessellate spheres, for ray casting
     attributes: tuple[Vec3, ...]  # (T,) each, as those of vertices; attached
     numbers: tuple[Tensor, Tensor] | None = None  # (T,) int32: of the triangle in its shape, of the shape from 1; for AOVs
+    instances: InstanceTable | None = None  # of groups; None: there are none
 
 
 class MaterialTable(NamedTuple):

@@ -18,7 +18,7 @@ from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.position import FilmTensors
 from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, positive
 from torch_radbp.sensor.sampler import LowDiscrepancy
-from torch_radbp.shape.surface import affine
+from torch_radbp.shape.surface import transform
 from torch_radbp.vec import Ray, Vec2, Vec3
 
 Lens = Any  # a NamedTuple of tensors, attached
@@ -129,7 +129,7 @@ class ProjectiveCamera(Sensor):
         if not 0 < near_clip < far_clip:
             raise ValueError(f"near_clip must be positive and less than far_clip, got {near_clip} and {far_clip}")
         self.near_clip, self.far_clip = positive("near_clip", near_clip), float(far_clip)
-        self.freeze("to_world", affine("to_world", to_world))
+        self.freeze("to_world", transform("to_world", to_world))
 
     def domains(self) -> dict[str, Domain]:
         return {"to_world": POSE}

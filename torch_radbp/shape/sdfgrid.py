@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_radbp.differentiated import primal
 from torch_radbp.domain import LARGEST_AMOUNT, POSE, Domain
 from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, nearest, register
-from torch_radbp.shape.surface import Surface, Triangles, affine, mirrors, transform_normals, transform_points, turned
+from torch_radbp.shape.surface import Surface, Triangles, mirrors, transform, transform_normals, transform_points, turned
 from torch_radbp.shape.zero_set import Net, check_grid, smooth_normal, unit, vertices, voxel_gradient, zero_net
 
 GRID = Domain(shapes=(("Z", "Y", "X", 1),), limit=LARGEST_AMOUNT)
@@ -52,28 +52,25 @@ class SDFGrid(Surface):
             from torch_radbp.io.volume import read_volume  # io reads files for every layer above `vec`
 
             grid = torch.from_numpy(read_volume(filename))
-        self.filename, self.normals, self.finer = filename, normals, True
+        self.filename, self.normals = filename, normals
         self.freeze("grid", finite("grid", grid).to(torch.get_default_dtype()))
         check_grid("grid", self.grid.detach()[..., 0])
-        self.freeze("to_world", affine("to_world", to_world))
+        self.freeze("to_world", transform("to_world", to_world))
 
     def domains(self) -> dict[str, Domain]:
         return {"grid": GRID, "to_world": POSE}
 
-    def shown_often(self) -> None:
-        self.finer = False
-
     def connections(self) -> tuple[Callable, tuple[Any, ...]]:
-        return net_of, (self.grid, self.finer, self.normals == "analytic")
+        return net_of, (self.grid, self.normals == "analytic")
 
     @property
     def faces(self) -> Tensor:
         """(F, 3) int64; found anew whenever it is read."""
-        return net_of(primal(self.grid), self.finer, self.normals == "analytic").faces
+        return net_of(primal(self.grid), self.normals == "analytic").faces
 
     def triangles(self, net: Net | None = None) -> Triangles:
         if net is None:
-            net = net_of(primal(self.grid), self.finer, self.normals == "analytic")
+            net = net_of(primal(self.grid), self.normals == "analytic")
         values = self.grid[..., 0]
         cell, corners = vertices(values, net)
         size = torch.tensor(values.shape, dtype=values.dtype, device=values.device).flip(0) - 1.0
@@ -87,6 +84,6 @@ class SDFGrid(Surface):
                          None)
 
 
-def net_of(grid: Tensor, finer: bool, of_voxels: bool) -> Net:
+def net_of(grid: Tensor, of_voxels: bool) -> Net:
     """The net of the zero set of a grid, (Z, Y, X, 1), detached; see `zero_net`."""
-    return zero_net(grid[..., 0], finer, of_voxels)
+    return zero_net(grid[..., 0], of_voxels)

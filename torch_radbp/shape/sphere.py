@@ -10,8 +10,6 @@ from torch_radbp.plugin import BSDF, Emitter, Matrix4, Point3, finite, positive,
 from torch_radbp.shape.ball import RINGS, SEGMENTS, Ball
 from torch_radbp.shape.surface import Tessellated, Triangles, affine, grid
 
-FEW_SEGMENTS, FEW_RINGS = 64, 32  # of spheres that are seen very often
-
 
 @register("shape", "sphere")
 class Sphere(Tessellated):
@@ -19,7 +17,6 @@ class Sphere(Tessellated):
 
     Parameters: `to_world` (4, 4), which includes `center` and `radius`. Tessellated into 192 x 96 facets; the deviation
     from the exact surface is 1.4e-4 of the radius. If `to_world` mirrors, the normals point inwards, as in Mitsuba.
-    Where instances show very many surfaces, it has 64 x 32 facets and a deviation of 1.2e-3.
     """
 
     whole = True
@@ -34,18 +31,12 @@ class Sphere(Tessellated):
             local[:3, 3] = torch.zeros(3) if center is None else finite("center", center, (3,))
             matrix = matrix @ local
         self.place(matrix, unit_sphere(SEGMENTS, RINGS))
-        self.is_ball = True
 
     center, radius = None, 1.0  # resolved into `to_world`
     turned_by_mirrors = True
 
-    def shown_often(self) -> None:
-        self.tessellate(unit_sphere(FEW_SEGMENTS, FEW_RINGS))
-        self.is_ball = False
-
     def triangles(self) -> Triangles:
-        surface = super().triangles()
-        return surface._replace(ball=Ball(self.to_world[None], turned=(False,))) if self.is_ball else surface
+        return super().triangles()._replace(ball=Ball(self.to_world[None], turned=(False,)))
 
 
 def unit_sphere(segments: int, rings: int) -> Triangles:

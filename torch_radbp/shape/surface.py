@@ -25,37 +25,44 @@ class Triangles(NamedTuple):
     attributes: tuple[tuple[str, Tensor], ...] = ()  # (V, 1 or 3) or (F, 1 or 3), by names that begin with vertex_ or face_
 
 
+def transform(name: str, matrix: Tensor | None) -> Tensor:
+    """The (4, 4) transform that an attribute gives; the identity for None. `Plugin.freeze` checks that it is a pose.
+
+    Raises:
+        ValueError: if it has another shape, or is not finite.
+    """
+    dtype = torch.get_default_dtype()
+    return torch.eye(4, dtype=dtype) if matrix is None else finite(name, matrix, (4, 4)).to(dtype)
+
+
 def affine(name: str, matrix: Tensor | None) -> Tensor:
-    """The (4, 4) transform that an attribute gives; the identity for None.
+    """As `transform`, of an attribute that does not become a parameter itself.
 
     Raises:
         ValueError: if it has another shape, is not finite, not affine, or cannot be inverted.
     """
-    dtype = torch.get_default_dtype()
-    if matrix is None:
-        return torch.eye(4, dtype=dtype)
-    matrix = finite(name, matrix, (4, 4))
+    matrix = transform(name, matrix)
     POSE.check(name, matrix)
-    return matrix.to(dtype)
+    return matrix
 
 
 def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
-    """(V, 3) points under an affine (4, 4) matrix; under several, (I, 4, 4), once for each: (I, V, 3).
+    """(V, 3) points under an affine (4, 4) matrix.
 
     Sums instead of a matrix product: that would be rounded to bfloat16 by a backward pass under `torch.autocast`, and by
     `torch.set_float32_matmul_precision("medium")`.
     """
     x, y, z = points.unbind(1)
-    rows = (row[..., None].unbind(-2) for row in matrix[..., :3, :].unbind(-2))
-    return torch.stack([a * x + b * y + c * z + d for a, b, c, d in rows], -1)
+    rows = (row.unbind() for row in matrix[:3].unbind())
+    return torch.stack([a * x + b * y + c * z + d for a, b, c, d in rows], 1)
 
 
 def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
-    """(V, 3) normals under an affine (4, 4) matrix, normalised; under several, (I, 4, 4), once for each: (I, V, 3)."""
-    inverse = torch.linalg.inv(matrix[..., :3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
+    """(V, 3) normals under an affine (4, 4) matrix, normalised."""
+    inverse = torch.linalg.inv(matrix[:3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
     x, y, z = normals.unbind(1)
-    columns = (column[..., None].unbind(-2) for column in inverse.unbind(-1))
-    return torch.nn.functional.normalize(torch.stack([a * x + b * y + c * z for a, b, c in columns], -1), dim=-1)
+    columns = (column.unbind() for column in inverse.unbind(1))
+    return torch.nn.functional.normalize(torch.stack([a * x + b * y + c * z for a, b, c in columns], 1), dim=1)
 
 
 def mirrors(matrix: Tensor) -> bool:
@@ -85,9 +92,6 @@ class Surface(Shape):
                              f"which belongs to the scene itself")
         self.add_module("emitter", emitter)
         self.flip_normals = flip_normals
-
-    def shown_often(self) -> None:
-        """Told to a shape of which instances show many: it may take fewer triangles."""
 
     def connections(self) -> tuple[Callable[..., NamedTuple], tuple[Any, ...]] | None:
         """How to find what `triangles` is to be told of the shape's values without their derivatives.
@@ -124,7 +128,7 @@ class Tessellated(Surface):
 
     def place(self, to_world: Tensor | None, surface: Triangles) -> None:
         """Stores the canonical tessellation and the transform."""
-        self.freeze("to_world", affine("to_world", to_world))
+        self.freeze("to_world", transform("to_world", to_world))
         self.tessellate(surface)
 
     def tessellate(self, surface: Triangles) -> None:

@@ -49,16 +49,15 @@ def subdivision(size: tuple[int, ...]) -> int:
     return -(-LEAST_CELLS // (max(size) - 1))
 
 
-def zero_net(values: Tensor, finer: bool, of_voxels: bool) -> Net:
-    """The net of the zero set.
+def zero_net(values: Tensor, of_voxels: bool) -> Net:
+    """The net of the zero set, on a lattice of at least `LEAST_CELLS` cells along the longest side.
 
     Args:
         values: (Z, Y, X), detached.
-        finer: the lattice has at least 60 cells along the longest side; else it is that of the grid.
         of_voxels: vertices on the border between voxels are one for each.
     """
     check_grid("the grid", values)
-    cells = subdivision(values.shape) if finer else 1
+    cells = subdivision(values.shape)
     voxels = occupied(values)
     signs = refined(at_corners(values, voxels.unbind(1)), cells) < 0
     case = cases(signs)

@@ -83,7 +83,7 @@ class _Writer:
             self.losses.add(name, f"a {shape.type} is written as {len(surface.faces)} triangles")
         pose = matrix_of(shape.to_world) if isinstance(getattr(shape, "to_world", None), torch.Tensor) else np.eye(4)
         if instance is not None:
-            surface, pose = instanced(surface, (instance.to_world,)), matrix_of(instance.to_world) @ pose
+            surface, pose = instanced(surface, instance.to_world), matrix_of(instance.to_world) @ pose
         if is_sheared(pose):
             pose = np.eye(4)
         appearance = self.appearances.of(shape, is_upright_in_v(surface))

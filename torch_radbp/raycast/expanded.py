@@ -1,0 +1,40 @@
+"""Casters that know triangles only: each instance has its own, which is for tiny scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
+from torch_radbp.shape.placement import Instances, expanded
+
+
+class ExpandedCaster:
+    """A `RayCaster` over the triangles of a scene and of every instance in it, by a caster that knows no instances.
+
+    Args:
+        make: makes that caster, of vertices and faces.
+        vertices, faces, instances: as for `make_caster`.
+    """
+
+    def __init__(self, make: Callable[[Tensor, Tensor], RayCaster], vertices: Tensor, faces: Tensor, instances: Instances):
+        self.vertices, self.faces = vertices.detach().clone(), faces.to(torch.int32, copy=True)
+        shown = expanded(self.vertices, self.faces, instances)
+        self.caster = make(shown.vertices, shown.faces)
+        self.triangle, self.instance = shown.triangle, shown.instance
+
+    @property
+    def rays_cast(self) -> int:
+        """Lanes handed over so far."""
+        return self.caster.rays_cast
+
+    def intersect(self, ray: Ray) -> Hit:
+        hit = self.caster.intersect(ray)
+        met, prim = hit.prim >= 0, hit.prim.clamp_min(0)
+        return hit._replace(prim=torch.where(met, self.triangle[prim], -1),
+                            instance=torch.where(met, self.instance[prim], 0))
+
+    def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
+        return self.caster.occluded(ray, tmax)
