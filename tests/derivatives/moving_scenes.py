@@ -55,15 +55,15 @@ def smooth_noise(seed: int, low: float = 0.1, high: float = 0.9, shape: tuple[in
     return low + (high - low) * (blurred - smallest) / (largest - smallest)
 
 
-def endless_texture(seed: int, low: float = 0.1, high: float = 0.9, half: float = HALF) -> dict[str, Any]:
+def endless_texture(seed: int, low: float = 0.1, high: float = 0.9, half: float = HALF, **attributes: Any) -> dict[str, Any]:
     """Smooth noise that repeats every `PERIOD` on a rectangle with half width `half`."""
     repeats = 2 * half / PERIOD
     return {"type": "bitmap", "data": smooth_noise(seed, low, high),
-            "to_uv": translate((0.13, 0.37, 0)) @ scale((repeats, repeats, 1))}
+            "to_uv": translate((0.13, 0.37, 0)) @ scale((repeats, repeats, 1))} | attributes
 
 
-def textured(seed: int = 1, half: float = HALF) -> dict[str, Any]:
-    return {"type": "diffuse", "reflectance": endless_texture(seed, half=half)}
+def textured(seed: int = 1, half: float = HALF, **attributes: Any) -> dict[str, Any]:
+    return {"type": "diffuse", "reflectance": endless_texture(seed, half=half, **attributes)}
 
 
 def plane(at=(0, 0, 0), axis=TILT, angle: float = ANGLE, half: float = HALF, **attributes: Any) -> dict[str, Any]:
@@ -261,6 +261,12 @@ SCENES = {
                                0.005),
     "instance turned": MovingScene(scene(**shown(), **POINT), "shown.to_world", rigid(TWIST), 0.005),
     "vertices of an instance": MovingScene(scene(**shown(), **POINT), "group.sheet.vertex_positions", wave(), 0.005),
+    # About the middle of the view.
+    "texture turned": MovingScene(scene(**FLOOR, **POINT), "plane.bsdf.reflectance.to_uv", rigid(TWIST, (10.1, 10.4, 0)),
+                                  0.005, samplings=("hybrid",)),
+    "pyramid turned": MovingScene(scene(plane=plane(bsdf=textured(half=2 * HALF, filter_type="trilinear")), **POINT),
+                                  "plane.bsdf.reflectance.to_uv", rigid(TWIST, (20.1, 20.4, 0)), 0.005,
+                                  samplings=("hybrid",)),
     "cylinder turned": MovingScene(scene(tube=tube(), **POINT), "tube.to_world", rigid(TWIST), 0.005),
     "texture coordinates": MovingScene(scene(sheet=grid_mesh(wavy, bsdf=MESH_TEXTURE), **POINT),
                                        "sheet.vertex_texcoords", wave(size=0.1), 0.005),
