@@ -9,7 +9,7 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 
 import torch_radbp as rb
-from tests.derivatives.moving_scenes import envmap, smooth_noise
+from tests.derivatives.endless import envmap, smooth_noise
 from tests.scenes import cornell, load, rectangle, sensor
 from torch_radbp.io.transform import rotate, scale, translate
 

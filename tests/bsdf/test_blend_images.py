@@ -6,7 +6,7 @@ from torch import Tensor
 
 import torch_radbp as rb
 from tests.bsdf.lanes import MATERIALS
-from tests.derivatives.scenes import camera, plane, sky
+from tests.derivatives.parts import camera, plane, sky
 from tests.scenes import load
 
 WEIGHT = 0.3

@@ -7,11 +7,8 @@ from typing import Any
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.scenes import (
+from tests.derivatives.parts import (
     FISHEYE,
-    GROUP,
-    SCENES,
-    SUBJECT,
     beam,
     bitmap,
     blurred,
@@ -24,6 +21,7 @@ from tests.derivatives.scenes import (
     sky,
     turned,
 )
+from tests.derivatives.scenes import GROUP, SCENES, SUBJECT
 from tests.scenes import diffuse, load, rgb
 
 MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",

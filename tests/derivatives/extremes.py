@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.scenes import FISHEYE, blurred, calibrated, parallel
+from tests.derivatives.parts import FISHEYE, blurred, calibrated, parallel
 from tests.scenes import diffuse, look_at, rectangle, rgb, texels
 from torch_radbp.io.transform import rotate, scale, translate
 

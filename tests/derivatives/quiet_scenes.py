@@ -16,7 +16,8 @@ import torch_radbp as rb
 from tests.derivatives.everything import objects
 from tests.derivatives.moving_scenes import MovingScene
 from tests.derivatives.pairs import Pair, pairs_of
-from tests.derivatives.scenes import SCENES, SUBJECT, build, camera, subjects
+from tests.derivatives.parts import camera
+from tests.derivatives.scenes import SCENES, SUBJECT, build, subjects
 from tests.scenes import load, rgb
 from torch_radbp.check.gradient import RELATIVE_STEP, checked_direction
 from torch_radbp.scene.pack import pack

@@ -9,7 +9,8 @@ import torch
 
 import torch_radbp as rb
 from tests.derivatives.in_expectation import Effort, Estimate
-from tests.derivatives.moving_scenes import FLOOR, SCENES, TURN, rigid, scene, sensor
+from tests.derivatives.moving_scenes import FLOOR, SCENES, TURN, rigid, scene
+from tests.scenes import sensor
 from torch_radbp.check.outcome import uncertainty
 from torch_radbp.io.transform import rotate
 

@@ -11,7 +11,8 @@ import torch
 import torch_radbp as rb
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.derivatives.pairs import examined, registered
-from tests.derivatives.scenes import SCENES, build, camera, subjects
+from tests.derivatives.parts import camera
+from tests.derivatives.scenes import SCENES, build, subjects
 from tests.gradients import cotangent, image_and_gradients, relative_error
 
 ORACLE, TRANSPOSED = 1e-10, 1e-12

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.scenes import FISHEYE, calibrated
+from tests.derivatives.parts import FISHEYE, calibrated
 from tests.scenes import load, look_at, rectangle, rgb, texels
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.differentiated import detached

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.scenes import coloured_file
+from tests.derivatives.quadrilateral import coloured_file
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
 from tests.shape.surfaces import TEXTURED, meets, of_point
 from torch_radbp.domain import Domain

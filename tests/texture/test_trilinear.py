@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.scenes import lamp, plane
+from tests.derivatives.parts import lamp, plane
 from tests.gradients import relative_error
 from tests.scene.test_texture import reference
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
