@@ -38,6 +38,7 @@ MOVE_SHAPES = ("to_world", "vertex_positions", "grid")
 MOVE_LIGHTS = ("to_world", "position")
 MOST_LIGHTS = 32  # that move, and that do not, whose shadows are searched
 MOST_OF_GROUP = 1 << 16  # triangles of instances of a group that are looked at
+MOST_NAMES = 8  # in a message
 FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
 CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
 
@@ -304,8 +305,10 @@ def texture_name(scene: Scene, texture: Texture) -> str:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names in running text: `a` and `b`."""
-    return " and ".join(f"`{name}`" for name in dict.fromkeys(names))
+    """Names in running text: `a` and `b`; of many only the first."""
+    quoted = [f"`{name}`" for name in dict.fromkeys(names)]
+    more = len(quoted) - MOST_NAMES
+    return " and ".join(quoted if more <= 0 else [*quoted[:MOST_NAMES], f"{more} other{'s' * (more > 1)}"])
 
 
 def flat(vertices: Tensor) -> bool:
