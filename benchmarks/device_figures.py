@@ -2,8 +2,8 @@
 
 For each scene of `benchmarks.scenes`, without Russian roulette, in a process of its own: the first forward and backward
 pass, which compiles; the median of further ones, as samples a second; their ratio over the same passes on the CPU; and the
-peak of memory during one pass, beside what `Renderer.memory_plan` predicts. On CUDA the peak is that of torch's allocator, on
-the CPU that of resident memory; both count from what was there before the pass.
+peak of memory during one pass, beside what `Renderer.memory_plan` predicts. On CUDA the peak is that of torch's allocator,
+on the CPU that of resident memory; both count from what was there before the pass.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 It runs the tests that need a GPU (those marked `gpu`); then forward and backward passes by themselves: first call, samples
 a second, over our own CPU, peak of memory beside the prediction (`benchmarks.device_figures --device cuda`); then the same
-passes beside Mitsuba's `cuda_ad_rgb` (`benchmarks.versus_mitsuba --device cuda`). What they print, and `report.json` with all
-figures and the names of the card and of the versions, are saved in a folder. A step that fails does not keep the next from
+beside Mitsuba's `cuda_ad_rgb` (`benchmarks.versus_mitsuba --device cuda`). What they print is saved in a folder, with all
+figures and the names of the card and of the versions in `report.json`. A step that fails does not keep the next from
 running. Without a GPU it says so, runs nothing and ends with status 1.
 """
 

@@ -19,11 +19,13 @@ define void @launch(i64 %blocks, i64 %threads, ptr %words) {{
 entry:
 {loads}
   %all = mul i64 %blocks, %threads
+  %last = sub i64 %all, 1
   br label %turn
 turn:
   %k = phi i64 [ 0, %entry ], [ %next, %turn ]
-  %wide_block = udiv i64 %k, %threads
-  %wide_thread = urem i64 %k, %threads
+  %from_end = sub i64 %last, %k
+  %wide_block = udiv i64 {thread}, %threads
+  %wide_thread = urem i64 {thread}, %threads
   %block = trunc i64 %wide_block to i32
   %thread = trunc i64 %wide_thread to i32
   call void @{name}(i32 %block, i32 %thread, {arguments})
@@ -36,7 +38,7 @@ done:
 SIGNATURE = r"define ptx_kernel void @(\w+)\((.*?)\) #0"
 
 
-def on_processor(text: str) -> str:
+def on_processor(text: str, backwards: bool = False) -> str:
     """The module of a kernel, with a function `launch` that runs all threads, for the processor."""
     name, parameters = re.search(SIGNATURE, text).groups()
     kinds = [parameter.split()[0] for parameter in parameters.split(", ")]
@@ -46,7 +48,8 @@ def on_processor(text: str) -> str:
     text = text.replace(f"define ptx_kernel void @{name}(", f"define internal void @{name}(i32 %block, i32 %thread, ")
     text = text.replace(") #0 {", ") {").replace(' syncscope("device")', "")
     arguments = ", ".join(f"{kind} %word{k}" for k, kind in enumerate(kinds))
-    return "\n".join([text, LAUNCH.format(loads=loads, name=name, arguments=arguments)])
+    return "\n".join([text, LAUNCH.format(loads=loads, name=name, arguments=arguments,
+                                          thread="%from_end" if backwards else "%k")])
 
 
 class Launch(NamedTuple):
@@ -63,19 +66,20 @@ class Emulated:
 
     Args:
         assemble: also makes PTX of each kernel, as for a GPU.
+        backwards: the last thread comes first; a GPU's come in any order.
     """
 
     architecture = "sm_90"
 
-    def __init__(self, assemble: bool = False):
-        self.assemble = assemble
+    def __init__(self, assemble: bool = False, backwards: bool = False):
+        self.assemble, self.backwards = assemble, backwards
         self.ptx: list[str] = []
         self.launches: list[Launch] = []
 
     def load(self, text: str, name: str) -> Any:
         if self.assemble:
             self.ptx.append(ptx(text, self.architecture))
-        return name, MachineCode(on_processor(text), entry="launch")
+        return name, MachineCode(on_processor(text, self.backwards), entry="launch")
 
     def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
         name, code = kernel

@@ -66,6 +66,22 @@ def test_torch_adds_in_order_where_it_is_told_to_be_deterministic():
         assert torch.equal(totals.squeeze(1), expected)
 
 
+@pytest.mark.parametrize("copies", [1, 64])
+def test_sums_do_not_depend_on_the_order_of_the_threads_where_torch_is_deterministic(copies, monkeypatch):
+    def sums(deterministic: bool) -> list[torch.Tensor]:
+        monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: deterministic)
+        found = []
+        for backwards in (False, True):
+            case = addition(5000, 7, 1, copies, torch.float64)
+            Gpu(Emulated(backwards=backwards)).scatter_add([case], 5000)
+            found.append(case.totals[0])
+        expected = torch.zeros(7, dtype=torch.float64).index_add_(0, case.index, case.numbers[0])
+        torch.testing.assert_close(found[0].sum(1), expected, rtol=1e-13, atol=1e-13)
+        return found
+
+    assert torch.equal(*sums(True)) and not torch.equal(*sums(False))
+
+
 def test_lanes_are_chosen_and_partitioned_by_torch():
     gpu, generator = Gpu(Emulated()), torch.Generator().manual_seed(5)
     number = torch.randint(0, 4, (999,), generator=generator, dtype=torch.int32)

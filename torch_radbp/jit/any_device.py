@@ -46,7 +46,10 @@ class AnyDevice:
         return 1
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
+        """Neighbouring lanes take different copies; in order if torch is told to be deterministic."""
         for index, numbers, totals, touched in additions:
+            copies = totals[0].shape[1]
+            place = index if copies == 1 else index.long() * copies + torch.arange(lanes, device=index.device) % copies
             for number, total in zip(numbers, totals):
-                total[:, 0].index_add_(0, index, number.to(total.dtype))
+                total.view(-1).index_add_(0, place, number.to(total.dtype))
             touched.fill_(True)

@@ -110,6 +110,7 @@ class Gpu(AnyDevice):
         return COPIES if entries <= SMALL else 1
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
+        """By atomic additions of float64, or, if torch is told to be deterministic, by its sums of what it has sorted."""
         if torch.are_deterministic_algorithms_enabled():
             return super().scatter_add(additions, lanes)
         words: list[int] = []

@@ -28,8 +28,9 @@ def copies(entries: int, device: torch.device) -> int:
 def scatter_add(additions: Sequence[Addition]) -> None:
     """Adds numbers of the lanes to tables.
 
-    On the CPU it is done in the order of the lanes, so that the sums are the same each time; on a GPU in any order, unless
-    torch is told to be deterministic (`torch.use_deterministic_algorithms`).
+    On the CPU it is done in the order of the lanes, so that the sums are the same each time. On a GPU it is done in any
+    order, so that the last bits of float64 differ from time to time, unless torch is told to be deterministic
+    (`torch.use_deterministic_algorithms`): then torch sorts the lanes by entry and sums each entry's in order, slower.
 
     Args:
         additions: of equally many lanes, tensors on one device. An index must be of an entry, which is not checked.

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.sampling.running_sum import running_sum
+
 
 class GridSample(NamedTuple):
     """A cell per lane, and a place in it."""
@@ -55,9 +57,9 @@ def grid_distribution(weights: Tensor) -> tuple[GridDistribution, Tensor]:
         The distribution, and its (R C,) float64 probabilities.
     """
     weights = weights.detach().to(torch.float64)
-    inside = weights.cumsum(1)
+    inside = running_sum(weights, 1)
     total = inside[:, -1:]
-    rows = torch.nn.functional.pad(total[:, 0].cumsum(0), (1, 0))
+    rows = torch.nn.functional.pad(running_sum(total[:, 0]), (1, 0))
     # A row that is never picked gets any increasing table.
     inside = torch.where(total > 0, inside / total.clamp_min(1e-300), 1.0)
     first = torch.arange(len(weights), dtype=torch.float64, device=weights.device)[:, None]

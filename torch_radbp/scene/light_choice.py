@@ -22,6 +22,7 @@ from torch_radbp.emitter.bounds import LightBounds, bounds_of_groups
 from torch_radbp.emitter.kind import EmittingTriangles, LightKind, Table
 from torch_radbp.lookup import lookup
 from torch_radbp.record import leaves_of, with_leaves
+from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import fine_unit
 from torch_radbp.scene.light_tree import LightTree, Vantage, chance_of_leaf, drawn_leaf, light_tree
 from torch_radbp.texture.bitmap import LUMINANCE
@@ -138,7 +139,7 @@ def within_emitters(weights: Tensor, owner: Tensor, repeats: Tensor) -> tuple[Te
     """`TreeChoice.pmf` and `TreeChoice.cumulative` in float64."""
     total = weights.new_zeros(len(repeats)).index_add_(0, owner, weights)
     pmf = torch.where(total[owner] > 0, weights / total[owner].clamp_min(1e-300), (1.0 / repeats.double())[owner])
-    summed = pmf.cumsum(0)
+    summed = running_sum(pmf)
     ends = repeats.cumsum(0)
     before = torch.cat([summed.new_zeros(1), summed[ends[:-1] - 1]])
     inside = (summed - before[owner]).clamp(0.0, 1.0)
@@ -154,7 +155,7 @@ def beside_tree(sampling_weight: Tensor, local: Tensor, like: Tensor) -> Beside 
     of_tree = sampling_weight[local]
     of_tree = of_tree[of_tree > 0].mean() if bool(of_tree.any()) else of_tree.new_zeros(())
     pmf = weights / weights.sum()
-    cumulative = pmf.cumsum(0)
+    cumulative = running_sum(pmf)
     cumulative[pmf.nonzero().max():] = 1.0
     return Beside(weights.sum() / (weights.sum() + of_tree), cumulative, pmf.to(like),
                   (~local).nonzero().squeeze(1).to(torch.int32))
