@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from torch_radbp.path import Place
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import Given
+from torch_radbp.texture.reader import Given, Place
 from torch_radbp.vec import Vec3
 
 
@@ -22,9 +21,9 @@ def given_values(scene: SceneTensors, appearance: Appearance | None, places: tup
 
 
 def banks_outside(scene: SceneTensors, appearance: Appearance | None) -> list:
-    """The banks of the textures that are read outside, in the order of an appearance.
+    """The banks of the textures that are read outside, in the order of `path.places_of`.
 
     `scene` may be any record of a scene's structure.
     """
     readers = () if appearance is None else appearance.outside
-    return [scene.textures[scene.layout.readers.index(reader)] for reader in readers]
+    return [*(scene.textures[scene.layout.readers.index(reader)] for reader in readers), *scene.lit, *scene.lit]

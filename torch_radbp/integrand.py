@@ -9,7 +9,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path import Place
 from torch_radbp.path_state import Arrival, Position, Settings
 from torch_radbp.queues import Queue
 from torch_radbp.raycast.protocol import RayCaster
@@ -18,6 +17,7 @@ from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.part import part_of
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.texture.reader import Place
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
@@ -83,12 +83,12 @@ class Integrand(NamedTuple):
             self.parts[queue.appearance] = Part(scene, proposal, knowing(stage, scene, proposal))
         return self.parts[queue.appearance]
 
-    def places(self, queue: Queue, arrival: Arrival, lanes: Tensor) -> tuple[Place, ...]:
+    def places(self, queue: Queue, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
         """The places of the values to be given to a queue; see `path.places`."""
         appearance = self.appearance(queue)
-        if appearance is None or not appearance.outside:
+        if not self.scene.layout.lit and (appearance is None or not appearance.outside):
             return ()
-        return self.stages.places(self.part(queue).proposal, arrival, lanes)
+        return self.stages.places(self.part(queue).proposal, arrival, lanes, self.at(depth), self.settings_at(depth))
 
     def at(self, depth: int) -> Position:
         """The position on the path as tensors."""

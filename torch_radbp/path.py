@@ -40,19 +40,22 @@ from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import (
     LightSample,
+    emission_places,
     emitted,
     emitted_by_surface,
     emitted_pdf,
+    light_aims,
     pdf_of_surface,
     sample_light,
+    sample_places,
     shadow_ray,
     vantage,
 )
 from torch_radbp.scene.light_choice import LightNumbers, TreeChoice, chance_of_emitter, drawn_element
-from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, sample, sampling_at
+from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.texture.reader import Given
+from torch_radbp.texture.reader import Given, Place
 from torch_radbp.vec import Ray, Vec2, Vec3, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
@@ -121,25 +124,29 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor, 
     return CameraSample(ray, lane, weight, cone)
 
 
-class Place(NamedTuple):
-    """Where lanes need a value that is given to the functions of a bounce."""
-
-    row: Tensor  # (M,) int32, of which texture of its reader
-    at: Vec2 | Vec3  # (M,) what it is a function of
+def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, settings: Settings) -> tuple[Place, ...]:
+    """The places of the values to be given, see `places_of`; detached. Args as for `bounce`."""
+    return places_of(scene, scene, rows(arrival, lanes), at, Settings(nee=settings.nee))
 
 
-def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor) -> tuple[Place, ...]:
-    """The places of the values to be given, one for each texture that is read outside; detached. Args as for `bounce`."""
-    return places_of(scene, rows(arrival, lanes), Settings())
+def places_of(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position,
+              settings: Settings) -> tuple[Place, ...]:
+    """The same of lanes as they are; attached to the scene, and to the ray if it is moving.
 
-
-def places_of(scene: SceneTensors, arrival: Arrival, settings: Settings) -> tuple[Place, ...]:
-    """The same of lanes as they are; attached to the scene, and to the ray if it is moving."""
-    if scene.appearance is None or not scene.appearance.outside:
+    One for each texture of the material that is read outside; for each such reader of emitters' textures one where the ray
+    meets the emitter; and, where light is scattered, one at the light sample.
+    """
+    appearance, lit = scene.appearance, scene.layout.lit
+    if not lit and (appearance is None or not appearance.outside):
         return ()
     si = surface_met(scene, arrival, settings)
-    return tuple(Place(lookup(slot, si.material), reader.place(si.p, si.point.uv))
-                 for reader, slot in zip(scene.appearance.readers, scene.materials.slots) if reader.outside)
+    found = () if appearance is None else material_places(scene, si)
+    if lit:
+        found += emission_places(scene, si)
+    if lit and appearance is not None and settings.nee:
+        numbers = light_numbers(bounce_key(arrival.state.key, at.counter))
+        found += sample_places(scene, light_aims(scene, proposal, si, numbers, arrival.picked))
+    return found
 
 
 def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
@@ -213,13 +220,15 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     # Find the surface that the ray meets.
     state = arrival.state
     si = surface_met(scene, arrival, settings, here)
+    given, given_met, given_sampled = shares_of(scene, given)
 
     # Add the light that comes from there, weighted against the chance that next-event estimation finds it.
     zero = torch.zeros_like(state.pdf)
     none = Vec3(zero, zero, zero)
     Le = none
     if not settings.hide_emitters:
-        Le = emitted(scene, state.ray, si) if scene.appearance is None else emitted_by_surface(scene, si)
+        Le = (emitted(scene, state.ray, si, given_met) if scene.appearance is None
+              else emitted_by_surface(scene, si, given_met))
     if settings.nee:
         follows = settings.following and settings.moving
         geometry = scene if settings.sampling == "attached" or follows else proposal
@@ -238,7 +247,7 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     number = partial(uniform, key, dtype=zero.dtype)
     light, Ld = None, none
     if settings.nee:
-        light = sample_light(scene, proposal, si, light_numbers(key), arrival.picked)
+        light = sample_light(scene, proposal, si, light_numbers(key), arrival.picked, given_sampled)
         light, Ld = next_event(material, si, light, settings)
 
     # Sample the BSDF for the next direction.
@@ -250,6 +259,13 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
     survives = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
     return Scattering(Le, Ld, si, light, material, chosen, 1.0 / survival, survives)
+
+
+def shares_of(scene: SceneTensors, given: tuple[Given, ...]) -> tuple[tuple[Given, ...], ...]:
+    """The values that are given: those of the material, of emitters that rays meet, and of light samples."""
+    of_material = 0 if scene.appearance is None else len(scene.appearance.outside)
+    met = of_material + len(scene.layout.lit)
+    return given[:of_material], given[of_material:met], given[met:]
 
 
 def light_numbers(key: BounceKey) -> LightNumbers:

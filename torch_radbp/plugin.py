@@ -91,6 +91,7 @@ class Plugin(nn.Module):
     category: str = ""
     type: str = ""
     object_of_any_name: str | None = None  # the attribute for a nested texture whose name says nothing
+    takes_modules = False  # in the place of its textures
     instead_of_objects: str | None = None  # what to do where an object is given that Mitsuba takes and this does not
 
     def __init__(self) -> None:
@@ -151,6 +152,7 @@ class Texture(Plugin):
 
 class BSDF(Plugin):
     category = "bsdf"
+    takes_modules = True
 
 
 class Emitter(Plugin):

@@ -82,7 +82,7 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
 
     def arguments(queue: Queue) -> tuple:
         part, lanes = integrand.part(queue), step.order[queue.first:queue.last]
-        given = given_values(integrand.scene, integrand.appearance(queue), integrand.places(queue, arrival, lanes))
+        given = given_values(integrand.scene, integrand.appearance(queue), integrand.places(queue, arrival, lanes, depth))
         return part.scene, part.proposal, arrival, lanes, at, settings, given
 
     *_, last = step.queues

@@ -18,14 +18,14 @@ SETTINGS = {"spp": 16, "max_depth": 5, "rr_depth": 100}
 MOST = 3.5  # times what is allocated
 
 
-def material_scene(floor: dict, ball: dict, block: dict) -> rb.Scene:
+def material_scene(floor: dict, ball: dict, block: dict, **more) -> rb.Scene:
     """A ball and a block on a floor, under an environment map."""
     return load(
         torch.float32, sensor=sensor(24, (0.5, 1.0, 3.5), (0, 0, 0), 45), sky=envmap(),
         floor=rectangle((0, -0.6, 0), 2.0, angle=-90, bsdf=floor),
         ball={"type": "sphere", "to_world": translate((-0.5, -0.1, 0.2)) @ scale((0.4, 0.4, 0.4)), "bsdf": ball},
         block={"type": "cube", "to_world": translate((0.5, -0.3, 0)) @ rotate((0, 1, 0), 30) @ scale((0.3, 0.3, 0.3)),
-               "bsdf": block})
+               "bsdf": block}, **more)
 
 
 def glass_and_metal() -> rb.Scene:
@@ -44,6 +44,14 @@ def network() -> rb.Scene:
                           {"type": "dielectric", "int_ior": 1.5}, {"type": "roughconductor", "alpha": 0.2, "material": "Au"})
 
 
+def shining_network() -> rb.Scene:
+    layers = torch.nn.Linear(2, 64), torch.nn.ReLU(), torch.nn.Linear(64, 64), torch.nn.ReLU(), torch.nn.Linear(64, 3)
+    lamp = rectangle((0, 1.8, 0), 0.5, angle=90, emitter={"type": "area", "radiance": torch.nn.Sequential(
+        *layers, torch.nn.Softplus())})
+    return material_scene({"type": "diffuse", "reflectance": 0.5}, {"type": "dielectric", "int_ior": 1.5},
+                          {"type": "roughconductor", "alpha": 0.2, "material": "Au"}, lamp=lamp)
+
+
 CASES = {
     "colours of a diffuse room": (lambda: cornell(torch.float32, 24), ["white.reflectance.value"]),
     "a diffuse room in float64": (lambda: cornell(torch.float64, 24), ["red.reflectance.value"]),
@@ -51,6 +59,7 @@ CASES = {
     "a bitmap beside glass and metal": (glass_and_metal, ["floor.bsdf.reflectance.data", "block.bsdf.alpha.value"]),
     "an environment map and vertices": (glass_and_metal, ["sky.data", "block.vertex_positions"]),
     "a network beside glass and metal": (network, ["floor.bsdf.reflectance.module.0.weight"]),
+    "a network that shines": (shining_network, ["lamp.emitter.radiance.module.0.weight"]),
     "roughness of glass": (rough_glass, ["ball.bsdf.alpha.value"]),
 }
 

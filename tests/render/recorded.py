@@ -11,12 +11,13 @@ import torch
 import torch_radbp as rb
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import cotangent
-from tests.texture.networks import room
+from tests.texture.networks import lit_room, room
 from torch_radbp.integrand import Stages
 from torch_radbp.jit.structure import flatten
 from torch_radbp.stages import EAGER
 
-SCENES = (*EVERYTHING, "networks")
+NETWORKS = {"networks": room, "shining networks": lit_room}
+SCENES = (*EVERYTHING, *NETWORKS)
 SAMPLINGS = ("hybrid", "attached")
 Calls = dict[str, dict[tuple, tuple]]  # arguments, by the stage's name and their structure
 
@@ -38,7 +39,7 @@ def recording() -> tuple[Stages, Calls]:
 
 def build(name: str) -> rb.Scene:
     """A scene of `SCENES`, of which everything is differentiated."""
-    return (room() if name == "networks" else build_everything(name)).requires_grad_()
+    return (NETWORKS[name]() if name in NETWORKS else build_everything(name)).requires_grad_()
 
 
 def calls_of(name: str, sampling: str) -> Calls:

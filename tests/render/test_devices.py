@@ -64,7 +64,8 @@ def trace_on_cuda(stage, arguments: tuple) -> set[torch.device]:
 
 OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "chance_of_light"}, {"side_met"}
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_SIDES},
-          "networks": {"ending", "shines", *OF_MANY_LAMPS, *OF_TWO_SIDES}}  # stages that a scene does without
+          "networks": {"ending", "shines", *OF_MANY_LAMPS, *OF_TWO_SIDES},
+          "shining networks": {"shines", *OF_MANY_LAMPS, *OF_TWO_SIDES}}  # stages that a scene does without
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)

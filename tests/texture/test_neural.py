@@ -279,8 +279,8 @@ def test_what_is_no_module_is_refused(make, message):
 
 
 def test_where_it_cannot_stand_it_is_refused(tmp_path):
-    with pytest.raises(rb.SceneError, match="radiance of Area must be a colour or a bitmap, got a NeuralTexture"):
-        load(sensor=sensor(), lamp=rectangle((0, 0, 0), emitter={"type": "area", "radiance": mlp(2, 3)}))
+    with pytest.raises(rb.SceneError, match="irradiance of Projector must be a colour or a bitmap, got a NeuralTexture"):
+        load(sensor=sensor(), lamp={"type": "projector", "irradiance": mlp(2, 3)})
     with pytest.raises(rb.SceneError, match="poster.bsdf.reflectance: a NeuralTexture cannot be written as XML"):
         rb.save(poster(textured(mlp(2, 3))), tmp_path / "scene.xml")
     assert not list(tmp_path.iterdir())

@@ -115,7 +115,8 @@ class Sweep:
             here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue)
             lanes = step.order[here]
             verdict = None if queue.appearance is None else Verdict(step.visible[here], step.survives[here])
-            outside = OutsideValues(integrand, self.numbered, queue, integrand.places(queue, arrival, lanes), self.moving)
+            places = integrand.places(queue, arrival, lanes, depth)
+            outside = OutsideValues(integrand, self.numbered, queue, places, self.moving)
             above, tables, adj_given = adjoint.of_bounce(adjoint.scene, adjoint.wanted, arrival, lanes, verdict, self.adj_L,
                                                          self.memo, at, settings, outside.given)
             outside.add_adjoint(adj_given, self.gradients)

@@ -53,8 +53,10 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
             then = here.state
             part = integrand.part(queue)
             settings = integrand.settings_at(depth)
-            given = given_values(integrand.scene, integrand.appearance(queue), places_of(part.scene, here, settings))
-            local = local_map(part.scene, part.proposal, here, decided, there, integrand.at(depth), settings, given)
+            at = integrand.at(depth)
+            given = given_values(integrand.scene, integrand.appearance(queue),
+                                 places_of(part.scene, part.proposal, here, at, settings))
+            local = local_map(part.scene, part.proposal, here, decided, there, at, settings, given)
             add_at(L, then.lane, then.beta * local.E)
             ahead.append(then if local.ray is None else
                          PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane,

@@ -137,7 +137,8 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
             step = take_step(integrand, state, 0)[-1]
             gradients, sweep = sweep_of(state, step)
             for queue in step.queues:
-                places = integrand.places(queue, Arrival(state, step.hit, step.front), step.order[queue.first:queue.last])
+                places = integrand.places(queue, Arrival(state, step.hit, step.front), step.order[queue.first:queue.last],
+                                          0)
                 with AllocatedBytes() as allocated:
                     outside = OutsideValues(integrand, sweep.numbered, queue, places, integrand.settings.moving)
                     outside.add_adjoint(tuple(given.value for given in outside.given), gradients)
@@ -153,4 +154,4 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         return alive
 
     return WorkingSet(growth(of_bounce), growth(of_adjoint), None if attached is None else growth(of_tape),
-                      growth(of_outside) if any(look.outside for look in integrand.scene.layout.appearances) else NOTHING)
+                      growth(of_outside) if integrand.scene.layout.reads_outside else NOTHING)

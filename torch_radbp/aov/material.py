@@ -7,10 +7,10 @@ from torch_radbp.differentiated import detached
 from torch_radbp.given import given_values
 from torch_radbp.integrand import Integrand
 from torch_radbp.lookup import lookup, summed
-from torch_radbp.path import places_of, surface_met
+from torch_radbp.path import surface_met
 from torch_radbp.path_state import Arrival, PathState, Settings
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.material import material_at
+from torch_radbp.scene.material import material_at, material_places
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import Given
 from torch_radbp.vec import rows, where
@@ -41,7 +41,8 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
         lanes = order[queue.first:queue.last]
         here = rows(Arrival(state, hit, front), lanes)
         part = summed(integrand.part(queue).scene)
-        given = given_values(integrand.scene, integrand.appearance(queue), places_of(part, here, integrand.settings))
+        places = material_places(part, surface_met(part, here, integrand.settings))
+        given = given_values(integrand.scene, integrand.appearance(queue), places)
         for name in names:
             if name == "albedo" or integrand.appearance(queue).kind.turns_normals:
                 own = integrand.stages.material_value(part, here, given, integrand.settings, name)

@@ -10,12 +10,14 @@ from torch_radbp.texture.rgb import as_texture
 
 
 class SurfaceLight(Light):
-    """Emits `radiance`, a texture on the shape that carries it; the kind says where to, and in which unit.
+    """Emits `radiance`, a texture or a module on the shape that carries it; the kind says where to, and in which unit.
 
     Args:
         radiance: of the light.
         sampling_weight: relative to that of other emitters; 0: next-event estimation never picks it.
     """
+
+    takes_modules = True
 
     def __init__(self, *, radiance: Texture | float = 1.0, sampling_weight: float = 1.0):
         super().__init__()

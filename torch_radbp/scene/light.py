@@ -15,7 +15,7 @@ from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import TexturePoint
+from torch_radbp.texture.reader import Given, Place, TexturePoint
 from torch_radbp.vec import TINY, Ray, Vec3, dot, masked, where
 
 SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends just before its light
@@ -67,16 +67,24 @@ def rows_of(scene: SceneTensors, element: Tensor, case: Case) -> Tensor:
     return torch.where(case.mask, lookup(scene.lights.row, element), 0)
 
 
-def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction) -> Vec3:
-    """Radiance that leaves the surface, or the surround, towards the ray's origin; attached to texels, pose and `ray.d`."""
-    radiance = emitted_by_surface(scene, si)
+def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, given: tuple[Given, ...] = ()) -> Vec3:
+    """Radiance that leaves the surface, or the surround, towards the ray's origin; attached to texels, pose and `ray.d`.
+
+    Args:
+        scene, ray, si: what the ray meets.
+        given: the values of emitters' textures that are read outside, at the `emission_places`.
+    """
+    radiance = emitted_by_surface(scene, si, given)
     if scene.layout.surround is None:
         return radiance
     return where(si.valid, radiance, emitted_by_surround(scene, ray))
 
 
-def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
-    """Radiance that leaves the surfaces that rays have met, towards the rays' origins; 0 where they met none. Attached."""
+def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction, given: tuple[Given, ...] = ()) -> Vec3:
+    """Radiance that leaves the surfaces that rays have met, towards the rays' origins; 0 where they met none. Attached.
+
+    Args as for `emitted`.
+    """
     if not scene.layout.visible_surfaces:
         return Vec3.full(si.p.x, 0.0)
     element = si.emitter.clamp_min(0)
@@ -84,7 +92,33 @@ def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction) -> Vec3:
     emits = si.valid & functools.reduce(torch.logical_or, sends) & (si.emitter >= 0)
     # Next-event estimation finds the same point by no cone: emitters look the same however they are found.
     point = si.point._replace(uv=si.point.uv if scene.layout.radiance_bitmaps else None, footprint=None)
-    return masked(emits, scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point))
+    return masked(emits, texture_of_light(scene, element, si.p, point, given))
+
+
+def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: TexturePoint, given: tuple[Given, ...]) -> Vec3:
+    """The textures of elements of the light table at points; attached.
+
+    Args:
+        scene, element: the elements.
+        p: world positions of the points.
+        point: the points.
+        given: for each of `Layout.lit` its values there.
+    """
+    value = scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point)
+    for reader, rows, own in zip(scene.layout.lit, scene.lights.outside, given):
+        value = where(lookup(rows, element) >= 0, own.at(reader.place(p, point.uv)), value)
+    return value
+
+
+def emission_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
+    """Where the textures of emitters that rays have met are needed, for each of `Layout.lit`; attached as `si` is."""
+    def row(rows: Tensor) -> Tensor:
+        if si.emitter is None:
+            return torch.full_like(si.prim, -1)
+        return torch.where(si.valid & (si.emitter >= 0), lookup(rows, si.emitter.clamp_min(0)), -1)
+
+    return tuple(Place(row(rows), reader.place(si.p, si.point.uv))
+                 for reader, rows in zip(scene.layout.lit, scene.lights.outside))
 
 
 def emitted_by_surround(scene: SceneTensors, ray: Ray) -> Vec3:
@@ -138,19 +172,22 @@ def pdf_of_surround(proposal: SceneTensors, ray: Ray) -> Tensor:
     return proposal.lights.surround_pmf * kind.weighing(proposal.lights.tables[number], ray.d)
 
 
-def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, numbers: LightNumbers,
-                 picked: LightPick | None = None) -> LightSample:
-    """Picks a light element, and a point on it.
+class Aims(NamedTuple):
+    """Samples of the lights that were picked, (N,)."""
 
-    Element and point, or direction, are decided by `proposal`; the point then moves with `scene`.
+    element: Tensor  # int32
+    cases: list[Case]
+    of_case: list[Aim]
+    p: Vec3  # the points, world space; of what has none, where the light is wanted
 
-    Args:
-        scene: attached; gives geometry, poses and radiance.
-        proposal: detached; gives every choice.
-        si: where the light is wanted, attached or not.
-        numbers: decide.
-        picked: the element, if that has been decided before.
-    """
+    def __call__(self, name: str):
+        """A part of the `Aim` of each lane's kind of light; None: no kind has it."""
+        return chosen(self.cases, [getattr(aim, name) for aim in self.of_case])
+
+
+def light_aims(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, numbers: LightNumbers,
+               picked: LightPick | None = None) -> Aims:
+    """Picks light elements, and points on them. Args as for `sample_light`."""
     lights = proposal.lights
     if picked is None:
         element = lights.choice.sample(numbers.choice, unit(numbers.split, si.p.x.dtype))
@@ -162,8 +199,34 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     found = cases(scene, element, dict(enumerate(scene.layout.lights)))
     aims = [case.kind.aim(scene.lights.tables[case.number], lights.tables[case.number], si.p,
                           Pick(rows_of(scene, element, case), pmf, numbers.u, numbers.v)) for case in found]
-    d, pdf = (chosen(found, [getattr(aim, name) for aim in aims]) for name in ("d", "pdf"))
     target = chosen(found, [aim.target for aim in aims])
+    return Aims(element, found, aims, si.p if target is None else target)
+
+
+def sample_places(scene: SceneTensors, aims: Aims) -> tuple[Place, ...]:
+    """Where the textures of the emitters are needed that samples were taken of, for each of `Layout.lit`; attached."""
+    uv = aims("uv") if scene.layout.radiance_bitmaps else None
+    return tuple(Place(lookup(rows, aims.element), reader.place(aims.p, uv))
+                 for reader, rows in zip(scene.layout.lit, scene.lights.outside))
+
+
+def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, numbers: LightNumbers,
+                 picked: LightPick | None = None, given: tuple[Given, ...] = ()) -> LightSample:
+    """Picks a light element, and a point on it.
+
+    Element and point, or direction, are decided by `proposal`; the point then moves with `scene`.
+
+    Args:
+        scene: attached; gives geometry, poses and radiance.
+        proposal: detached; gives every choice.
+        si: where the light is wanted, attached or not.
+        numbers: decide.
+        picked: the element, if that has been decided before.
+        given: the values of emitters' textures that are read outside, at the `sample_places`.
+    """
+    samples = light_aims(scene, proposal, si, numbers, picked)
+    element, found, aims, target = samples
+    d, pdf = samples("d"), samples("pdf")
     weighing = pdf
     if any(aim.weighing is not None for aim in aims):
         weighing = chosen(found, [aim.pdf if aim.weighing is None else aim.weighing for aim in aims])
@@ -171,19 +234,18 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     # Look up what is sent from there.
     delta, distant = (among(found, [getattr(case.kind, name) for case in found], element) for name in ("delta", "distant"))
     findable = 1.0 if delta is None else (~delta).to(pdf.dtype)
-    return LightSample(d, sent(scene, element, found, aims), pdf, weighing, findable, si.p if target is None else target,
-                       distant)
+    return LightSample(d, sent(scene, samples, given), pdf, weighing, findable, target, distant)
 
 
-def sent(scene: SceneTensors, element: Tensor, found: list[Case], aims: list[Aim]) -> Vec3:
+def sent(scene: SceneTensors, samples: Aims, given: tuple[Given, ...]) -> Vec3:
     """The radiance of light samples: a texture times its factor, or what the kind has computed."""
-    computed = chosen(found, [aim.radiance for aim in aims])
+    element, found, aims, p = samples
+    computed = samples("radiance")
     if all(aim.radiance is not None for aim in aims):
         return computed
-    uv = chosen(found, [aim.uv for aim in aims]) if scene.layout.radiance_bitmaps else None
-    attributes = chosen(found, [aim.attributes for aim in aims]) or ()
-    point = TexturePoint(uv, dict(zip(scene.layout.radiance.attributes, attributes)))
-    radiance = scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point)
+    uv = samples("uv") if scene.layout.radiance_bitmaps else None
+    point = TexturePoint(uv, dict(zip(scene.layout.radiance.attributes, samples("attributes") or ())))
+    radiance = texture_of_light(scene, element, p, point, given)
     if any(aim.strength is not None for aim in aims):
         radiance = radiance * chosen(found, [strength(aim) for aim in aims])
     if computed is None:

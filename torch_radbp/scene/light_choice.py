@@ -13,7 +13,7 @@ is met, which may move, too.)
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -26,8 +26,8 @@ from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import fine_unit
 from torch_radbp.scene.light_tree import LightTree, Vantage, chance_of_leaf, drawn_leaf, light_tree
 from torch_radbp.texture.bitmap import LUMINANCE
-from torch_radbp.texture.reader import TableReader, TexturePoint
-from torch_radbp.vec import Vec2, Vec3, interpolated
+from torch_radbp.texture.reader import OutsideReader, TableReader, TexturePoint
+from torch_radbp.vec import Vec2, Vec3, interpolated, where
 
 CHOICES = ("uniform", "tree")
 # Emitters with bounds from which on the tree is the default. With 8, noise times time is less than with a uniform choice, as
@@ -167,40 +167,61 @@ def concatenated(parts: list[LightBounds]) -> LightBounds:
     return with_leaves(parts[0], columns)
 
 
-def bounds_of_kind(kind: LightKind, table: Table, reader: TableReader, bank, texture: Tensor) -> LightBounds | None:
+class Textures(NamedTuple):
+    """The textures of emitters."""
+
+    reader: TableReader
+    bank: Any
+    outside: tuple[OutsideReader, ...]  # of those that are read outside of the functions of a bounce
+    banks: tuple[Any, ...]
+
+
+def bounds_of_kind(kind: LightKind, table: Table, textures: Textures, texture: Tensor,
+                   outside: tuple[Tensor, ...]) -> LightBounds:
     """The bounds of the lights of one kind, float64, detached.
 
     Args:
         table: of the kind.
-        reader, bank: of the textures of emitters.
+        textures: of emitters.
         texture: (rows,) int32, of each.
+        outside: (rows,) int32 each, as `LightTable.outside`.
     """
-    table, bank = (with_leaves(record, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(record)])
-                   for record in (table, bank))
-    return kind.bounds(table, mean_luminance(kind, table, reader, bank, texture))
+    table, textures = (with_leaves(record, [leaf.detach() if isinstance(leaf, Tensor) else leaf
+                                            for leaf in leaves_of(record)]) for record in (table, textures))
+    return kind.bounds(table, mean_luminance(kind, table, textures, texture, outside))
 
 
-def mean_luminance(kind: LightKind, table: Table, reader: TableReader, bank, texture: Tensor) -> Tensor:
+def mean_luminance(kind: LightKind, table: Table, textures: Textures, texture: Tensor,
+                   outside: tuple[Tensor, ...]) -> Tensor:
     """The luminance of the texture of each light, float64: the mean over some points of it."""
-    places = [(i + 0.5) / GRID for i in range(GRID)]
+    places, reader = [(i + 0.5) / GRID for i in range(GRID)], textures.reader
     points = [(u, v) for u in places for v in places if not kind.on_surface or u + v < 1.0]
-    if not reader.needs_uv and not reader.attributes:
+    if not reader.needs_uv and not reader.attributes and not outside:
         points = points[:1]
     row = torch.arange(len(texture), dtype=torch.int32, device=texture.device)
     total = torch.zeros(len(texture), dtype=torch.float64, device=texture.device)
     for u, v in points:
-        light = reader.read(bank, texture, point_on(table, row, u, v, reader))
+        p, point = point_on(table, row, u, v, reader)
+        light = reader.read(textures.bank, texture, point)
+        for other, bank, rows in zip(textures.outside, textures.banks, outside):
+            with torch.no_grad():
+                values = bank.values(rows, other.place(p, point.uv).stack())
+            light = where(rows >= 0, Vec3.of(values), light)
         total += sum(factor * channel.double() for factor, channel in zip(LUMINANCE, light))
     return total / len(points)
 
 
-def point_on(table: Table, row: Tensor, u: float, v: float, reader: TableReader) -> TexturePoint:
-    """The point at which the textures of lights are read, at the same coordinates on each."""
+def point_on(table: Table, row: Tensor, u: float, v: float, reader: TableReader) -> tuple[Vec3, TexturePoint]:
+    """The point at which the textures of lights are read, at the same coordinates on each, and where it is.
+
+    Of lights that are not on surfaces the place is 0.
+    """
     if isinstance(table, EmittingTriangles):
         like = table.inverse_area
         u, v = torch.full_like(like, u), torch.full_like(like, v)
         uv = None if table.uv is None else interpolated(lookup(table.uv, row), u, v)
-        return TexturePoint(uv, dict(zip(reader.attributes, table.attributes_at(row, u, v))))
+        return interpolated(table.p, u, v), TexturePoint(uv, dict(zip(reader.attributes, table.attributes_at(row, u, v))))
     like = next(leaf for leaf in leaves_of(table) if isinstance(leaf, Tensor))
     like = like.new_zeros(len(row))
-    return TexturePoint(Vec2(like + u, like + v), {name: Vec3(like, like, like) for name in reader.attributes})
+    zero = Vec3(like, like, like)
+    return zero, TexturePoint(Vec2(like + u, like + v), {name: zero for name in reader.attributes})

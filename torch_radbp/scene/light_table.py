@@ -14,9 +14,8 @@ from torch_radbp.emitter.kind import EmittingTriangles, Light, LightKind, Surfac
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.scene.interaction import edges
 from torch_radbp.scene.kept import Kept
-from torch_radbp.scene.light_choice import MANY, TreeChoice, bounds_of_kind, tree_choice
+from torch_radbp.scene.light_choice import MANY, Textures, TreeChoice, bounds_of_kind, tree_choice
 from torch_radbp.scene.tensors import Layout, LightTable, TriangleTable
-from torch_radbp.texture.reader import TableReader
 from torch_radbp.vec import attached, cross, rows, unit_normal
 
 SMALLEST_SHARE = 1e-12  # of a lamp's area: smaller triangles are never picked
@@ -34,11 +33,12 @@ class Emission(NamedTuple):
     type: str
     sampling_weight: float
     texture: int  # in the light bank
+    outside: tuple[int, ...]  # for each of `Layout.lit`, in its bank; -1: another reads it
     triangles: int | None  # that it has; None: it is on no surface
 
 
 def light_table(kept: Kept, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
-                layout: Layout, radiance: Any, light_choice: str | None) -> LightTable:
+                layout: Layout, radiance: Any, lit: tuple[Any, ...], light_choice: str | None) -> LightTable:
     """The elements that next-event estimation picks from.
 
     Args:
@@ -48,6 +48,7 @@ def light_table(kept: Kept, triangles: TriangleTable, emissions: tuple[Emission,
         lamps: twins of the others.
         layout: gives the kinds of emitters.
         radiance: the bank of their textures.
+        lit: the banks of those that are read outside.
         light_choice: one of `CHOICES`; None: what suits the number of emitters.
 
     Raises:
@@ -56,18 +57,19 @@ def light_table(kept: Kept, triangles: TriangleTable, emissions: tuple[Emission,
     surfaces, area = kept(emitting_triangles, triangles, layout)
     weights = kept(weights_of, emissions, kept.frozen("areas of emitters", area))
     surfaces = kept(with_inverse_areas, surfaces, area, weights)
-    kind, row, texture = kept(element_columns, layout.lights, emissions, area.device)
+    kind, row, texture, outside = kept(element_columns, layout.lights, emissions, area.device)
     tables = tuple(kept(surface_table, each, surfaces, kind, number) if each.on_surface else
                    kept(lamp_table, each, tuple(lamp for lamp in lamps if lamp.kind() == each), weights)
                    for number, each in enumerate(layout.lights))
     if takes_tree(light_choice, emissions):
-        bounds = kept(bounds_of_lights, layout.lights, layout.radiance, tables, radiance, kind, texture)
+        textures = Textures(layout.radiance, radiance, layout.lit, lit)
+        bounds = kept(bounds_of_lights, layout.lights, textures, tables, kind, texture, outside)
         bounds = tuple(each and LightBounds(*frozen(kept, ("bounds of lights", number), each))
                        for number, each in enumerate(bounds))
         choice = kept(choice_by_tree, bounds, emissions, kind, weights)
-        return LightTable(choice, kind, row, texture, tables, kept(pmf_of_surround_beside, emissions, choice))
+        return LightTable(choice, kind, row, texture, tables, kept(pmf_of_surround_beside, emissions, choice), outside)
     choice = kept(alias_table, weights)
-    return LightTable(choice, kind, row, texture, tables, kept(pmf_of_surround, emissions, choice.pmf))
+    return LightTable(choice, kind, row, texture, tables, kept(pmf_of_surround, emissions, choice.pmf), outside)
 
 
 def takes_tree(light_choice: str | None, emissions: tuple[Emission, ...]) -> bool:
@@ -82,10 +84,11 @@ def frozen(kept: Kept, place: Hashable, record: tuple) -> tuple:
                  kept.frozen((place, number), part) for number, part in enumerate(record))
 
 
-def bounds_of_lights(kinds: tuple[LightKind, ...], reader: TableReader, tables: tuple[Table, ...], radiance: Any,
-                     kind: Tensor, texture: Tensor) -> tuple[LightBounds | None, ...]:
+def bounds_of_lights(kinds: tuple[LightKind, ...], textures: Textures, tables: tuple[Table, ...], kind: Tensor,
+                     texture: Tensor, outside: tuple[Tensor, ...]) -> tuple[LightBounds | None, ...]:
     """The bounds of the elements of each kind, detached; None: it has none."""
-    return tuple(bounds_of_kind(each, tables[number], reader, radiance, texture[kind == number]) if each.bounded else None
+    return tuple(bounds_of_kind(each, tables[number], textures, texture[kind == number],
+                                tuple(rows[kind == number] for rows in outside)) if each.bounded else None
                  for number, each in enumerate(kinds))
 
 
@@ -116,17 +119,18 @@ def pmf_of_surround_beside(emissions: tuple[Emission, ...], choice: TreeChoice) 
 
 
 def element_columns(kinds: tuple[LightKind, ...], emissions: tuple[Emission, ...],
-                    device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """For each element its kind, its row in the table of the kind, and its texture, (E,) int32."""
+                    device: torch.device) -> tuple[Tensor, Tensor, Tensor, tuple[Tensor, ...]]:
+    """For each element its kind, its row in the table of the kind, its texture, and `LightTable.outside`; (E,) int32."""
     integer = {"dtype": torch.int32, "device": device}
     repeats = torch.tensor([elements(emission) for emission in emissions], device=device)
-    kind, texture = (torch.tensor(values, **integer).repeat_interleave(repeats) for values in (
-        [kinds.index(emission.kind) for emission in emissions], [emission.texture for emission in emissions]))
+    kind, texture, *outside = (torch.tensor(values, **integer).repeat_interleave(repeats) for values in (
+        [kinds.index(emission.kind) for emission in emissions], [emission.texture for emission in emissions],
+        *zip(*(emission.outside for emission in emissions))))
     row = torch.zeros_like(kind)
     for number in range(len(kinds)):
         own = (kind == number).nonzero().squeeze(1)
         row[own] = torch.arange(len(own), **integer)
-    return kind, row, texture
+    return kind, row, texture, tuple(outside)
 
 
 def elements(emission: Emission) -> int:

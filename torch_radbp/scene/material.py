@@ -11,7 +11,7 @@ from torch_radbp.bsdf.kind import Choice, Kind, Values, values_for_choice
 from torch_radbp.lookup import lookup
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import Given
+from torch_radbp.texture.reader import Given, Place
 from torch_radbp.vec import Vec3, where
 
 LEAST_DENSITY = 1e-15  # of a direction that can be drawn; the square of its reciprocal is finite in float32
@@ -51,6 +51,12 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, given: tuple[Given,
         else:
             values.append(reader.read(scene.textures[readers.index(reader)], lookup(slot, si.material), si.point))
     return Material(appearance.kind, tuple(values))
+
+
+def material_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
+    """Where the textures of the material are needed that are read outside; arguments as for `material_at`."""
+    return tuple(Place(lookup(slot, si.material), reader.place(si.p, si.point.uv))
+                 for reader, slot in zip(scene.appearance.readers, scene.materials.slots) if reader.outside)
 
 
 def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:

@@ -25,7 +25,7 @@ from torch_radbp.shape.surface import Surface
 from torch_radbp.texture.bitmap import BitmapReader, reader_of
 from torch_radbp.texture.colour import ColourReader
 from torch_radbp.texture.mixed import MixedReader, reader_for
-from torch_radbp.texture.reader import Reader, TableReader
+from torch_radbp.texture.reader import OutsideReader, Reader, TableReader
 from torch_radbp.texture.rgb import RGB
 
 
@@ -79,7 +79,10 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     placed = [placed_shape(kept, shape, instances is not None, dtype) for shape, instances in zip(shapes, scene.shown_by)]
     check_extent(scene, shapes, [kept(largest_coordinate, shape.vertices) for shape in placed])
     radiated = {id(emitter): emitter.radiated() for emitter in emitters}
-    textures = {name: 0 if texture is None else radiance.add(texture) for name, texture in radiated.items()}
+    outside = {name: texture for name, texture in radiated.items() if texture is not None and reader_of(texture).outside}
+    textures = {name: 0 if texture is None or name in outside else radiance.add(texture)
+                for name, texture in radiated.items()}
+    lit, lit_banks, lit_rows = lit_outside(outside, dtype, device)
     named = {name for reader in (*readers, radiance.reader) for name in reader.attributes}
     attributes = tuple(sorted(named))
     if attributes:
@@ -88,8 +91,9 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
         bending=materials.bending or any_differentiated(scene, attributes),
         shading_normals=any(shape.surface.normals is not None for shape in placed),
         back_sides=materials.back_sides, appearances=appearances,
-        readers=readers, radiance=radiance.reader, radiance_bitmaps=radiance.has_bitmaps, attributes=attributes,
-        lights=kinds_of(emitters))
+        readers=readers, radiance=radiance.reader,
+        radiance_bitmaps=radiance.has_bitmaps or any(reader.needs_uv for reader in lit), attributes=attributes,
+        lights=kinds_of(emitters), lit=lit)
     row = {id(bsdf): index for index, bsdf in enumerate(bsdfs)}
     columns = Columns(layout.shading_normals, layout.radiance_bitmaps or aovs or any(look.needs_uv for look in appearances),
                       layout.vertex_attributes, layout.face_attributes, any(look.kind.oriented for look in appearances),
@@ -103,15 +107,32 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     triangles = triangle_table(kept, placed, columns, dtype, device, instances)
 
     def emission(emitter: Light, count: int | None) -> Emission:
-        return Emission(emitter.kind(), emitter.type, emitter.sampling_weight, textures[id(emitter)], count)
+        return Emission(emitter.kind(), emitter.type, emitter.sampling_weight, textures[id(emitter)],
+                        lit_rows.get(id(emitter), (-1,) * len(lit)), count)
 
     carriers = [emission(shape.emitter, len(own.faces)) for shape, own in zip(shapes, placed)
                 if shape.emitter is not None]
     lamps = [emitter for emitter in emitters if not emitter.kind().on_surface]
-    lit = kept(bank_of, layout.radiance, twins(kept, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
+    bank = kept(bank_of, layout.radiance, twins(kept, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
     lights = light_table(kept, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
-                         tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout, lit, light_choice)
-    return SceneTensors(triangles, materials.table, materials.textures, lights, lit, layout)
+                         tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout, bank, lit_banks, light_choice)
+    return SceneTensors(triangles, materials.table, materials.textures, lights, bank, lit_banks, layout)
+
+
+def lit_outside(textures: dict[int, Texture], dtype: torch.dtype, device: torch.device
+                ) -> tuple[tuple[OutsideReader, ...], tuple[Any, ...], dict[int, tuple[int, ...]]]:
+    """`Layout.lit`, its banks, and `Emission.outside` of those emitters that have such a texture.
+
+    Args:
+        textures: of these emitters, by the ids of the emitters.
+        dtype, device: of the scene.
+    """
+    readers = tuple(dict.fromkeys(map(reader_of, textures.values())))
+    own = {reader: list(dict.fromkeys(texture for texture in textures.values() if reader_of(texture) == reader))
+           for reader in readers}
+    rows = {name: tuple(own[reader].index(texture) if texture in own[reader] else -1 for reader in readers)
+            for name, texture in textures.items()}
+    return readers, tuple(reader.bank(own[reader], dtype, device) for reader in readers), rows
 
 
 def numbers_of(scene: Scene, shapes: list[Surface]) -> tuple[Numbers, ...]:

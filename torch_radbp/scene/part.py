@@ -49,7 +49,8 @@ def reduced(scene: SceneTensors, layout: Layout, appearance: Appearance | None) 
     if isinstance(lights.choice, TreeChoice):  # the choice is made before the functions of the bounce run
         lights = lights._replace(choice=TreeChoice(lights.choice.pmf, *(None for _ in TreeChoice._fields[1:])))
     return scene._replace(
-        lights=lights, triangles=triangles, materials=scene.materials._replace(slots=scene.materials.slots[:len(readers)]),
+        lit=(), lights=lights, triangles=triangles,
+        materials=scene.materials._replace(slots=scene.materials.slots[:len(readers)]),
         textures=tuple(() if reader.outside else scene.textures[layout.readers.index(reader)]
                        for reader in dict.fromkeys(readers)))
 

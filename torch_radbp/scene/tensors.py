@@ -13,7 +13,7 @@ from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.light_choice import TreeChoice
 from torch_radbp.scene.placement import InstanceTable
 from torch_radbp.shape.ball import Balls
-from torch_radbp.texture.reader import Reader, TableReader
+from torch_radbp.texture.reader import OutsideReader, Reader, TableReader
 from torch_radbp.vec import Vec2, Vec3
 
 
@@ -29,6 +29,7 @@ class Layout(NamedTuple):
     radiance_bitmaps: bool  # some of them have coordinates
     attributes: tuple[str, ...]  # of meshes, that textures read
     lights: tuple[LightKind, ...]  # kinds of light
+    lit: tuple[OutsideReader, ...] = ()  # of those textures of emitters that are read outside
 
     @property
     def vertex_attributes(self) -> tuple[str, ...]:
@@ -44,6 +45,11 @@ class Layout(NamedTuple):
     def traces_cones(self) -> bool:
         """True if textures depend on how much of a surface a sample sees, so that paths carry cones."""
         return any(reader.needs_footprint for reader in self.readers)
+
+    @property
+    def reads_outside(self) -> bool:
+        """True if some textures are read outside of the functions of a bounce."""
+        return bool(self.lit) or any(look.outside for look in self.appearances)
 
     @property
     def surface_lights(self) -> dict[int, LightKind]:
@@ -114,6 +120,7 @@ class LightTable(NamedTuple):
     radiance: Tensor  # (E,) int32 texture of the light bank; 0 of a kind that reads none
     tables: tuple[Table, ...]  # of `Layout.lights`
     surround_pmf: Tensor  # () probability of picking the surround
+    outside: tuple[Tensor, ...] = ()  # for each of `Layout.lit` (E,) int32, texture of its bank; -1: another reads it
 
     @property
     def by_place(self) -> bool:
@@ -129,6 +136,7 @@ class SceneTensors(NamedTuple):
     textures: tuple[Any, ...]  # the banks of `Layout.readers`
     lights: LightTable
     radiance: Any  # the bank of `Layout.radiance`
+    lit: tuple[Any, ...]  # the banks of `Layout.lit`
     layout: Layout
 
     @property

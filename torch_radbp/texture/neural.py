@@ -94,18 +94,16 @@ class ModuleBank(NamedTuple):
         """(N, 3) values, attached. Each module runs on its own lanes.
 
         Args:
-            row: (N,) int32, which of the modules gives each lane its value.
+            row: (N,) int32, which of the modules gives each lane its value; -1: none, and the value is 0.
             place: (N, 2) or (N, 3).
         """
-        if len(place) == 0:
-            return place.new_zeros(0, 3)
-        if len(self.functions) == 1:
-            return self.functions[0](self.parameters[0], place)
-        order, counts = partition(row, len(self.functions))
-        lanes = order.long().split(counts)
+        order, (nothing, *counts) = partition(row + 1, len(self.functions) + 1)
+        lanes = order.long().split([nothing, *counts])
+        if len(place) and len(place) in counts:  # one gives all, in the order that they have
+            return self.functions[counts.index(len(place))](self.parameters[counts.index(len(place))], place)
         parts = [function(parameters, place[own]) for function, parameters, own in
-                 zip(self.functions, self.parameters, lanes) if len(own)]
-        return torch.cat(parts)[torch.argsort(order)]
+                 zip(self.functions, self.parameters, lanes[1:]) if len(own)]
+        return torch.cat([place.new_zeros(nothing, 3), *parts])[torch.argsort(order)]
 
 
 @dataclass(frozen=True)
@@ -133,15 +131,16 @@ class ModuleReader(OutsideReader):
 
 
 class NeuralTexture(Texture):
-    """The values of a module at each surface point, in the place of any texture of a material.
+    """The values of a module at each surface point, in the place of any texture of a material or of a light on a surface.
 
     Parameters: those of the module, as `module.NAME`; they keep their `requires_grad`. Derivatives: with respect to them,
     and through the place to whatever moves it.
 
-    The module is called on the lanes that meet the material, bounce by bounce, and again in the backward pass, so that its
-    memory is bounded by the chunk. A row of what it returns must depend on the same row of what it gets and on nothing else:
-    no batch statistics, and no chance, such as dropout in training mode. Its buffers are not copied: leave them alone
-    between a rendering and its backward pass. Values outside of the attribute's range are an error.
+    The module is called on the lanes that meet the material or the light, or have picked a point on the light, bounce by
+    bounce, and again in the backward pass, so that its memory is bounded by the chunk. A row of what it returns must depend
+    on the same row of what it gets and on nothing else: no batch statistics, and no chance, such as dropout in training
+    mode. Its buffers are not copied: leave them alone between a rendering and its backward pass. Values outside of the
+    attribute's range are an error.
 
     Args:
         module: from (N, 2) or (N, 3) to (N, 1) or (N, 3), of the scene's dtype; the scene's `.to()` converts it, too.

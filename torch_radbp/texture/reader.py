@@ -92,6 +92,13 @@ class OutsideReader(Reader):
         return given
 
 
+class Place(NamedTuple):
+    """Where lanes need a value of a texture that is read outside, (N,)."""
+
+    row: Tensor  # int32, of which texture of its reader; -1: of none
+    at: Vec2 | Vec3  # what it is a function of
+
+
 class Given(NamedTuple):
     """The values of a texture that is read outside, (N,) each."""
 
