@@ -49,7 +49,7 @@ def test_instances_and_spheres_are_cast_as_their_triangles():
     ray = random_rays(20_000, within=2.0)
     embree, warp = (make_caster(name, *stacked) for name in ("embree", "warp"))
     expected, hit = embree.intersect(ray), warp.intersect(ray)
-    assert (expected.prim >= 0).float().mean() > 0.3
+    assert (expected.prim >= 0).float().mean() > 0.2
     assert (hit.prim != expected.prim).float().mean() < 1e-3  # at edges
     hidden = [caster.occluded(ray, torch.full((20_000,), 0.8)) for caster in (embree, warp)]
     assert 0.1 < hidden[0].float().mean() < 0.9
