@@ -49,6 +49,15 @@ def test_the_width_is_that_of_the_processor():
     assert host_width() in (4, 8, 16)
 
 
+@pytest.mark.parametrize("dtype, searches, vectors", [(torch.float32, False, 1), (torch.float32, True, 2),
+                                                      (torch.float64, False, 1), (torch.float64, True, 1)])
+def test_float32_takes_two_vectors_where_it_searches(dtype, searches, vectors):
+    """As many bytes as float64 has in the lanes of one."""
+    program = trace(lambda table, x: [torch.searchsorted(table, x, right=True).to(dtype) if searches else x + 1],
+                    [dtype, dtype], [TABLE, LANES])
+    assert f"add i64 %at, {vectors * host_width()}" in Cpu().text(program)
+
+
 def test_the_compiler_imports_nothing_of_rendering():
     code = ("import sys, torch_radbp.jit; "
             "print([name for name in sys.modules if name.startswith('torch_radbp.') and '.jit' not in name])")

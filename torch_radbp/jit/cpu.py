@@ -13,6 +13,8 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Sequence
 
+import torch
+
 from torch_radbp.jit import cpu_order, cpu_scatter
 from torch_radbp.jit.emit import Body, emit
 from torch_radbp.jit.graph import LANES, Program
@@ -29,8 +31,8 @@ class Cpu:
     """The processor that this runs on.
 
     Args:
-        width: lanes in a block; None: those of a vector of the processor, or of two where tables are searched. A search
-            waits for one entry after the other, and two at a time wait together.
+        width: lanes in a block; None: those of a float32 vector of the processor, of which float64 takes two. A search
+            waits for one entry after the other, and two vectors wait together: float32 takes two too where it searches.
     """
 
     def __init__(self, width: int | None = None):
@@ -38,7 +40,7 @@ class Cpu:
 
     def text(self, program: Program) -> str:
         """The module of a program."""
-        width = self.width or host_width() * (2 if program.searched else 1)
+        width = self.width or host_width() * vectors(program)
         return framed(emit(program, width), width)
 
     def compile(self, program: Program) -> CpuLoop:
@@ -86,6 +88,12 @@ def framed(body: Body, width: int) -> str:
         f"  %next = add i64 %at, {width}", "  %more = icmp slt i64 %next, %last",
         "  br i1 %more, label %loop, label %done", "done:", "  ret void", "}", *body.functions,
         *([DECLARATION] if width > 1 else []), ""])
+
+
+def vectors(program: Program) -> int:
+    """The float32 vectors in a block; see `Cpu`."""
+    in_double = any(value is not None and value.dtype == torch.float64 for value in program.outputs)
+    return 2 if program.searched and not in_double else 1
 
 
 def pointers(program: Program, outputs: int) -> Iterator[str]:
