@@ -16,7 +16,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 from torch.func import functional_call
-from torch.overrides import TorchFunctionMode
 from torch.utils._pytree import tree_leaves
 
 import torch_radbp as rb
@@ -30,28 +29,32 @@ from torch_radbp.scene.tensors import SceneTensors
 # that the second one detaches, only the tables from which lights are chosen.
 PROPOSAL = "make_integrand"
 CHOICES = frozenset({"choose", "chance_of_lobe", "values_for_choice", "relative_chance", "vantage", PROPOSAL})
+DETACH = Tensor.detach
 DEEPEST_CALL = 40  # frames between such a function and what it detaches
 
 
-class Decisions(TorchFunctionMode):
+class Decisions:
     """While active, `Tensor.detach` and the ray caster answer as they did the first time that it was active, in order.
+
+    The method is exchanged meanwhile: a `TorchFunctionMode` would be asked about every other operation as well, which takes
+    as long as they do.
 
     Args:
         functions: only what these detach; None: everything.
     """
 
     def __init__(self, functions: frozenset[str] | None = None):
-        super().__init__()
         self.functions, self.answers, self.next = functions, [], None
         self.recording, self.asking = False, False
+        self.scene, self.tables = None, set()
 
-    def __enter__(self):
+    def __enter__(self) -> None:
         self.recording = self.next is None
         self.next = 0
-        return super().__enter__()
+        Tensor.detach = lambda value: self.detached(value)
 
-    def __exit__(self, *error):
-        super().__exit__(*error)
+    def __exit__(self, *error) -> None:
+        Tensor.detach = DETACH
         if error[0] is None:
             assert self.next == len(self.answers), "a rendering took other decisions than the first one"
 
@@ -64,11 +67,12 @@ class Decisions(TorchFunctionMode):
         self.next += 1
         return self.answers[self.next - 1]
 
-    def __torch_function__(self, function, types, arguments=(), keywords=None):
-        if function != Tensor.detach or self.asking or not self.concerned(*arguments):
-            return function(*arguments, **(keywords or {}))
-        held = self.answer(lambda: function(*arguments).clone())
-        assert held.shape == arguments[0].shape and held.dtype == arguments[0].dtype
+    def detached(self, value: Tensor) -> Tensor:
+        """What `Tensor.detach` returns while this is active."""
+        if self.asking or not self.concerned(value):
+            return DETACH(value)
+        held = self.answer(lambda: DETACH(value).clone())
+        assert held.shape == value.shape and held.dtype == value.dtype
         return held.view_as(held)
 
     def concerned(self, value: Tensor) -> bool:
@@ -82,13 +86,14 @@ class Decisions(TorchFunctionMode):
                 return False
             name = frame.f_code.co_name
             if name in self.functions:
-                return name != PROPOSAL or any(value is table for table in choice_tables(frame.f_locals["tensors"]))
+                return name != PROPOSAL or id(value) in self.choice_tables(frame.f_locals["tensors"])
         return False
 
-
-def choice_tables(scene: SceneTensors) -> list[Tensor]:
-    """Of which lights, and which parts of the environment, are chosen."""
-    return [leaf for leaf in tree_leaves(scene.lights) if isinstance(leaf, Tensor)]
+    def choice_tables(self, scene: SceneTensors) -> set[int]:
+        """Of which lights, and which parts of the environment, are chosen; by identity."""
+        if scene is not self.scene:
+            self.scene, self.tables = scene, {id(leaf) for leaf in tree_leaves(scene.lights) if isinstance(leaf, Tensor)}
+        return self.tables
 
 
 class HeldCaster:
