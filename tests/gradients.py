@@ -23,11 +23,18 @@ def cotangent(image: Tensor, seed: int = 0) -> Tensor:
     return torch.randn(image.shape, generator=generator, dtype=torch.float64, device="cpu").to(image)
 
 
+def unwarned_renderer(scene: rb.Scene, **settings) -> rb.Renderer:
+    """A renderer that does not look for what its derivatives lack, which takes longer than a small image."""
+    renderer = rb.Renderer(scene, **settings)
+    renderer.jump_watch.looks.clear()
+    return renderer
+
+
 def image_and_gradients(scene: rb.Scene, names, *, seed: int = 3, sensors=None, adj_image: Tensor | None = None,
                         **settings) -> tuple[Tensor, list[Tensor]]:
     """An image, and the gradients of <adj_image, image> for the parameters called `names`."""
     wanted = parameters(scene, names)
-    image = rb.Renderer(scene, **settings)(seed=seed, sensors=sensors)
+    image = unwarned_renderer(scene, **settings)(seed=seed, sensors=sensors)
     adj_image = cotangent(image.detach()) if adj_image is None else adj_image
     return image.detach(), list(torch.autograd.grad(image, wanted, adj_image))
 
