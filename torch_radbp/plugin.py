@@ -107,6 +107,10 @@ class Plugin(nn.Module):
         """Keeps the child `name` as a reference only, because it is registered (and named) elsewhere."""
         self.shared[name] = self._modules.pop(name)
 
+    def as_written(self, attribute: str) -> Any:
+        """The value of an attribute as a file of the scene has it."""
+        return getattr(self, attribute)
+
     def domains(self) -> dict[str, Domain]:
         """The domains of the plugin's parameters and tables, and of the values of its textures, by attribute."""
         return {}

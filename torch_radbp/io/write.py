@@ -162,7 +162,10 @@ class _Writer:
     def add(self, element: ElementTree.Element, plugin: Plugin, attribute: str, name: str) -> None:
         """Appends one attribute of `plugin`, called `name`, unless it has its default value."""
         annotation, default, _ = attributes(type(plugin))[attribute]
-        value = getattr(plugin, attribute)
+        try:
+            value = plugin.as_written(attribute)
+        except ValueError as error:
+            raise SceneError(f"{name}: not written, {error}") from error
         if is_list(annotation):
             for number, item in enumerate(value):
                 element.append(self.nested(item, attribute, f"{name}.{attribute}_{number}"))

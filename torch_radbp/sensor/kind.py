@@ -22,6 +22,7 @@ from torch_radbp.shape.surface import transform
 from torch_radbp.vec import Ray, Vec2, Vec3
 
 Lens = Any  # a NamedTuple of tensors, attached
+RIGID = 1e-3  # how far products of the rows of a pose may be from those of a rotation, as in Mitsuba
 
 
 @dataclass(frozen=True)
@@ -117,19 +118,37 @@ class ProjectiveCamera(Sensor):
     Parameters: `to_world` (4, 4), and those of the subclass.
     """
 
+    takes_scale: ClassVar[bool] = False  # the length of its axes says how much it sees
+
     def place(self, to_world: Matrix4 | None, near_clip: float, far_clip: float, film: Film | None,
               sampler: Sampler | None) -> None:
         """Stores what all such cameras have.
 
         Raises:
-            ValueError: if the planes are out of order.
+            ValueError: if the planes are out of order, or `to_world` scales and the camera does not take that.
         """
         self.film = HDRFilm() if film is None else film
         self.sampler = LowDiscrepancy() if sampler is None else sampler
         if not 0 < near_clip < far_clip:
             raise ValueError(f"near_clip must be positive and less than far_clip, got {near_clip} and {far_clip}")
         self.near_clip, self.far_clip = positive("near_clip", near_clip), float(far_clip)
-        self.freeze("to_world", transform("to_world", to_world))
+        pose = transform("to_world", to_world)
+        if not self.takes_scale and not is_rigid(pose):
+            lengths = ", ".join(f"{length:.6g}" for length in pose.detach()[:3, :3].norm(dim=0).tolist())
+            raise ValueError(f"to_world of a camera must not scale or shear, as in Mitsuba 3; its axes have the lengths "
+                             f"{lengths}: leave the scale out, and choose what is seen by the field of view")
+        self.freeze("to_world", pose)
+
+    def as_written(self, attribute: str) -> Any:
+        """The axes of `to_world` count by their directions unless the camera takes scales, and have length one in files."""
+        if attribute != "to_world" or self.takes_scale or is_rigid(self.to_world):
+            return super().as_written(attribute)
+        pose = self.to_world.detach().clone()
+        pose[:3, :3] /= pose[:3, :3].norm(dim=0)
+        if not is_rigid(pose):
+            raise ValueError("to_world shears, which no file can say of a camera: its axes must be perpendicular; `rb.se3` "
+                             "makes poses that stay rotations while they are optimised")
+        return pose
 
     def domains(self) -> dict[str, Domain]:
         return {"to_world": POSE}
@@ -154,6 +173,12 @@ class ProjectiveCamera(Sensor):
     def tensors(self) -> Camera:
         """The camera as a record of tensors, attached."""
         return Camera(self.kind(), self.lens(), self.film.tensors(self.to_world))
+
+
+def is_rigid(matrix: Tensor) -> bool:
+    """True if a (4, 4) transform neither scales nor shears; it may mirror."""
+    linear = matrix.detach()[:3, :3].double()
+    return bool(((linear @ linear.T - torch.eye(3, dtype=linear.dtype, device=linear.device)).abs() <= RIGID).all())
 
 
 def number(value: float) -> Tensor:

@@ -71,6 +71,8 @@ class Orthographic(ProjectiveCamera):
         focus_distance, shutter_open, shutter_close: accepted, but without effect on a camera without lens and motion.
     """
 
+    takes_scale = True
+
     def __init__(self, *, to_world: Matrix4 | None = None, near_clip: float = 1e-2, far_clip: float = 1e4,
                  focus_distance: float | None = None, shutter_open: float = 0.0, shutter_close: float = 0.0,
                  film: Film | None = None, sampler: Sampler | None = None):
