@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import torch_radbp as rb
 from torch_radbp.plugin import REGISTRY
 
 README = Path(__file__).parents[1] / "README.md"
@@ -55,3 +56,10 @@ def test_every_plugin_of_mitsuba_is_in_the_table(category, mi):
         IN_PYTHON if category == "Integrators" else set())
     supported, beyond, missing = table()[category]
     assert theirs == supported | missing and not theirs & beyond
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_the_loader_says_of_each_unsupported_plugin_why(category):
+    for name in table()[category][2]:
+        with pytest.raises(rb.SceneError, match=f"the [a-z]+ type '{name}' is not supported: [a-z].*"):
+            rb.load_dict({"type": "scene", "thing": {"type": name}})

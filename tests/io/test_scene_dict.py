@@ -54,6 +54,14 @@ def test_plugins_already_made_are_taken_as_they_are():
     assert scene.get_submodule("ball").bsdf is white
 
 
+@pytest.mark.parametrize("name", ["white", "paint"])
+def test_an_object_of_the_top_level_is_referred_to_by_key_and_by_id(name):
+    """As in Mitsuba."""
+    scene = load_dict(scene_dict(white={"type": "diffuse", "id": "paint"},
+                                 ball={"type": "sphere", "bsdf": {"type": "ref", "id": name}}))
+    assert scene.get_submodule("ball").bsdf is scene.get_submodule("white")
+
+
 def test_one_dict_used_twice_makes_two_objects():
     white = {"type": "diffuse", "reflectance": 0.5}
     scene = load_dict(scene_dict(a={"type": "disk", "bsdf": white}, b={"type": "disk", "bsdf": white}))

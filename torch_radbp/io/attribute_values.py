@@ -90,7 +90,7 @@ def live(name: str, value: Tensor, members: tuple[Any, ...]) -> nn.Parameter:
 def shown(value: Any) -> str:
     """A value as messages print it, a long one by its beginning."""
     if hasattr(value, "shape") and len(value.shape) > 0:
-        kind = f" of {value.dtype}" if "complex" in str(value.dtype) else ""
+        kind = f" of {value.dtype}" if "complex" in str(getattr(value, "dtype", "")) else ""
         return f"{type(value).__name__} of shape {tuple(value.shape)}{kind}"
     try:
         text = repr(value)

@@ -12,7 +12,9 @@ from typing import Any
 
 from torch import nn
 
+import torch_radbp.io.absent  # noqa: F401 (registers why plugins are missing)
 from torch_radbp.io.attribute_values import convert, is_list, is_named, options, plugin_categories, shown, with_article
+from torch_radbp.io.bitmap_object import is_bitmap_object, linear_values
 from torch_radbp.io.colour_values import colour_value, is_colour
 from torch_radbp.io.spd import read_spectrum
 from torch_radbp.io.xml_scene import XMLObject, find_file
@@ -55,14 +57,18 @@ class _Builder:
             found = repr(root.get("type")) if isinstance(root, dict) else type(root).__name__
             raise SceneError(f"a scene dict must have \"type\": \"scene\" and contain its objects by name, got {found}")
         self.collect_ids((), root)
+        for name, value in root.items():
+            if name not in self.ids and _is_object(value) and not _is_reference(value):
+                self.ids[name] = ((name,), value)  # which has another id as well
         children: dict[str, Plugin] = {}
         integrators: list[str] = []
         for name, value in root.items():
             if name == "type":
                 continue
             if not _is_object(value):
-                raise self.error((name,), value, f"a scene takes only objects, dicts with a \"type\", got {shown(value)}")
-            if isinstance(value, dict) and value.get("type") == "ref":
+                raise self.error((name,), value, f"a scene takes only objects, dicts with a \"type\", got {shown(value)}"
+                                 f"{_advice(value)}")
+            if _is_reference(value):
                 raise self.error((name,), value, "a reference cannot stand directly in the scene; put it inside the "
                                  "object that uses it")
             plugin = self.plugin((name,), value, TOP_LEVEL)
@@ -89,7 +95,7 @@ class _Builder:
         for key, value in node.items():
             if not isinstance(key, str):
                 raise self.error(path, node, f"keys must be strings, got {key!r}")
-            if not _is_object(value) or (isinstance(value, dict) and value.get("type") == "ref"):
+            if not _is_object(value) or _is_reference(value):
                 continue
             name = _given_id(value) or (key if not path else None)
             if name is not None and not isinstance(name, str):
@@ -104,7 +110,7 @@ class _Builder:
 
     def plugin(self, path: tuple[str, ...], value: Any, expected: Iterable[str]) -> Plugin:
         """The object at `path`, of one of the categories `expected`; built once however often it is used."""
-        if isinstance(value, dict) and value.get("type") == "ref":
+        if _is_reference(value):
             return self.referenced(path, value, expected)
         if isinstance(value, dict) and path not in self.built:
             cls = self.plugin_class(path, value, expected)
@@ -172,10 +178,10 @@ class _Builder:
             raise self.error(path, node, f"{name!r} is {with_article(elsewhere)}, which cannot stand here; supported: "
                              f"{', '.join(expected)}")
         known = [known for category in possible for known in REGISTRY[category]]
-        missing = next((category for category in possible if (category, name) in ABSENT), None)
+        missing = next((category for category, other in ABSENT if other == name and (not tag or category == tag)), None)
         if missing is not None:
-            raise self.error(path, node, f"the {missing} type {name!r} is not supported: {ABSENT[missing, name]}; known: "
-                             f"{', '.join(sorted(REGISTRY[missing]))}")
+            instead = f"; known: {', '.join(sorted(REGISTRY[missing]))}" if missing in REGISTRY else ""
+            raise self.error(path, node, f"the {missing} type {name!r} is not supported: {ABSENT[missing, name]}{instead}")
         raise self.error(path, node, f"the {'/'.join(possible)} type {name!r} is not supported; "
                          f"{nearest(name, known)}")
 
@@ -233,11 +239,13 @@ class _Builder:
         try:
             if is_colour(value):
                 value = self.colour(key, value, node, cls)
+            elif is_bitmap_object(value):
+                value = linear_values(value, raw=node.get("raw") is True)
             converted = convert(key, value, annotation)
             is_file = Filename in options(annotation) and converted is not None
             return self.file(key, converted, node) if is_file else converted
         except (ValueError, TypeError, OSError) as error:
-            raise self.error((*path, key), node, str(error), key) from error
+            raise self.error((*path, key), node, f"{error}{_advice(value)}", key) from error
 
     def file(self, key: str, name: str, node: dict[str, Any]) -> str:
         """The path of a file that the object `node` names."""
@@ -273,11 +281,21 @@ def _is_object(value: Any) -> bool:
     return isinstance(value, nn.Module) or (isinstance(value, dict) and "type" in value)
 
 
+def _is_reference(value: Any) -> bool:
+    return isinstance(value, dict) and value.get("type") == "ref"
+
+
 def _with_file(message: str, cls: type[Plugin], arguments: dict[str, Any]) -> str:
     """The message, with the file that the object is made of if it does not name it."""
     schema = attributes(cls)
     files = [value for name, value in arguments.items() if Filename in options(schema[name].annotation)]
     return ": ".join([*(file for file in files if isinstance(file, str) and file not in message), message])
+
+
+def _advice(value: Any) -> str:
+    """What to do about an object that Mitsuba has already made."""
+    is_made = type(value).__module__.startswith("mitsuba") and hasattr(value, "class_name")
+    return "; what Mitsuba has made of a description cannot be read: give the description, a dict" if is_made else ""
 
 
 def _given_id(value: Any) -> str | None:

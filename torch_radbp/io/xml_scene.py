@@ -132,7 +132,10 @@ class _Reader:
 
     def plugin(self, element: Element) -> XMLObject:
         """One object with its attributes and nested objects."""
-        if element.tag in UNSUPPORTED_OBJECTS or element.tag not in (*REGISTRY, "spectrum"):
+        if element.tag in UNSUPPORTED_OBJECTS:
+            raise element.fail("media and volumes are not supported, light travels between surfaces only; supported here: "
+                               f"{_supported()}")
+        if element.tag not in (*REGISTRY, "spectrum"):
             raise element.fail(f"this element is not supported; supported here: {_supported()}, "
                                f"{', '.join(PROPERTIES)}")
         check_attributes(element, ("type",), ("id", "name", "version"))
