@@ -65,6 +65,10 @@ class SceneError(ValueError):
     """A scene description that cannot be used; the message names the place and what is supported."""
 
 
+class SceneWarning(UserWarning):
+    """A scene description that is read in another way than its author may have meant."""
+
+
 class Matrix4(Tensor):
     """Annotation of a (4, 4) transform, world from local."""
 

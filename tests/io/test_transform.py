@@ -6,6 +6,7 @@ import pytest
 from tests.io.documents import write_scene
 from torch_radbp.io import transform
 from torch_radbp.io.load import load
+from torch_radbp.plugin import SceneWarning
 
 OPERATIONS = [
     '<translate x="1" z="-2"/>',
@@ -34,6 +35,17 @@ def test_transforms_are_those_of_mitsuba(mi, tmp_path, operations):
     ours = load(path).get_parameter("r.to_world").detach().numpy()
     theirs = np.array(mi.traverse(mi.load_file(str(path)))["r.to_world"].matrix)
     np.testing.assert_allclose(ours, theirs, atol=2e-6)  # both are single precision, entries up to 10
+
+
+@pytest.mark.parametrize("axis", ['x="1" y="1"', 'value="0, 0.2, -0.3"'])
+def test_a_rotation_axis_of_another_length_scales_as_in_mitsuba_and_warns(mi, tmp_path, axis):
+    body = f'<shape type="rectangle" id="r"><transform name="to_world"><rotate {axis} angle="30"/></transform></shape>'
+    path = write_scene(tmp_path, body)
+    with pytest.warns(SceneWarning, match="<rotate>: the axis has the length .* and not 1, so that it scales and shears"):
+        ours = load(path).get_parameter("r.to_world").detach().numpy()
+    theirs = np.array(mi.traverse(mi.load_file(str(path)))["r.to_world"].matrix)
+    assert abs(np.linalg.det(theirs[:3, :3]) - 1) > 0.01
+    np.testing.assert_allclose(ours, theirs, atol=1e-6)
 
 
 def test_rotation_is_orthogonal_for_an_axis_of_any_length():

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from torch_radbp.io.xml import MAX_DEPTH, parse_xml, read_xml
-from torch_radbp.plugin import SceneError
+from torch_radbp.plugin import SceneError, SceneWarning
 
 BILLION_LAUGHS = "<!DOCTYPE scene [" + '<!ENTITY a0 "ha">' + "".join(
     f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 30)) + ']>\n<scene version="3.0.0" id="&a29;"/>'
@@ -35,7 +35,6 @@ def test_document_types_and_entities_are_refused_at_once(document):
     (b'<scene version="3.0.0">\n<shape>\n</scene>', "line 3: not well-formed XML: mismatched tag"),
     (b"", "not well-formed XML: no element found"),
     (b"<scene>&undefined;</scene>", "line 1: not well-formed XML: undefined entity"),
-    (b'<scene version="3.0.0">\nhello</scene>', "line 2: unexpected text 'hello'"),
     (b"<a>" * (MAX_DEPTH + 1), f"nested more than {MAX_DEPTH} deep"),
     (b'<?xml version="1.0" encoding="klingon"?><scene/>', "encoding"),
     (b'<scene a="1" a="2"/>', "duplicate attribute"),
@@ -44,6 +43,13 @@ def test_document_types_and_entities_are_refused_at_once(document):
 def test_documents_that_are_not_plain_xml_are_refused(document, message):
     with pytest.raises(SceneError, match=message):
         parse_xml(document, "bad.xml")
+
+
+def test_text_between_elements_is_left_out_with_a_warning():
+    """Mitsuba leaves it out, too."""
+    with pytest.warns(SceneWarning, match="a.xml, line 2: the text 'hello' is left out"):
+        root = parse_xml(b'<scene>\nhello<shape type="cube"/></scene>', "a.xml")
+    assert [child.tag for child in root.children] == ["shape"]
 
 
 def test_predefined_entities_and_utf8_are_read():

@@ -22,21 +22,25 @@ def scale(factors: Sequence[float]) -> np.ndarray:
 def rotate(axis: Sequence[float], angle: float) -> np.ndarray:
     """Turns counter-clockwise by `angle` degrees about `axis` (3,), of any length.
 
-    Mitsuba 3.9 expects an axis of length one without checking and shears with any other; here it is normalised.
-
     Raises:
         ValueError: if the axis is zero.
-
-    Reference: Rodrigues' formula.
     """
     length = np.linalg.norm(axis)
     if length == 0:
         raise ValueError("the rotation axis must not be zero")
-    x, y, z = np.asarray(axis, dtype=np.float64) / length
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    radians = np.deg2rad(angle)
+    return rotate_unchecked(np.asarray(axis, dtype=np.float64) / length, angle)
+
+
+def rotate_unchecked(axis: Sequence[float], angle: float) -> np.ndarray:
+    """As `rotate` for an axis of length one; any other is not normalised, so that the matrix scales and shears.
+
+    Reference: Rodrigues' formula, in the form in which Mitsuba 3.9 has it.
+    """
+    x, y, z = axis
+    cosine, sine = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
     matrix = np.eye(4)
-    matrix[:3, :3] += np.sin(radians) * cross + (1 - np.cos(radians)) * cross @ cross
+    matrix[:3, :3] = (cosine * np.eye(3) + sine * np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+                      + (1 - cosine) * np.outer(axis, axis))
     return matrix
 
 

@@ -1,17 +1,18 @@
 """Reads an XML file into a tree of elements that know their line, and nothing else of XML.
 
 A scene file may come from anywhere, so that document type declarations, and with them entities of every kind, are
-refused before they are read, and nesting is limited.
+refused before they are read, and nesting is limited. Text between elements is left out with a warning.
 """
 
 from __future__ import annotations
 
 import os
+import warnings
 from typing import NamedTuple
 from xml.parsers import expat
 
 from torch_radbp.io.files import opened
-from torch_radbp.plugin import SceneError
+from torch_radbp.plugin import SceneError, SceneWarning
 
 MAX_DEPTH = 100
 
@@ -45,8 +46,8 @@ def read_xml(path: str | os.PathLike) -> Element:
     """The root element of a file.
 
     Raises:
-        SceneError: if the file cannot be read, is not well-formed XML, declares a document type or entities, nests
-            deeper than `MAX_DEPTH`, or has text between its elements.
+        SceneError: if the file cannot be read, is not well-formed XML, declares a document type or entities, or nests
+            deeper than `MAX_DEPTH`.
     """
     file = os.fspath(path)
     try:
@@ -74,7 +75,8 @@ def parse_xml(content: bytes, file: str) -> Element:
 
     def text(data: str) -> None:
         if data.strip():
-            raise fail(f"unexpected text {data.strip()[:40]!r}; values are written as attributes, value=\"...\"")
+            warnings.warn(f"{file}, line {parser.CurrentLineNumber}: the text {data.strip()[:40]!r} is left out, as in "
+                          "Mitsuba; values are written as attributes, value=\"...\"", SceneWarning, stacklevel=2)
 
     def refuse_doctype(*_) -> None:
         raise fail("a document type declaration (<!DOCTYPE ...>) or entity is not allowed in a scene; "

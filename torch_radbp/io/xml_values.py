@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -12,10 +13,11 @@ import torch
 
 from torch_radbp.io import transform
 from torch_radbp.io.xml import Element, abridged
-from torch_radbp.plugin import SceneError, nearest
+from torch_radbp.plugin import SceneError, SceneWarning, nearest
 from torch_radbp.pose import look_at
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+UNIT = 1e-3  # how far the length of a rotation axis may be from 1 by rounding
 INTEGER = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 
 
@@ -125,8 +127,17 @@ def property_value(element: Element) -> Any:
 
 
 def _rotation(element: Element) -> np.ndarray:
-    axis = vector(element, 0.0, extra=("angle",))
-    return transform.rotate(axis, numbers(element, "angle", (1,))[0])
+    """A rotation; one about an axis of another length than one is what Mitsuba makes of it, with a warning."""
+    axis, angle = vector(element, 0.0, extra=("angle",)), numbers(element, "angle", (1,))[0]
+    length = math.hypot(*axis)
+    if abs(length - 1.0) <= UNIT:
+        return transform.rotate(axis, angle)
+    if length == 0:
+        raise element.fail("the rotation axis must not be zero")
+    warnings.warn(f"{element}: the axis has the length {length:.4g} and not 1, so that it scales and shears, as in Mitsuba "
+                  f"3; for a rotation write value=\"{', '.join(f'{part / length:.6g}' for part in axis)}\"", SceneWarning,
+                  stacklevel=2)
+    return transform.rotate_unchecked(axis, angle)
 
 
 def _look_at(element: Element) -> np.ndarray:
