@@ -12,7 +12,7 @@ from tests.scenes import CASES, cornell
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.elementary_double import FORMULAS
 from torch_radbp.jit.order import chosen, partition, put
-from torch_radbp.jit.scatter import copies, scatter_add
+from torch_radbp.jit.scatter import Sums, copies, scatter_add
 from torch_radbp.jit.structure import replaced
 from torch_radbp.record import leaves_of
 
@@ -62,7 +62,7 @@ def test_lanes_are_chosen_partitioned_and_put():
 def test_numbers_are_added_to_tables(entries, deterministic):
     case = addition(200_000, entries, 3, copies(entries, torch.device("cuda", 0)), torch.float32)
     there = [case._replace(index=case.index.cuda(), numbers=[number.cuda() for number in case.numbers],
-                           totals=[total.cuda() for total in case.totals], touched=case.touched.cuda()) for _ in range(2)]
+                           sums=Sums([total.cuda() for total in case.sums.totals], case.sums.touched.cuda())) for _ in range(2)]
     before = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(deterministic)
     try:
@@ -70,7 +70,7 @@ def test_numbers_are_added_to_tables(entries, deterministic):
             scatter_add([part])
     finally:
         torch.use_deterministic_algorithms(before)
-    for numbers, *totals in zip(case.numbers, *(part.totals for part in there)):
+    for numbers, *totals in zip(case.numbers, *(part.sums.totals for part in there)):
         expected = torch.zeros(entries, dtype=torch.float64).index_add_(0, case.index, numbers.double())
         torch.testing.assert_close(totals[0].sum(1).cpu(), expected, rtol=1e-12, atol=1e-10)
         assert not deterministic or torch.equal(*totals)

@@ -35,11 +35,11 @@ def test_numbers_are_added_to_tables_by_one_kernel(dtype, copies):
     cases = [addition(3000, entries, tables, copies, dtype) for entries, tables in ((1, 1), (4, 3), (700, 2))]
     gpu.scatter_add(cases, 3000)
     for case in cases:
-        for numbers, totals in zip(case.numbers, case.totals):
+        for numbers, totals in zip(case.numbers, case.sums.totals):
             expected = torch.zeros(len(totals), dtype=torch.float64).index_add_(0, case.index, numbers.double())
             torch.testing.assert_close(totals.sum(1), expected, rtol=1e-13, atol=1e-13)  # of another order of the sum
             assert (totals != 0).all(0).all() if len(totals) == 1 else totals.any()
-        assert torch.equal(case.touched, torch.zeros_like(case.touched).index_fill_(0, case.index.long() // 512, True))
+        assert torch.equal(case.sums.touched, torch.zeros_like(case.sums.touched).index_fill_(0, case.index.long() // 512, True))
     gpu.scatter_add(cases, 3000)
     assert [launch.name for launch in gpu.launcher.launches] == ["scatter"] * 2 and len(gpu.kernels) == 1
 
@@ -48,7 +48,7 @@ def test_lanes_of_a_warp_take_different_copies_of_a_small_table():
     gpu = Gpu(Emulated())
     case = addition(64, 1, 1, gpu.copies(1), torch.float32)
     gpu.scatter_add([case], 64)
-    assert torch.equal(case.totals[0][0].float(), case.numbers[0])
+    assert torch.equal(case.sums.totals[0][0].float(), case.numbers[0])
     assert gpu.copies(1 << 20) == 1
 
 
@@ -61,7 +61,7 @@ def test_torch_adds_in_order_where_it_is_told_to_be_deterministic():
     finally:
         torch.use_deterministic_algorithms(before)
     assert not gpu.launcher.launches
-    for numbers, totals in zip(case.numbers, case.totals):
+    for numbers, totals in zip(case.numbers, case.sums.totals):
         expected = torch.zeros(7, dtype=torch.float64).index_add_(0, case.index, numbers.double())
         assert torch.equal(totals.squeeze(1), expected)
 
@@ -74,7 +74,7 @@ def test_sums_do_not_depend_on_the_order_of_the_threads_where_torch_is_determini
         for backwards in (False, True):
             case = addition(5000, 7, 1, copies, torch.float64)
             Gpu(Emulated(backwards=backwards)).scatter_add([case], 5000)
-            found.append(case.totals[0])
+            found.append(case.sums.totals[0])
         expected = torch.zeros(7, dtype=torch.float64).index_add_(0, case.index, case.numbers[0])
         torch.testing.assert_close(found[0].sum(1), expected, rtol=1e-13, atol=1e-13)
         return found
@@ -110,6 +110,6 @@ def test_on_other_devices_lanes_are_moved_by_torch():
     assert targets[0].tolist() == [2, 0, 1, 0] and targets[1].tolist() == [False, False, True, False]
     case = addition(100, 9, 2, target.copies(9), torch.float32)
     target.scatter_add([case], 100)
-    assert case.totals[0].any() and case.touched.all()
+    assert case.sums.totals[0].any() and case.sums.touched.all()
     with pytest.raises(RuntimeError, match="for the CPU and for GPUs of NVIDIA's"):
         target.compile(None)

@@ -8,7 +8,7 @@ import torch
 
 from torch_radbp.jit.cpu_scatter import BLOCK
 from torch_radbp.jit.machine import made_once
-from torch_radbp.jit.scatter import Addition, scatter_add
+from torch_radbp.jit.scatter import Addition, Sums, scatter_add
 
 LANES = (0, 1, 17, BLOCK, BLOCK + 1, 50_000)
 
@@ -18,7 +18,7 @@ def addition(lanes: int, entries: int, tables: int, copies: int, dtype: torch.dt
     index = torch.randint(entries, (lanes,), generator=generator, dtype=torch.int32)
     numbers = [torch.randn(lanes, generator=generator, dtype=dtype) for _ in range(tables)]
     totals = [torch.zeros(entries, copies, dtype=torch.float64) for _ in range(tables)]
-    return Addition(index, numbers, totals, torch.zeros(-(-entries // 512), dtype=torch.bool))
+    return Addition(index, numbers, Sums(totals, torch.zeros(-(-entries // 512), dtype=torch.bool)))
 
 
 @pytest.mark.parametrize("lanes", LANES)
@@ -29,11 +29,11 @@ def test_totals_are_those_of_float64(lanes, dtype):
     scatter_add(cases)
     scatter_add(cases[:1])  # once more
     for case, times in zip(cases, (2, 1, 1, 1)):
-        for numbers, totals in zip(case.numbers, case.totals):
+        for numbers, totals in zip(case.numbers, case.sums.totals):
             expected = torch.zeros(len(totals), dtype=torch.float64).index_add_(0, case.index, times * numbers.double())
             torch.testing.assert_close(totals.sum(1), expected, rtol=1e-13, atol=1e-13)  # of another order of the sum
-        pages = torch.zeros_like(case.touched).index_fill_(0, case.index.long() // 512, True)
-        assert torch.equal(case.touched, pages)
+        pages = torch.zeros_like(case.sums.touched).index_fill_(0, case.index.long() // 512, True)
+        assert torch.equal(case.sums.touched, pages)
 
 
 def test_without_copies_lanes_are_added_in_their_order():
@@ -42,28 +42,35 @@ def test_without_copies_lanes_are_added_in_their_order():
     totals = [0.0] * 3
     for index, number in zip(case.index.tolist(), case.numbers[0].tolist()):
         totals[index] += number
-    assert case.totals[0].squeeze(1).tolist() == totals
+    assert case.sums.totals[0].squeeze(1).tolist() == totals
 
 
 def test_parts_and_strided_numbers_are_added_too():
     case = addition(1000, 5, 1, 1, torch.float32)
     index, numbers = torch.arange(200, dtype=torch.int32)[::2] % 5, torch.rand(1).expand(100)
     scatter_add([case._replace(index=index, numbers=[numbers])])
-    torch.testing.assert_close(case.totals[0].squeeze(1), torch.zeros(5, dtype=torch.float64).index_add_(0, index,
+    torch.testing.assert_close(case.sums.totals[0].squeeze(1), torch.zeros(5, dtype=torch.float64).index_add_(0, index,
                                                                                                      numbers.double()))
 
 
 def test_additions_that_do_not_fit_are_errors():
     good = addition(10, 5, 1, 1, torch.float32)
     for bad in (good._replace(index=good.index.long()), good._replace(numbers=[torch.rand(9)]),
-                good._replace(numbers=[torch.ones(10, dtype=torch.int32)]), good._replace(totals=good.totals * 2),
-                good._replace(totals=[torch.zeros(5, 3, dtype=torch.float64)]), good._replace(totals=[torch.zeros(5, 1)]),
-                good._replace(touched=torch.zeros(0, dtype=torch.bool)),
+                good._replace(numbers=[torch.ones(10, dtype=torch.int32)]), good._replace(numbers=good.numbers * 2),
                 good._replace(numbers=[torch.rand(10, device="meta")])):
         with pytest.raises(ValueError, match="an addition takes int32 indices of 10 lanes"):
             scatter_add([bad])
     with pytest.raises(ValueError, match="indices of 10 lanes"):
         scatter_add([good, addition(11, 5, 1, 1, torch.float32)])
+
+
+def test_sums_that_do_not_fit_are_errors():
+    right, touched = torch.zeros(5, 1, dtype=torch.float64), torch.zeros(1, dtype=torch.bool)
+    for totals, pages in (([torch.zeros(5, 3, dtype=torch.float64)], touched), ([torch.zeros(5, 1)], touched),
+                          ([right] * 4, touched), ([right, right[:4]], touched), ([right], touched[:0]),
+                          ([torch.zeros(5, 2, dtype=torch.float64)[:, :1]], touched), ([right.to("meta")], touched)):
+        with pytest.raises(ValueError, match="up to 3 totals .K, C. of float64, C a power of 2"):
+            Sums(totals, pages)
 
 
 def test_threads_that_ask_at_the_same_time_share_one_machine_code():

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, copies, scatter_add
+from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, Sums, copies, scatter_add
 
 PAGE = 1 << PAGE_BITS  # entries
 
@@ -42,6 +42,7 @@ class Gradients:
                        for table in tables]
         self.touched = {table.numel(): torch.zeros(pages(table.numel()), dtype=torch.bool, device=table.device)
                         for table in tables}  # by number of entries
+        self.sums: dict[tuple[int, ...], Sums] = {}  # of the tables that were added to together
 
     def add(self, contributions: Iterable[Contribution]) -> None:
         """Adds what reads of equally many lanes contribute."""
@@ -53,8 +54,15 @@ class Gradients:
             for first in range(0, len(parts), MOST_TABLES):
                 some = parts[first:first + MOST_TABLES]
                 additions.append(Addition(some[0].index, [part.adjoint for part in some],
-                                          [self.totals[part.leaf] for part in some], self.touched[entries]))
+                                          self.sums_of(tuple([part.leaf for part in some]), entries)))
         scatter_add(additions)
+
+    def sums_of(self, leaves: tuple[int, ...], entries: int) -> Sums:
+        """What is added to for some tables with so many entries."""
+        sums = self.sums.get(leaves)
+        if sums is None:
+            sums = self.sums[leaves] = Sums([self.totals[leaf] for leaf in leaves], self.touched[entries])
+        return sums
 
     def add_whole(self, leaf: int, gradient: Tensor) -> None:
         """Adds to the gradient of a whole table."""
@@ -74,8 +82,9 @@ def gradients_of(workers: Sequence[Gradients]) -> list[Tensor]:
         parts = [worker.totals[leaf].view(pages(table.numel()), -1).index_select(0, touched) for worker in workers]
         for part in parts[1:]:
             parts[0] += part
-        total = parts[0].view(len(touched), PAGE, workers[0].totals[leaf].shape[1]).sum(2).to(table.dtype)
-        gradient = zeros(pages(table.numel()), PAGE, table.dtype, table.device).index_copy_(0, touched, total)
+        total = parts[0].view(len(touched), PAGE, workers[0].totals[leaf].shape[1])
+        total = total.squeeze(2) if total.shape[2] == 1 else total.sum(2)  # torch takes its time to sum one number each
+        gradient = zeros(pages(table.numel()), PAGE, table.dtype, table.device).index_copy_(0, touched, total.to(table.dtype))
         results.append(gradient.view(-1)[:table.numel()].view(table.shape))
     return results
 

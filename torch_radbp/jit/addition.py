@@ -13,14 +13,45 @@ MOST_TABLES = 3  # of an addition
 SCALARS = {torch.float32: "float", torch.float64: "double"}
 
 
+class Sums:
+    """What is added to: the sums for some tables of K entries that are read at one index. Checked once, used often.
+
+    Args:
+        totals: of each table, (K, C) float64, written into: the sum over the C copies, a power of 2, counts; at most
+            MOST_TABLES.
+        touched: (ceil(K / 512),) bool, set for pages of 512 entries that were added to.
+
+    Raises:
+        ValueError: if these do not go together, or are not contiguous.
+    """
+
+    __slots__ = ("totals", "touched", "device", "copies", "words", "addresses")
+
+    def __init__(self, totals: Sequence[Tensor], touched: Tensor):
+        shape, self.device = totals[0].shape, touched.device
+        right = (len(totals) <= MOST_TABLES and len(shape) == 2 and shape[1] & (shape[1] - 1) == 0
+                 and all(total.dtype == torch.float64 and total.shape == shape and total.is_contiguous() for total in totals)
+                 and touched.dtype == torch.bool and touched.is_contiguous() and touched.numel() << PAGE_BITS >= shape[0]
+                 and all(total.device == self.device for total in totals))
+        if not right:
+            found = [(tuple(tensor.shape), tensor.dtype, str(tensor.device)) for tensor in (*totals, touched)]
+            raise ValueError(f"sums are up to {MOST_TABLES} totals (K, C) of float64, C a power of 2, and bools for all pages "
+                             f"of {1 << PAGE_BITS} entries, contiguous and on one device; got {found}")
+        self.totals, self.touched, self.copies = tuple(totals), touched, shape[1]
+        # For machine code: the pages, the binary logarithm of the number of copies, that number less 1; and the totals.
+        self.words = touched.data_ptr(), self.copies.bit_length() - 1, self.copies - 1
+        self.addresses = [total.data_ptr() for total in totals]
+
+
 class Addition(NamedTuple):
-    """Numbers of N lanes that are added to entries of some tables of K entries, all at one index."""
+    """Numbers of N lanes that are added to entries of some tables, all at one index."""
 
     index: Tensor  # (N,) int32
-    numbers: Sequence[Tensor]  # of each table, (N,) float32 or float64; at most MOST_TABLES
-    totals: Sequence[Tensor]  # of each table, (K, C) float64, written into: the sum over the C copies, a power of 2, counts
-    touched: Tensor  # (ceil(K / 512),) bool, set for pages of 512 entries that were added to
+    numbers: Sequence[Tensor]  # for each of the totals, (N,) float32 or float64
+    sums: Sums
 
     def contiguous(self) -> Addition:
-        """The same, for machine code; what is written into is contiguous before."""
+        """The same, for machine code."""
+        if self.index.is_contiguous() and all([number.is_contiguous() for number in self.numbers]):
+            return self
         return self._replace(index=self.index.contiguous(), numbers=[number.contiguous() for number in self.numbers])

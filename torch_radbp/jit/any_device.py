@@ -47,9 +47,9 @@ class AnyDevice:
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
         """Neighbouring lanes take different copies; in order if torch is told to be deterministic."""
-        for index, numbers, totals, touched in additions:
-            copies = totals[0].shape[1]
+        for index, numbers, sums in additions:
+            copies = sums.copies
             place = index if copies == 1 else index.long() * copies + torch.arange(lanes, device=index.device) % copies
-            for number, total in zip(numbers, totals):
+            for number, total in zip(numbers, sums.totals):
                 total.view(-1).index_add_(0, place, number.to(total.dtype))
-            touched.fill_(True)
+            sums.touched.fill_(True)

@@ -129,10 +129,8 @@ code = made_once(Code)
 def scatter_add(additions: Sequence[Addition], lanes: int) -> None:
     """See `scatter.scatter_add`; all is contiguous."""
     loops, words = code().loops, array("q")
-    for index, numbers, totals, touched in additions:
-        tables, copies = len(numbers), totals[0].shape[1]
-        spare = [0] * (MOST_TABLES - tables)
-        words.extend([loops[numbers[0].dtype, tables], index.data_ptr(), touched.data_ptr(), copies.bit_length() - 1,
-                      copies - 1, *[number.data_ptr() for number in numbers], *spare,
-                      *[total.data_ptr() for total in totals], *spare])
+    for index, numbers, sums in additions:
+        spare = [0] * (MOST_TABLES - len(numbers))
+        words.extend([loops[numbers[0].dtype, len(numbers)], index.data_ptr(), *sums.words,
+                      *[number.data_ptr() for number in numbers], *spare, *sums.addresses, *spare])
     code().run(words.buffer_info()[0], len(additions), lanes)

@@ -114,11 +114,10 @@ class Gpu(AnyDevice):
         if torch.are_deterministic_algorithms_enabled():
             return super().scatter_add(additions, lanes)
         words: list[int] = []
-        for index, numbers, totals, touched in additions:
-            copies = totals[0].shape[1]
-            words += (index.data_ptr(), touched.data_ptr(), copies.bit_length() - 1, copies - 1)
-            for number, total in zip(numbers, totals):
-                words += (number.data_ptr(), total.data_ptr())
+        for index, numbers, sums in additions:
+            words += (index.data_ptr(), *sums.words)
+            for number, address in zip(numbers, sums.addresses):
+                words += (number.data_ptr(), address)
         case = tuple((addition.numbers[0].dtype, len(addition.numbers)) for addition in additions)
         self.kernel("scatter", case, scatter_text)(lanes, words)
 

@@ -14,10 +14,10 @@ from collections.abc import Sequence
 
 import torch
 
-from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition
+from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition, Sums
 from torch_radbp.jit.target import target_of
 
-__all__ = ["MOST_TABLES", "PAGE_BITS", "Addition", "copies", "scatter_add"]
+__all__ = ["MOST_TABLES", "PAGE_BITS", "Addition", "Sums", "copies", "scatter_add"]
 
 
 def copies(entries: int, device: torch.device) -> int:
@@ -48,16 +48,12 @@ def scatter_add(additions: Sequence[Addition]) -> None:
 
 def check(addition: Addition, lanes: int, device: torch.device) -> None:
     """Errors as `scatter_add` says."""
-    index, numbers, totals, touched = addition
-    shape, dtype = totals[0].shape, numbers[0].dtype
-    right = (len(numbers) == len(totals) <= MOST_TABLES and index.dtype == torch.int32 and index.numel() == lanes
-             and dtype in SCALARS and all(number.dtype == dtype and number.numel() == lanes for number in numbers)
-             and all(total.dtype == torch.float64 and total.shape == shape and total.is_contiguous() for total in totals)
-             and shape[1] & (shape[1] - 1) == 0 and touched.dtype == torch.bool
-             and touched.numel() << PAGE_BITS >= shape[0] and touched.is_contiguous()
-             and all(tensor.device == device for tensor in (index, touched, *numbers, *totals)))
+    index, numbers, sums = addition
+    dtype = numbers[0].dtype
+    right = (len(numbers) == len(sums.totals) and index.dtype == torch.int32 and index.numel() == lanes and dtype in SCALARS
+             and index.device == sums.device == device
+             and all([number.dtype == dtype and number.numel() == lanes and number.device == device for number in numbers]))
     if not right:
-        found = [(tuple(tensor.shape), tensor.dtype, str(tensor.device)) for tensor in (index, *numbers, *totals, touched)]
-        raise ValueError(f"an addition takes int32 indices of {lanes} lanes, numbers of up to {MOST_TABLES} tables, all "
-                         f"float32 or all float64, as many totals (K, C) of float64, C a power of 2, and bools for all "
-                         f"pages of {1 << PAGE_BITS} entries, all on {device}; got {found}")
+        found = [(tuple(tensor.shape), tensor.dtype, str(tensor.device)) for tensor in (index, *numbers)]
+        raise ValueError(f"an addition takes int32 indices of {lanes} lanes and numbers for each of {len(sums.totals)} tables, "
+                         f"all float32 or all float64, on {device}; got {found} for sums on {sums.device}")
