@@ -50,6 +50,11 @@ def knowing(stage: Callable, *arguments) -> Callable:
     return stage.knowing(*arguments) if hasattr(stage, "knowing") else stage
 
 
+def taken(stage: Callable, **arguments) -> tuple:
+    """Arguments that are the same in several calls of a stage, prepared for them."""
+    return stage.taken(**arguments) if hasattr(stage, "taken") else tuple(arguments.values())
+
+
 class Part(NamedTuple):
     """What the lanes of one queue go through."""
 

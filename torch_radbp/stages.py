@@ -15,6 +15,7 @@ from torch_radbp.aov.material import material_value
 from torch_radbp.aov.surface import surface_values
 from torch_radbp.integrand import Stages
 from torch_radbp.jit import LaneFunction, UnknownOperation
+from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.target import Target
 from torch_radbp.path import bounce, chance_of_light, ending, pick_light, places, sample_camera
@@ -65,6 +66,14 @@ class CompiledStage:
         other.fused = self.fused.knowing(*arguments)
         return other
 
+    def taken(self, **arguments) -> tuple[Taken, ...]:
+        """Arguments by name, prepared for several calls."""
+        return self.fused.taken(**arguments)
+
+    def room(self, results) -> Taken:
+        """What `into` writes into, prepared for several calls."""
+        return self.fused.room(results)
+
     def __call__(self, *arguments):
         try:
             return self.fused(*arguments)
@@ -76,7 +85,7 @@ class CompiledStage:
         try:
             self.fused.into(results, first, *arguments)
         except UnknownOperation as error:
-            for target, found in zip(leaves_of(results), leaves_of(self.eagerly(error, arguments))):
+            for target, found in zip(leaves_of(as_it_is(results)), leaves_of(self.eagerly(error, arguments))):
                 if found is not None:
                     target[first:first + len(found)] = found
 
@@ -85,4 +94,9 @@ class CompiledStage:
         if not self.told:
             self.told.append(str(error))
             warnings.warn(f"{self.stage.__name__} runs eagerly, which is slower: {error}", RuntimeWarning, stacklevel=3)
-        return self.stage(*arguments)
+        return self.stage(*map(as_it_is, arguments))
+
+
+def as_it_is(argument):
+    """An argument that may be prepared for several calls, as it was given."""
+    return argument.argument if isinstance(argument, Taken) else argument

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torch_radbp.differentiated import any_differentiated
 from torch_radbp.given import given_values
-from torch_radbp.integrand import Integrand
+from torch_radbp.integrand import Integrand, taken
 from torch_radbp.jit.order import chosen, put
 from torch_radbp.lookup import lookup
 from torch_radbp.path import Vertex
@@ -80,20 +80,24 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
     arrival, at = step.arrival(state), integrand.at(depth)
 
-    def arguments(queue: Queue) -> tuple:
+    def arguments(queue: Queue, reached, at, settings) -> tuple:
         part, lanes = integrand.part(queue), step.order[queue.first:queue.last]
         given = given_values(integrand.scene, integrand.appearance(queue), integrand.places(queue, arrival, lanes, depth))
-        return part.scene, part.proposal, arrival, lanes, at, settings, given
+        return part.scene, part.proposal, reached, lanes, at, settings, given
 
     *_, last = step.queues
-    light = integrand.part(last).evaluate(*arguments(last)) if last.appearance is None else None
+    light = integrand.part(last).evaluate(*arguments(last, arrival, at, settings)) if last.appearance is None else None
     queues = [queue for queue in step.queues if queue.appearance is not None]
     bounces = [integrand.part(queue).evaluate for queue in queues]
-    if len(bounces) == 1 or (bounces and not hasattr(bounces[0], "into")):
-        return joined([bounce(*arguments(queue)) for bounce, queue in zip(bounces, queues)]), light
+    if not bounces:
+        return room_for_vertices(state, 0), light
+    same = taken(bounces[0], arrival=arrival, at=at, settings=settings)
+    if len(bounces) == 1 or not hasattr(bounces[0], "into"):
+        return joined([bounce(*arguments(queue, *same)) for bounce, queue in zip(bounces, queues)]), light
     vertices = room_for_vertices(state, step.scattered)
+    room = bounces[0].room(vertices)
     for bounce, queue in zip(bounces, queues):
-        bounce.into(vertices, queue.first, *arguments(queue))
+        bounce.into(room, queue.first, *arguments(queue, *same))
     return vertices, light
 
 

@@ -84,7 +84,8 @@ def gradients_of(workers: Sequence[Gradients]) -> list[Tensor]:
             parts[0] += part
         total = parts[0].view(len(touched), PAGE, workers[0].totals[leaf].shape[1])
         total = total.squeeze(2) if total.shape[2] == 1 else total.sum(2)  # torch takes its time to sum one number each
-        gradient = zeros(pages(table.numel()), PAGE, table.dtype, table.device).index_copy_(0, touched, total.to(table.dtype))
+        gradient = zeros(pages(table.numel()), PAGE, table.dtype, table.device)
+        gradient.index_copy_(0, touched, total.to(table.dtype))
         results.append(gradient.view(-1)[:table.numel()].view(table.shape))
     return results
 

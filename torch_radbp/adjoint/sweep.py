@@ -26,7 +26,7 @@ from torch_radbp.adjoint.bounce import empty_memo
 from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.adjoint.outside import OutsideValues
 from torch_radbp.adjoint.scatter import Contribution, Gradients
-from torch_radbp.integrand import Integrand, knowing
+from torch_radbp.integrand import Integrand, knowing, taken
 from torch_radbp.path_state import PathState
 from torch_radbp.queues import Queue
 from torch_radbp.record import with_leaves
@@ -110,15 +110,17 @@ class Sweep:
         if step is None:
             step = take_step(self.integrand, state, depth)[-1]
         integrand, arrival = self.integrand, step.arrival(state)
-        at, settings = integrand.at(depth), integrand.settings_at(depth)
+        same = taken(integrand.stages.bounce_adjoint, arrival=arrival, adj_L=self.adj_L, memo=self.memo,
+                     at=integrand.at(depth), settings=integrand.settings_at(depth))
+        reached, *of_chunk, at, settings = same
         for queue in step.queues:
             here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue)
             lanes = step.order[here]
             verdict = None if queue.appearance is None else Verdict(step.visible[here], step.survives[here])
             places = integrand.places(queue, arrival, lanes, depth)
             outside = OutsideValues(integrand, self.numbered, queue, places, self.moving)
-            above, tables, adj_given = adjoint.of_bounce(adjoint.scene, adjoint.wanted, arrival, lanes, verdict, self.adj_L,
-                                                         self.memo, at, settings, outside.given)
+            above, tables, adj_given = adjoint.of_bounce(adjoint.scene, adjoint.wanted, reached, lanes, verdict, *of_chunk,
+                                                         at, settings, outside.given)
             outside.add_adjoint(adj_given, self.gradients)
             found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
             if depth == 0 and above.adj_corners is not None:  # no bounce aims at what the camera sees

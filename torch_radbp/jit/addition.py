@@ -35,8 +35,8 @@ class Sums:
                  and all(total.device == self.device for total in totals))
         if not right:
             found = [(tuple(tensor.shape), tensor.dtype, str(tensor.device)) for tensor in (*totals, touched)]
-            raise ValueError(f"sums are up to {MOST_TABLES} totals (K, C) of float64, C a power of 2, and bools for all pages "
-                             f"of {1 << PAGE_BITS} entries, contiguous and on one device; got {found}")
+            raise ValueError(f"sums are up to {MOST_TABLES} totals (K, C) of float64, C a power of 2, and bools for all "
+                             f"pages of {1 << PAGE_BITS} entries, contiguous and on one device; got {found}")
         self.totals, self.touched, self.copies = tuple(totals), touched, shape[1]
         # For machine code: the pages, the binary logarithm of the number of copies, that number less 1; and the totals.
         self.words = touched.data_ptr(), self.copies.bit_length() - 1, self.copies - 1

@@ -89,68 +89,108 @@ class Parameter:
         return form, leaves
 
 
-class Arguments:
-    """The arguments of one call, or the first of them.
+class Taken:
+    """An argument, taken apart: for one call, or for several that get the very same.
 
     Args:
-        parameters: of the function, those that the arguments belong to.
-        arguments: nested tuples and lists of tensors, and of anything hashable.
-        known: the arguments that stand before these, taken apart before.
+        parameter: that it belongs to.
+        argument: nested tuples and lists of tensors, and of anything hashable.
 
     Raises:
         ValueError: if tensors of lanes differ in length, or a tensor has another device or shape.
         RuntimeError: if tensors require grad while gradients are recorded.
     """
 
-    __slots__ = ("given", "numbers", "leaves", "kinds", "read", "pointers", "sizes", "lanes", "shared",
-                 "device")
+    __slots__ = ("argument", "form", "leaves", "read", "pointers", "sizes", "lanes", "device")
 
-    def __init__(self, parameters: Sequence[Parameter], arguments: Sequence, known: Arguments | None = None):
-        self.given, self.numbers, self.lanes = tuple(arguments), [], None if known is None else known.lanes
-        self.leaves: Sequence[Tensor] = []
-        self.kinds: list[str] = []
-        lanes: list[int] = []  # places of the tensors with an entry for each
-        for parameter, argument in zip(parameters, arguments):
-            form, own = parameter.take_apart(argument)
-            lanes += [len(self.leaves) + place for place in form.lanes]
-            self.leaves += own
-            self.kinds += form.kinds
-            self.numbers.append(form.number)
-        self.device = self.checked_device(parameters, None if known is None else known.device)
+    def __init__(self, parameter: Parameter, argument: Any):
+        self.argument = argument
+        self.form, self.leaves = parameter.take_apart(argument)
+        self.device = self.checked_device(parameter)
         self.read = self.leaves  # whose memory is read
         if not all([leaf.is_contiguous() for leaf in self.leaves]):
-            self.read = [leaf.contiguous() for leaf in self.leaves]
+            self.read = tuple([leaf.contiguous() for leaf in self.leaves])
         self.pointers, self.sizes = [leaf.data_ptr() for leaf in self.read], [leaf.numel() for leaf in self.leaves]
-        for place in lanes:
-            self.lanes = self.sizes[place] if self.lanes is None else self.lanes
+        self.lanes = self.sizes[self.form.lanes[0]] if self.form.lanes else None
+        for place in self.form.lanes:
             if self.sizes[place] != self.lanes:
-                raise ValueError(f"{parameters[0].function} got tensors of {self.lanes} and of {self.sizes[place]} lanes")
-        distinct = len(set(self.pointers)) == len(self.pointers) and (
-            known is None or set(self.pointers).isdisjoint(known.pointers))
+                raise unequal(parameter, self.lanes, self.sizes[place])
+
+    def checked_device(self, parameter: Parameter) -> torch.device | None:
+        """The device of the tensors, None if there are none; raises the errors of single tensors."""
+        if torch.is_grad_enabled() and any([leaf.requires_grad for leaf in self.leaves]):
+            raise RuntimeError(f"{parameter.function} is compiled and records no derivative: call it under "
+                               "torch.no_grad(), or with detached tensors")
+        if not self.leaves:
+            return None
+        device = self.leaves[0].device
+        same = all([leaf.is_cpu for leaf in self.leaves]) if device.type == "cpu" else (
+            device.type == "cuda" and all([leaf.device == device for leaf in self.leaves]))
+        if not same:
+            raise elsewhere(parameter, device, next((leaf.device for leaf in self.leaves if leaf.device != device), device))
+        return device
+
+
+def unequal(parameter: Parameter, lanes: int, others: int) -> ValueError:
+    """The error about tensors of lanes that differ in length."""
+    return ValueError(f"{parameter.function} got tensors of {lanes} and of {others} lanes")
+
+
+def elsewhere(parameter: Parameter, device: torch.device, other: torch.device) -> ValueError:
+    """The error about tensors on two devices, or on one that nothing is compiled for."""
+    return ValueError(f"{parameter.function} is compiled for tensors that lie all on the CPU or all on one GPU, "
+                      f"got one on {device} and one on {other}")
+
+
+class Arguments:
+    """The arguments of one call, or the first of them.
+
+    Args:
+        parameters: of the function, those that the arguments belong to.
+        arguments: each as it is, or `Taken`.
+        known: the arguments that stand before these.
+
+    Raises:
+        ValueError, RuntimeError: as for `Taken`.
+    """
+
+    __slots__ = ("given", "forms", "leaves", "read", "pointers", "sizes", "lanes", "shared", "device", "addresses")
+
+    def __init__(self, parameters: Sequence[Parameter], arguments: Sequence, known: Arguments | None = None):
+        parts = [argument if type(argument) is Taken else Taken(parameter, argument)
+                 for parameter, argument in zip(parameters, arguments)]
+        self.given, self.forms = [part.argument for part in parts], [part.form for part in parts]
+        self.lanes, self.device = (None, None) if known is None else (known.lanes, known.device)
+        self.leaves: list[Tensor] = []
+        self.read: list[Tensor] = []
+        self.pointers: list[int] = []
+        self.sizes: list[int] = []
+        for part in parts:
+            if part.lanes is not None and part.lanes != self.lanes:
+                if self.lanes is not None:
+                    raise unequal(parameters[0], self.lanes, part.lanes)
+                self.lanes = part.lanes
+            if part.device is not self.device and part.device is not None and part.device != self.device:
+                if self.device is not None:
+                    raise elsewhere(parameters[0], self.device, part.device)
+                self.device = part.device
+            self.leaves += part.leaves
+            self.read += part.read
+            self.pointers += part.pointers
+            self.sizes += part.sizes
+        self.addresses = set(self.pointers)
+        distinct = len(self.addresses) == len(self.pointers) and (
+            known is None or self.addresses.isdisjoint(known.addresses))
         if known is not None:
-            self.given, self.numbers = (*known.given, *self.given), known.numbers + self.numbers
-            self.leaves, self.kinds, self.read = known.leaves + self.leaves, known.kinds + self.kinds, known.read + self.read
+            self.given, self.forms = known.given + self.given, known.forms + self.forms
+            self.leaves, self.read = known.leaves + self.leaves, known.read + self.read
             self.pointers, self.sizes = known.pointers + self.pointers, known.sizes + self.sizes
         self.shared = self.sharing() if not distinct else () if known is None else known.shared
 
-    def checked_device(self, parameters: Sequence[Parameter], device: torch.device | None) -> torch.device | None:
-        """The device of the tensors; raises the errors of single tensors.
-
-        Args:
-            parameters: of the function.
-            device: of the arguments that stand before these.
-        """
-        if torch.is_grad_enabled() and any([leaf.requires_grad for leaf in self.leaves]):
-            raise RuntimeError(f"{parameters[0].function} is compiled and records no derivative: call it under "
-                               "torch.no_grad(), or with detached tensors")
-        device = self.leaves[0].device if device is None and self.leaves else device
-        same = all([leaf.is_cpu for leaf in self.leaves]) if device is None or device.type == "cpu" else (
-            device.type == "cuda" and all([leaf.device == device for leaf in self.leaves]))
-        if not same:
-            elsewhere = next((leaf.device for leaf in self.leaves if leaf.device != device), device)
-            raise ValueError(f"{parameters[0].function} is compiled for tensors that lie all on the CPU or all on one GPU, "
-                             f"got one on {device} and one on {elsewhere}")
-        return device
+    @property
+    def kinds(self) -> list[str]:
+        """Of each tensor, whether it is of the lanes, a table, or a number."""
+        return [kind for form in self.forms for kind in form.kinds]
 
     def sharing(self) -> tuple[tuple[int, int], ...]:
         """The places of tensors that are the same as one before, each with the place of the first.
@@ -173,4 +213,4 @@ class Arguments:
     @property
     def key(self) -> tuple:
         """Equal of arguments that one compiled function serves."""
-        return (*self.numbers, *self.shared, self.device)
+        return (*[form.number for form in self.forms], *self.shared, self.device)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import inspect
 import operator
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
 from typing import Any
 
 from torch import Tensor
 
-from torch_radbp.jit.arguments import Arguments, Parameter
+from torch_radbp.jit.arguments import Arguments, Parameter, Taken
 from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.structure import assembler, difference, flatten, of_lanes, replaced
@@ -35,6 +35,7 @@ class Compiled:
         self.program, self.code, self.results, self.structure, self.assemble = program, code, results, structure, assemble
         self.inputs = [value.static for value in program.inputs]  # which tensors of the arguments the loop reads
         self.dtypes = [value.dtype for value in program.outputs]
+        self.sizes = [dtype.itemsize for dtype in self.dtypes]
         self.firsts = [results.index(k) for k in range(len(program.outputs))]  # the first result that each output is
         self.others = [place for place, k in enumerate(results) if k < 0 or self.firsts[k] != place]
 
@@ -78,6 +79,7 @@ class LaneFunction:
         if unknown:
             raise ValueError(f"{self.name} has no parameters {unknown}; it has {names}")
         self.parameters = [Parameter(self.name, name in tables) for name in names]
+        self.named = dict(zip(names, self.parameters))
         self.results = Parameter(self.name, table=True)  # of `into`
         self.compiled: dict[tuple, Compiled | str] = {}  # by structure of the arguments; or why it cannot be
         self.known: Arguments | None = None
@@ -91,6 +93,17 @@ class LaneFunction:
         other.known = Arguments(self.parameters, arguments)
         return other
 
+    def taken(self, **arguments) -> tuple[Taken, ...]:
+        """Arguments by name, taken apart once for several calls, which get these in their places.
+
+        What is written into their tensors in between counts, unless they are not contiguous.
+        """
+        return tuple([Taken(self.named[name], argument) for name, argument in arguments.items()])
+
+    def room(self, results) -> Taken:
+        """The same for the first argument of `into`."""
+        return Taken(self.results, results)
+
     def __call__(self, *arguments):
         compiled, given = self.prepared(arguments)
         new_empty, lanes = given.leaves[0].new_empty, given.lanes
@@ -102,8 +115,8 @@ class LaneFunction:
         """Writes what a call would return into `results`, and returns them.
 
         Args:
-            results: contiguous tensors in the tuples and lists that a call returns. No two may overlap, nor any with an
-                argument.
+            results: contiguous tensors in the tuples and lists that a call returns, or `room` for them. No two may
+                overlap, nor any with an argument.
             first: the entry at which to begin, so that several calls fill one buffer.
             arguments: of the call.
 
@@ -112,13 +125,15 @@ class LaneFunction:
                 call.
         """
         compiled, given = self.prepared(arguments)
-        tensors = self.checked_results(results, compiled, given, first + given.lanes)
-        compiled.run(given, [tensors[place].data_ptr() + first * tensors[place].itemsize for place in compiled.firsts])
+        room = results if type(results) is Taken else Taken(self.results, results)
+        self.check_room(room, compiled, given, first + given.lanes)
+        tensors, sizes = room.leaves, compiled.sizes
+        compiled.run(given, [room.pointers[place] + first * size for place, size in zip(compiled.firsts, sizes)])
         for place in compiled.others:
             k = compiled.results[place]
             source = tensors[compiled.firsts[k]].narrow(0, first, given.lanes) if k >= 0 else given.leaves[~k]
             tensors[place].narrow(0, first, given.lanes).copy_(source)
-        return results
+        return room.argument
 
     def prepared(self, arguments: tuple) -> tuple[Compiled, Arguments]:
         """The arguments taken apart, and the function compiled for such."""
@@ -142,19 +157,19 @@ class LaneFunction:
             raise UnknownOperation(compiled)
         return compiled, given
 
-    def checked_results(self, results, compiled: Compiled, given: Arguments, entries: int) -> Sequence[Tensor]:
-        """The tensors of `results`; errors as `into` says."""
-        form, leaves = self.results.take_apart(results)
-        if form.structure is not compiled.structure:
-            if form.structure != compiled.structure:
-                returned, found = difference(compiled.structure, form.structure)
+    def check_room(self, room: Taken, compiled: Compiled, given: Arguments, entries: int) -> None:
+        """Errors about results as `into` says."""
+        structure = room.form.structure
+        if structure is not compiled.structure:
+            if structure != compiled.structure:
+                returned, found = difference(compiled.structure, structure)
                 raise ValueError(f"{self.name} returns {returned} where it is to write into {found}")
-            compiled.structure = form.structure  # the very same object, which is quickly compared
-        for leaf in leaves:
-            if leaf.numel() < entries or not leaf.is_contiguous() or leaf.device != given.device:
-                raise ValueError(f"{self.name} writes into contiguous tensors of at least {entries} entries on "
-                                 f"{given.device}, got one of {len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
-        return leaves
+            compiled.structure = structure  # the very same object, which is quickly compared
+        if room.read is not room.leaves or room.device != given.device or (room.sizes and min(room.sizes) < entries):
+            leaf = next(leaf for leaf in room.leaves
+                        if leaf.numel() < entries or not leaf.is_contiguous() or leaf.device != given.device)
+            raise ValueError(f"{self.name} writes into contiguous tensors of at least {entries} entries on "
+                             f"{given.device}, got one of {len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
 
     def compile(self, given: Arguments) -> Compiled | str:
         """Traces the function for arguments of this structure, and makes machine code of it; or says why it cannot be."""

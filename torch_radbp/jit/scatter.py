@@ -55,5 +55,5 @@ def check(addition: Addition, lanes: int, device: torch.device) -> None:
              and all([number.dtype == dtype and number.numel() == lanes and number.device == device for number in numbers]))
     if not right:
         found = [(tuple(tensor.shape), tensor.dtype, str(tensor.device)) for tensor in (index, *numbers)]
-        raise ValueError(f"an addition takes int32 indices of {lanes} lanes and numbers for each of {len(sums.totals)} tables, "
-                         f"all float32 or all float64, on {device}; got {found} for sums on {sums.device}")
+        raise ValueError(f"an addition takes int32 indices of {lanes} lanes and numbers for each of {len(sums.totals)} "
+                         f"tables, all float32 or all float64, on {device}; got {found} for sums on {sums.device}")
