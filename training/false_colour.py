@@ -19,9 +19,10 @@ def absolute_error(image: Tensor, target: Tensor) -> Tensor:
 
 def error_scale(error: Tensor) -> float:
     """Returns the error that is shown brightest: the 99.5 % quantile over pixels, so that fireflies do not set it."""
-    largest = error.amax(dim=-3).flatten()
-    rank = max(1, round(0.995 * largest.numel()))
-    return max(largest.kthvalue(rank).values.item(), 1e-6)
+    # Sorted, because torch refuses kthvalue under use_deterministic_algorithms on CUDA.
+    ascending = error.amax(dim=-3).flatten().sort().values
+    rank = max(1, round(0.995 * len(ascending)))
+    return max(ascending[rank - 1].item(), 1e-6)
 
 
 def false_colour(error: Tensor, scale: float) -> Tensor:

@@ -16,8 +16,10 @@ from tests.jit.emulated import Emulated
 from tests.render.host import place
 from tests.scenes import CASES, cornell
 from torch_radbp import stages
+from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.sampling import running_sum
+from torch_radbp.training.false_colour import error_scale, false_colour
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
 
@@ -89,6 +91,19 @@ def test_no_plugin_calls_what_torch_refuses(name, monkeypatch):
         image = rb.Renderer(scene, spp=1, max_depth=3, caster="brute", compile=False)(seed=1)
         gradients = torch.autograd.grad(image.sum(), wanted, allow_unused=True)
     assert any(gradient is not None and gradient.any() for gradient in gradients)
+    assert not refusals.found
+
+
+def test_neither_a_check_nor_an_error_image_calls_what_torch_refuses(monkeypatch):
+    monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: True)
+    monkeypatch.setattr(running_sum, "sums_in_any_order", lambda device: True)
+    draw = torch.Generator().manual_seed(5)
+    truth, *noise = (torch.rand(n, 1, 3, 9, 8, generator=draw, dtype=torch.float64) for n in (1, 16, 16))
+    samples = Samples(*(truth + each for each in noise), torch.zeros_like(truth[0]))
+    with Refusals() as refusals:
+        result = compare(samples, [Cotangent("ones", torch.ones_like(truth[0]))], [0.0], 1e-16)
+        colours = false_colour(truth[0, 0], error_scale(truth[0, 0]))
+    assert 0 < result.pixels.concentration < 0.5 and colours.any()
     assert not refusals.found
 
 

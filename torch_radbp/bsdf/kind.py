@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -156,6 +157,20 @@ class DeltaKind(Kind):
     @abstractmethod
     def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
         """Weight of the chosen lobe, not divided by the choice's probability; attached."""
+
+
+def choice_among(probabilities: Sequence[Tensor | float], choice: Tensor) -> Choice:
+    """The smooth lobe that a random number picks: number k with the k-th of some probabilities.
+
+    Args:
+        probabilities: of all lobes; their sum is 1. Detached.
+        choice: (N,) in [0, 1).
+    """
+    lobe = end = torch.zeros_like(choice)
+    for probability in probabilities[:-1]:
+        end = end + probability
+        lobe = lobe + (choice >= end).to(choice.dtype)
+    return Choice(lobe, sum((lobe == k).to(choice.dtype) * probability for k, probability in enumerate(probabilities)))
 
 
 def on_horizon_unless(usable: Tensor, w: Vec3) -> Vec3:

@@ -40,7 +40,16 @@ from torch_radbp.bsdf.clearcoat import Clearcoat, shadowing
 from torch_radbp.bsdf.dielectric import relative_index
 from torch_radbp.bsdf.features import FeaturedKind, Number
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Values, above, on_horizon_unless, reflects, side_of, values_for_choice
+from torch_radbp.bsdf.kind import (
+    Choice,
+    Values,
+    above,
+    choice_among,
+    on_horizon_unless,
+    reflects,
+    side_of,
+    values_for_choice,
+)
 from torch_radbp.bsdf.microfacet import GGX, half_vector
 from torch_radbp.bsdf.roughdielectric import apart_from_one
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
@@ -216,12 +225,7 @@ class PrincipledKind(FeaturedKind):
         if self.transmits:
             m = self.facets(values).sample_visible(w, u, v)
             refracts = chances.main * chances.refracting * (1.0 - dielectric_reflectance(dot(w, m), eta)[0])
-        probabilities = chances.diffuse, chances.clearcoat, refracts, chances.main - refracts
-        lobe = end = torch.zeros_like(choice)
-        for probability in probabilities[:-1]:
-            end = end + probability
-            lobe = lobe + (choice >= end).to(choice.dtype)
-        return Choice(lobe, sum((lobe == k).to(choice.dtype) * probability for k, probability in enumerate(probabilities)))
+        return choice_among((chances.diffuse, chances.clearcoat, refracts, chances.main - refracts), choice)
 
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
         w, side, eta = self.seen(values, wi)

@@ -35,7 +35,7 @@ from torch_radbp.bsdf.burley import (
 )
 from torch_radbp.bsdf.features import FeaturedKind, Number, features_of
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Values, above, on_horizon_unless, side_of, values_for_choice
+from torch_radbp.bsdf.kind import Choice, Values, above, choice_among, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import GGX, half_vector
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.domain import FRACTION, LARGEST_AMOUNT, REFLECTANCE, Domain
@@ -134,12 +134,7 @@ class PrincipledThinKind(FeaturedKind):
         return straight.map(lambda c: mixed(plain, mixed(c, 1.0, grazing), tint))
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
-        probabilities = self.chances(values_for_choice(values))
-        lobe = end = torch.zeros_like(choice)
-        for probability in probabilities[:-1]:
-            end = end + probability
-            lobe = lobe + (choice >= end).to(choice.dtype)
-        return Choice(lobe, sum((lobe == k).to(choice.dtype) * probability for k, probability in enumerate(probabilities)))
+        return choice_among(self.chances(values_for_choice(values)), choice)
 
     def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
         side, lobe = side_of(wi), choice.lobe

@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
+from torch_radbp.sampling.running_sum import running_sum
+
 TILES = 8  # along each side of an image
 FLOOR = 0.2  # a pixel's error is divided by the pixel, but by no less than this share of the derivative's size
 STEP_ERROR = 0.01  # relative error of finite differences that is put down to their step
@@ -138,7 +140,7 @@ def over_pixels(mean: Mean, difference: Tensor) -> Pixels:
     size = quantile(difference.abs(), BRIGHTEST)
     relative = mean.error.abs() / torch.maximum(difference.abs(), FLOOR * size.clamp_min(1e-300))
     squared = mean.error.square().sum(1).flatten().sort(descending=True).values
-    half = int((squared.cumsum(0) < 0.5 * squared.sum()).sum()) + 1
+    half = int((running_sum(squared) < 0.5 * squared.sum()).sum()) + 1
     return Pixels(float(z.square().mean()), float((z.abs() > 3).double().mean()), float(z.abs().max()),
                   float(relative.mean()), half / len(squared) if squared.any() else 0.0)
 
@@ -198,8 +200,9 @@ def project(samples: Samples, cotangent: Cotangent, backward: float) -> Projecti
 
 def quantile(values: Tensor, share: float) -> Tensor:
     """The value that a `share` of all entries does not exceed."""
-    flat = values.flatten()
-    return flat.kthvalue(max(1, round(share * len(flat)))).values
+    # Sorted, because torch refuses kthvalue under use_deterministic_algorithms on CUDA.
+    ascending = values.flatten().sort().values
+    return ascending[max(1, round(share * len(ascending))) - 1]
 
 
 def quotient(value: float, unit: float) -> float:
