@@ -20,7 +20,7 @@ LAYERS = [
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
     {"raycast", "view"}, {"path_state"}, {"path", "queues"}, {"given"}, {"integrand"}, {"wavefront"}, {"adjoint"},
     {"boundary", "aov"}, {"stages", "settings"},
-    {"render"}, {"jvp"}, {"check"}, {"public"}, {"training"},
+    {"planner"}, {"render"}, {"jvp"}, {"check"}, {"public"}, {"training"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 # Reads and writes files for every layer: shapes, textures and emitters import it inside functions.

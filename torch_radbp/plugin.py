@@ -62,7 +62,10 @@ ABSENT: dict[tuple[str, str], str] = {}  # plugins of Mitsuba that are not there
 
 
 class SceneError(ValueError):
-    """A scene description that cannot be used; the message names the place and what is supported."""
+    """A scene description that cannot be used; the message names the place, what is there, and what is supported.
+
+    The place is a file and a line in it (XML, meshes), or the path of keys (dicts, glTF).
+    """
 
 
 class SceneWarning(UserWarning):

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
-from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint import MemoizedAdjoint, TapeAdjoint
 from torch_radbp.adjoint.chunks import fair_chunk, plan_chunks
 from torch_radbp.adjoint.cost import Request, check_cost
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
-from torch_radbp.adjoint.function import RenderCall, pilot_paths, render_images, render_with_derivative
-from torch_radbp.adjoint.memory import MemoryPlan, Workload, plan_memory, predict, reaching
+from torch_radbp.adjoint.function import RenderCall, render_images, render_with_derivative
+from torch_radbp.adjoint.memory import MemoryPlan
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
 from torch_radbp.aov.images import render_aovs
 from torch_radbp.aov.quantity import checked_names
 from torch_radbp.boundary import JumpWatch, Rendering, Sight
-from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal
+from torch_radbp.differentiated import any_differentiated, detached, primal
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
 from torch_radbp.jit.target import COMPILED
 from torch_radbp.path_state import Settings
+from torch_radbp.planner import MemoryPlanner
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.known import KnownCaster, Mesh
 from torch_radbp.scene import Scene
@@ -46,7 +44,6 @@ from torch_radbp.stages import EAGER, compiled
 from torch_radbp.view import view_of
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
-PILOT_LANES = 4096  # paths that predict the memory of a call
 LANES = {True: 1 << 18, False: 1 << 17}  # of a chunk if the user does not say, about; compiled and eager
 
 
@@ -114,7 +111,7 @@ class Renderer(nn.Module):
         self.known_caster: KnownCaster | None = None
         self.kept, self.kept_for_aovs = Kept(), Kept()
         self.jump_watch = JumpWatch()
-        self.working_sets: dict[tuple, WorkingSet] = {}
+        self.planner = MemoryPlanner()
         check_settings(self)
 
     @property
@@ -273,32 +270,8 @@ class Renderer(nn.Module):
         return self.plan(self.prepare(0, sensors, spp, None))
 
     def plan(self, call: RenderCall) -> MemoryPlan:
-        """Predicts the memory of a call from a pilot of its paths; within the budget, if there is one."""
-        scene = detached(call.scene)
-        integrand = call.make_integrand(scene).with_stages(EAGER)
-        lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
-        chunk = max(part.lanes for part in call.chunks)
-        moving = integrand.settings.moving
-        triangles = moving and self.sampling != "attached" and any_differentiated(call.scene.triangles.vertices.p)
-        work = Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
-                        call.stages is not EAGER, call.workers, moving, triangles, call.scene.lights.by_place,
-                        call.scene.layout.traces_cones, scene.triangles.instances is not None,
-                        self.working_set(call, integrand, triangles))
-        if self.memory_budget is None:
-            return predict(work, chunk, call.adjoint, call.retrace)
-        return plan_memory(self.memory_budget, work, chunk, self.adjoint if self.adjoint_is_chosen else None)
-
-    def working_set(self, call: RenderCall, integrand: Integrand, triangles: bool) -> WorkingSet:
-        """The working memory of a bounce of this call; measured once for each kind of call."""
-        wanted = tuple(isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
-        taped = isinstance(call.adjoint, TapeAdjoint)
-        case = (call.scene.layout, call.scene.dtype, integrand.settings, integrand.max_depth, wanted, triangles, taped)
-        if case not in self.working_sets:
-            attached = call.make_integrand(call.scene).with_stages(EAGER) if taped else None
-            tables = tables_of(differentiable(call.scene), list(call.parameters.values()))
-            found = measured(integrand, attached, partial(pilot_paths, call), wanted)
-            self.working_sets[case] = found._replace(tables=tables)
-        return self.working_sets[case]
+        """The chunk and the strategy of a call, with its predicted memory; within the budget, if there is one."""
+        return self.planner.plan(call, self.memory_budget, self.adjoint_is_chosen)
 
     def caster_of(self, scene: SceneTensors) -> RayCaster:
         """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one.
@@ -328,6 +301,13 @@ class Renderer(nn.Module):
 def render(scene: Scene, *, seed: int = 0, sensors: SensorChoice = None, seed_grad: int | None = None,
            aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs)`: see `Renderer`.
+
+    A loop is faster with one renderer: it keeps what has not changed since its last call.
+
+    Args:
+        scene: what is rendered; attached to its parameters.
+        seed, sensors, seed_grad, aovs: of the call, as in `Renderer.forward`.
+        **settings: of the renderer: `spp`, `max_depth`, `adjoint`, `sampling`, ...
 
     Returns:
         (B, 3, H, W) linear RGB radiance; if `aovs` are asked for, that and the images of these quantities by name.

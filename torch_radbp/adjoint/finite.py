@@ -27,7 +27,11 @@ ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) a
 
 
 class NonFiniteError(FloatingPointError):
-    """An image or a gradient is NaN or infinite; the message says which, and where that began."""
+    """An image or a gradient is NaN or infinite; the message says which, and where that began.
+
+    Raised by a rendering, and by the backward pass through its image: it names the parameter, the bounce, the material and
+    the number of paths. Neither image nor gradient is handed out, so that an optimiser's state stays finite.
+    """
 
 
 def finite(tensors: list[Tensor]) -> bool:

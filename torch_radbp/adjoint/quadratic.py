@@ -34,6 +34,7 @@ class QuadraticAdjoint:
     keep_radiance = False
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
+        """No depths: it keeps no states."""
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:

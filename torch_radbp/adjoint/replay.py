@@ -35,6 +35,7 @@ class ReplayAdjoint:
     keep_radiance = True
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
+        """No depths: it keeps no states."""
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:

@@ -11,7 +11,8 @@ from torch import Tensor
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import Choice, Values, above, on_horizon_unless, side_of, values_for_choice
-from torch_radbp.bsdf.microfacet import ROUGHNESS, MicrofacetKind, half_vector, make_rough
+from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
+from torch_radbp.bsdf.roughness import ROUGHNESS, make_rough
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import Texture, register
 from torch_radbp.vec import Vec3, dot

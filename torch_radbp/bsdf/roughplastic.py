@@ -13,10 +13,11 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import Choice, Kind, Values, above, chance_of_lobe, reflects
-from torch_radbp.bsdf.microfacet import MicrofacetKind, check_distribution, half_vector
+from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
 from torch_radbp.bsdf.number import ComputedNumbers, OwnNumber
 from torch_radbp.bsdf.plastic import Plastic, coat_or_base, coated, specular_chance
 from torch_radbp.bsdf.rough_coat import SUMS, abscissa, coat_of
+from torch_radbp.bsdf.roughness import check_distribution
 from torch_radbp.domain import LARGEST_AMOUNT, NUMBER, Domain
 from torch_radbp.plugin import Texture, boolean, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere

@@ -11,12 +11,8 @@ Nothing here is ever written into, so that graphs and other threads may hold it.
 
 from __future__ import annotations
 
-import dataclasses
-import operator
 import weakref
 from collections.abc import Callable, Hashable, Iterable
-from functools import cache
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import torch
@@ -24,16 +20,23 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
 from torch_radbp.differentiated import differentiated, primal
-from torch_radbp.domain import Domain
-from torch_radbp.plugin import BSDF, Emitter, Plugin, Shape
+from torch_radbp.plugin import Plugin
+from torch_radbp.scene.module_attributes import (
+    OF_EVERY_MODULE,
+    OFTEN,
+    PLAIN,
+    Attributes,
+    assembled,
+    attributes_of,
+    children_of,
+    frozen_dataclass,
+    has_attributes,
+    holder,
+    is_constant,
+    replaced,
+    stands_still,
+)
 from torch_radbp.scene.same_bits import bits_of, comparable, same_bits
-
-# Values that are equal if and only if they compare so.
-PLAIN = (int, str, bool, type(None), type, torch.dtype, torch.device, Domain)
-OFTEN = set(PLAIN)  # the same, quickly found
-OF_EVERY_MODULE = set(vars(nn.Module()))  # attributes
-
-Attributes = tuple[tuple[list[str], list[Any]], ...]  # names and values of each dict of `dicts_of`
 
 
 class Result(NamedTuple):
@@ -284,70 +287,3 @@ def unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable
         return set()
     same = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
     return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, same) if equal}
-
-
-@cache
-def frozen_dataclass(kind: type) -> bool:
-    """True if the attributes of the instances of a class do not change."""
-    return dataclasses.is_dataclass(kind) and kind.__dataclass_params__.frozen
-
-
-def is_constant(value, beside: tuple[type, ...] = ()) -> bool:
-    """True if a value consists of plain values and numbers, or of instances of the classes `beside`."""
-    if isinstance(value, tuple) or frozen_dataclass(type(value)):
-        return all(is_constant(part, beside) for part in (value if isinstance(value, tuple) else vars(value).values()))
-    return isinstance(value, (*PLAIN, float, *beside))
-
-
-def dicts_of(module: nn.Module) -> tuple[dict[str, Any], ...]:
-    """The dicts in which a module has its attributes, parameters, buffers and modules."""
-    shared = module.shared if isinstance(module, Plugin) else {}
-    return vars(module), module._parameters, module._buffers, module._modules, shared
-
-
-def attributes_of(module: nn.Module) -> Attributes:
-    """The attributes of a module, as `has_attributes` compares them."""
-    return tuple((list(each), list(each.values())) for each in dicts_of(module))
-
-
-def has_attributes(module: nn.Module, attributes: Attributes) -> bool:
-    """True if the attributes of a module are these very objects."""
-    return all(list(now) == names and all(map(operator.is_, now.values(), values))
-               for now, (names, values) in zip(dicts_of(module), attributes))
-
-
-def stands_still(plugin: Plugin) -> bool:
-    """True if nothing but tensors and other modules can change while the attributes of a plugin are the same objects."""
-    return all(is_constant(value, beside=(Tensor, nn.Module)) for name, value in vars(plugin).items()
-               if name not in OF_EVERY_MODULE and name != "shared")
-
-
-def replaced(module: nn.Module) -> tuple[str, ...]:
-    """The names of the tensors of a module that parametrisations compute."""
-    return tuple(module.parametrizations) if parametrize.is_parametrized(module) else ()
-
-
-def children_of(module: nn.Module) -> list[tuple[str, nn.Module | None]]:
-    """The modules in a module that its tables may depend on."""
-    found = {**module._modules, **(module.shared if isinstance(module, Plugin) else {})}
-    if parametrize.is_parametrized(module):
-        del found["parametrizations"]
-    of_no_matter = (BSDF, Emitter) if isinstance(module, Shape) else ()
-    return [(name, child) for name, child in found.items() if not isinstance(child, of_no_matter)]
-
-
-def assembled(cls: type, others: tuple, parameters: tuple, buffers: tuple, children: tuple):
-    """An object of a class from (name, value) pairs, without a call of its constructor."""
-    made = cls.__new__(cls)
-    if issubclass(cls, nn.Module):
-        nn.Module.__init__(made)
-        made._parameters.update(parameters)
-        made._buffers.update(buffers)
-        made._modules.update(children)
-    vars(made).update(others)
-    return made
-
-
-def holder(name: str, value) -> SimpleNamespace:
-    """An object that has one attribute."""
-    return SimpleNamespace(**{name: value})

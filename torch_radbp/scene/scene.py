@@ -131,10 +131,12 @@ class Scene(nn.Module):
 
     @property
     def dtype(self) -> torch.dtype:
+        """That of all parameters: float32 or float64."""
         return next(iter(self.parameters())).dtype
 
     @property
     def device(self) -> torch.device:
+        """That of all parameters; the image is made there."""
         return next(iter(self.parameters())).device
 
     def half(self) -> Scene:

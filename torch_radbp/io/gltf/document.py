@@ -13,7 +13,11 @@ REQUIRED: Any = object()  # in the place of a default: there is none
 
 
 class GltfWarning(UserWarning):
-    """What a glTF file says and a scene cannot, or the other way round."""
+    """A glTF file was read or written with losses: the message lists all that the other side cannot say, each once.
+
+    `load` warns of what it does not read of a file, and of the camera or light that it adds to one without; `save` of what
+    glTF has no words for. With `strict=True` either raises a `SceneError` instead.
+    """
 
 
 class Losses:

@@ -1,0 +1,70 @@
+"""Predicts how much memory a rendering needs, and divides it so that it fits a budget."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from torch import Tensor
+from torch.utils._pytree import tree_flatten
+
+from torch_radbp.adjoint import TapeAdjoint
+from torch_radbp.adjoint.function import RenderCall, pilot_paths
+from torch_radbp.adjoint.memory import MemoryPlan, Workload, plan_memory, predict, reaching
+from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
+from torch_radbp.differentiated import any_differentiated, detached, differentiable
+from torch_radbp.integrand import Integrand
+from torch_radbp.stages import EAGER
+
+PILOT_LANES = 4096  # paths that predict the memory of a call
+
+
+class MemoryPlanner:
+    """Plans the calls of one renderer, and keeps what it has measured of them."""
+
+    def __init__(self):
+        self.working_sets: dict[tuple, WorkingSet] = {}  # by kind of call
+
+    def plan(self, call: RenderCall, budget: str | int | None, adjoint_is_chosen: bool) -> MemoryPlan:
+        """The chunk and the strategy of a call, with its predicted memory, by a pilot of its paths.
+
+        Args:
+            call: with the chunks and the strategy that it would have without a budget.
+            budget: bytes, or a string such as "2GiB"; None: the call is left as it is.
+            adjoint_is_chosen: within a budget the strategy of the call is kept, too.
+        """
+        work = self.workload(call)
+        chunk = max(part.lanes for part in call.chunks)
+        if budget is None:
+            return predict(work, chunk, call.adjoint, call.retrace)
+        return plan_memory(budget, work, chunk, call.adjoint if adjoint_is_chosen else None)
+
+    def workload(self, call: RenderCall) -> Workload:
+        """What a call has to compute, and what each bounce of it needs."""
+        scene = detached(call.scene)
+        integrand = call.make_integrand(scene).with_stages(EAGER)
+        lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
+        moving = integrand.settings.moving
+        triangles = (moving and integrand.settings.sampling != "attached"
+                     and any_differentiated(call.scene.triangles.vertices.p))
+        return Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
+                        call.stages is not EAGER, call.workers, moving, triangles, call.scene.lights.by_place,
+                        call.scene.layout.traces_cones, scene.triangles.instances is not None,
+                        self.working_set(call, integrand, triangles))
+
+    def working_set(self, call: RenderCall, integrand: Integrand, triangles: bool) -> WorkingSet:
+        """The working memory of a bounce of a call; measured once for each kind of call.
+
+        Args:
+            call: whose scene, with what is differentiated in it, and whose strategy tell its kind.
+            integrand: of the call, detached and eager.
+            triangles: the memo of the backward pass has the adjoints of triangles.
+        """
+        wanted = tuple(isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
+        taped = isinstance(call.adjoint, TapeAdjoint)
+        case = (call.scene.layout, call.scene.dtype, integrand.settings, integrand.max_depth, wanted, triangles, taped)
+        if case not in self.working_sets:
+            attached = call.make_integrand(call.scene).with_stages(EAGER) if taped else None
+            tables = tables_of(differentiable(call.scene), list(call.parameters.values()))
+            found = measured(integrand, attached, partial(pilot_paths, call), wanted)
+            self.working_sets[case] = found._replace(tables=tables)
+        return self.working_sets[case]

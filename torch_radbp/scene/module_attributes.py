@@ -1,0 +1,93 @@
+"""The attributes of modules: compared with those of the last rendering, and put together to copies of modules.
+
+See `scene.kept`, which keeps such copies.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import operator
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parametrize
+
+from torch_radbp.domain import Domain
+from torch_radbp.plugin import BSDF, Emitter, Plugin, Shape
+
+# Values that are equal if and only if they compare so.
+PLAIN = (int, str, bool, type(None), type, torch.dtype, torch.device, Domain)
+OFTEN = set(PLAIN)  # the same, quickly found
+OF_EVERY_MODULE = set(vars(nn.Module()))  # attributes
+
+Attributes = tuple[tuple[list[str], list[Any]], ...]  # names and values of each dict of `dicts_of`
+
+
+@cache
+def frozen_dataclass(kind: type) -> bool:
+    """True if the attributes of the instances of a class do not change."""
+    return dataclasses.is_dataclass(kind) and kind.__dataclass_params__.frozen
+
+
+def is_constant(value, beside: tuple[type, ...] = ()) -> bool:
+    """True if a value consists of plain values and numbers, or of instances of the classes `beside`."""
+    if isinstance(value, tuple) or frozen_dataclass(type(value)):
+        return all(is_constant(part, beside) for part in (value if isinstance(value, tuple) else vars(value).values()))
+    return isinstance(value, (*PLAIN, float, *beside))
+
+
+def dicts_of(module: nn.Module) -> tuple[dict[str, Any], ...]:
+    """The dicts in which a module has its attributes, parameters, buffers and modules."""
+    shared = module.shared if isinstance(module, Plugin) else {}
+    return vars(module), module._parameters, module._buffers, module._modules, shared
+
+
+def attributes_of(module: nn.Module) -> Attributes:
+    """The attributes of a module, as `has_attributes` compares them."""
+    return tuple((list(each), list(each.values())) for each in dicts_of(module))
+
+
+def has_attributes(module: nn.Module, attributes: Attributes) -> bool:
+    """True if the attributes of a module are these very objects."""
+    return all(list(now) == names and all(map(operator.is_, now.values(), values))
+               for now, (names, values) in zip(dicts_of(module), attributes))
+
+
+def stands_still(plugin: Plugin) -> bool:
+    """True if nothing but tensors and other modules can change while the attributes of a plugin are the same objects."""
+    return all(is_constant(value, beside=(Tensor, nn.Module)) for name, value in vars(plugin).items()
+               if name not in OF_EVERY_MODULE and name != "shared")
+
+
+def replaced(module: nn.Module) -> tuple[str, ...]:
+    """The names of the tensors of a module that parametrisations compute."""
+    return tuple(module.parametrizations) if parametrize.is_parametrized(module) else ()
+
+
+def children_of(module: nn.Module) -> list[tuple[str, nn.Module | None]]:
+    """The modules in a module that its tables may depend on."""
+    found = {**module._modules, **(module.shared if isinstance(module, Plugin) else {})}
+    if parametrize.is_parametrized(module):
+        del found["parametrizations"]
+    of_no_matter = (BSDF, Emitter) if isinstance(module, Shape) else ()
+    return [(name, child) for name, child in found.items() if not isinstance(child, of_no_matter)]
+
+
+def assembled(cls: type, others: tuple, parameters: tuple, buffers: tuple, children: tuple):
+    """An object of a class from (name, value) pairs, without a call of its constructor."""
+    made = cls.__new__(cls)
+    if issubclass(cls, nn.Module):
+        nn.Module.__init__(made)
+        made._parameters.update(parameters)
+        made._buffers.update(buffers)
+        made._modules.update(children)
+    vars(made).update(others)
+    return made
+
+
+def holder(name: str, value) -> SimpleNamespace:
+    """An object that has one attribute."""
+    return SimpleNamespace(**{name: value})
