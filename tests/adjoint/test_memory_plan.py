@@ -6,9 +6,9 @@ resident memory, with the allocator's waste, and so may be larger.
 
 import pytest
 import torch
-from torch.profiler import ProfilerActivity, profile
 
 import torch_radbp as rb
+from tests.allocated import allocated
 from tests.derivatives.endless import envmap, smooth_noise
 from tests.scenes import cornell, load, rectangle, sensor
 from torch_radbp.io.transform import rotate, scale, translate
@@ -81,18 +81,6 @@ def prepared(name: str, **settings) -> rb.Renderer:
     renderer = rb.Renderer(scene, **SETTINGS | settings)
     renderer(spp=1).sum().backward()  # what is made once is there
     return renderer
-
-
-def allocated(renderer: rb.Renderer) -> int:
-    """The most bytes that torch holds during a forward and backward pass, over those before it."""
-    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
-        renderer(seed=1).sum().backward()
-    held = peak = 0
-    for event in profiler.profiler.kineto_results.events():
-        if event.name() == "[memory]":
-            held += event.nbytes()
-            peak = max(peak, held)
-    return peak
 
 
 @pytest.mark.parametrize("settings", [{"chunk": 4096}, {"chunk": 2048, "adjoint": rb.MemoizedAdjoint("log")},

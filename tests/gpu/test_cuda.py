@@ -62,7 +62,8 @@ def test_lanes_are_chosen_partitioned_and_put():
 def test_numbers_are_added_to_tables(entries, deterministic):
     case = addition(200_000, entries, 3, copies(entries, torch.device("cuda", 0)), torch.float32)
     there = [case._replace(index=case.index.cuda(), numbers=[number.cuda() for number in case.numbers],
-                           sums=Sums([total.cuda() for total in case.sums.totals], case.sums.touched.cuda())) for _ in range(2)]
+                           sums=Sums([total.cuda() for total in case.sums.totals], case.sums.touched.cuda()))
+             for _ in range(2)]
     before = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(deterministic)
     try:

@@ -123,22 +123,24 @@ def test_the_image_is_that_of_copies_in_float32(caster, inside, bound):
     torch.testing.assert_close(image, expected, rtol=0, atol=bound)
 
 
+def gradients(scene: rb.Scene, names: list[str], sampling: str) -> list[torch.Tensor]:
+    """Of a projection of the image."""
+    parameters = [scene.get_parameter(name).requires_grad_() for name in names]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rb.SilhouetteWarning)
+        image = rb.Renderer(scene, sampling=sampling, **settings())(seed=3)
+    cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(1), dtype=image.dtype)
+    return torch.autograd.grad(image, parameters, cotangent)
+
+
 @pytest.mark.parametrize("sampling", ["detached", "hybrid", "attached"])
 def test_gradients_are_those_of_copies(sampling):
     """Of vertices and normals, which add up over the instances, and of materials."""
-    def gradients(scene: rb.Scene, names: list[str]) -> list[torch.Tensor]:
-        parameters = [scene.get_parameter(name).requires_grad_() for name in names]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rb.SilhouetteWarning)
-            image = rb.Renderer(scene, sampling=sampling, **settings())(seed=3)
-        cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(1), dtype=image.dtype)
-        return torch.autograd.grad(image, parameters, cotangent)
-
     names = ["vertex_positions", "vertex_normals"]
-    positions, normals, colour = gradients(scene_of_instances(PLAIN),
-                                           [*(f"group.sheet.{name}" for name in names), "red.reflectance.value"])
+    positions, normals, colour = gradients(scene_of_instances(PLAIN), [
+        *(f"group.sheet.{name}" for name in names), "red.reflectance.value"], sampling)
     *of_copies, expected = gradients(scene_of_copies(PLAIN), [
-        *(f"sheet_{number}.{name}" for name in names for number in (0, 1)), "red.reflectance.value"])
+        *(f"sheet_{number}.{name}" for name in names for number in (0, 1)), "red.reflectance.value"], sampling)
     for found, wanted in ((positions, of_copies[0] + of_copies[1]), (normals, of_copies[2] + of_copies[3]),
                           (colour, expected)):
         assert torch.isfinite(wanted).all() and wanted.abs().max() > 1e-2
@@ -149,24 +151,15 @@ def test_gradients_are_those_of_copies(sampling):
 def test_gradients_of_shared_parameters_are_sums_and_each_place_has_its_own(sampling):
     """Against the same scene with every shape under its product of poses, as autograd sees it."""
     place = PLACES[0]
-
-    def gradients(scene: rb.Scene, names: list[str]) -> list[torch.Tensor]:
-        parameters = [scene.get_parameter(name).requires_grad_() for name in names]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rb.SilhouetteWarning)
-            image = rb.Renderer(scene, sampling=sampling, **settings())(seed=3)
-        cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(1), dtype=image.dtype)
-        return torch.autograd.grad(image, parameters, cotangent)
-
     inside = {"type": "sphere", "to_world": translate((0.2, -0.3, 0.4)) @ scale((0.3, 0.5, 0.3)), "bsdf": TEXTURED}
     own, second = torch.as_tensor(inside["to_world"]), torch.as_tensor(translate((1.1, 0.2, 0.3)))
     shown = load(**SURROUNDINGS, group={"type": "shapegroup", "ball": inside},
                  a={"type": "instance", "to_world": place, "group": GROUP},
                  b={"type": "instance", "to_world": second, "group": GROUP})
-    of_ball, of_a, of_b = gradients(shown, ["group.ball.to_world", "a.to_world", "b.to_world"])
+    of_ball, of_a, of_b = gradients(shown, ["group.ball.to_world", "a.to_world", "b.to_world"], sampling)
     copies = load(**SURROUNDINGS, a=inside | {"to_world": torch.as_tensor(place) @ own},
                   b=inside | {"to_world": second @ own})
-    at_a, at_b = gradients(copies, ["a.to_world", "b.to_world"])
+    at_a, at_b = gradients(copies, ["a.to_world", "b.to_world"], sampling)
     first = shown.get_parameter("a.to_world").detach()
     expected = first.T @ at_a + second.T @ at_b
     for found, wanted in ((of_a, at_a @ own.T), (of_b, at_b @ own.T), (of_ball, expected)):

@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import nn
 from torch.func import functional_call
-from torch.profiler import ProfilerActivity, profile
 
 import torch_radbp as rb
+from tests.allocated import allocated
 from tests.gradients import (
     MEMOIZED,
     QUADRATIC,
@@ -149,15 +149,7 @@ def test_only_lanes_that_meet_a_module_run_it():
 
 def bytes_at_peak(chunk: int, spp: int) -> int:
     """The most bytes that torch holds during a forward and backward pass through a wide network, over those before."""
-    renderer = rb.Renderer(poster(textured(mlp(2, 3, width=256)), 16), spp=spp, max_depth=2, chunk=chunk)
-    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
-        renderer().sum().backward()
-    held = peak = 0
-    for event in profiler.profiler.kineto_results.events():
-        if event.name() == "[memory]":
-            held += event.nbytes()
-            peak = max(peak, held)
-    return peak
+    return allocated(rb.Renderer(poster(textured(mlp(2, 3, width=256)), 16), spp=spp, max_depth=2, chunk=chunk))
 
 
 def test_the_chunk_bounds_the_memory_of_a_module():

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from typer.testing import CliRunner
 
 from torch_radbp.io.image import save_image
+from torch_radbp.training.cli import app
 
 SCENE = """<scene version="3.0.0">
     <default name="width" value="8"/>
@@ -93,3 +95,17 @@ def edit_recipe(folder: Path):
         return path
 
     return edit
+
+
+@pytest.fixture
+def radbp(folder, monkeypatch):
+    """Returns a function that runs a command line in the fixture's folder: (exit code, stdout, stderr)."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def invoke(*arguments):
+        result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=True)
+        assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+        return result.exit_code, result.stdout, result.stderr
+
+    return invoke

@@ -6,29 +6,13 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from typer.testing import CliRunner
 
 from torch_radbp.check import gradient as check_module
 from torch_radbp.jvp import DualImage
-from torch_radbp.training.cli import app
 from torch_radbp.training.false_colour import signed_colour
 from torch_radbp.training.signed_picture import Panel, write_panels
 
 PAINT = ["check", "scene.xml", "--param", "paint.reflectance.value", "--max-depth", 2]
-
-
-@pytest.fixture
-def radbp(folder, monkeypatch):
-    """Returns a function that runs a command line in the fixture's folder: (exit code, stdout, stderr)."""
-    monkeypatch.chdir(folder)
-    monkeypatch.setenv("COLUMNS", "100")
-
-    def invoke(*arguments):
-        result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=True)
-        assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-        return result.exit_code, result.stdout, result.stderr
-
-    return invoke
 
 
 def test_a_right_gradient_is_exit_code_0_with_a_picture_and_figures(radbp, folder):

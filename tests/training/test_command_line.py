@@ -15,20 +15,6 @@ from torch_radbp.training.recovery import optimize
 SEED = 3
 
 
-@pytest.fixture
-def radbp(folder, monkeypatch):
-    """Returns a function that runs a command line in the fixture's folder: (exit code, stdout, stderr)."""
-    monkeypatch.chdir(folder)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def invoke(*arguments):
-        result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=True)
-        assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-        return result.exit_code, result.stdout, result.stderr
-
-    return invoke
-
-
 @pytest.mark.parametrize(
     ("command", "expected"),
     [
