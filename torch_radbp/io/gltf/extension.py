@@ -23,6 +23,9 @@ from torch_radbp.plugin import nearest
 READ = ("KHR_lights_punctual", "KHR_materials_anisotropy", "KHR_materials_clearcoat", "KHR_materials_emissive_strength",
         "KHR_materials_ior", "KHR_materials_sheen", "KHR_materials_specular", "KHR_materials_transmission",
         "KHR_materials_volume", "KHR_mesh_quantization", "KHR_texture_transform")
+UNPACKED = {"KHR_draco_mesh_compression": "import it into Blender and export it with compression off",
+            "EXT_meshopt_compression": "`gltfpack -noq`",
+            "KHR_texture_basisu": "images as PNG or JPEG"}
 SHARPEST, DULLEST = 0.001, 0.1  # roughness of Disney's clearcoat with gloss 1 and 0, as microfacets count it
 SMALLEST_IOR = 1.0
 
@@ -35,7 +38,8 @@ def check_extensions(document: Document, losses: Losses) -> None:
     """
     for name in document.items("extensionsRequired"):
         if name not in READ:
-            raise document.fail(f"it requires the extension {name!r}, which is not supported; {nearest(str(name), READ)}")
+            instead = f"save it without compression: {UNPACKED[name]}" if name in UNPACKED else nearest(str(name), READ)
+            raise document.fail(f"it requires the extension {name!r}, which is not supported; {instead}")
     for name in document.items("extensionsUsed"):
         if name not in READ:
             losses.add("extensionsUsed", f"{name!r} is not read")
