@@ -31,8 +31,11 @@ def any_differentiated(record) -> bool:
 
 
 def detached(tensors):
-    """A record of tensors without derivatives."""
-    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(tensors)])
+    """A record of tensors without derivatives; the record itself if it has none."""
+    leaves = leaves_of(tensors)
+    if not any([isinstance(leaf, Tensor) and differentiated(leaf) for leaf in leaves]):
+        return tensors
+    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves])
 
 
 def differentiable(tensors) -> list[Tensor]:

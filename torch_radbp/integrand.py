@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -61,6 +61,7 @@ class Part(NamedTuple):
     scene: SceneTensors  # the part of the integrand's scene that they read
     proposal: SceneTensors  # the same, detached
     evaluate: Callable  # `Stages.bounce`, or `Stages.ending` where they have no appearance, prepared for both
+    tables: Any  # `proposal`, prepared for stages
 
 
 class Integrand(NamedTuple):
@@ -83,9 +84,13 @@ class Integrand(NamedTuple):
     def part(self, queue: Queue) -> Part:
         """What the lanes of a queue go through."""
         if queue.appearance not in self.parts:
-            scene, proposal = (part_of(tensors, self.appearance(queue)) for tensors in (self.scene, self.proposal))
+            appearance = self.appearance(queue)
+            proposal = part_of(self.proposal, appearance)
+            scene = proposal if self.scene is self.proposal else part_of(self.scene, appearance)
             stage = self.stages.ending if queue.appearance is None else self.stages.bounce
-            self.parts[queue.appearance] = Part(scene, proposal, knowing(stage, scene, proposal))
+            tables, = taken(stage, proposal=proposal)
+            prepared = knowing(stage, tables if scene is proposal else scene, tables)
+            self.parts[queue.appearance] = Part(scene, proposal, prepared, tables)
         return self.parts[queue.appearance]
 
     def places(self, queue: Queue, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:

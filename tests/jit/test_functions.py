@@ -266,6 +266,32 @@ def test_results_that_do_not_fit_are_errors():
         fused.into((torch.empty(23), [torch.empty(22)]), 3, x)
 
 
+def test_arguments_of_several_calls_are_taken_apart_once():
+    """One that a function has taken apart fits others; what is written into it in between counts."""
+    def added(table, index, x):
+        return table.index_select(0, index) + x
+
+    def scaled(index, other):
+        return other.index_select(0, index) * 2
+
+    first, second = LaneFunction(added, tables=("table",)), LaneFunction(scaled, tables=("other",))
+    table, x = torch.rand(9), torch.rand(9)
+    taken, lanes = first.taken(table=table, x=x)
+    parts, room = [torch.arange(5, dtype=torch.int32), torch.arange(5, 9, dtype=torch.int32)], torch.empty(9)
+    prepared = first.room(room)
+    for x, part in zip(x.split([5, 4]), parts):
+        assert first.into(prepared, int(part[0]), taken, part, x) is room
+    assert torch.equal(room, table + lanes.argument)
+    table.mul_(3)
+    order = torch.arange(9, dtype=torch.int32)
+    assert torch.equal(first(taken, order, lanes), table + lanes.argument)
+    assert torch.equal(second(order, taken), table * 2)
+    with pytest.raises(ValueError, match="added got tensors of 5 and of 9 lanes"):
+        first(taken, parts[0], lanes)
+    with pytest.raises(AssertionError):  # lanes are no table
+        first(lanes, order, lanes)
+
+
 def test_arguments_that_come_in_every_call_are_taken_apart_once():
     colours, taken = (torch.rand(7), torch.rand(14)[::2]), []
 

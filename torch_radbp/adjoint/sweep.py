@@ -83,11 +83,12 @@ class Sweep:
     def adjoint_of(self, queue: Queue) -> Adjoint:
         """What the lanes of a queue are differentiated with; made once."""
         if queue.appearance not in self.adjoints:
-            part, appearance = self.integrand.part(queue).proposal, self.integrand.appearance(queue)
+            part, appearance = self.integrand.part(queue), self.integrand.appearance(queue)
             leaves = leaves_of_part(self.numbered, self.integrand.scene.layout, appearance, None)
             wanted = tuple(leaf is not None for leaf in leaves)
-            self.adjoints[queue.appearance] = Adjoint(part, wanted, [leaf for leaf in leaves if leaf is not None],
-                                                      knowing(self.integrand.stages.bounce_adjoint, part, wanted))
+            self.adjoints[queue.appearance] = Adjoint(
+                part.proposal, wanted, [leaf for leaf in leaves if leaf is not None],
+                knowing(self.integrand.stages.bounce_adjoint, part.tables, wanted))
         return self.adjoints[queue.appearance]
 
     def advance(self, state: PathState, depth: int) -> PathState:

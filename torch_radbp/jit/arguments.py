@@ -6,6 +6,7 @@ written for it.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,6 +18,11 @@ from torch_radbp.jit.structure import flatten, unpacker
 
 MOST_FORMS = 64  # that are looked through
 
+# Structures have the same number wherever they stand, so that an argument that is taken apart fits every function.
+NUMBERS: dict[tuple, int] = {}
+FORMS: dict[tuple, Form] = {}  # by structure, types of the tensors, and whether these are tables
+counter = itertools.count()
+
 
 class Form:
     """The structure of one argument.
@@ -25,14 +31,14 @@ class Form:
         argument: one that has it.
         leaves: the tensors of the argument.
         structure: as `flatten` tells it.
-        number: by which the structure is told from others of the same parameter.
+        number: by which the structure is told from others.
         table: whether tensors of shape (N,) are tables.
     """
 
-    __slots__ = ("structure", "number", "unpack", "types", "dtypes", "dimensions", "kinds", "lanes")
+    __slots__ = ("structure", "number", "table", "unpack", "types", "dtypes", "dimensions", "kinds", "lanes")
 
     def __init__(self, argument: Any, leaves: Sequence[Tensor], structure: tuple, number: int, table: bool):
-        self.structure, self.number, self.unpack = structure, number, unpacker(argument)
+        self.structure, self.number, self.table, self.unpack = structure, number, table, unpacker(argument)
         self.types, self.dtypes = list(map(type, leaves)), [leaf.dtype for leaf in leaves]
         self.dimensions = [leaf.dim() for leaf in leaves]
         self.kinds = [NUMBER if dimensions == 0 else TABLE if table else LANES for dimensions in self.dimensions]
@@ -56,8 +62,6 @@ class Parameter:
 
     def __init__(self, function: str, table: bool):
         self.function, self.table = function, table
-        self.forms: dict[tuple, Form] = {}  # by structure and types of the tensors
-        self.numbers: dict[tuple, int] = {}  # by structure
         # Calls come in turns, one for each kind of what is met: after the last form, the next is the likeliest.
         self.ring: tuple[Form, ...] = ()
         self.place = 0  # of the last that was met
@@ -81,10 +85,11 @@ class Parameter:
             if leaf.dim() > 1:
                 raise ValueError(f"{self.function} takes tensors of shape () and (N,), got {tuple(leaf.shape)}")
         structure, types = tuple(items), tuple(map(type, leaves))
-        form = self.forms.get((structure, types))
+        key = structure, types, self.table
+        form = FORMS.get(key)
         if form is None:
-            number = self.numbers.setdefault(structure, len(self.numbers))
-            form = self.forms[structure, types] = Form(argument, leaves, structure, number, self.table)
+            number = NUMBERS.setdefault(structure, next(counter))
+            form = FORMS.setdefault(key, Form(argument, leaves, structure, number, self.table))
         self.ring, self.place = (form, *ring[first:], *ring[:first])[:MOST_FORMS], 0
         return form, leaves
 
@@ -93,7 +98,7 @@ class Taken:
     """An argument, taken apart: for one call, or for several that get the very same.
 
     Args:
-        parameter: that it belongs to.
+        parameter: that it belongs to, or others of whatever function; all hold tables, or all tensors of lanes.
         argument: nested tuples and lists of tensors, and of anything hashable.
 
     Raises:
@@ -159,6 +164,7 @@ class Arguments:
     def __init__(self, parameters: Sequence[Parameter], arguments: Sequence, known: Arguments | None = None):
         parts = [argument if type(argument) is Taken else Taken(parameter, argument)
                  for parameter, argument in zip(parameters, arguments)]
+        assert all([part.form.table == parameter.table for part, parameter in zip(parts, parameters)])
         self.given, self.forms = [part.argument for part in parts], [part.form for part in parts]
         self.lanes, self.device = (None, None) if known is None else (known.lanes, known.device)
         self.leaves: list[Tensor] = []
