@@ -279,8 +279,8 @@ def test_arguments_of_several_calls_are_taken_apart_once():
     taken, lanes = first.taken(table=table, x=x)
     parts, room = [torch.arange(5, dtype=torch.int32), torch.arange(5, 9, dtype=torch.int32)], torch.empty(9)
     prepared = first.room(room)
-    for x, part in zip(x.split([5, 4]), parts):
-        assert first.into(prepared, int(part[0]), taken, part, x) is room
+    for own, part in zip(x.split([5, 4]), parts):
+        assert first.into(prepared, int(part[0]), taken, part, own) is room
     assert torch.equal(room, table + lanes.argument)
     table.mul_(3)
     order = torch.arange(9, dtype=torch.int32)
