@@ -1,74 +1,29 @@
 """The schema of recipes: one pydantic model per TOML table. Reading and writing is in `recipe_file`."""
 
-import os
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
     Discriminator,
     Field,
-    PlainSerializer,
     Tag,
     model_validator,
 )
 
 from torch_radbp.adjoint.memory import parse_budget
-from torch_radbp.plugin import nearest
 from torch_radbp.training.device import parse_device
-
-
-class Table(BaseModel):
-    """A TOML table whose unknown keys are refused with the nearest known one."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_unknown_keys(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            raise ValueError(f"expected a table, got {data!r}")
-        for key in data:
-            if key not in cls.model_fields:
-                raise ValueError(f"unknown key {key!r}; {nearest(key, cls.model_fields)}")
-        return data
-
-
-def _resolve(path: Path, info) -> Path:
-    path = Path(os.path.abspath(info.context["base_dir"] / path))
-    if not os.path.isfile(path):  # unlike Path.is_file, it raises nothing for names that are too long
-        raise ValueError(f"no such file: {path}")
-    return path
-
-
-def _relative(path: Path, info) -> str:
-    base_dir = (info.context or {}).get("base_dir")
-    return Path(os.path.relpath(path, base_dir) if base_dir else path).as_posix()
-
-
-# A file named by a recipe: relative to the recipe when read, relative to the copy when written.
-RecipePath = Annotated[Path, AfterValidator(_resolve), PlainSerializer(_relative)]
-
-
-def _check_value(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, (int, float, list, str, Path)):
-        raise ValueError(f"expected a number, a list of numbers or the path of an image, got {value!r}")
-    return value
-
-
-# The value of a parameter: one number for all entries, nested lists, or an image file.
-Value = Annotated[float | list[float] | list[list[float]] | RecipePath, BeforeValidator(_check_value)]
-# Strict: `steps = true` and `spp = "4"` are mistakes, not 1 and 4.
-Whole = Annotated[int, Field(strict=True, lt=2**31)]
-Whole64 = Annotated[int, Field(strict=True, lt=2**63)]
-Number = Annotated[float, Field(strict=True)]
-Switch = Annotated[bool, Field(strict=True)]
-Fraction = Annotated[Number, Field(ge=0, lt=1)]
-Positive = Annotated[Number, Field(gt=0)]
-Count = Annotated[Whole, Field(ge=1)]
+from torch_radbp.training.recipe_values import (
+    Count,
+    Fraction,
+    Number,
+    Positive,
+    RecipePath,
+    Switch,
+    Table,
+    Value,
+    Whole,
+    Whole64,
+)
 
 
 class Target(Table):

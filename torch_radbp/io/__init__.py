@@ -1,1 +1,1 @@
-"""Files: scenes (Mitsuba XML and dict), meshes (OBJ, PLY) and images (EXR, HDR, PFM, PNG, JPEG, BMP, TGA)."""
+"""Files: scenes (Mitsuba XML and dict, glTF), cameras (COLMAP, NeRF), meshes (OBJ, PLY, serialized) and images."""

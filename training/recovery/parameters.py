@@ -15,6 +15,7 @@ from torch_radbp.scene.parameters import held_values
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.neural import NeuralTexture
 from torch_radbp.training import recipe
+from torch_radbp.training.recipe_values import Value
 from torch_radbp.training.recovery.network import OnBitmap, Texels, WaveNetwork
 from torch_radbp.training.recovery.rigid import PoseError, Rigid, components, moved
 
@@ -216,7 +217,7 @@ def _check_poses(name: str, before: Tensor, truth: Tensor | None) -> None:
                          "in scale, shear or handedness too; use another parametrisation or a matching initial value")
 
 
-def _tensor_like(held: Tensor, value: recipe.Value, name: str, role: str) -> Tensor:
+def _tensor_like(held: Tensor, value: Value, name: str, role: str) -> Tensor:
     """Returns a recipe's value as a tensor of the parameter's shape, dtype and device."""
     if isinstance(value, Path):
         tensor = read_image(value)
