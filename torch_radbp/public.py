@@ -11,7 +11,7 @@ from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.nerf import cameras_from_nerf
 from torch_radbp.io.write import save
 from torch_radbp.jvp import jvp
-from torch_radbp.plugin import SceneError
+from torch_radbp.plugin import SceneError, SceneWarning
 from torch_radbp.pose import look_at, se3
 from torch_radbp.render import Renderer, render
 from torch_radbp.scene import Scene
@@ -19,7 +19,7 @@ from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture
 
 __all__ = ["GltfWarning", "GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture", "NonFiniteError",
-           "QuadraticAdjoint", "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SilhouetteWarning",
-           "TapeAdjoint", "camera_from_opencv", "cameras_from_colmap", "cameras_from_kornia",
+           "QuadraticAdjoint", "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
+           "SilhouetteWarning", "TapeAdjoint", "camera_from_opencv", "cameras_from_colmap", "cameras_from_kornia",
            "cameras_from_nerf", "check_gradient", "jvp", "load", "load_dict", "look_at", "render", "save",
            "save_image", "se3"]

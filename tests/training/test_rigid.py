@@ -85,7 +85,7 @@ def pose_recipe(folder, edit_recipe):
         assert text.count(old) == 1
         text = text.replace(old, new)
     assert text.count('<translate y="1" z="-1"/>') == 1
-    wall = '<scale value="4"/><rotate x="0.3" y="1" z="0.4" angle="10"/><translate y="1" z="0.4"/>'
+    wall = '<scale value="4"/><rotate x="0.36" y="0.8" z="0.48" angle="10"/><translate y="1" z="0.4"/>'
     (folder / "scene.xml").write_text(text.replace('<translate y="1" z="-1"/>', wall))
     scene = rb.load(folder / "scene.xml")
     image = rb.render(scene, spp=256, seed=9, max_depth=2, caster="brute")[0].detach()
