@@ -132,12 +132,11 @@ class ProjectiveCamera(Sensor):
         if not 0 < near_clip < far_clip:
             raise ValueError(f"near_clip must be positive and less than far_clip, got {near_clip} and {far_clip}")
         self.near_clip, self.far_clip = positive("near_clip", near_clip), float(far_clip)
-        pose = transform("to_world", to_world)
-        if not self.takes_scale and not is_rigid(pose):
-            lengths = ", ".join(f"{length:.6g}" for length in pose.detach()[:3, :3].norm(dim=0).tolist())
+        self.freeze("to_world", transform("to_world", to_world))
+        if not self.takes_scale and not is_rigid(self.to_world):
+            lengths = ", ".join(f"{length:.6g}" for length in self.to_world.detach()[:3, :3].norm(dim=0).tolist())
             raise ValueError(f"to_world of a camera must not scale or shear, as in Mitsuba 3; its axes have the lengths "
                              f"{lengths}: leave the scale out, and choose what is seen by the field of view")
-        self.freeze("to_world", pose)
 
     def as_written(self, attribute: str) -> Any:
         """The axes of `to_world` count by their directions unless the camera takes scales, and have length one in files."""
