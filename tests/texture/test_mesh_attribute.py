@@ -55,6 +55,7 @@ def test_values_are_those_of_mitsuba(texture, expected, tmp_path):
     ("red green blue", {"color": ("red", "green", "blue")}),
     ("c_x", {"c": ("c_x",)}),
     ("c_1 c_2 c_3", {"c": ("c_1", "c_2", "c_3")}),
+    ("c_0 c_1 c_2", {"c": ("c_0", "c_1", "c_2")}),  # as Mitsuba writes them
     ("tint_r tint_g tint_b", {"tint_color": ("tint_r", "tint_g", "tint_b")}),
     ("vertex_c_r", {"vertex_c_color": ("vertex_c_r",)}),
     ("nx ny nz u v c_r", {"c_color": ("c_r",)}),

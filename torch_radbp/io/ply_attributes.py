@@ -2,7 +2,7 @@
 
     r, g, b or red, green, blue             color
     NAME_r, NAME_g, NAME_b or NAME_r        NAME_color, of three channels or one
-    NAME_x, NAME_y, NAME_z or NAME_x        NAME, likewise; and with 1, 2, 3
+    NAME_x, NAME_y, NAME_z or NAME_x        NAME, likewise; and with 1, 2, 3, and with 0, 1, 2
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 COLOURS = (("r", "g", "b"), ("red", "green", "blue"))
-POSTFIXES = {("r", "g", "b"): "_color", ("x", "y", "z"): "", ("1", "2", "3"): ""}
+POSTFIXES = {("r", "g", "b"): "_color", ("x", "y", "z"): "", ("1", "2", "3"): "", ("0", "1", "2"): ""}
 
 
 def attributes_in(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
