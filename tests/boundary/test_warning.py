@@ -233,6 +233,30 @@ def test_without_a_jump_there_is_nothing_to_warn_of():
     assert not warnings_of(glass(), "sheet.bsdf.alpha.value", "wall.bsdf.reflectance.data", sampling="detached")
 
 
+def film() -> rb.Scene:
+    """A thin sheet that fills the view, before a wall that does."""
+    bsdf = {"type": "principledthin", "spec_trans": 0.9, "anisotropic": 0.5, "roughness": 0.4}
+    return load(camera=sensor(4), wall=rectangle((0, 0, -1), 40, bsdf=PICTURE), sky=SKY,
+                sheet=rectangle((0, 0, 0), 40, bsdf=bsdf))
+
+
+@pytest.mark.parametrize("name, sampling, instead", [
+    ("sheet.to_world", "detached", "No sampling has"), ("camera.to_world", "hybrid", "No sampling has"),
+    ("sheet.to_world", "attached", "Use sampling='hybrid'"),
+    ("sheet.bsdf.anisotropic.value", "attached", "Use sampling='hybrid'"),
+    ("sheet.bsdf.roughness.value", "attached", "Use sampling='hybrid'")])
+def test_the_jump_of_thin_sheets_is_warned_of_with_every_sampling(name, sampling, instead):
+    message, = (message for message in warnings_of(film(), name, sampling=sampling) if "lack a part" in message)
+    assert f"`{name.removesuffix('.value')}` lack a part at the principledthin `sheet.bsdf`" in message
+    assert instead in message
+
+
+def test_what_turns_no_directions_of_a_thin_sheet_is_not_warned_of():
+    for name in ("sheet.bsdf.anisotropic.value", "sheet.bsdf.roughness.value"):
+        assert not warnings_of(film(), name)
+    assert not warnings_of(film(), "sheet.bsdf.spec_trans.value", sampling="attached")
+
+
 METAL = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.3}
 
 

@@ -55,7 +55,7 @@ class SilhouetteWarning(UserWarning):
 class JumpWarning(SilhouetteWarning):
     """The derivatives to be computed lack the contribution of a jump in a BSDF: a silhouette of its microfacets.
 
-    The message names the parameters. `sampling="attached"` has no such jump; `check_gradient` measures the bias.
+    The message names the parameters, and which `sampling` has that part if any has; `check_gradient` measures the bias.
     """
 
 
@@ -80,6 +80,12 @@ class Rendering:
         attributes = plugin.domains() if attributes is None else attributes
         asked = [name for name in attributes if asks_for_derivatives(getattr(plugin, name, None))]
         return [f"{self.names.get(id(plugin), type(plugin).__name__)}.{name}" for name in asked]
+
+    def turning(self, bsdf: BSDF, kind: Kind) -> list[str]:
+        """The names of those textures of a material that have derivatives and turn directions which carry them."""
+        slots, textures = turning_values(kind, self.sampling), bsdf.textures()
+        return [texture_name(self.scene, textures[slot]) for slot in slots
+                if any(map(asks_for_derivatives, textures[slot].sources()))]
 
     @cached_property
     def names(self) -> dict[int, str]:
@@ -192,19 +198,28 @@ class JumpWatch:
     def jumps_of_a_bsdf(self, rendering: Rendering) -> JumpWarning | None:
         """The warning about a BSDF that is discontinuous in its directions while these turn, or None.
 
-        Directions without derivatives miss that; see `Kind.jumps`.
+        Directions without derivatives miss that, and where samples end at the jump those with derivatives do, too; see
+        `Kind.jumps` and `Kind.ends`.
         """
-        scene, sensors, sampling = rendering.scene, rendering.sensors, rendering.sampling
-        jumping = [bsdf for bsdf, kind in rendering.materials() if kind.jumps and sampling_at(kind, sampling) != "attached"]
-        turning = [name for plugins, attributes in ((sensors, None), (jumping, ("eta",)))
-                   for plugin in plugins for name in rendering.moving(plugin, attributes)]
-        turning = [*(name for names in rendering.movers for name in names), *turning]
+        sampling = rendering.sampling
+        jumping = [(bsdf, kind) for bsdf, kind in rendering.materials()
+                   if kind.ends or kind.jumps and sampling_at(kind, sampling) != "attached"]
+        turning = [name for names in rendering.movers for name in names]
+        turning += [name for sensor in rendering.sensors for name in rendering.moving(sensor)]
+        for bsdf, kind in jumping:
+            turning += rendering.turning(bsdf, kind) if kind.ends else rendering.moving(bsdf, ("eta",))
         if not (jumping and turning):
             return None
-        bsdf = f"{jumping[0].type} `{scene.name_of(jumping[0])}`"
-        return JumpWarning(f"derivatives with respect to {listed(turning)} lack a part at the {bsdf}: its refraction by GGX "
-                           f"facets ends with a jump, which directions without derivatives miss. Use sampling='attached', "
-                           f"or the distribution 'beckmann', which has no jump")
+        bsdf, kind = jumping[0]
+        lacking = (f"derivatives with respect to {listed(turning)} lack a part at the {bsdf.type} "
+                   f"`{rendering.scene.name_of(bsdf)}`: its ")
+        if not kind.ends:
+            return JumpWarning(f"{lacking}refraction by GGX facets ends with a jump, which directions without derivatives "
+                               f"miss. Use sampling='attached', or a roughdielectric of the distribution 'beckmann', which "
+                               f"has no jump")
+        instead = ("Use sampling='hybrid', which has all but what moves shapes and cameras" if sampling == "attached" else
+                   "No sampling has what moves shapes and cameras; check_gradient measures how much that matters")
+        return JumpWarning(f"{lacking}transmission by GGX facets ends with a jump, at which samples are lost. {instead}")
 
     def edges_slid_over(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about scattered directions that follow a parameter, and so slide over edges; or None.
@@ -213,13 +228,11 @@ class JumpWatch:
         mirrors and of all glass follow the surface itself and the camera, too. That attached directions at other materials
         do so as well is not examined.
         """
-        scene, sampling = rendering.scene, rendering.sampling
+        sampling = rendering.sampling
         turning: dict[str, bool] = {}  # names of parameters; True: hybrid sampling follows at all these surfaces, too
         materials = [(bsdf, kind) for bsdf, kind in rendering.materials() if followed(kind, sampling)]
         for bsdf, kind in materials:
-            slots, textures = turning_values(kind, sampling), bsdf.textures()
-            turning |= {texture_name(scene, textures[slot]): kind.follows or not kind.smooth
-                        for slot in slots if any(map(asks_for_derivatives, textures[slot].sources()))}
+            turning |= {name: kind.follows or not kind.smooth for name in rendering.turning(bsdf, kind)}
         hybrid = {id(bsdf): followed(kind, "hybrid") for bsdf, kind in materials}
         for shape, names in zip(rendering.shapes, rendering.movers):
             delta = [hybrid[id(bsdf)] for bsdf in one_sided([shape.bsdf]) if id(bsdf) in hybrid]

@@ -53,6 +53,10 @@ class BlendKind(Kind):
         return self.first.jumps or self.second.jumps
 
     @property
+    def ends(self) -> bool:
+        return self.first.ends or self.second.ends
+
+    @property
     def slots(self) -> int:
         return 1 + self.first.slots + self.second.slots
 

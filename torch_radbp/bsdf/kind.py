@@ -89,6 +89,11 @@ class Kind(ABC):
         return False
 
     @property
+    def ends(self) -> bool:
+        """True if `sample` loses directions where `eval_pdf` is not zero, so that following directions miss it, too."""
+        return False
+
+    @property
     @abstractmethod
     def slots(self) -> int:
         """The number of values that the functions take."""

@@ -68,6 +68,10 @@ class TurnedKind(Kind):
         return self.nested.jumps
 
     @property
+    def ends(self) -> bool:
+        return self.nested.ends
+
+    @property
     def slots(self) -> int:
         return self.own + self.nested.slots
 

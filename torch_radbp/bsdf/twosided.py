@@ -53,6 +53,10 @@ class TwoSidedKind(Kind):
         return any(side.jumps for side in self.sides)
 
     @property
+    def ends(self) -> bool:
+        return any(side.ends for side in self.sides)
+
+    @property
     def slots(self) -> int:
         return sum(side.slots for side in self.sides)
 
