@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from importlib import import_module
 
 import torch
 from torch import Tensor
@@ -21,6 +22,8 @@ from torch.utils._pytree import tree_leaves
 import torch_radbp as rb
 from torch_radbp.adjoint.function import render_images
 from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.differentiated import detached
+from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.tensors import SceneTensors
@@ -29,6 +32,7 @@ from torch_radbp.scene.tensors import SceneTensors
 # that the second one detaches, only the tables from which lights are chosen.
 PROPOSAL = "make_integrand"
 CHOICES = frozenset({"choose", "chance_of_lobe", "values_for_choice", "relative_chance", "vantage", PROPOSAL})
+RENDER = import_module("torch_radbp.render")
 DETACH = Tensor.detach
 DEEPEST_CALL = 40  # frames between such a function and what it detaches
 
@@ -52,9 +56,10 @@ class Decisions:
         self.recording = self.next is None
         self.next = 0
         Tensor.detach = lambda value: self.detached(value)
+        RENDER.detached = every_leaf_detached
 
     def __exit__(self, *error) -> None:
-        Tensor.detach = DETACH
+        Tensor.detach, RENDER.detached = DETACH, detached
         if error[0] is None:
             assert self.next == len(self.answers), "a rendering took other decisions than the first one"
 
@@ -94,6 +99,11 @@ class Decisions:
         if scene is not self.scene:
             self.scene, self.tables = scene, {id(leaf) for leaf in tree_leaves(scene.lights) if isinstance(leaf, Tensor)}
         return self.tables
+
+
+def every_leaf_detached(tensors):
+    """`differentiated.detached`, but of a record without derivatives, too: they are asked for in each rendering."""
+    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(tensors)])
 
 
 class HeldCaster:
