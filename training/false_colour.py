@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from torch_radbp.check.statistics import quantile
+
 # Black, violet, red, orange, pale yellow: rising lightness, so it also reads in grey. Linear RGB.
 _ANCHORS = torch.tensor([[0.0, 0.0, 0.0], [0.09, 0.01, 0.2], [0.5, 0.02, 0.12], [0.95, 0.25, 0.02], [1.0, 0.95, 0.6]])
 
@@ -19,10 +21,7 @@ def absolute_error(image: Tensor, target: Tensor) -> Tensor:
 
 def error_scale(error: Tensor) -> float:
     """Returns the error that is shown brightest: the 99.5 % quantile over pixels, so that fireflies do not set it."""
-    # Sorted, because torch refuses kthvalue under use_deterministic_algorithms on CUDA.
-    ascending = error.amax(dim=-3).flatten().sort().values
-    rank = max(1, round(0.995 * len(ascending)))
-    return max(ascending[rank - 1].item(), 1e-6)
+    return max(quantile(error.amax(dim=-3), 0.995).item(), 1e-6)
 
 
 def false_colour(error: Tensor, scale: float) -> Tensor:

@@ -130,10 +130,8 @@ def _rotation(element: Element) -> np.ndarray:
     """A rotation; one about an axis of another length than one is what Mitsuba makes of it, with a warning."""
     axis, angle = vector(element, 0.0, extra=("angle",)), numbers(element, "angle", (1,))[0]
     length = math.hypot(*axis)
-    if abs(length - 1.0) <= UNIT:
+    if length == 0 or abs(length - 1.0) <= UNIT:
         return transform.rotate(axis, angle)
-    if length == 0:
-        raise element.fail("the rotation axis must not be zero")
     warnings.warn(f"{element}: the axis has the length {length:.4g} and not 1, so that it scales and shears, as in Mitsuba "
                   f"3; for a rotation write value=\"{', '.join(f'{part / length:.6g}' for part in axis)}\"", SceneWarning,
                   stacklevel=2)
