@@ -22,9 +22,10 @@ HOLDERS = {
 }
 
 
-def holder(name: str, weight: float):
-    description = HOLDERS[name]
-    return material(description | {"weight" if description["type"] == "blendbsdf" else "opacity": weight})
+def holder(holds: str, weight: float, moving: bool = True):
+    description = HOLDERS[holds]
+    name = "weight" if description["type"] == "blendbsdf" else "opacity"
+    return material(description | {name: weight}).requires_grad_(moving)
 
 
 def reflected(kind, values, wi: Vec3, random: Numbers) -> torch.Tensor:
@@ -66,8 +67,8 @@ NORMALS = [(0.5, 0.5, 1.0), (0.5, 0.5, 0.5), (1.0, 0.5, 0.5), (0.5, 0.0, 0.5), (
            (1.0, 1.0, 1.0)]
 COSINES = (1.0, 0.6, 1e-3, 1e-7, 0.0, -1e-7, -0.5, -1.0)
 EXTREMES = {
-    **{f"{name}, {weight}": lambda name=name, weight=weight: holder(name, weight)
-       for name in HOLDERS for weight in (0.0, 0.5, 1.0)},
+    **{f"{name}, {weight}{moving}": lambda name=name, weight=weight, moving=moving: holder(name, weight, bool(moving))
+       for name in HOLDERS for weight in (0.0, 0.5, 1.0) for moving in (", moving", "")},
     **{f"{name} {n}": lambda name=name, n=n: material({"type": "normalmap", "normalmap": list(n),
                                                       "nested_bsdf": MATERIALS[name]})
        for name in ("rough plastic ggx", "conductor", "glass beckmann", "brushed metal ggx") for n in NORMALS},

@@ -9,12 +9,15 @@ from torch import Tensor
 
 from torch_radbp.bsdf.kind import Choice, Kind, Values, chance_of_lobe, either, on_horizon_unless
 from torch_radbp.bsdf.number import NumberOf
+from torch_radbp.differentiated import differentiated
 from torch_radbp.domain import FRACTION, Domain
 from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3, where
 
 LEAST_CHANCE = 0.02  # of either material: one of weight zero is still sampled, and the weight has its derivative
+ROUNDING = 1e-6  # by which weights of 0 and 1 may be off when they are read from an image in float32
 LARGEST_NUMBER = 1.0 - 2.0**-24
 
 
@@ -27,6 +30,7 @@ class BlendKind(Kind):
 
     first: Kind
     second: Kind
+    still: bool = False  # the weight is not differentiated: a material without weight is never sampled
 
     @property
     def delta(self) -> bool:
@@ -82,6 +86,17 @@ class BlendKind(Kind):
         end = 1 + self.first.slots
         return values[1:end], values[end:]
 
+    def chance_of_second(self, weight: Tensor) -> Tensor:
+        """The probability with which the second kind is sampled: its weight, within `LEAST_CHANCE` of 0 and 1.
+
+        If the weight is `still`, it is 0 or 1 where the weight is: a kind without weight is not sampled. Surfaces may move
+        all the same: where a weight in [0, 1] has one of these values, its derivative by the place is zero.
+        """
+        chance = weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)
+        if not self.still:
+            return chance
+        return torch.where(weight < ROUNDING, 0.0, torch.where(weight > 1.0 - ROUNDING, 1.0, chance))
+
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         weight, (of_first, of_second) = values[0].x, self.parts(values)
         return (self.first.diffuse_reflectance(of_first, wi) * (1.0 - weight)
@@ -89,14 +104,15 @@ class BlendKind(Kind):
 
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         weight, (of_first, of_second) = values[0].x, self.parts(values)
-        chance = chance_of_lobe(chance_of_second(weight), fixed_lobes)
+        chance = chance_of_lobe(self.chance_of_second(weight), fixed_lobes)
         first, first_pdf = self.first.eval_pdf(of_first, wi, wo, fixed_lobes)
         second, second_pdf = self.second.eval_pdf(of_second, wi, wo, fixed_lobes)
         return first * (1.0 - weight) + second * weight, first_pdf * (1.0 - chance) + second_pdf * chance
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
-        chance = chance_of_second(values[0].x.detach())
-        rest = ((choice - chance) / (1.0 - chance)).clamp(0.0, LARGEST_NUMBER), (choice / chance).clamp_max(LARGEST_NUMBER)
+        chance = self.chance_of_second(values[0].x.detach())
+        rest = (((choice - chance) / positive_or_one(1.0 - chance)).clamp(0.0, LARGEST_NUMBER),
+                (choice / positive_or_one(chance)).clamp_max(LARGEST_NUMBER))
         first, second = (kind.choose(part, wi, number, u, v)
                          for kind, part, number in zip((self.first, self.second), self.parts(values), rest))
         picked = choice < chance
@@ -129,9 +145,14 @@ def own_sample(kind: Kind, values: Values, wi: Vec3, choice: Choice, u: Tensor, 
     return on_horizon_unless((kind.pdf(values, wi, wo).detach() > 0) | choice.is_delta(kind), wo)
 
 
-def chance_of_second(weight: Tensor) -> Tensor:
-    """The probability with which the second kind is sampled: its weight, within `LEAST_CHANCE` of 0 and 1."""
-    return weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)
+def positive_or_one(chance: Tensor) -> Tensor:
+    """A divisor: the chance, or 1 where it is 0."""
+    return torch.where(chance > 0, chance, 1.0)
+
+
+def is_still(weight: Texture) -> bool:
+    """True if the values of a texture are known not to be differentiated; a material does not know what its meshes carry."""
+    return not reader_of(weight).attributes and not any(map(differentiated, weight.sources()))
 
 
 @register("bsdf", "blendbsdf")
@@ -139,8 +160,9 @@ class BlendBSDF(BSDF):
     """A mixture of two materials, each of any kind: `bsdf_0` where the weight is 0, `bsdf_1` where it is 1.
 
     Parameters: `weight`, a texture in [0, 1]. Derivatives: with respect to its texels, and to the parameters of both
-    materials. Each is sampled with the probability of its weight, but at least 0.02, so that derivatives are right where
-    the weight is 0 or 1.
+    materials. Each is sampled with the probability of its weight, but at least 0.02. Where the weight is 0 or 1, one is not
+    sampled at all, unless derivatives with respect to the weight are asked for, which need both, or a `mesh_attribute` gives
+    it.
 
     What a blend scatters is exactly the mixture of what its materials scatter, ideal reflection and refraction included.
     Mitsuba 3.9.1 differs: where one material is smooth and the other reflects or refracts ideally, its image is some percent
@@ -173,7 +195,7 @@ class BlendBSDF(BSDF):
 
     def kind(self) -> Kind:
         """The scattering functions."""
-        return BlendKind(self.bsdf_0.kind(), self.bsdf_1.kind())
+        return BlendKind(self.bsdf_0.kind(), self.bsdf_1.kind(), is_still(self.weight))
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""

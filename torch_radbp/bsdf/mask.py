@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torch_radbp.bsdf.blendbsdf import BlendKind
+from torch_radbp.bsdf.blendbsdf import BlendKind, is_still
 from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.null import NullKind
 from torch_radbp.bsdf.number import NumberOf
@@ -50,7 +50,7 @@ class Mask(BSDF):
 
     def kind(self) -> Kind:
         """The scattering functions."""
-        return MaskKind(NullKind(), self.nested_bsdf.kind())
+        return MaskKind(NullKind(), self.nested_bsdf.kind(), is_still(self.opacity))
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""
