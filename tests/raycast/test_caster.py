@@ -10,7 +10,7 @@ import torch
 
 from tests.raycast.meshes import mesh, random_rays, single_ray
 from tests.raycast.test_hits import CASTERS, WARP
-from torch_radbp.raycast import FEW_TRIANGLES, Ray, library, make_caster
+from torch_radbp.raycast import CORNER, FEW_TESTS, Ray, library, make_caster
 from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
@@ -30,10 +30,15 @@ def test_casters_are_chosen_by_name():
     assert isinstance(make_caster("direct", TRIANGLE, FACE), Direct)
 
 
-def test_small_meshes_are_tested_directly_and_others_have_a_tree():
-    few, more = (torch.zeros(count, 3, dtype=torch.int32) for count in (FEW_TRIANGLES, FEW_TRIANGLES + 1))
-    assert isinstance(make_caster(None, TRIANGLE, few), Direct)
-    assert isinstance(make_caster(None, TRIANGLE, more), Embree)
+@pytest.mark.parametrize("corners", [1, 50, 180])
+def test_small_meshes_are_tested_directly_and_others_have_a_tree(corners):
+    """What counts is triangles, and corners in different places for less."""
+    places = torch.rand(corners, 3, generator=torch.Generator().manual_seed(1))
+    most = int(FEW_TESTS - CORNER * corners)
+    few, more = (torch.arange(3 * count, dtype=torch.int32).reshape(count, 3) for count in (most, most + 1))
+    assert isinstance(make_caster(None, places, few % corners), Direct)
+    assert isinstance(make_caster(None, places, more % corners), Embree)
+    assert isinstance(make_caster(None, places.repeat(2, 1), few % corners), Direct)
 
 
 def test_an_unknown_name_lists_the_known_ones():

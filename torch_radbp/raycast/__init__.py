@@ -5,10 +5,12 @@ from __future__ import annotations
 import importlib
 from functools import partial
 
+import torch
 from torch import Tensor
 
-from torch_radbp.raycast.ball import castable
+from torch_radbp.raycast.ball import castable, other_triangles
 from torch_radbp.raycast.expanded import ExpandedCaster
+from torch_radbp.raycast.mesh import checked_faces
 from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
 from torch_radbp.shape.ball import TRIANGLES, Balls
 from torch_radbp.shape.placement import Instances
@@ -17,7 +19,9 @@ __all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 
 # Imported when asked for: each has dependencies that the others do not need.
 CASTERS = {"embree": "Embree", "direct": "Direct", "brute": "Brute", "warp": "Warp"}
-FEW_TRIANGLES = 100  # a path's rays, camera rays aside, test so many one by one faster than a tree finds the right ones
+# What a path's rays test one by one faster than a tree finds the right triangles, in tests of a triangle: scattered boxes
+# about 230, small lamps in a large room, which a tree hardly meets, 145. A corner costs less than a triangle.
+FEW_TESTS, CORNER = 180, 0.6
 FEW_BALLS = 128  # likewise; of incoherent rays, 256 take half of the time that a tree of their triangles does
 
 
@@ -42,10 +46,8 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
     if balls is not None and (len(balls.first) > FEW_BALLS or not bool(castable(balls).all())):
         balls = None
     if name is None:
-        seen = len(faces) if instances is None else instances.triangles()
-        others = seen - (0 if balls is None else TRIANGLES * len(balls.first))
-        on_cpu = "direct" if others <= FEW_TRIANGLES else "embree"
-        name = on_cpu if vertices.device.type == "cpu" else "warp"
+        on_cpu = vertices.device.type == "cpu"
+        name = "warp" if not on_cpu else "direct" if few(vertices, faces, balls, instances) else "embree"
     if name not in CASTERS:
         raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))}")
     caster = getattr(importlib.import_module(f"torch_radbp.raycast.{name}"), CASTERS[name])
@@ -54,3 +56,14 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
     if name == "embree":
         return caster(vertices, faces, balls, instances, last if isinstance(last, caster) else None)
     return ExpandedCaster(partial(caster, balls=balls), vertices, faces, instances)
+
+
+def few(vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None) -> bool:
+    """True if rays test all triangles but those of balls faster than a tree finds the right ones. Args: as `make_caster`."""
+    seen = len(faces) if instances is None else instances.triangles()
+    seen -= 0 if balls is None else TRIANGLES * len(balls.first)
+    if seen > FEW_TESTS:
+        return False
+    others = checked_faces(faces if balls is None else other_triangles(faces, balls)[0], len(vertices), vertices.device)
+    corners = len(torch.unique(vertices[others.long()].flatten(0, 1), dim=0))
+    return seen * (1 + CORNER * corners / max(1, len(others))) <= FEW_TESTS
