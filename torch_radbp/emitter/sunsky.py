@@ -211,8 +211,9 @@ class Sunsky(Light):
 
     Below the horizon it is black. Of Mitsuba's plugin the sun with a dark limb, `complex_sun`, is missing.
 
-    Parameters: `turbidity`, `sky_scale`, `sun_scale` (), `albedo`. Derivatives: with respect to these. The sun's place and
-    the pose are fixed: the disc's border would move, which derivatives at fixed directions miss.
+    Parameters: `turbidity`, `sky_scale`, `sun_scale` (), `albedo`. Derivatives: with respect to these. Tables are linear
+    between whole turbidities: there the slope jumps, and the derivative is that of the side above, as Mitsuba's. The sun's
+    place and the pose are fixed: the disc's border would move, which derivatives at fixed directions miss.
 
     Args:
         turbidity: of the air, from 1 (clearest) to 10.
