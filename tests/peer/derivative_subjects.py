@@ -59,10 +59,10 @@ class Places(NamedTuple):
 
 
 def written(value: Any) -> Any:
-    """A description with arrays as lists."""
+    """A description with arrays as lists, in single precision: the last bits of sines differ between machines."""
     if isinstance(value, dict):
         return {key: written(item) for key, item in value.items()}
-    return value.tolist() if isinstance(value, np.ndarray) else str(value)
+    return value.astype(np.float32).tolist() if isinstance(value, np.ndarray) else str(value)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
