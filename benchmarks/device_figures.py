@@ -84,17 +84,19 @@ def measure(name: str, device: str, setting: Setting, rounds: int) -> Figures:
         first = peer.run(10_000).both
         passes = median_passes(peer, rounds)
         peak, predicted = peak_on_device(peer, device, rounds), peer.renderer.memory_plan().peak
-        on_cpu = passes if device == "cpu" else median_passes(Ours(scene, compiled=True), rounds)
+        on_cpu = passes if device == "cpu" else median_passes(Ours(scene, compiled=True), 1)
     forward, backward, both = (statistics.median(map(what, found)) for what, found in (
         (lambda p: p.forward, passes), (lambda p: p.backward, passes), (lambda p: p.both, on_cpu)))
     return Figures(name, device, setting, first, forward, backward, both, peak, predicted)
 
 
-def in_own_process(name: str, device: str, setting: Setting, rounds: int) -> Figures:
-    """`measure` in a new process."""
+def in_own_process(name: str, device: str, setting: Setting, rounds: int) -> Figures | None:
+    """`measure` in a new process; None if it failed, which has printed why."""
     command = [sys.executable, "-m", "benchmarks.device_figures", "--device", device, "--rounds", str(rounds),
                "--only", json.dumps([name, setting])]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        return None
     found = Figures(*json.loads(done.stdout.splitlines()[-1]))
     return found._replace(setting=Setting(*found.setting))
 
@@ -116,15 +118,22 @@ def main(arguments: list[str] | None = None) -> None:
         print(json.dumps(measure(name, options.device, Setting(*setting), options.rounds)))
         return
     print(HEADER, flush=True)
-    results = []
+    results, failed = [], []
     for name in options.scene:
         setting = QUICK if options.quick else SCENES[name].setting
         setting = setting._replace(resolution=options.resolution or setting.resolution, spp=options.spp or setting.spp)
-        results.append(in_own_process(name, options.device, setting, options.rounds))
-        print(results[-1].row(), flush=True)
-    if options.json:
-        options.json.write_text(json.dumps([found._asdict() | {"setting": found.setting._asdict()} for found in results],
-                                           indent=1))
+        found = in_own_process(name, options.device, setting, options.rounds)
+        if found is None:
+            failed.append(name)
+            print(f"| {name} | failed |", flush=True)
+            continue
+        results.append(found)
+        print(found.row(), flush=True)
+        if options.json:
+            options.json.write_text(json.dumps([found._asdict() | {"setting": found.setting._asdict()} for found in results],
+                                               indent=1))
+    if failed:
+        raise SystemExit(f"failed: {', '.join(failed)}")
 
 
 if __name__ == "__main__":

@@ -1,21 +1,31 @@
 """One command for whoever has a CUDA GPU: `make gpu-check`, or, installed with the extras, `python -m benchmarks.gpu_check`.
 
-It runs the tests that need a GPU (those marked `gpu`); then forward and backward passes by themselves: first call, samples
-a second, over our own CPU, peak of memory beside the prediction (`benchmarks.device_figures --device cuda`); then the same
-beside Mitsuba's `cuda_ad_rgb` (`benchmarks.versus_mitsuba --device cuda`). What they print is saved in a folder, with all
-figures and the names of the card and of the versions in `report.json`. A step that fails does not keep the next from
-running. Without a GPU it says so, runs nothing and ends with status 1.
+It runs, each in processes of its own and for so many seconds at most:
+
+- `kernels`: the tests marked `gpu` but for the longest: single kernels, the Cornell box;
+- `figures`: forward and backward passes by themselves: first call, samples a second, over our own CPU, peak of memory
+  beside the prediction (`benchmarks.device_figures --device cuda`);
+- `times`: the same beside Mitsuba's `cuda_ad_rgb` (`benchmarks.versus_mitsuba --device cuda`); left out without Mitsuba;
+- `plugins`: the other tests: every plugin and parameter in double precision.
+
+What they print is saved in a folder as it comes, and after each of them all figures, with the names of the card and of the
+versions, in `report.json`. A step that fails or takes too long does not keep the next from running. Without a GPU it says
+so, runs nothing and ends with status 1.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
 import platform
+import signal
 import subprocess
 import sys
+import threading
 import time
-from importlib import metadata
+from importlib import metadata, util
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,26 +39,37 @@ of `make test`, and `python -m benchmarks.ptx` lists registers and spills of all
 PACKAGES = ("torch", "llvmlite", "cuda-bindings", "warp-lang", "mitsuba")
 
 
+LONGEST = "every_plugin"  # tests by name; each compiles kernels of its own
+WORKERS = 8  # processes of these, at most
+
+
 class Step(NamedTuple):
     """A part of the check."""
 
     name: str
     command: tuple[str, ...]
+    limit: float  # seconds
+    needs: str | None = None  # a module, without which it is left out
 
 
 def steps(folder: Path, quick: bool) -> list[Step]:
     """What is run."""
-    tests = (sys.executable, "-m", "pytest", "-m", "gpu", "tests/gpu", "-rf")
-    size = ("--quick", "--rounds", "2") if quick else ("--resolution", "512", "--spp", "64")
-    measured = [Step(name, (sys.executable, "-m", f"benchmarks.{module}", "--device", "cuda", *size, "--json",
-                            str(folder / f"{name}.json")))
-                for name, module in (("figures", "device_figures"), ("times", "versus_mitsuba"))]
-    return [Step("tests", tests), *measured]
+    tests = (sys.executable, "-m", "pytest", "-m", "gpu", "tests/gpu", "-rf", "--tb=short", "--durations=5")
+    side_by_side = ("-n", str(min(WORKERS, os.cpu_count() or 1))) if util.find_spec("xdist") else ()
+    size = ("--quick", "--rounds", "2") if quick else ("--resolution", "512", "--spp", "64", "--rounds", "3")
+
+    def measured(name: str, module: str, limit: float, needs: str | None = None) -> Step:
+        return Step(name, (sys.executable, "-m", f"benchmarks.{module}", "--device", "cuda", *size, "--json",
+                           str(folder / f"{name}.json")), limit, needs)
+
+    return [Step("kernels", (*tests, "-k", f"not {LONGEST}"), 90),
+            measured("figures", "device_figures", 200), measured("times", "versus_mitsuba", 120, "mitsuba"),
+            Step("plugins", (*tests, "-k", LONGEST, *side_by_side), 180)]
 
 
 def saved(folder: Path) -> dict[str, list]:
     """The figures that the steps have saved, by the name of the step."""
-    return {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
+    return {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json")) if path.stem != "report"}
 
 
 def machine() -> dict[str, str]:
@@ -63,22 +84,45 @@ def machine() -> dict[str, str]:
     return found
 
 
-def run(step: Step, folder: Path) -> int:
-    """Runs a step, shows and saves what it prints, and returns its status."""
-    print(f"== {step.name}: {' '.join(step.command)}", flush=True)
+def run(step: Step, folder: Path) -> str:
+    """Runs a step, shows and saves what it prints, line by line with the seconds, and returns how it ended."""
+    if step.needs and not util.find_spec(step.needs):
+        print(f"== {step.name}: left out, since {step.needs} is not installed", flush=True)
+        return f"left out: {step.needs} is not installed"
+    print(f"== {step.name}, {step.limit:.0f} s at most: {' '.join(step.command)}", flush=True)
+    start = time.monotonic()
     with open(folder / f"{step.name}.txt", "w", encoding="utf-8") as log, subprocess.Popen(
-            step.command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+            step.command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+            start_new_session=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}) as process:
+        stop = threading.Timer(step.limit, end, [process])
+        stop.start()
         for line in process.stdout:
-            print(line, end="", flush=True)
+            print(f"{time.monotonic() - start:6.1f}  {line}", end="", flush=True)
             log.write(line)
-    return process.returncode
+            log.flush()
+        code = process.wait()
+        in_time = stop.is_alive()
+        stop.cancel()
+    took = f"in {time.monotonic() - start:.0f} s"
+    if not in_time:
+        return f"stopped after its {took[3:]}"
+    return f"passed {took}" if code == 0 else f"failed with status {code} {took}"
+
+
+def end(process: subprocess.Popen) -> None:
+    """Ends a process and those that it has started."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the check; the status is 0 if every step's is."""
+    """Runs the check; the status is 0 if every step that was run has passed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=Path("runs/gpu-check"), help="where a folder with the report is made")
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
+    parser.add_argument("--only", nargs="+", metavar="STEP", choices=[step.name for step in steps(Path(), False)],
+                        help="these steps: %(choices)s")
+    parser.add_argument("--patience", type=float, default=1.0, help="times the seconds that each step may take")
     options = parser.parse_args(arguments)
     if not torch.cuda.is_available():
         build = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built for the CPU alone"
@@ -86,13 +130,16 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     folder = options.folder / time.strftime("%Y-%m-%d-%H%M%S")
     folder.mkdir(parents=True)
-    about = machine()
-    print("\n".join(f"{key}: {value}" for key, value in about.items()))
-    status = {step.name: run(step, folder) for step in steps(folder, options.quick)}
-    (folder / "report.json").write_text(json.dumps({"machine": about, "status": status, **saved(folder)}, indent=1))
-    print(f"saved in {folder}; " + ", ".join(f"{name}: {'passed' if code == 0 else f'failed with status {code}'}"
-                                             for name, code in status.items()))
-    return max(status.values())
+    about, status = machine(), {}
+    print("\n".join(f"{key}: {value}" for key, value in about.items()), flush=True)
+    for step in steps(folder, options.quick):
+        if not options.only or step.name in options.only:
+            status[step.name] = run(step._replace(limit=step.limit * options.patience), folder)
+            print(f"== {step.name} {status[step.name]}", flush=True)
+            report = json.dumps({"machine": about, "status": status, **saved(folder)}, indent=1)
+            (folder / "report.json").write_text(report)
+    print(f"saved in {folder}; " + ", ".join(f"{name}: {how}" for name, how in status.items()))
+    return int(any(not how.startswith(("passed", "left out")) for how in status.values()))
 
 
 if __name__ == "__main__":

@@ -50,12 +50,12 @@ def measure(options: argparse.Namespace) -> dict:
             "passes": {name: [each._asdict() for each in passes[name]] for name in peers}, "gradient_sums": sums}
 
 
-def in_own_process(name: str, arguments: list[str]) -> dict:
-    """`measure` in a new process, whose home folder holds no kernels of Mitsuba."""
+def in_own_process(name: str, arguments: list[str]) -> dict | None:
+    """`measure` in a new process, whose home folder holds no kernels of Mitsuba; None if it has failed and said why."""
     command = [sys.executable, "-m", "benchmarks.versus_mitsuba", *arguments, "--only", name]
     with tempfile.TemporaryDirectory() as home:
-        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, "HOME": home})
-    return json.loads(done.stdout.splitlines()[-1])
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "HOME": home})
+    return None if done.returncode else json.loads(done.stdout.splitlines()[-1])
 
 
 def z_score(ours: list[float], theirs: list[float]) -> float:
@@ -110,13 +110,20 @@ def main() -> None:
     flags = [f"--{name}" for name in ("eager", "quick") if getattr(options, name)]
     flags += [f"--{name}={value}" for name in ("resolution", "spp") if (value := getattr(options, name))]
     print(HEADER, flush=True)
-    results = []
+    results, failed = [], []
     for name in options.scene:
-        results.append(in_own_process(name, [*flags, "--rounds", str(options.rounds), "--device", options.device]))
-        print(row(results[-1]), flush=True)
+        found = in_own_process(name, [*flags, "--rounds", str(options.rounds), "--device", options.device])
+        if found is None:
+            failed.append(name)
+            print(f"| {name} | failed |", flush=True)
+            continue
+        results.append(found)
+        print(row(found), flush=True)
+        if options.json:
+            options.json.write_text(json.dumps(results, indent=1))
     print(LEGEND.format(options.rounds))
-    if options.json:
-        options.json.write_text(json.dumps(results, indent=1))
+    if failed:
+        raise SystemExit(f"failed: {', '.join(failed)}")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from torch.func import functional_call
 
 from torch_radbp.adjoint import MemoizedAdjoint, TapeAdjoint
 from torch_radbp.adjoint.chunks import fair_chunk, plan_chunks
-from torch_radbp.adjoint.cost import Request, check_cost
+from torch_radbp.adjoint.cost import Request, check_cost, lanes_of_chunks
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
 from torch_radbp.adjoint.function import RenderCall, render_images, render_with_derivative
 from torch_radbp.adjoint.memory import MemoryPlan
@@ -44,7 +44,6 @@ from torch_radbp.stages import EAGER, compiled
 from torch_radbp.view import view_of
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
-LANES = {True: 1 << 18, False: 1 << 17}  # of a chunk if the user does not say, about; compiled and eager
 
 
 class Renderer(nn.Module):
@@ -226,7 +225,8 @@ class Renderer(nn.Module):
         workers = torch.get_num_threads() if device.type == "cpu" else 1
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
         fused = self.runs_compiled()
-        lanes = self.chunk or fair_chunk(len(indices), width * height, spp, workers, LANES[fused or workers == 1])
+        lanes = self.chunk or fair_chunk(len(indices), width * height, spp, workers,
+                                         lanes_of_chunks(device, self.scene.dtype, workers, fused))
         parameters = {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad}
         keeps = parameters and torch.is_grad_enabled() and seed_grad is None and self.memory_budget is None
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from benchmarks.scenes import pictures
 from benchmarks.scenes.description import BenchmarkScene, Setting, camera
@@ -17,8 +16,10 @@ VERTICES = ("mesh.vertex_positions",)
 SUBDIVISIONS = 6  # 81,920 triangles
 
 
-def bumpy_sphere(subdivisions: int) -> trimesh.Trimesh:
-    """A sphere with smooth bumps all over, without normals and texture coordinates."""
+def bumpy_sphere(subdivisions: int):
+    """A sphere with smooth bumps all over, without normals and texture coordinates, as a mesh of trimesh."""
+    import trimesh  # which the other scenes do without
+
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     x, y, z = mesh.vertices.T
     height = 1 + 0.06 * np.sin(9 * x + 2 * z) * np.cos(8 * y) + 0.03 * np.sin(17 * z + 5 * y)

@@ -17,29 +17,49 @@ def test_without_a_gpu_it_says_so_saves_nothing_and_fails(monkeypatch, tmp_path,
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("codes, status", [((0, 0), 0), ((3, 0), 3)])
-def test_with_a_gpu_every_step_runs_and_is_saved(monkeypatch, tmp_path, capsys, codes, status):
-    def steps(folder, quick):
-        """Each prints, and saves a figure."""
-        script = "print('of {0}'); open({1!r}, 'w').write('[{2}]'); raise SystemExit({2})"
-        return [gpu_check.Step(name, (sys.executable, "-c", script.format(name, str(folder / f"{name}.json"), code)))
-                for name, code in zip(("tests", "times"), codes)]
-
+def check(monkeypatch, tmp_path, scripts: dict[str, str], *arguments: str, needs: str | None = None) -> tuple:
+    """The status and the report of a check, with a card, whose steps run these scripts; {0} in them names the folder."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "a card")
-    monkeypatch.setattr(gpu_check, "steps", steps)
-    assert gpu_check.main(["--folder", str(tmp_path)]) == status
+    monkeypatch.setattr(gpu_check, "steps", lambda folder, quick: [
+        gpu_check.Step(name, (sys.executable, "-c", script.replace("{0}", str(folder))), 60, needs)
+        for name, script in scripts.items()])
+    status = gpu_check.main(["--folder", str(tmp_path), *arguments])
     folder, = tmp_path.iterdir()
-    report = json.loads((folder / "report.json").read_text())
-    assert report["machine"]["card"] == "a card" and report["status"] == dict(zip(("tests", "times"), codes))
-    assert (report["tests"], report["times"]) == ([codes[0]], [codes[1]])
-    assert [(folder / f"{name}.txt").read_text().strip() for name in ("tests", "times")] == ["of tests", "of times"]
-    assert ("failed with status 3" if status else "times: passed") in capsys.readouterr().out
+    return status, json.loads((folder / "report.json").read_text()), folder
+
+
+@pytest.mark.parametrize("codes, status", [((0, 0), 0), ((3, 0), 1)])
+def test_with_a_gpu_every_step_runs_and_is_saved(monkeypatch, tmp_path, capsys, codes, status):
+    scripts = {name: f"print('of {name}'); open('{{0}}/{name}.json', 'w').write('[{code}]'); raise SystemExit({code})"
+               for name, code in zip(("kernels", "times"), codes)}
+    found, report, folder = check(monkeypatch, tmp_path, scripts)
+    assert found == status and report["machine"]["card"] == "a card" and set(report["status"]) == {"kernels", "times"}
+    assert (report["kernels"], report["times"]) == ([codes[0]], [codes[1]])
+    assert [(folder / f"{name}.txt").read_text().strip() for name in scripts] == ["of kernels", "of times"]
+    said = capsys.readouterr().out
+    assert ("failed with status 3" if status else "times: passed") in said and "  of kernels" in said
+
+
+def test_a_step_that_takes_too_long_is_ended_with_what_it_started_and_the_next_one_runs(monkeypatch, tmp_path):
+    waiting = ("import subprocess, sys, time; print('begun', flush=True); "
+               "subprocess.run([sys.executable, '-c', 'import time; time.sleep(600)'])")
+    status, report, folder = check(monkeypatch, tmp_path, {"figures": waiting, "times": ""}, "--patience", "0.02")
+    assert status == 1 and report["status"]["figures"].startswith("stopped after its")
+    assert report["status"]["times"].startswith("passed") and (folder / "figures.txt").read_text() == "begun\n"
+
+
+def test_single_steps_are_run_and_those_that_need_what_is_missing_are_left_out(monkeypatch, tmp_path):
+    status, report, _ = check(monkeypatch, tmp_path, {"kernels": "", "times": "raise SystemExit(1)"}, "--only", "times",
+                              needs="no_such_module")
+    assert status == 0 and report["status"] == {"times": "left out: no_such_module is not installed"}
 
 
 def test_the_steps_are_the_tests_on_a_gpu_figures_and_the_times_beside_mitsuba(tmp_path):
-    tests, figures, times = (step.command for step in gpu_check.steps(tmp_path, quick=False))
-    assert tests[2:6] == ("pytest", "-m", "gpu", "tests/gpu")
-    for command, module in ((figures, "device_figures"), (times, "versus_mitsuba")):
-        assert command[2:9] == (f"benchmarks.{module}", "--device", "cuda", "--resolution", "512", "--spp", "64")
-        assert command[-2] == "--json"
+    kernels, figures, times, plugins = gpu_check.steps(tmp_path, quick=False)
+    assert kernels.command[2:6] == plugins.command[2:6] == ("pytest", "-m", "gpu", "tests/gpu")
+    assert kernels.command[-2:] == ("-k", "not every_plugin") and times.needs == "mitsuba"
+    for step, module in ((figures, "device_figures"), (times, "versus_mitsuba")):
+        assert step.command[2:9] == (f"benchmarks.{module}", "--device", "cuda", "--resolution", "512", "--spp", "64")
+        assert step.command[-2] == "--json"
+    assert sum(step.limit for step in (kernels, figures, times, plugins)) < 600

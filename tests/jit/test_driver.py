@@ -23,6 +23,7 @@ class NotingDriver:
 
     CUresult = SimpleNamespace(CUDA_SUCCESS=GOOD)
     CUjitInputType = SimpleNamespace(CU_JIT_INPUT_PTX="ptx")
+    CUjit_option = SimpleNamespace(CU_JIT_ERROR_LOG_BUFFER="log", CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES="size")
     answers = {"cuDeviceGet": ("device",), "cuDevicePrimaryCtxRetain": ("context",), "cuModuleLoadData": ("module",),
                "cuModuleGetFunction": ("kernel",), "cuLinkCreate": ("link",), "cuCtxPopCurrent": ("context",)}
 
@@ -33,7 +34,11 @@ class NotingDriver:
     def __getattr__(self, name: str):
         def function(*given):
             self.calls.append((name, *given))
+            if name == "cuLinkCreate":
+                self.log = given[-1][0]
             if name == self.failing:
+                if name == "cuLinkAddData":
+                    ctypes.memmove(self.log, b"line 7: nonsense", 17)
                 return (BAD, *self.answers.get(name, ()))
             if name == "cuLinkComplete":
                 return GOOD, ctypes.addressof(self.cubin), 12
@@ -113,6 +118,14 @@ def test_ptx_is_assembled_once_and_machine_code_loaded_ever_after(folder):
 def test_an_error_of_the_driver_names_the_function_the_device_and_what_went_wrong():
     with pytest.raises(RuntimeError, match="cuModuleLoadData on cuda:1: CUDA_ERROR_OUT_OF_MEMORY, out of memory"):
         LaneFunction(mixed, tables=("colours",), target=Gpu(driver("cuModuleLoadData")))(*arguments(10))
+
+
+def test_ptx_that_is_refused_is_kept_with_what_the_assembler_said(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(RuntimeError, match=r"cuLinkAddData on cuda:1.*The assembler said: line 7: nonsense. Its input is "):
+        LaneFunction(mixed, tables=("colours",), target=Gpu(driver("cuLinkAddData")))(*arguments(10))
+    left, = tmp_path.glob("*.ptx")
+    assert ".visible .entry lanes(" in left.read_text()
 
 
 def test_without_the_bindings_the_message_says_how_to_get_them(monkeypatch):

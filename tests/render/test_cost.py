@@ -92,3 +92,11 @@ def test_an_image_may_be_changed_in_place(differentiated, settings):
         again = rb.render(scene, spp=2, max_depth=3, **settings)
         (right,) = torch.autograd.grad((2 * again.clamp(0, 0.2)).sum(), parameter)
         assert torch.equal(gradient, right) and gradient.any()
+
+
+@pytest.mark.parametrize("there, compiled, lanes", [
+    (80, True, 1 << 24), (24, True, 24 << 18), (24, False, 24 << 16), (1, False, 1 << 18)])
+def test_chunks_on_a_gpu_are_as_large_as_its_memory_allows(monkeypatch, there, compiled, lanes):
+    monkeypatch.setattr(cost, "memory_of", lambda device: there * GIB)
+    assert cost.lanes_of_chunks(torch.device("cuda"), torch.float32, 1, compiled) == lanes
+    assert cost.lanes_of_chunks(torch.device("cpu"), torch.float32, 2, compiled) == 1 << (18 if compiled else 17)

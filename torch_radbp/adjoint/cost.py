@@ -13,6 +13,10 @@ MOST_NUMBERED = 2**31 - 1  # pixels of an image, samples of a pixel: int32 count
 MOST_PATHS = 10**12  # a day at 10 million paths a second, hours on the fastest devices of today
 IMAGE_COPIES = 2  # of each image: the sums of its chunks, and what is returned
 CHUNK_BYTES = 200  # of the list of chunks, each
+LANES = {True: 1 << 18, False: 1 << 17}  # of a chunk on the CPU if the user does not say, about; compiled and eager
+# On a GPU the host takes milliseconds to start a bounce of whatever size, so chunks are as large as its memory allows.
+LANES_ON_GPU = (1 << 18, 1 << 24)  # the fewest and the most of a chunk, about
+BYTES_ON_GPU = {True: 4096, False: 16384}  # of its memory for each lane of float32; compiled and eager
 
 
 class Request(NamedTuple):
@@ -47,6 +51,14 @@ class Request(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.images} image{'s' * (self.images > 1)} of {self.width} x {self.height} pixels with spp={self.spp}"
+
+
+def lanes_of_chunks(device: torch.device, dtype: torch.dtype, workers: int, compiled: bool) -> int:
+    """About how many lanes a chunk has if the user does not say."""
+    if device.type != "cuda":
+        return LANES[compiled or workers == 1]
+    fewest, most = LANES_ON_GPU
+    return int(max(fewest, min(most, memory_of(device) / (BYTES_ON_GPU[compiled] * dtype.itemsize / 4))))
 
 
 def check_cost(request: Request) -> None:

@@ -33,8 +33,9 @@ class AnyDevice:
 
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
         """Waits for the device once, which has to tell how many there are."""
-        numbers, order = number.to(torch.int32).sort(stable=True)
-        queue = torch.arange(queues, dtype=torch.int32, device=number.device)
+        dtype = torch.uint8 if queues <= 256 else torch.int32  # a radix sort takes a turn for each byte
+        numbers, order = number.to(dtype).sort(stable=True)
+        queue = torch.arange(queues, dtype=dtype, device=number.device)
         ends = torch.searchsorted(numbers, queue, right=True).tolist()
         return order.to(torch.int32), [end - first for first, end in zip([0, *ends], ends)]
 

@@ -21,6 +21,7 @@ from torch_radbp.jit.nvptx import ptx
 
 # CU_LAUNCH_PARAM_BUFFER_POINTER, _BUFFER_SIZE and _END: a launch hands over its parameters as one piece of memory.
 BUFFER, SIZE, END = 1, 2, 0
+WORDS = 8192  # bytes of what the assembler says at most
 
 
 class Driver:
@@ -69,12 +70,17 @@ class Driver:
     def assembled(self, text: str) -> bytes:
         """The machine code of a module, by the driver's assembler."""
         driver, code = self.driver, ptx(text, self.architecture).encode() + b"\0"
-        state = self.ask(driver.cuLinkCreate, 0, [], [])
+        complaint = bytes(WORDS)  # the bindings take the address of bytes, and the assembler writes there
+        option = driver.CUjit_option
+        state = self.ask(driver.cuLinkCreate, 2, [option.CU_JIT_ERROR_LOG_BUFFER, option.CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES],
+                         [complaint, WORDS])
         try:
             kind = driver.CUjitInputType.CU_JIT_INPUT_PTX
             self.ask(driver.cuLinkAddData, state, kind, code, len(code), b"lanes", 0, [], [])
             address, size = self.ask(driver.cuLinkComplete, state)
             return ctypes.string_at(int(address), size)
+        except RuntimeError as error:
+            raise RuntimeError(f"{error}. {kept_code.refused(code, complaint)}") from error
         finally:
             self.ask(driver.cuLinkDestroy, state)
 

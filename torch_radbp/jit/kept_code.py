@@ -72,3 +72,12 @@ def write(path: Path, code: bytes) -> None:
         os.replace(beside, path)
     except OSError:
         Path(beside).unlink(missing_ok=True)
+
+
+def refused(code: bytes, complaint: bytes) -> str:
+    """What the assembler said of PTX that it did not take, and the file in which that is left for whoever looks into it."""
+    said = complaint.partition(b"\0")[0].decode(errors="replace").strip() or "nothing"
+    handle, name = tempfile.mkstemp(prefix="torch_radbp-", suffix=".ptx")
+    with os.fdopen(handle, "wb") as file:
+        file.write(code.rstrip(b"\0"))
+    return f"The assembler said: {said}. Its input is {name}"
