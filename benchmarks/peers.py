@@ -55,8 +55,9 @@ class Ours:
     """This renderer, on the CPU or on CUDA."""
 
     def __init__(self, scene: BenchmarkScene, compiled: bool, device: str = "cpu"):
-        warnings.simplefilter("ignore", rb.SilhouetteWarning)  # interior terms are what is compared
+        warnings.simplefilter("ignore", rb.SilhouetteWarning)
         self.renderer = scene.renderer(compiled).to(device)
+        self.renderer.terms = ["interior"]  # as `prb` has them
         self.settle = torch.cuda.synchronize if device == "cuda" else lambda: None
         self.parameters = {name: self.renderer.scene.get_parameter(name) for name in scene.parameters}
         self.cotangent = torch.from_numpy(cotangent(scene.setting.resolution)).permute(2, 0, 1)[None].to(device)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -15,9 +15,9 @@ from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, ou
 from torch_radbp.adjoint.function import RenderCall, render_images, render_with_derivative
 from torch_radbp.adjoint.memory import MemoryPlan
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.aov.images import render_aovs
+from torch_radbp.aov.images import aov_jumps, render_aovs
 from torch_radbp.aov.quantity import checked_names
-from torch_radbp.boundary import JumpWatch, Rendering, Sight
+from torch_radbp.boundary import JumpWatch, Outline, Outlines, Rendering, Sight, image_jumps, moves
 from torch_radbp.differentiated import any_differentiated, detached, primal
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
@@ -32,6 +32,9 @@ from torch_radbp.scene.pack import pack
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.settings import (
+    INTERIOR,
+    PRIMARY,
+    TERMS,
     SensorChoice,
     check_settings,
     checked_scene,
@@ -75,13 +78,16 @@ class Renderer(nn.Module):
             everywhere, as Mitsuba. "tree": also by what they contribute to the point that is to be illuminated, by a tree of
             their bounds; what surrounds the scene, comes from far away or is a beam stands beside it. None: "tree" in scenes
             of many emitters, where it is less noisy on diffuse surfaces; on glossy ones compare it with "uniform".
+        terms: of derivatives, which to compute: "interior", of radiance where the image is continuous, and "primary", of the
+            edges that the camera sees: silhouettes, and creases where surfaces meet that are shaded differently.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
-    so far, what silhouettes and the borders of shadows contribute; a `SilhouetteWarning` says so, once, if silhouettes that
-    move are in view, or shadows that move with a light or a shape fall into it, or if edges may be slid over by directions
-    that follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal mirrors and
-    glass). The samplings that are not attached miss a jump of GGX rough glass; a `JumpWarning` says so. No warning tells of
-    edges that move in reflections, or before light from all around, out of view.
+    so far, what the borders of shadows contribute and edges that are seen by reflection; a `SilhouetteWarning` says so,
+    once, if shadows that move with a light or a shape fall into the view, or if edges may be slid over by directions that
+    follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal mirrors and glass).
+    Without the primary term it says so if silhouettes that move are in view. The samplings that are not attached miss a
+    jump of GGX rough glass; a `JumpWarning` says so. No warning tells of edges that move in reflections, or before light
+    from all around, out of view.
 
     Several threads may render with one renderer. Each call takes the parameters as it finds them, and its image keeps the
     geometry that it shows: what moves later changes neither it nor its derivatives. `torch.autocast` and torch's default
@@ -94,7 +100,8 @@ class Renderer(nn.Module):
     def __init__(self, scene: Scene, spp: int | None = None, max_depth: int | None = None, rr_depth: int | None = None,
                  hide_emitters: bool | None = None, adjoint=None, sampling: str = "hybrid", nee: bool | None = None,
                  chunk: int | None = None, memory_budget: str | int | None = None, compile: bool = True,
-                 caster: str | None = None, light_choice: str | None = None):
+                 caster: str | None = None, light_choice: str | None = None,
+                 terms: Collection[str] = TERMS):
         super().__init__()
         self.scene = checked_scene(scene)
         defaults = scene.integrator
@@ -104,12 +111,12 @@ class Renderer(nn.Module):
         self.hide_emitters = defaults.hide_emitters if hide_emitters is None else hide_emitters
         self.nee = defaults.nee if nee is None else nee
         self.sampling, self.compile_stages, self.caster_name = sampling, compile, caster
-        self.light_choice = light_choice
+        self.light_choice, self.terms = light_choice, terms
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
         self.known_caster: KnownCaster | None = None
         self.kept, self.kept_for_aovs = Kept(), Kept()
-        self.jump_watch = JumpWatch()
+        self.jump_watch, self.outlines = JumpWatch(), Outlines()
         self.planner = MemoryPlanner()
         check_settings(self)
 
@@ -152,7 +159,13 @@ class Renderer(nn.Module):
         if aovs is not None:
             return self(seed, sensors, spp, seed_grad), self.aovs(aovs, seed, sensors, spp)
         call = self.prepare(seed, sensors, spp, seed_grad)
-        self.watch(call, sensors)
+        outlines = self.look(call, sensors, seed if seed_grad is None else seed_grad)
+        images = self.images(call, seed_grad)
+        images = images if INTERIOR in self.terms else primal(images)
+        return images if outlines is None else images + image_jumps(call, outlines)
+
+    def images(self, call: RenderCall, seed_grad: int | None) -> Tensor:
+        """The images with the derivatives of what is seen inside of their edges."""
         if isinstance(call.adjoint, TapeAdjoint):
             if seed_grad is not None:
                 raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
@@ -181,8 +194,8 @@ class Renderer(nn.Module):
         shows a surface. `xyz` (3): the image in CIE XYZ. With m2_ before its name, any quantity's mean square over the
         samples of a pixel: var = (m2 - mean^2) / (spp - 1) is about the variance of an independently sampled pixel.
 
-        Derivatives, backward and forward, are those with the pixel fixed, of everything but `alpha`, `hit`, `xyz` and the
-        indices; they reach shapes, poses, cameras and textures, and lack what silhouettes contribute, as those of images.
+        Derivatives, backward and forward, are those with the pixel fixed, of everything but `xyz` and the indices; they
+        reach shapes, poses, cameras and textures. `alpha` and `hit` change at edges alone, by shapes, poses and cameras.
 
         Args:
             names: of quantities; None: what the integrator element lists (`aov`, `moment`).
@@ -198,17 +211,26 @@ class Renderer(nn.Module):
         if not outputs:
             raise ValueError("the scene's integrator lists no outputs; name some, such as renderer.aovs([\"depth\"])")
         call = self.prepare(seed, sensors, spp, None, aovs=True)
-        self.watch(call, sensors)
-        images = render_aovs(call, tuple(dict.fromkeys(outputs.values())))
+        outlines = self.look(call, sensors, seed)
+        quantities = tuple(dict.fromkeys(outputs.values()))
+        images = render_aovs(call, quantities)
+        images = images if INTERIOR in self.terms else {name: primal(image) for name, image in images.items()}
+        if outlines is not None:
+            images |= {name: images[name] + jump for name, jump in aov_jumps(call, outlines, quantities).items()}
         return {output: images[quantity] for output, quantity in outputs.items()}
 
-    def watch(self, call: RenderCall, sensors: SensorChoice) -> None:
-        """Warns of what derivatives of a call lack."""
+    def look(self, call: RenderCall, sensors: SensorChoice, seed: int) -> list[Outline | None] | None:
+        """The edges at which the images of a call jump, view by view, if they are asked for and something moves them.
+
+        Warns of what derivatives lack.
+        """
         seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
         sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
         instances = call.scene.triangles.instances
-        self.jump_watch.look(Rendering(self.scene, seen, sights, call.caster, self.sampling, Kept(self.kept),
-                                       None if instances is None else instances.casting))
+        rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, Kept(self.kept),
+                              None if instances is None else instances.casting, PRIMARY in self.terms)
+        self.jump_watch.look(rendering)
+        return self.outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
 
     def prepare(self, seed: int, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                 aovs: bool = False) -> RenderCall:

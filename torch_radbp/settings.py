@@ -16,6 +16,8 @@ from torch_radbp.scene.light_choice import CHOICES
 
 SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
 
+INTERIOR, PRIMARY = "interior", "primary"
+TERMS = (INTERIOR, PRIMARY)  # of derivatives
 SAMPLINGS = ("hybrid", "detached", "attached")
 STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 
@@ -53,6 +55,9 @@ def check_settings(renderer: nn.Module) -> None:
     if renderer.light_choice not in (None, *CHOICES):
         raise ValueError(f"light_choice={renderer.light_choice!r} is not known; "
                          f"{nearest(str(renderer.light_choice), CHOICES)}")
+    unknown = [term for term in renderer.terms if term not in TERMS]
+    if isinstance(renderer.terms, str) or unknown:
+        raise ValueError(f"terms={renderer.terms!r} is not known; it must be a set of some of {', '.join(TERMS)}")
     if renderer.sampling not in SAMPLINGS:
         raise ValueError(f"sampling={renderer.sampling!r} is not known; {nearest(str(renderer.sampling), SAMPLINGS)}")
 

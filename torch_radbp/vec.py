@@ -197,6 +197,11 @@ class Frame(NamedTuple):
     def to_world(self, v: Vec3) -> Vec3:
         return self.s * v.x + self.t * v.y + self.n * v.z
 
+    def coordinates(self, v: Vec3) -> Vec3:
+        """What `to_world` makes `v` of; also of axes that are no longer orthonormal, to which it is attached."""
+        across = cross(self.t, self.n), cross(self.n, self.s), cross(self.s, self.t)
+        return Vec3(*(dot(v, axis) for axis in across)) / dot(self.s, across[0])
+
     @staticmethod
     def of(n: Vec3) -> Frame:
         """A basis around the unit vector `n`.

@@ -179,7 +179,8 @@ class Bounce(NamedTuple):
         return rows(self.state.lane, self.step.order[self.step.scattered:])
 
 
-def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mapping[int, Step] = {}) -> Iterator[Bounce]:
+def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mapping[int, Step] = {},
+            hit: Hit | None = None) -> Iterator[Bounce]:
     """The loop over bounces, until every path has ended.
 
     Args:
@@ -187,27 +188,30 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         state: of the paths that have reached `depth`.
         depth: of the first bounce to take.
         steps: by depth, what was decided before; no ray is cast there.
+        hit: of the first rays, if it is known.
     """
     while depth < integrand.max_depth and len(state.lane):
-        vertex, light, step = take_step(integrand, state, depth, steps.get(depth))
+        vertex, light, step = take_step(integrand, state, depth, steps.get(depth), hit)
         yield Bounce(depth, state, vertex, light, step)
-        state, depth = survivors(integrand, vertex.next, step), depth + 1
+        state, depth, hit = survivors(integrand, vertex.next, step), depth + 1, None
 
 
-def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None] | None = None) -> Vec3:
+def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None] | None = None,
+          hit: Hit | None = None) -> Vec3:
     """The radiance L_1 along each lane's camera ray: the sum of beta_k E_k over bounces.
 
     Args:
         integrand: the scene and how to step.
         start: from `start_path`.
         visit: called at every depth with the state that reached it and what was decided there.
+        hit: of the camera rays, if it is known.
 
     Returns:
         (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
     """
     L = Vec3.buffer(start.beta.x)
     brightened = integrand.stages.brightened
-    for bounce in bounces(integrand, start):
+    for bounce in bounces(integrand, start, hit=hit):
         (depth, state, vertex, light, step), count = bounce, bounce.step.scattered
         if visit is not None:
             visit(depth, state, step)

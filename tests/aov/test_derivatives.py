@@ -10,7 +10,7 @@ from tests.aov.scenes import NETWORK_FREE, landscape
 from tests.scenes import load, rectangle, sensor, texels
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-SETTINGS = {"spp": 2, "max_depth": 1}
+SETTINGS = {"spp": 2, "max_depth": 1, "terms": ["interior"]}
 # What has to have a derivative with respect to what; everything else has to be zero, or close to it by rounding.
 FOLLOWS = {
     "hills.vertex_positions": {"depth", "position", "uv", "geo_normal", "sh_normal", "dp_du", "dp_dv", "albedo"},

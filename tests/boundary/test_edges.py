@@ -70,7 +70,7 @@ def messages(scene: rb.Scene, *names: str) -> list[str]:
         scene.get_parameter(name).requires_grad_()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        rb.render(scene, spp=1, max_depth=2)
+        rb.render(scene, spp=1, max_depth=2, terms=["interior"])
     return [str(warning.message) for warning in caught if issubclass(warning.category, SilhouetteWarning)]
 
 

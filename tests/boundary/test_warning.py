@@ -38,7 +38,7 @@ def warnings_of(scene: rb.Scene, *names: str, calls: int = 1, **settings) -> lis
     """What the renderer says when derivatives of parameters are asked for."""
     for name in names:
         scene.get_parameter(name).requires_grad_()
-    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="brute", **settings)
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="brute", terms=["interior"], **settings)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for seed in range(calls):
@@ -157,7 +157,7 @@ def test_shadows_of_what_has_silhouettes_in_view_are_not_named_again():
 def test_a_camera_that_is_not_rendered_does_not_count():
     scene = load(first=sensor(4), second=sensor(4, (0, 0, 9)), sky=SKY, plane=rectangle((0, 0, 0), 2, bsdf=PICTURE))
     scene.get_parameter("second.to_world").requires_grad_()
-    renderer = rb.Renderer(scene, spp=1, max_depth=2)
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, terms=["interior"])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         renderer(sensors=[0])
@@ -188,8 +188,8 @@ def test_without_gradients_there_is_no_warning_and_forward_mode_has_it_too():
     scene.requires_grad_(False)
     vertices = scene.get_parameter("box.vertex_positions")
     with pytest.warns(SilhouetteWarning, match="`box.vertex_positions`"):
-        rb.jvp(scene, {"box.vertex_positions": torch.ones_like(vertices)}, spp=1, max_depth=2)
-    renderer = rb.Renderer(scene, spp=1, max_depth=2)
+        rb.jvp(scene, {"box.vertex_positions": torch.ones_like(vertices)}, spp=1, max_depth=2, terms=["interior"])
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, terms=["interior"])
     with pytest.warns(SilhouetteWarning, match="`box.vertex_positions`"), forward_ad.dual_level(), torch.no_grad():
         functional_call(renderer, {"scene.box.vertex_positions": forward_ad.make_dual(vertices, torch.ones_like(vertices))})
 

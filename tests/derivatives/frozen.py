@@ -132,7 +132,8 @@ class Rendering:
     def __init__(self, scene: rb.Scene, names: list[str], seed: int, **settings):
         self.names, self.seed = names, seed
         # What fused loops detach cannot be held.
-        self.renderer = rb.Renderer(scene, compile=False, **settings)
+        # The places on edges move with the edges.
+        self.renderer = rb.Renderer(scene, compile=False, terms=["interior"], **settings)
         self.decisions = Decisions(CHOICES if settings["sampling"] == "attached" else None)
         # Made now, so that it asks nothing later.
         self.held = HeldCaster(self.renderer.caster_of(pack(scene)), self.decisions)

@@ -63,7 +63,7 @@ def test_volpath_says_that_passing_straight_through_counts():
 
 
 @pytest.mark.parametrize("attributes, message", [
-    ({"type": "prb_projective"}, "silhouettes and borders of shadows.*known: aov, direct, moment, path"),
+    ({"type": "prb_projective"}, "borders of shadows and edges.*known: aov, direct, moment, path"),
     ({"type": "depth"}, "aovs=\"dd:depth\""), ({"type": "stokes"}, "no polarisation"),
     ({"type": "pathh"}, "did you mean 'path'"), ({"type": "direct", "max_depth": 3}, "no attribute 'max_depth'"),
     ({"type": "direct", "bsdf_samples": 0}, "mirrors and glass would be black"),

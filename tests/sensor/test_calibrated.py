@@ -163,7 +163,7 @@ def warned(place, **attributes) -> bool:
     scene.get_parameter("shape.to_world").requires_grad_()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        rb.render(scene, spp=1, max_depth=1)
+        rb.render(scene, spp=1, max_depth=1, terms=["interior"])
     return any(issubclass(warning.category, SilhouetteWarning) for warning in caught)
 
 

@@ -105,7 +105,7 @@ def warned(**shapes) -> list[str]:
     scene.get_parameter("sensor.to_world").requires_grad_()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        rb.render(scene, spp=1, max_depth=1)
+        rb.render(scene, spp=1, max_depth=1, terms=["interior"])
     return [str(warning.message) for warning in caught if issubclass(warning.category, SilhouetteWarning)]
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
@@ -18,12 +21,16 @@ from torch_radbp.adjoint.function import (
     started,
 )
 from torch_radbp.aov import material, path, surface
-from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, plain
+from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, UNDIFFERENTIATED, plain
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.primary import jumps_of_views
 from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
 from torch_radbp.lookup import summed
 from torch_radbp.path_state import PathState
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.wavefront import first_hit
 
 
@@ -57,6 +64,36 @@ def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
     images = assembled(call, of_chunks(call, sums_kept))
     counts = [len(QUANTITIES[plain(name)]) for name in names]
     return dict(zip(names, (image.contiguous() for image in images.split(counts, 1))))
+
+
+def aov_jumps(call: RenderCall, outlines: list[Outline | None], names: tuple[str, ...]) -> dict[str, Tensor]:
+    """By name, zeros whose derivative is what the edges of surfaces contribute to images of quantities; see `image_jumps`.
+
+    Args:
+        call: of which something moves.
+        outlines: of each view.
+        names: of quantities; those that have no derivative are left out.
+    """
+    names = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
+
+    def values(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
+        found = lane_values(integrand, start, tuple(dict.fromkeys(map(plain, group))))
+        return tuple(channel for name in group for channel in moments(name, found[plain(name)]))
+
+    jumps: dict[str, Tensor] = {}
+    for of_paths in (False, True):
+        group = tuple(name for name in names if (plain(name) in OF_PATHS) == of_paths)
+        counts = [len(QUANTITIES[plain(name)]) for name in group]
+        if group:
+            seen = call if of_paths else call._replace(make_integrand=partial(with_emitters, call.make_integrand))
+            jumps |= zip(group, jumps_of_views(seen, outlines, sum(counts), values).split(counts, 1))
+    return jumps
+
+
+def with_emitters(make_integrand: Callable[[SceneTensors], Integrand], scene: SceneTensors) -> Integrand:
+    """The integrand of a scene in which nothing is hidden."""
+    integrand = make_integrand(scene)
+    return integrand._replace(settings=integrand.settings._replace(hide_emitters=False))
 
 
 def moments(name: str, values: surface.Values) -> surface.Values:

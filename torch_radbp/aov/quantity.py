@@ -12,6 +12,7 @@ OF_SURFACES = {"depth": "T", "position": "XYZ", "uv": "UV", "geo_normal": "XYZ",
 OF_MATERIALS = {"albedo": "RGB"}
 OF_PATHS = {"xyz": "XYZ", "alpha": "A", "hit": "A"}
 QUANTITIES = {**OF_SURFACES, **OF_MATERIALS, **OF_PATHS}
+UNDIFFERENTIATED = ("xyz", "prim_index", "shape_index")  # have no derivatives; alpha and hit only at edges
 SQUARED = "m2_"  # the name of a quantity's second moment begins with it
 
 

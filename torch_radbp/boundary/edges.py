@@ -23,6 +23,7 @@ class Edges(NamedTuple):
     b: Tensor  # (E,) the other
     opposite: Tensor  # (H,) int64, the third vertex of a triangle
     edge: Tensor  # (H,) int64, of which edge
+    corner: Tensor  # (H,) int64, its number among all corners, three of each triangle in the order of the faces
 
 
 def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
@@ -70,11 +71,12 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
     one, two, three = corner[proper].unbind(1)
     ends = torch.stack([torch.cat([one, two, three]), torch.cat([two, three, one])])
     keys, edge = torch.unique(ends.amin(0) * len(vertex) + ends.amax(0), return_inverse=True)
-    edges = Edges(first + vertex, keys // len(vertex), keys % len(vertex), torch.cat([three, one, two]), edge)
+    corners = torch.cat([3 * near[proper] + place for place in (2, 0, 1)])
+    edges = Edges(first + vertex, keys // len(vertex), keys % len(vertex), torch.cat([three, one, two]), edge, corners)
     if chosen is None:
         return edges
     wanted = torch.zeros(len(faces), dtype=torch.bool, device=faces.device).index_fill(0, chosen, True)
-    return kept(edges, wanted[near[proper]].repeat(3))
+    return kept(edges, wanted[corners // 3])
 
 
 def kept(edges: Edges, corners: Tensor) -> Edges:
@@ -82,7 +84,7 @@ def kept(edges: Edges, corners: Tensor) -> Edges:
     keep = torch.zeros(len(edges.a), dtype=torch.bool, device=corners.device).index_fill(0, edges.edge[corners], True)
     there = keep[edges.edge]
     return Edges(edges.vertex, edges.a[keep], edges.b[keep], edges.opposite[there],
-                 (keep.cumsum(0) - 1)[edges.edge[there]])
+                 (keep.cumsum(0) - 1)[edges.edge[there]], edges.corner[there])
 
 
 def touching(cells: tuple[Tensor, Tensor], faces: Tensor, vertices: Tensor) -> Tensor:

@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges
-from torch_radbp.boundary.silhouette import Sight, crosses_view, is_silhouette, viewpoint
+from torch_radbp.boundary.silhouette import Sight, crosses_view, is_silhouette
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.vec import Ray, Vec3
 
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # along each edge, from which rays are cast
 MOST_EDGES = 1 << 14  # that are examined
+FAR_AWAY = 1e4  # extents of the mesh: the distance at which a light in a direction is placed
 APART = 1e-4  # distance from the edge at which a ray starts, as a share of the scene's extent
 
 
@@ -39,9 +40,9 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
     """
     extent = (vertices.amax(0) - vertices.amin(0)).max().double()
     vertices = vertices.double()
-    position = viewpoint(light.double(), vertices)
+    light, position = light.double(), viewpoint(light.double(), vertices)
     vertices = vertices[edges.vertex]
-    outline = is_silhouette(edges, vertices - position).nonzero().squeeze(1)
+    outline = is_silhouette(edges, vertices, light).nonzero().squeeze(1)
     edge = outline[::max(1, -(-len(outline) // MOST_EDGES))].repeat(len(PLACES))
     share = vertices.new_tensor(PLACES).repeat_interleave(len(edge) // len(PLACES))[:, None]
     place = vertices[edges.a[edge]] * (1.0 - share) + vertices[edges.b[edge]] * share
@@ -53,9 +54,22 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
     hit = caster.intersect(ray_from(place + d * APART * extent, d))
     border = place + d * (APART * extent + hit.t[:, None].double())
     falls = (lit & (hit.prim >= 0)).nonzero().squeeze(1)
-    points = Edges(falls, falls, falls, falls[:0], falls[:0])
+    points = Edges(falls, falls, falls, falls[:0], falls[:0], falls[:0])
     falls = falls[torch.stack([crosses_view(points, border, sight) for sight in sights]).any(0)]
     return Shadows(edge[falls], hit.prim[falls].long())
+
+
+def viewpoint(place: Tensor, vertices: Tensor) -> Tensor:
+    """The position of a light, (3,); one that is a direction is put far away from a mesh.
+
+    Args:
+        place: (4,) homogeneous: a position, or with 0 at the end the direction towards it; float64.
+        vertices: (V, 3) of the mesh, float64.
+    """
+    if place[3]:
+        return place[:3]
+    extent = (vertices.amax(0) - vertices.amin(0)).max()
+    return vertices.mean(0) + FAR_AWAY * extent * place[:3]
 
 
 def ray_from(o: Tensor, d: Tensor) -> Ray:

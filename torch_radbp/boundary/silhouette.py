@@ -11,7 +11,7 @@ from torch_radbp.boundary.edges import Edges
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Vec3
 
-FAR_AWAY = 1e4  # extents of the mesh: the distance at which an eye or a light in a direction is placed
+ROUNDING = 1e-9  # of sums of products, relative
 MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a surface may end exactly there
 
 
@@ -35,28 +35,15 @@ def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
         (E,) bool.
     """
     camera, vertices = sight.camera, vertices.double()
-    eye, vertices = viewpoint(camera.kind.eye(camera.lens), vertices), vertices[edges.vertex]
-    found = is_silhouette(edges, vertices - eye)
+    vertices = vertices[edges.vertex]
+    found = is_silhouette(edges, vertices, camera.kind.eye(camera.lens))
     outline = found.nonzero().squeeze(1)
     found[outline] = crosses_view(edges._replace(a=edges.a[outline], b=edges.b[outline]), vertices, sight)
     return found
 
 
-def viewpoint(place: Tensor, vertices: Tensor) -> Tensor:
-    """The position of an eye or a light, (3,); one that is a direction is put far away from a mesh.
-
-    Args:
-        place: (4,) homogeneous: a position, or with 0 at the end the direction towards it; float64.
-        vertices: (V, 3) of the mesh, float64.
-    """
-    if place[3]:
-        return place[:3]
-    extent = (vertices.amax(0) - vertices.amin(0)).max()
-    return vertices.mean(0) + FAR_AWAY * extent * place[:3]
-
-
-def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
-    """True if all triangles at an edge lie on one side of it, as seen from the origin; (E,) bool.
+def is_silhouette(edges: Edges, vertices: Tensor, eye: Tensor, radius: Tensor | None = None) -> Tensor:
+    """True if all triangles at an edge lie on one side of it, as an eye sees it, or may do so from nearby; (E,) bool.
 
     That is so for the single triangle at the rim of a surface, and for two triangles of which one is seen from the front
     and the other from behind. The orientation of triangles does not matter: two neighbours in a plane always lie on
@@ -64,13 +51,72 @@ def is_silhouette(edges: Edges, seen: Tensor) -> Tensor:
 
     Args:
         edges: of the mesh.
-        seen: (U, 3) their vertices, relative to the eye.
+        vertices: (U, 3) of the edges, float64.
+        eye: (4,) homogeneous: a position, or with 0 at the end the direction towards it.
+        radius: () about the eye, within which an edge may be seen from anywhere; None: 0.
     """
-    plane = torch.linalg.cross(seen[edges.a], seen[edges.b])
-    side = torch.sign((plane[edges.edge] * seen[edges.opposite]).sum(1))
-    total, count = (torch.zeros(len(edges.a), dtype=side.dtype, device=side.device).index_add_(0, edges.edge, part)
-                    for part in (side, torch.ones_like(side)))
-    return total.abs() == count
+    towards = vertices[edges.a] * eye[3] - eye[:3]
+    normal = normals(edges, vertices, edges.edge, edges.opposite)
+    side = side_of(normal, towards[edges.edge])
+    if radius is None:
+        return on_one_side(side, edges.edge, len(edges.a))
+    either = (normal * towards[edges.edge]).sum(1).abs() <= radius * normal.norm(dim=1)
+    found = on_one_side(torch.where(either, 0.0, side), edges.edge, len(edges.a))
+    return found.index_fill(0, edges.edge[either], True)
+
+
+def is_silhouette_from(edges: Edges, vertices: Tensor, edge: Tensor, eyes: Tensor) -> Tensor:
+    """`is_silhouette` of some edges, each seen from an eye of its own; (N,) bool.
+
+    Args:
+        edges: between `vertices`, (U, 3).
+        edge: (N,) int64, which.
+        eyes: (N, 3).
+    """
+    count = torch.bincount(edges.edge, minlength=len(edges.a))
+    first, order = (count.cumsum(0) - count)[edge], edges.edge.argsort(stable=True)
+    own = count[edge]
+    asked = torch.arange(len(edge), device=edge.device).repeat_interleave(own)
+    number = torch.arange(len(asked), device=edge.device) - (own.cumsum(0) - own)[asked]
+    normal = normals(edges, vertices, edge[asked], edges.opposite[order[first[asked] + number]])
+    return on_one_side(side_of(normal, (vertices[edges.a[edge]] - eyes)[asked]), asked, len(edge))
+
+
+def normals(edges: Edges, vertices: Tensor, edge: Tensor, opposite: Tensor) -> Tensor:
+    """The normals of triangles, of any length, that point to one side of the edge if the triangles do; (H, 3).
+
+    Args:
+        edges: between `vertices`, (U, 3).
+        edge: (H,) int64, at which each triangle lies.
+        opposite: (H,) int64, its third vertex.
+    """
+    a = vertices[edges.a]
+    return torch.linalg.cross((vertices[edges.b] - a)[edge], vertices[opposite] - a[edge])
+
+
+def side_of(normal: Tensor, towards: Tensor) -> Tensor:
+    """The side from which triangles are seen, (H,): -1, 1, or 0 where they are seen edge-on.
+
+    Args:
+        normal: (H, 3) of the triangles, of any length.
+        towards: (H, 3) from the eye.
+    """
+    products = normal * towards
+    along = products.sum(1)
+    return torch.where(along.abs() <= ROUNDING * products.abs().sum(1), 0.0, torch.sign(along))
+
+
+def on_one_side(side: Tensor, edge: Tensor, count: int) -> Tensor:
+    """True for edges with all triangles that are not seen edge-on, at least one, on one side; (E,) bool.
+
+    Args:
+        side: (H,) of each triangle, from `side_of`.
+        edge: (H,) of each triangle.
+        count: E.
+    """
+    total, seen = (torch.zeros(count, dtype=side.dtype, device=side.device).index_add_(0, edge, part)
+                   for part in (side, side.abs()))
+    return (total.abs() == seen) & (seen > 0)
 
 
 def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:

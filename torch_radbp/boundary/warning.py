@@ -1,9 +1,10 @@
 """The warnings that a derivative lacks what silhouettes, shadows or jumps of a BSDF contribute.
 
 The derivative of an image has two parts: that of the radiance inside each surface, and what is gained or lost at the edges
-where one surface ends and another appears behind it. The second part is not computed yet. It is missing if a shape or the
-camera moves while silhouettes are in view; a surface that fills the view has none. Borders of shadows are silhouettes as
-seen from a light. They are searched for lights with a position or a direction, but not for light from all around.
+where one surface ends and another appears behind it. The second part is computed for the edges that the camera sees, see
+`primary.py`, unless the renderer is told to leave it out. It is missing for those seen by reflection, by refraction, and by
+light. Borders of shadows are silhouettes as seen from a light. They are searched for lights with a position or a direction,
+but not for light from all around.
 """
 
 from __future__ import annotations
@@ -11,33 +12,22 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges, edges_of, spread
+from torch_radbp.boundary.rendering import MOVE_SHAPES, Rendering
 from torch_radbp.boundary.shadow import shadows_in_view
 from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
-from torch_radbp.bsdf.kind import Kind
-from torch_radbp.differentiated import tangent_of
-from torch_radbp.plugin import BSDF, Plugin, Sensor, Shape, Texture
+from torch_radbp.plugin import Shape
 from torch_radbp.raycast.known import same
-from torch_radbp.raycast.protocol import RayCaster
-from torch_radbp.scene import Scene
-from torch_radbp.scene.geometry import number_of_triangles
-from torch_radbp.scene.kept import Kept
-from torch_radbp.scene.material import followed, sampling_at, turning_values
+from torch_radbp.scene.material import followed, sampling_at
 from torch_radbp.scene.pack import one_sided
-from torch_radbp.shape.placement import Instances, expanded
-from torch_radbp.shape.surface import Surface
 
-MOVE_SHAPES = ("to_world", "vertex_positions", "grid")
 MOVE_LIGHTS = ("to_world", "position")
 MOST_LIGHTS = 32  # that move, and that do not, whose shadows are searched
-MOST_OF_GROUP = 1 << 16  # triangles of instances of a group that are looked at
 MOST_NAMES = 8  # in a message
 FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
 CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
@@ -57,77 +47,6 @@ class JumpWarning(SilhouetteWarning):
 
     The message names the parameters, and which `sampling` has that part if any has; `check_gradient` measures the bias.
     """
-
-
-@dataclass(frozen=True)
-class Rendering:
-    """The rendering that is about to start."""
-
-    scene: Scene  # with the parameters of this rendering
-    sensors: Sequence[Sensor]
-    sights: Sequence[Sight]  # one for each sensor
-    caster: RayCaster  # of the scene as it is now
-    sampling: str  # "detached", "hybrid" or "attached"
-    kept: Kept  # of this rendering
-    instances: Instances | None = None  # of the scene as it is now
-
-    def materials(self) -> list[tuple[BSDF, Kind]]:
-        """The materials, one for each side, and how they scatter."""
-        return [(bsdf, bsdf.kind()) for bsdf in {id(bsdf): bsdf for bsdf in one_sided(self.scene.bsdfs())}.values()]
-
-    def moving(self, plugin: Plugin, attributes: Sequence[str] | None = None) -> list[str]:
-        """The full names of those attributes of a plugin, or of all, that have derivatives in this rendering."""
-        attributes = plugin.domains() if attributes is None else attributes
-        asked = [name for name in attributes if asks_for_derivatives(getattr(plugin, name, None))]
-        return [f"{self.names.get(id(plugin), type(plugin).__name__)}.{name}" for name in asked]
-
-    def turning(self, bsdf: BSDF, kind: Kind) -> list[str]:
-        """The names of those textures of a material that have derivatives and turn directions which carry them."""
-        slots, textures = turning_values(kind, self.sampling), bsdf.textures()
-        return [texture_name(self.scene, textures[slot]) for slot in slots
-                if any(map(asks_for_derivatives, textures[slot].sources()))]
-
-    @cached_property
-    def names(self) -> dict[int, str]:
-        """The names of all modules of the scene by their ids."""
-        return {id(module): name for name, module in self.scene.named_modules()}
-
-    @cached_property
-    def shapes(self) -> list[Surface]:
-        """Those of the scene."""
-        return self.scene.shapes
-
-    @cached_property
-    def sizes(self) -> list[int]:
-        """The number of triangles of each shape; the caster has them in the order of the shapes."""
-        return [number_of_triangles(self.kept, shape) for shape in self.shapes]
-
-    @cached_property
-    def seen(self) -> ShownTriangles:
-        """The triangles in the world; of groups of many, those of some instances."""
-        sizes = self.sizes
-        if self.instances is None:
-            return ShownTriangles(self.caster.vertices, self.caster.faces, sizes)
-        shown = expanded(self.caster.vertices, self.caster.faces, self.instances, MOST_OF_GROUP)
-        shape = torch.repeat_interleave(torch.tensor(sizes, device=shown.faces.device))[shown.triangle.long()]
-        order = shape.argsort(stable=True)
-        return ShownTriangles(shown.vertices, shown.faces[order], shape.bincount(minlength=len(sizes)).tolist())
-
-    @cached_property
-    def movers(self) -> list[list[str]]:
-        """For each shape, the parameters that move it, of those with derivatives; its own and those of its instances."""
-        of_groups = {group: [name for instance in instances for name in self.moving(instance, MOVE_SHAPES)]
-                     for group, instances in self.scene.groups.items()}
-        return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]
-                for shape, instances in zip(self.shapes, self.scene.shown_by)]
-
-
-class ShownTriangles(NamedTuple):
-    """Triangles in the world, in the order of the shapes that they belong to."""
-
-    vertices: Tensor  # (V, 3)
-    faces: Tensor  # (T, 3) int32
-    counts: list[int]  # of each shape
 
 
 class JumpWatch:
@@ -158,7 +77,8 @@ class JumpWatch:
         return SilhouetteWarning(f"derivatives with respect to {listed(missing)} lack the contribution of silhouettes: at "
                                  f"least {max(missing.values())} edges move in view, and the image is discontinuous there. "
                                  f"A loss that depends on outlines, such as a shape's against its background, has a "
-                                 f"biased gradient; check_gradient measures by how much")
+                                 f"biased gradient; check_gradient measures by how much. The default, "
+                                 f"terms=('interior', 'primary'), has what silhouettes in view contribute")
 
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadows that move because a light, the shape that casts them or the shape below moves, or None.
@@ -252,8 +172,10 @@ class JumpWatch:
                                  f"much that matters")
 
     def missing(self, rendering: Rendering) -> dict[str, int]:
-        """The parameters that move silhouettes in view, each with the number of edges found."""
+        """The parameters that move silhouettes in view, each with the number of edges found; none if that is computed."""
         missing: dict[str, int] = {}
+        if rendering.primary:
+            return missing
         cameras = {number: names for number, sensor in enumerate(rendering.sensors) if (names := rendering.moving(sensor))}
         if not cameras and not any(rendering.movers):
             return missing
@@ -319,12 +241,6 @@ def some_of(lights: list[Light]) -> list[Light]:
     return [light for group in groups for light in group[::max(1, -(-len(group) // MOST_LIGHTS))]]
 
 
-def texture_name(scene: Scene, texture: Texture) -> str:
-    """The name of a texture in the scene, or of the parameter that it stands for."""
-    owner, attribute = getattr(texture, "place", (texture, ""))
-    return f"{scene.name_of(owner)}.{attribute}".rstrip(".")
-
-
 def listed(names: Iterable[str]) -> str:
     """Names in running text: `a` and `b`; of many only the first."""
     quoted = [f"`{name}`" for name in dict.fromkeys(names)]
@@ -337,13 +253,6 @@ def flat(vertices: Tensor) -> bool:
     centred = vertices.double() - vertices.double().mean(0)
     squared_extent = torch.linalg.eigvalsh(centred.T @ centred)
     return bool(squared_extent[0] <= FLAT**2 * squared_extent[-1])
-
-
-def asks_for_derivatives(value) -> bool:
-    """True if an attribute is a tensor with respect to which this rendering is differentiated, backward or forward."""
-    if not isinstance(value, Tensor):
-        return False
-    return (value.requires_grad and torch.is_grad_enabled()) or tangent_of(value) is not None
 
 
 def level_of_the_caller() -> int:

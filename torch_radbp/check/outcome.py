@@ -132,8 +132,8 @@ def verdict_on(comparison: Comparison, moves: bool, detectable: float, spp: int)
                  else f"off by {tiles.relative_bias:.1%} in tiles of the image, though not in sum")
         held = f"half of the squared error lies in {comparison.pixels.concentration:.1%} of the pixels"
         if moves:
-            return SILHOUETTES, (f"{where}; {held}. The parameter moves geometry: edges that it moves in the image, in "
-                                 f"shadows or in reflections contribute too, which the renderer leaves out")
+            return SILHOUETTES, (f"{where}; {held}. The parameter moves geometry: edges that it moves in shadows or in "
+                                 f"reflections contribute too, which the renderer leaves out")
         return BIASED, f"{where}; {held}. If the error shrinks with a smaller step, the step was too large"
     if detectable > DETECT:
         more = math.ceil(min((detectable / DETECT) ** 2, 1e9))

@@ -38,6 +38,14 @@ class FilterTable(NamedTuple):
         fraction = (offset - self.quantiles[right - 1]) / torch.where(step > 0, step, 1.0)
         return ((right - 1 + fraction) / (TABLE_SIZE - 1)).clamp(0, 1)
 
+    def density(self, offset: Tensor) -> Tensor:
+        """The filter at offsets in pixels, such that the integral of its magnitude is 1; with its sign."""
+        right = torch.searchsorted(self.quantiles, offset).clamp(1, TABLE_SIZE - 1)
+        step = self.quantiles[right] - self.quantiles[right - 1]
+        inside = (offset >= self.quantiles[0]) & (offset < self.quantiles[-1]) & (step > 0)
+        density = inside / (torch.where(step > 0, step, 1.0) * (TABLE_SIZE - 1))
+        return density if self.signs is None else density * self.signs[right - 1]
+
     def signed(self, start: Tensor, length: Tensor) -> Tensor:
         """The integral of the filter between values of its cumulative magnitude."""
         if self.signs is None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from torch_radbp.plugin import absent
 
-BOUNDARY = ("what silhouettes and borders of shadows contribute to derivatives is not computed; `prb` or `direct` renders "
-            "the same image, and `Renderer` warns where its derivatives lack that part")
+BOUNDARY = ("what borders of shadows and edges seen by reflection contribute to derivatives is not computed; `prb` or "
+            "`direct` renders the same image, with derivatives of the edges in view, and `Renderer` warns where they lack "
+            "the rest")
 
 for name, reason in {
     "prb_projective": BOUNDARY,

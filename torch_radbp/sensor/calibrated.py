@@ -63,6 +63,9 @@ class CalibratedKind(CameraKind):
         o = Vec3(lens.origin.x + near.x, lens.origin.y + near.y, lens.origin.z + near.z)
         return Ray(o, normalize(d)), None if seen is None else seen.to(position.x.dtype)
 
+    def project(self, lens: CalibratedLens, p: Vec3, aperture: None) -> Vec2:
+        return lens.position(lens.distortion.distorted(lens.axes.coordinates(p - lens.origin)))
+
     def reach(self, lens: CalibratedLens, p: Vec3) -> Tensor:
         """How far away world points are, as the clipping planes count: along the axis, or of a fisheye, from the eye."""
         offset = p - lens.origin

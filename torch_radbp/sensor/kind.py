@@ -45,12 +45,25 @@ class CameraKind(ABC):
         """
 
     @abstractmethod
+    def project(self, lens: Lens, p: Vec3, aperture: Vec2 | None) -> Vec2:
+        """Where on the image world points are seen, the reverse of `sample_ray`: fractions of its size, attached to both.
+
+        Args:
+            p: (N,) in front of the camera; they may lie outside of the view.
+            aperture: as of `sample_ray`.
+        """
+
+    @abstractmethod
     def beyond_far_plane(self, lens: Lens, p: Vec3) -> Tensor:
         """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
 
     @abstractmethod
     def eye(self, lens: Lens) -> Tensor:
         """(4,) homogeneous: the point where all rays meet, or with 0 at the end the direction towards it; detached."""
+
+    def aperture_radius(self, lens: Lens) -> Tensor | None:
+        """() how far from the eye rays start, detached; None: all meet there."""
+        return None
 
     @abstractmethod
     def frustum(self, lens: Lens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.plugin import Film, Matrix4, Sampler, register
 from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera
-from torch_radbp.vec import Ray, Vec2, Vec3, dot, normalize
+from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 
 class OrthographicLens(NamedTuple):
@@ -34,6 +34,10 @@ class OrthographicKind(CameraKind):
         corner, d = near_corner(lens), normalize(lens.z)
         o = Vec3(*(c + a * x + b * y for c, a, b in zip(corner, lens.x, lens.y)))
         return Ray(o, Vec3(*(component.expand_as(x) for component in d))), None
+
+    def project(self, lens: OrthographicLens, p: Vec3, aperture: None) -> Vec2:
+        local = Frame(lens.x, lens.y, lens.z).coordinates(p - near_corner(lens))
+        return Vec2(0.5 - 0.5 * local.x, 0.5 - 0.5 * local.y * lens.aspect)
 
     def beyond_far_plane(self, lens: OrthographicLens, p: Vec3) -> Tensor:
         return dot(p - near_corner(lens), normalize(lens.z)) > lens.depth

@@ -35,6 +35,11 @@ class PinholeLens(NamedTuple):
         return Vec2((1.0 - 2.0 * (position.x + self.shift_x)) * self.tan_x,
                     (1.0 - 2.0 * (position.y + self.shift_y)) * self.tan_x / self.aspect)
 
+    def position(self, slopes: Vec2) -> Vec2:
+        """The reverse."""
+        return Vec2(0.5 - 0.5 * slopes.x / self.tan_x - self.shift_x,
+                    0.5 - 0.5 * slopes.y * self.aspect / self.tan_x - self.shift_y)
+
 
 @dataclass(frozen=True)
 class PinholeKind(CameraKind):
@@ -46,6 +51,10 @@ class PinholeKind(CameraKind):
         near = d * lens.near
         o = Vec3(lens.origin.x + near.x, lens.origin.y + near.y, lens.origin.z + near.z)
         return Ray(o, normalize(d)), None
+
+    def project(self, lens: PinholeLens, p: Vec3, aperture: None) -> Vec2:
+        local = lens.axes.coordinates(p - lens.origin)
+        return lens.position(Vec2(local.x / local.z, local.y / local.z))
 
     def beyond_far_plane(self, lens: PinholeLens, p: Vec3) -> Tensor:
         return dot(p - lens.origin, lens.axes.n) > lens.far

@@ -25,6 +25,10 @@ class ThinLensLens(NamedTuple):
     radius: Tensor  # of the aperture
     focus: Tensor  # distance of the plane in focus, along the viewing axis
 
+    def start(self, aperture: Vec2) -> Vec2:
+        """The places on the lens at which rays start, in its plane."""
+        return square_to_uniform_disk_concentric(aperture.x, aperture.y) * self.radius
+
 
 @dataclass(frozen=True)
 class ThinLensKind(CameraKind):
@@ -34,12 +38,17 @@ class ThinLensKind(CameraKind):
 
     def sample_ray(self, lens: ThinLensLens, position: Vec2, aperture: Vec2) -> tuple[Ray, None]:
         pinhole, slopes = lens.pinhole, lens.pinhole.slopes(position)
-        start = square_to_uniform_disk_concentric(aperture.x, aperture.y) * lens.radius
+        start = lens.start(aperture)
         ahead = torch.ones_like(slopes.x)
         d = pinhole.axes.to_world(Vec3(slopes.x - start.x / lens.focus, slopes.y - start.y / lens.focus, ahead))
         place = pinhole.axes.to_world(Vec3(start.x, start.y, torch.zeros_like(ahead)))
         o = Vec3(*(c + p + n * pinhole.near for c, p, n in zip(pinhole.origin, place, d)))
         return Ray(o, normalize(d)), None
+
+    def project(self, lens: ThinLensLens, p: Vec3, aperture: Vec2) -> Vec2:
+        start, local = lens.start(aperture), lens.pinhole.axes.coordinates(p - lens.pinhole.origin)
+        return lens.pinhole.position(Vec2((local.x - start.x) / local.z + start.x / lens.focus,
+                                          (local.y - start.y) / local.z + start.y / lens.focus))
 
     def beyond_far_plane(self, lens: ThinLensLens, p: Vec3) -> Tensor:
         return PinholeKind().beyond_far_plane(lens.pinhole, p)
@@ -47,6 +56,9 @@ class ThinLensKind(CameraKind):
     def eye(self, lens: ThinLensLens) -> Tensor:
         """The middle of the lens: silhouettes are those seen from there."""
         return PinholeKind().eye(lens.pinhole)
+
+    def aperture_radius(self, lens: ThinLensLens) -> Tensor:
+        return lens.radius.detach()
 
     def frustum(self, lens: ThinLensLens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
         """What is seen from anywhere on the lens, and a little more: the blur has at most radius (1 + z / focus)."""

@@ -1,0 +1,305 @@
+"""What edges in view contribute to derivatives, against closed forms, and what they do not."""
+
+import math
+import warnings
+
+import pytest
+import torch
+from torch.func import functional_call
+
+import torch_radbp as rb
+from tests.gradients import cotangent, relative_error, unwarned_renderer
+from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
+from torch_radbp.boundary import Outlines
+from torch_radbp.boundary.outline import Moving
+from torch_radbp.film.filter import Filter
+from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.scene.pack import pack
+
+SIZE = 16
+DARK = {"type": "constant", "radiance": rgb(0.25, 0.25, 0.25)}
+GLOW = {"emitter": {"type": "area", "radiance": rgb(3, 2, 1)}}
+JUMP = torch.tensor([2.75, 1.75, 0.75], dtype=torch.float64)  # of radiance between the two
+
+
+def parallel(size: int = SIZE, rfilter: str = "box") -> dict:
+    """A view of x and y from -1 to 1, x to the right, from z = 3; pixels are 2 / size wide."""
+    return {"type": "orthographic", "to_world": look_at((0, 0, 3), (0, 0, 0), (0, 1, 0)),
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": rfilter}}}
+
+
+def derivative(scene: rb.Scene, name: str, direction: torch.Tensor, weights: torch.Tensor | None = None, spp: int = 1024,
+               **settings) -> torch.Tensor:
+    """(3,) of the sums of the weighted channels of the image, depth 1, when a parameter moves in a direction."""
+    parameter = scene.get_parameter(name).requires_grad_()
+    image = unwarned_renderer(scene, spp=spp, **{"max_depth": 1, **settings})(seed=1)[0]
+    sums = (image if weights is None else image * weights).sum((1, 2))
+    return torch.stack([(torch.autograd.grad(channel, parameter, retain_graph=True)[0] * direction).sum()
+                        for channel in sums])
+
+
+def along(axis: int) -> torch.Tensor:
+    """The direction in which a pose moves along an axis of the world."""
+    direction = torch.zeros(4, 4, dtype=torch.float64)
+    direction[axis, 3] = 1.0
+    return direction
+
+
+def assert_close(found: torch.Tensor, expected: torch.Tensor, share: float = 0.01) -> None:
+    assert torch.isfinite(expected).all() and expected.abs().min() > 0
+    assert relative_error(found, expected) < share, (found, expected)
+
+
+@pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"])
+def test_each_pixel_gains_what_the_filter_counts_at_an_edge_that_moves(rfilter):
+    """A half plane that glows, left of x = 0.05: column j changes by jump * filter(edge - centre of j) * velocity."""
+    scene = load(camera=parallel(rfilter=rfilter), sky=DARK, plane=rectangle((-9.95, 0, 0), 10, **GLOW))
+    kernel: Filter = scene.sensors[0].film.rfilter
+    edge, velocity = SIZE / 2 + 0.05 * SIZE / 2, SIZE / 2  # pixels, and pixels per unit of length
+    place = torch.linspace(-kernel.radius, kernel.radius, 100001, dtype=torch.float64)
+    total = torch.trapezoid(kernel.evaluate(place), place)
+    columns = torch.arange(4, 12, dtype=torch.float64)  # whose filters reach no border
+    offset = edge - 0.5 - columns
+    kernel_there = torch.where(offset.abs() < kernel.radius, kernel.evaluate(offset), 0.0)
+    expected = kernel_there / total * velocity * JUMP[0] * SIZE
+    parameter = scene.get_parameter("plane.to_world").requires_grad_()
+    red = unwarned_renderer(scene, spp=4096, max_depth=1)(seed=1)[0, 0].sum(0)
+    found = torch.stack([torch.autograd.grad(red[int(j)], parameter, retain_graph=True)[0][0, 3] for j in columns])
+    assert expected.abs().max() > 0 and relative_error(found, expected) < 0.03, (found, expected)
+
+
+def test_two_surfaces_that_meet_jump_there_without_any_silhouette():
+    """Two walls meet at an edge x = 0 of which the camera sees both sides, and nothing else: a pan moves the edge."""
+    slant, reach = 45, 3 * math.cos(math.pi / 4)
+    walls = {name: {"type": "rectangle", "emitter": {"type": "area", "radiance": rgb(*radiance)},
+                    "to_world": translate((side * reach, 0, -1)) @ rotate((0, 1, 0), -side * slant) @ scale((3, 30, 1))}
+             for name, side, radiance in (("left", -1, (3, 2, 1)), ("right", 1, (0.25, 0.25, 0.25)))}
+    scene = load(camera=sensor(8), **walls)
+    away = 3.5 + 1 + reach
+    pixel = 2 * away * math.tan(math.radians(20)) / 8
+    expected = -JUMP * 8 / pixel  # the camera moves right, the edge left, away from the bright wall
+    assert_close(derivative(scene, "camera.to_world", along(0)), expected)
+
+
+@pytest.mark.parametrize("kind", ["sphere", "cylinder", "disk", "rectangle", "cube"])
+def test_an_outline_that_grows_gains_its_length(kind):
+    """Scaled by s about its middle, an outline of area A has the area s^2 A: the image changes by 2 A * jump."""
+    areas = {"sphere": math.pi, "disk": math.pi, "rectangle": 4.0, "cube": 4.0, "cylinder": 2.0}
+    pose = translate((0.1, 0.05, 0)) @ scale((0.5, 0.5, 0.5))
+    if kind == "cylinder":
+        pose = translate((0.1, 0.05, 0)) @ rotate((0, 1, 0), 90) @ scale((0.5, 0.5, 0.5)) @ translate((0, 0, -0.5))
+    scene = load(camera=parallel(), sky=DARK, shape={"type": kind, "to_world": pose} | GLOW)
+    grow = torch.zeros(4, 4, dtype=torch.float64)
+    matrix = scene.get_parameter("shape.to_world").detach()
+    grow[:3, :3] = matrix[:3, :3]
+    if kind == "cylinder":
+        grow[:3, 3] = matrix[:3, 3] - torch.tensor([0.1, 0.05, 0.0])
+    expected = 2 * 0.25 * areas[kind] * JUMP / (2 / SIZE) ** 2
+    assert_close(derivative(scene, "shape.to_world", grow), expected)
+
+
+def camera(kind: str) -> dict:
+    view = sensor(SIZE, rfilter="gaussian")
+    if kind == "perspective":
+        return view
+    return view | {"type": "thinlens", "aperture_radius": 0.4, "focus_distance": 3.0}
+
+
+@pytest.mark.parametrize("shape", ["sphere", "cube"])
+@pytest.mark.parametrize("kind", ["perspective", "thinlens"])
+def test_a_narrower_view_magnifies_whatever_is_seen(kind, shape):
+    """The light of a thing that is wholly in view is that over 1 / tan^2(x_fov / 2) of the image, with any lens."""
+    placed = {"type": shape, "to_world": translate((0.1, 0.05, 0)) @ rotate((1, 2, 3), 40) @ scale((0.2, 0.2, 0.2))}
+    scene = load(camera=camera(kind), dark={"type": "constant", "radiance": rgb(0, 0, 0)}, shape=placed | GLOW)
+    with torch.no_grad():
+        total = rb.render(scene, spp=1024, max_depth=1)[0].sum((1, 2))
+    half = math.radians(20)
+    expected = -total / (math.sin(half) * math.cos(half)) * math.radians(1)
+    assert_close(derivative(scene, "camera.x_fov", torch.tensor(1.0, dtype=torch.float64)), expected, 0.02)
+
+
+@pytest.mark.parametrize("distortion", [{"fx": 20.0, "k1": 0.1}, {"fx": 20.0, "distortion": "fisheye", "k1": 0.05}])
+def test_a_distorted_image_is_magnified_by_its_focal_length(distortion):
+    view = {key: value for key, value in sensor(SIZE).items() if key != "fov"} | {"type": "calibrated", **distortion}
+    placed = {"type": "cube", "to_world": rotate((1, 2, 3), 40) @ scale((0.3, 0.3, 0.3))}
+    scene = load(camera=view, dark={"type": "constant", "radiance": rgb(0, 0, 0)}, shape=placed | GLOW)
+    with torch.no_grad():
+        total = rb.render(scene, spp=1024, max_depth=1)[0].sum((1, 2))
+    both = sum(derivative(scene, f"camera.{name}", torch.tensor(1.0, dtype=torch.float64)) for name in ("fx", "fy"))
+    assert_close(both, 2 * total / 20.0)
+
+
+def test_a_vertex_that_moves_out_gains_the_area_that_its_edges_sweep():
+    corners = torch.tensor([[-0.5, -0.4, 0], [0.6, -0.4, 0], [0.1, 0.5, 0]], dtype=torch.float64)
+    scene = load(camera=parallel(), sky=DARK, shape={"type": "mesh", "vertex_positions": corners,
+                                                     "faces": torch.tensor([[0, 1, 2]])} | GLOW)
+    up = torch.zeros(3, 3, dtype=torch.float64)
+    up[2, 1] = 1.0
+    assert_close(derivative(scene, "shape.vertex_positions", up), 0.5 * 1.1 * JUMP / (2 / SIZE) ** 2)
+
+
+def test_edges_behind_a_surface_and_out_of_view_contribute_nothing():
+    hidden = {"type": "cube", "to_world": rotate((1, 2, 3), 40) @ scale((0.3, 0.3, 0.3))} | GLOW
+    screen = rectangle((0, 0, 1), 0.9, **GLOW)
+    beside = {"type": "cube", "to_world": translate((2, 0, 0)) @ scale((0.5, 0.5, 0.5))} | GLOW
+    scene = load(camera=parallel(), sky=DARK, hidden=hidden, screen=screen, beside=beside)
+    for name in ("hidden", "beside"):
+        assert (derivative(scene, f"{name}.to_world", torch.ones(4, 4, dtype=torch.float64)) == 0).all()
+    assert (derivative(scene, "screen.to_world", along(0), weights=torch.rand(SIZE, SIZE)) != 0).all()
+
+
+def test_a_hidden_emitter_hides_nothing():
+    cube = {"type": "cube", "to_world": scale((0.5, 0.5, 0.5)), "bsdf": diffuse(0.0)}
+    grow = torch.diag(torch.tensor([0.5, 0.5, 0.5, 0.0], dtype=torch.float64))
+    found = [derivative(load(camera=parallel(), sky=DARK, cube=cube, **lamp), "cube.to_world", grow, hide_emitters=hide)
+             for lamp, hide in (({"lamp": rectangle((0, 0, 1), 0.9, **GLOW)}, True), ({}, True), ({}, False))]
+    assert (found[0] == 0).all() and (found[1] == 0).all()  # black before black
+    assert (found[2] != 0).all()
+
+
+def test_an_instance_has_what_its_copy_has():
+    cube = {"type": "cube"} | GLOW
+    pose = translate((0.1, 0.05, 0)) @ rotate((1, 2, 3), 40) @ scale((0.3, 0.3, 0.3))
+    copied = load(camera=parallel(), sky=DARK, shape=cube | {"to_world": pose})
+    grey = {"type": "cube", "bsdf": diffuse(0.0)}
+    group = {"type": "shapegroup", "cube": grey}
+    shown = load(camera=parallel(), sky=DARK, group=group,
+                 shape={"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": pose})
+    copied = load(camera=parallel(), sky=DARK, shape=grey | {"to_world": pose})
+    weights = torch.linspace(0, 1, SIZE, dtype=torch.float64)[:, None].expand(SIZE, SIZE)
+    direction = torch.randn(4, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    found, expected = (derivative(scene, "shape.to_world", direction, weights, spp=4096) for scene in (shown, copied))
+    assert_close(found, expected, 0.02)
+
+
+def test_the_pose_of_the_camera_moves_instances_too():
+    pose = translate((0.1, 0.05, 0)) @ scale((0.3, 0.3, 0.3))
+    group = {"type": "shapegroup", "cube": {"type": "cube", "bsdf": diffuse(0.0)}}
+    shown = {f"shape{k}": {"type": "instance", "group": {"type": "ref", "id": "group"},
+                           "to_world": translate((0.8 * k - 0.4, 0, 0)) @ pose} for k in range(2)}
+    scene = load(camera=parallel(), sky=DARK, group=group, **shown)
+    grow = torch.zeros(4, 4, dtype=torch.float64)
+    grow[:3, :3] = scene.get_parameter("camera.to_world").detach()[:3, :3]  # a wider view
+    expected = -(0.0 - 0.25) * 2 * 2 * 0.6**2 / (2 / SIZE) ** 2 * torch.ones(3, dtype=torch.float64)
+    assert_close(derivative(scene, "camera.to_world", grow), expected)
+
+
+def solid(rfilter: str = "gaussian") -> rb.Scene:
+    cube = {"type": "cube", "to_world": rotate((1, 2, 3), 40) @ scale((0.4, 0.4, 0.4)), "bsdf": diffuse(0.7, 0.4, 0.2)}
+    return load(camera=sensor(8, rfilter=rfilter), sky=DARK, cube=cube, ball={
+        "type": "sphere", "center": [0.4, 0.3, 0.6], "radius": 0.3, "bsdf": diffuse(0.2, 0.4, 0.7)})
+
+
+@pytest.mark.parametrize("name", ["cube.to_world", "camera.to_world"])
+def test_forward_mode_and_plain_autograd_agree_with_the_backward_pass(name):
+    scene = solid()
+    parameter = scene.get_parameter(name).requires_grad_()
+    direction = torch.randn(4, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    images = [unwarned_renderer(scene, spp=4, max_depth=2, compile=False, adjoint=adjoint)(seed=2)
+              for adjoint in (rb.MemoizedAdjoint(), rb.TapeAdjoint())]
+    weights = cotangent(images[0].detach())
+    backward, tape = (torch.autograd.grad(image, parameter, weights)[0] for image in images)
+    assert backward.abs().max() > 0 and relative_error(tape, backward) < 1e-10
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rb.SilhouetteWarning)
+        tangent = rb.jvp(scene, {name: direction}, spp=4, max_depth=2, seed=2, compile=False)
+    expected = (backward * direction).sum()
+    assert abs((tangent * weights).sum() - expected) < 1e-10 * expected.abs()
+
+
+def test_terms_add_up_and_can_be_left_out():
+    scene = solid()
+    parameter = scene.get_parameter("cube.to_world").requires_grad_()
+    found = {}
+    for terms in (("interior",), {"primary"}, ["primary", "interior"]):
+        image = unwarned_renderer(scene, spp=4, max_depth=2, terms=terms)(seed=2)
+        found[len(found)], = torch.autograd.grad(image, parameter, cotangent(image.detach()))
+        found[f"image {len(found)}"] = image.detach()
+    interior, primary, both = (found[key] for key in found if isinstance(key, int))
+    assert interior.abs().max() > 0 and primary.abs().max() > 0
+    assert torch.allclose(interior + primary, both, rtol=1e-10)
+    first, *others = (found[key] for key in found if isinstance(key, str))
+    assert all(torch.equal(first, other) for other in others)
+
+
+@pytest.mark.parametrize("terms", ["interior", ("interior", "secondary"), ("primary", "edges")])
+def test_an_unknown_term_is_refused(terms):
+    with pytest.raises(ValueError, match="terms=.* interior, primary"):
+        rb.Renderer(solid(), terms=terms)
+
+
+def test_the_backward_pass_of_its_own_seed_draws_its_own_edges():
+    scene = solid()
+    parameter = scene.get_parameter("cube.to_world").requires_grad_()
+    renderer = unwarned_renderer(scene, spp=4, max_depth=2, terms=["primary"])
+    one, two, same = (torch.autograd.grad(renderer(seed=seed, seed_grad=own).sum(), parameter)[0]
+                      for seed, own in ((1, 5), (1, 6), (2, 5)))
+    assert torch.equal(one, same) and not torch.equal(one, two)
+
+
+def test_masks_and_depths_move_with_the_edges_of_things():
+    """A square of side 1 at z = 0 before a wall at z = -1, seen from z = 3: growing, it covers more of the wall."""
+    scene = load(camera=parallel() | {"near_clip": 1.0, "far_clip": 10.0}, sky=DARK, square=rectangle((0, 0, 0), 0.5),
+                 wall=rectangle((0, 0, -1), 5))
+    parameter = scene.get_parameter("square.to_world").requires_grad_()
+    renderer = unwarned_renderer(scene, spp=1024, max_depth=1)
+    quantities = renderer.aovs(["depth", "albedo", "m2_depth"], seed=1)
+    grow = torch.diag(torch.tensor([0.5, 0.5, 0.0, 0.0], dtype=torch.float64))
+    gained = 2.0 * (SIZE / 2) ** 2  # pixels
+    for name, jump in (("depth", -1.0), ("m2_depth", 2.0**2 - 3.0**2)):
+        gradient, = torch.autograd.grad(quantities[name].sum(), parameter, retain_graph=True)
+        assert_close((gradient * grow).sum()[None], torch.tensor([jump * gained], dtype=torch.float64))
+
+    alone = load(camera=parallel(), lamp={"type": "point", "position": [0, 0, 5]}, square=rectangle((0, 0, 0), 0.5))
+    parameter = alone.get_parameter("square.to_world").requires_grad_()
+    masks = unwarned_renderer(alone, spp=1024, max_depth=2).aovs(["hit", "alpha"], seed=1)
+    for mask in masks.values():
+        gradient, = torch.autograd.grad(mask.sum(), parameter, retain_graph=True)
+        assert_close((gradient * grow).sum()[None], torch.tensor([gained], dtype=torch.float64))
+
+
+def test_only_creases_and_seams_of_a_smooth_surface_may_jump():
+    scene = load(camera=parallel(), sky=DARK, cube={"type": "cube"}, ball={"type": "sphere"})
+    tensors = pack(scene)
+    counts = [len(shape.faces) for shape in (scene.cube.oriented(), scene.ball.oriented())]
+    cube, ball = (Outlines().of(tensors, counts, Moving(which, ()), torch.Generator()).crease
+                  for which in ((True, False), (False, True)))
+    assert len(cube) == 18 and int((cube > 0).sum()) == 12
+    assert 0 < int((ball > 0).sum()) < 0.01 * len(ball)
+
+
+def test_nothing_is_traced_where_nothing_moves(monkeypatch):
+    scene = solid()
+    scene.get_parameter("cube.bsdf.reflectance.value").requires_grad_()
+
+    def refuse(*arguments):
+        raise AssertionError("edges are looked for")
+
+    monkeypatch.setattr(Outlines, "of", refuse)
+    rb.render(scene, spp=1, max_depth=2).sum().backward()
+    scene.get_parameter("cube.to_world").requires_grad_()
+    with pytest.raises(AssertionError, match="looked for"):
+        rb.render(scene, spp=1, max_depth=2)
+    with torch.no_grad():
+        rb.render(scene, spp=1, max_depth=2)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_loss_of_a_pose_falls_by_its_gradient(dtype):
+    """A dark disk that is off by half a pixel finds its place by its outline alone."""
+    scene = load(dtype, camera=parallel(32), sky=DARK, disk={"type": "disk", "to_world": scale((0.5, 0.5, 0.5)),
+                                                            "bsdf": diffuse(0.0)})
+    renderer = unwarned_renderer(scene, spp=64, max_depth=1)
+    with torch.no_grad():
+        target = renderer(seed=9)
+    start = scene.get_parameter("disk.to_world").detach().clone()
+    offset = torch.tensor([0.05, -0.03, 0.0], dtype=dtype, requires_grad=True)
+    optimizer = torch.optim.Adam([offset], lr=5e-3)
+    for seed in range(25):
+        pose = start + torch.nn.functional.pad(offset[:, None], (3, 0, 0, 1))
+        image = functional_call(renderer, {"scene.disk.to_world": pose}, kwargs={"seed": seed})
+        optimizer.zero_grad()
+        ((image - target) ** 2).mean().backward()
+        optimizer.step()
+    assert offset[:2].norm() < 0.01, offset
+

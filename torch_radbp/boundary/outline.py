@@ -1,0 +1,234 @@
+"""The edges of triangle meshes at which an image may jump, in the world.
+
+An image jumps at a silhouette, where a surface ends or turns away and another appears behind it, and at a crease, where two
+surfaces meet that are shaded differently. Along all other edges, those inside of smoothly shaded surfaces and of planes, it
+is continuous unless they are silhouettes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.function import RenderCall
+from torch_radbp.boundary.edges import Edges, edges_of
+from torch_radbp.boundary.rendering import Rendering
+from torch_radbp.differentiated import detached
+from torch_radbp.raycast.known import same
+from torch_radbp.scene.placement import shown
+from torch_radbp.scene.tensors import SceneTensors, TriangleTable
+from torch_radbp.shape.placement import Instances
+from torch_radbp.vec import Vec3, rows
+
+COPLANAR = 1e-6  # half of the difference of unit normals, below which triangles lie in one plane
+MOST_SHOWN = 1 << 20  # edges of instances of a group that are examined; of more instances some are picked at random
+
+
+class Placed(NamedTuple):
+    """What shows vertices of groups, in place of a `Hit`."""
+
+    instance: Tensor  # (N,) int32, as hits count
+
+
+class Outline(NamedTuple):
+    """E edges between U vertices in the world."""
+
+    edges: Edges
+    instance: Tensor | None  # (U,) int32 that shows each vertex, as hits count; None: the scene has none
+    crease: Tensor  # (E,) in [0, 1], how much of a jump an edge may be that is no silhouette; 0: none
+    share: Tensor  # (E,) probability with which an edge is among these
+
+    def vertices(self, scene: SceneTensors, index: Tensor | None = None) -> Vec3:
+        """Its vertices in the world, (U,), or those that `index` calls for; attached to the scene."""
+        row = self.edges.vertex if index is None else self.edges.vertex[index]
+        points = rows(scene.triangles.vertices.p, row)
+        if self.instance is None:
+            return points
+        return shown(scene, Placed(self.instance if index is None else self.instance[index]), (points,))[0]
+
+
+class Moving(NamedTuple):
+    """What moves in the view of a camera."""
+
+    shapes: tuple[bool, ...]  # each shape, those of groups last
+    instances: tuple[bool, ...]  # each instance, as hits count but from 0
+
+
+class Mesh(NamedTuple):
+    """The edges of some triangles, and what else about them does not change while these do not move."""
+
+    corners: tuple[Tensor, Tensor, Tensor]  # of all triangles of the scene
+    smooth: Tensor | None  # of all triangles of the scene
+    edges: Edges  # `corner` counts those of all triangles
+    creases: Creases
+
+
+class Creases(NamedTuple):
+    """How much of a jump edges may be that are no silhouettes."""
+
+    fixed: Tensor  # (E,) 1 where that is not known better; 0 where there is none, or where the normals of triangles tell
+    flat: Tensor  # (P,) int64, the edges where they do: between triangles of one flat-shaded surface
+    here: Tensor  # (P,) int64, one triangle there
+    there: Tensor  # (P,) the other
+
+    def jumps(self, n: Vec3) -> Tensor:
+        """(E,) in [0, 1]; `n` (T,) the normals of the scene's triangles, of which half of the difference counts."""
+        apart = 0.5 * torch.sqrt(sum((part[self.here] - part[self.there]) ** 2 for part in n))
+        return self.fixed.to(apart.dtype).index_copy(0, self.flat, torch.where(apart > COPLANAR, apart, 0.0))
+
+
+class Outlines:
+    """Finds outlines, and remembers the edges of meshes whose triangles have not changed."""
+
+    def __init__(self) -> None:
+        self.known: dict[object, Mesh] = {}
+
+    def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Outline | None]:
+        """The outlines of each view of a call: of all shapes where the camera moves, of those that move where it does not.
+
+        Args:
+            rendering: the call's.
+            call: of which something moves.
+            seed: of the choice of instances.
+        """
+        scene, generator = detached(call.scene), torch.Generator("cpu").manual_seed(seed % (1 << 63))
+        instances = rendering.moving_instances
+        own = Moving(tuple(map(bool, rendering.movers)), instances)
+        everything = Moving(*((True,) * len(part) for part in own))
+        wanted = [everything if rendering.moving(sensor) else own for sensor in rendering.sensors]
+        found = {moving: self.of(scene, rendering.sizes, moving, generator) for moving in dict.fromkeys(wanted)}
+        return [found[moving] for moving in wanted]
+
+    def of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Outline | None:
+        """The edges of all that moves; None: there are none.
+
+        Args:
+            scene: detached.
+            counts: the number of triangles of each shape, those of groups last.
+            moving: what does.
+            generator: picks instances where there are too many; on the CPU.
+        """
+        triangles = scene.triangles
+        instances = None if triangles.instances is None else triangles.instances.casting
+        firsts = list(accumulate(counts, initial=0))
+        own = firsts[-1] if instances is None else int(instances.first_triangle[0])
+        shapes = [number for number, moves in enumerate(moving.shapes) if moves and firsts[number] < own]
+        parts = [self.in_world(triangles, counts, tuple(shapes))]
+        if instances is not None:
+            parts += [self.in_group(triangles, counts, moving, instances, group, generator)
+                      for group in range(len(instances.first_triangle) - 1)]
+        return joined([part for part in parts if part is not None])
+
+    def in_world(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Outline | None:
+        """The edges of some shapes that are in the world."""
+        mesh = self.mesh(triangles, counts, shapes)
+        if mesh is None:
+            return None
+        instance = None if triangles.instances is None else torch.zeros_like(mesh.edges.vertex, dtype=torch.int32)
+        jumps = mesh.creases.jumps(triangles.n)
+        return Outline(mesh.edges, instance, jumps, torch.ones_like(jumps))
+
+    def in_group(self, triangles: TriangleTable, counts: Sequence[int], moving: Moving, instances: Instances, group: int,
+                 generator: torch.Generator) -> Outline | None:
+        """The edges of a group, as its instances show them."""
+        first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
+        members = tuple(number for number, start in enumerate(accumulate(counts[:-1], initial=0)) if first <= start < last)
+        shows = range(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
+        everywhere = any(moving.shapes[member] for member in members)
+        wanted = [number for number in shows if everywhere or moving.instances[number]]
+        mesh = self.mesh(triangles, counts, members) if wanted else None
+        if mesh is None:
+            return None
+        edges, jumps = mesh.edges, mesh.creases.jumps(triangles.n)
+        most, chosen = max(1, MOST_SHOWN // len(edges.a)), torch.tensor(wanted)
+        if most < len(wanted):
+            chosen = chosen[torch.randperm(len(wanted), generator=generator)[:most]]
+        chosen = chosen.to(edges.a.device)
+        times = torch.arange(len(chosen), device=chosen.device)
+
+        def repeated(index: Tensor, step: int) -> Tensor:
+            return (index + step * times[:, None]).flatten()
+
+        shown = Edges(edges.vertex.repeat(len(chosen)), *(repeated(index, len(edges.vertex)) for index in edges[1:4]),
+                      repeated(edges.edge, len(edges.a)), edges.corner.repeat(len(chosen)))
+        jumps = jumps.repeat(len(chosen))
+        return Outline(shown, (chosen + 1).to(torch.int32).repeat_interleave(len(edges.vertex)), jumps,
+                       torch.full_like(jumps, len(chosen) / len(wanted)))
+
+    def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Mesh | None:
+        """The edges of some shapes, found anew only if triangles of the scene have changed; None: there are none."""
+        known = self.known.get(shapes)
+        tables = (*triangles.corners, triangles.smooth)
+        if known is not None and all(map(unchanged, tables, (*known.corners, known.smooth))):
+            return known
+        shape = torch.repeat_interleave(torch.tensor(counts, device=triangles.material.device))
+        chosen = torch.isin(shape, torch.tensor(shapes, device=shape.device)).nonzero().squeeze(1)
+        if not len(chosen):
+            return None
+        edges = edges_of(triangles.vertices.p.stack(), torch.stack(triangles.corners, 1)[chosen])
+        edges = edges._replace(corner=3 * chosen[torch.div(edges.corner, 3, rounding_mode="floor")] + edges.corner % 3)
+        found = self.known[shapes] = Mesh(triangles.corners, triangles.smooth, edges, creases(edges, triangles, shape))
+        return found
+
+
+def unchanged(table: Tensor | None, known: Tensor | None) -> bool:
+    """True if a table, or its absence, is what it was; tables are never written into."""
+    return table is known if table is None or known is None else same(table, known)
+
+
+def joined(parts: Sequence[Outline]) -> Outline | None:
+    """All edges of several outlines."""
+    if len(parts) < 2:
+        return parts[0] if parts else None
+    vertices, edges = 0, 0
+    moved = []
+    for part in parts:
+        own = part.edges
+        moved.append(Edges(own.vertex, own.a + vertices, own.b + vertices, own.opposite + vertices, own.edge + edges,
+                           own.corner))
+        vertices, edges = vertices + len(own.vertex), edges + len(own.a)
+    columns = zip(*(part[1:] for part in parts))
+    return Outline(Edges(*map(torch.cat, zip(*moved))), *map(torch.cat, columns))
+
+
+def creases(edges: Edges, triangles: TriangleTable, shape: Tensor) -> Creases:
+    """Where edges are creases.
+
+    Args:
+        edges: of triangles of this table.
+        triangles: of the scene, detached.
+        shape: (T,) that each triangle belongs to.
+    """
+    count = torch.bincount(edges.edge, minlength=len(edges.a))
+    order = edges.edge.argsort(stable=True)
+    pairs = (count == 2).nonzero().squeeze(1)
+    first = (count.cumsum(0) - count)[pairs]
+    one, two = order[first], order[first + 1]
+    here, there = (torch.div(edges.corner[corner], 3, rounding_mode="floor") for corner in (one, two))
+    corners = torch.stack(triangles.corners, 1)
+    shared = (ends(corners, edges.corner[one]) == ends(corners, edges.corner[two])).all(1)
+    smooth = torch.full_like(shared, triangles.vertices.n is not None)
+    if triangles.smooth is not None:
+        smooth &= triangles.smooth[here] & triangles.smooth[there]
+    known = shape[here] == shape[there]
+    known &= shared if triangles.vertices.uv is not None or triangles.vertices.attributes else shared | ~smooth
+    known &= torch.full_like(shared, not triangles.attributes)
+    fixed = torch.ones(len(count), device=count.device).index_put((pairs[known],), torch.zeros((), device=count.device))
+    flat = known & ~smooth
+    return Creases(fixed, pairs[flat], here[flat], there[flat])
+
+
+def ends(corners: Tensor, corner: Tensor) -> Tensor:
+    """The rows of the vertices at the ends of edges, in the triangle of a corner opposite to each; (P, 2) ascending.
+
+    Args:
+        corners: (T, 3) rows of vertices.
+        corner: (P,) number of the corner among all.
+    """
+    triangle = corners[torch.div(corner, 3, rounding_mode="floor")]
+    around = torch.stack([(corner + 1) % 3, (corner + 2) % 3], 1)
+    return triangle.gather(1, around).sort(1).values

@@ -1,0 +1,118 @@
+"""The rendering that is about to start, and what moves in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.silhouette import Sight
+from torch_radbp.bsdf.kind import Kind
+from torch_radbp.differentiated import tangent_of
+from torch_radbp.plugin import BSDF, Plugin, Sensor, Texture
+from torch_radbp.raycast.protocol import RayCaster
+from torch_radbp.scene import Scene
+from torch_radbp.scene.geometry import number_of_triangles
+from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.material import turning_values
+from torch_radbp.scene.pack import one_sided
+from torch_radbp.shape.placement import Instances, expanded
+from torch_radbp.shape.surface import Surface
+
+MOVE_SHAPES = ("to_world", "vertex_positions", "grid")
+MOST_OF_GROUP = 1 << 16  # triangles of instances of a group that are looked at
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """The rendering that is about to start."""
+
+    scene: Scene  # with the parameters of this rendering
+    sensors: Sequence[Sensor]
+    sights: Sequence[Sight]  # one for each sensor
+    caster: RayCaster  # of the scene as it is now
+    sampling: str  # "detached", "hybrid" or "attached"
+    kept: Kept  # of this rendering
+    instances: Instances | None  # of the scene as it is now
+    primary: bool  # derivatives have what edges in view contribute
+
+    def materials(self) -> list[tuple[BSDF, Kind]]:
+        """The materials, one for each side, and how they scatter."""
+        return [(bsdf, bsdf.kind()) for bsdf in {id(bsdf): bsdf for bsdf in one_sided(self.scene.bsdfs())}.values()]
+
+    def moving(self, plugin: Plugin, attributes: Sequence[str] | None = None) -> list[str]:
+        """The full names of those attributes of a plugin, or of all, that have derivatives in this rendering."""
+        attributes = plugin.domains() if attributes is None else attributes
+        asked = [name for name in attributes if asks_for_derivatives(getattr(plugin, name, None))]
+        return [f"{self.names.get(id(plugin), type(plugin).__name__)}.{name}" for name in asked]
+
+    def turning(self, bsdf: BSDF, kind: Kind) -> list[str]:
+        """The names of those textures of a material that have derivatives and turn directions which carry them."""
+        slots, textures = turning_values(kind, self.sampling), bsdf.textures()
+        return [texture_name(self.scene, textures[slot]) for slot in slots
+                if any(map(asks_for_derivatives, textures[slot].sources()))]
+
+    @cached_property
+    def names(self) -> dict[int, str]:
+        """The names of all modules of the scene by their ids."""
+        return {id(module): name for name, module in self.scene.named_modules()}
+
+    @cached_property
+    def shapes(self) -> list[Surface]:
+        """Those of the scene."""
+        return self.scene.shapes
+
+    @cached_property
+    def sizes(self) -> list[int]:
+        """The number of triangles of each shape; the caster has them in the order of the shapes."""
+        return [number_of_triangles(self.kept, shape) for shape in self.shapes]
+
+    @cached_property
+    def seen(self) -> ShownTriangles:
+        """The triangles in the world; of groups of many, those of some instances."""
+        sizes = self.sizes
+        if self.instances is None:
+            return ShownTriangles(self.caster.vertices, self.caster.faces, sizes)
+        shown = expanded(self.caster.vertices, self.caster.faces, self.instances, MOST_OF_GROUP)
+        shape = torch.repeat_interleave(torch.tensor(sizes, device=shown.faces.device))[shown.triangle.long()]
+        order = shape.argsort(stable=True)
+        return ShownTriangles(shown.vertices, shown.faces[order], shape.bincount(minlength=len(sizes)).tolist())
+
+    @cached_property
+    def moving_instances(self) -> tuple[bool, ...]:
+        """Whether each instance moves by a pose of its own, in the order in which hits count them."""
+        return tuple(bool(self.moving(instance, MOVE_SHAPES)) for instances in self.scene.groups.values()
+                     for instance in instances)
+
+    @cached_property
+    def movers(self) -> list[list[str]]:
+        """For each shape, the parameters that move it, of those with derivatives; its own and those of its instances."""
+        of_groups = {group: [name for instance in instances for name in self.moving(instance, MOVE_SHAPES)]
+                     for group, instances in self.scene.groups.items()}
+        return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]
+                for shape, instances in zip(self.shapes, self.scene.shown_by)]
+
+
+class ShownTriangles(NamedTuple):
+    """Triangles in the world, in the order of the shapes that they belong to."""
+
+    vertices: Tensor  # (V, 3)
+    faces: Tensor  # (T, 3) int32
+    counts: list[int]  # of each shape
+
+
+def texture_name(scene: Scene, texture: Texture) -> str:
+    """The name of a texture in the scene, or of the parameter that it stands for."""
+    owner, attribute = getattr(texture, "place", (texture, ""))
+    return f"{scene.name_of(owner)}.{attribute}".rstrip(".")
+
+
+def asks_for_derivatives(value) -> bool:
+    """True if an attribute is a tensor with respect to which this rendering is differentiated, backward or forward."""
+    if not isinstance(value, Tensor):
+        return False
+    return (value.requires_grad and torch.is_grad_enabled()) or tangent_of(value) is not None
