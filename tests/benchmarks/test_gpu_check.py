@@ -22,7 +22,8 @@ def check(monkeypatch, tmp_path, scripts: dict[str, str], *arguments: str, needs
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "a card")
     monkeypatch.setattr(gpu_check, "steps", lambda folder, quick: [
-        gpu_check.Step(name, (sys.executable, "-c", script.replace("{0}", str(folder))), 4 if "sleep" in script else 600, needs)
+        gpu_check.Step(name, (sys.executable, "-c", script.replace("{0}", str(folder))),
+                       4 if "sleep" in script else 600, needs)
         for name, script in scripts.items()])
     status = gpu_check.main(["--folder", str(tmp_path), *arguments])
     folder, = tmp_path.iterdir()
