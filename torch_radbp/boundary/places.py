@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.function import RenderCall
+from torch_radbp.boundary.edges import Edges
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.silhouette import is_silhouette, is_silhouette_from
 from torch_radbp.path import APERTURE_U, APERTURE_V, CameraSample
@@ -115,16 +116,8 @@ def edges_in_view(view: View, outline: Outline, vertices: Tensor) -> Choice:
     camera, edges = view.camera, outline.edges
     silhouette = is_silhouette(edges, vertices, camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
     jump = torch.where(silhouette, 1.0, outline.crease.double())
-    some = (jump > 0).nonzero().squeeze(1)
+    some, enters, leaves = clipped(view, edges, vertices, (jump > 0).nonzero().squeeze(1))
     a, b = (Vec3.of(vertices[index[some]]) for index in (edges.a, edges.b))
-    film = camera.film
-    reach = film.filter.quantiles.abs().max()  # pixels beyond the window may count in it
-    x, y = (torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
-            for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
-    enters, leaves = camera.kind.clipped(camera.lens, x, y, a, b)
-    seen = enters < leaves
-    some, enters, leaves = some[seen], enters[seen], leaves[seen]
-    a, b = (end.map(lambda part: part[seen]) for end in (a, b))
     middle = Vec2(*(torch.full_like(enters, 0.5),) * 2) if camera.kind.has_aperture else None
     ends = [on_film(view, a + (b - a) * along, middle) for along in (enters, leaves)]
     length = torch.hypot(ends[1].x - ends[0].x, ends[1].y - ends[0].y)
@@ -132,6 +125,35 @@ def edges_in_view(view: View, outline: Outline, vertices: Tensor) -> Choice:
     every = torch.zeros(3, len(jump), dtype=torch.float64, device=vertices.device)
     enters, leaves, weights = every.index_copy(1, some, torch.stack([enters, leaves, weight]))
     return Choice(enters, leaves, weights, silhouette, float(weight.sum()))
+
+
+def clipped(view: View, edges: Edges, vertices: Tensor, some: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Those of some edges that are in view, (S,), and the shares of the way from a to b between which they are.
+
+    Only edges that cross the border of the view are clipped.
+
+    Args:
+        view: where also counts what the filter reaches beyond the window.
+        edges: between `vertices`, (U, 3) float64.
+        some: (E',) int64, of the edges.
+    """
+    camera, film = view.camera, view.camera.film
+    reach = film.filter.quantiles.abs().max()
+    x, y = (torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
+            for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
+    beyond = camera.kind.frustum(camera.lens, x, y, Vec3.of(vertices)) < 0
+    bits = 1 << torch.arange(len(beyond), device=vertices.device)
+    outside = (beyond * bits[:, None]).sum(0)  # a bit for each plane of the frustum, as Cohen and Sutherland have it
+    at_a, at_b = (outside[index[some]] for index in (edges.a, edges.b))
+    seen = (at_a & at_b) == 0
+    some, crossing = some[seen], (at_a | at_b)[seen].nonzero().squeeze(1)
+    enters = torch.zeros(len(some), dtype=torch.float64, device=vertices.device)
+    a, b = (Vec3.of(vertices[index[some[crossing]]]) for index in (edges.a, edges.b))
+    first, last = camera.kind.clipped(camera.lens, x, y, a, b)
+    leaves = torch.ones_like(enters).index_copy(0, crossing, last)
+    enters = enters.index_copy(0, crossing, first)
+    seen = enters < leaves
+    return some[seen], enters[seen], leaves[seen]
 
 
 def on_film(view: View, p: Vec3, aperture: Vec2 | None) -> Vec2:
