@@ -153,7 +153,7 @@ def test_a_choice_is_made_with_its_probability(name):
 
 @pytest.mark.parametrize("weight", [0.0, 0.3, 1.0])
 def test_a_blend_chooses_by_its_weight_but_neither_part_never(weight):
-    bsdf = material({**MATERIALS["nested blend"], "weight": weight})
+    bsdf = material({**MATERIALS["nested blend"], "weight": weight}).requires_grad_()  # see test_cut_outs.py for others
     kind, wi = bsdf.kind(), directions(COUNT)
     choice, _ = sampled(kind, values_of(bsdf, wi.z), wi, numbers(COUNT))
     expected = min(max(weight, 0.02), 0.98)

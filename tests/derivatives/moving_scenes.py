@@ -1,4 +1,4 @@
-"""Scenes in which one thing moves, and no silhouette, no shadow's edge and no lamp's edge moves in view.
+"""Scenes in which one thing moves, and neither a shadow's nor a lamp's edge with it; in the last ones edges move in view.
 
 So the derivative that the renderer computes is the whole derivative, and finite differences with independent samples must
 agree with it in expectation. Textures are smooth, so that finite differences with a moderate step are accurate.
@@ -115,6 +115,12 @@ METAL = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.3, "materia
 LACQUER = {"type": "principled", "base_color": rgb(0.8, 0.4, 0.3), "roughness": 0.5, "metallic": 0.4, "clearcoat": 0.6}
 POINT, SKY = {"lamp": point()}, {"sky": {"type": "constant", "radiance": rgb(0.9, 1.1, 1.4)}}
 FLOOR = {"plane": plane(bsdf=textured())}
+SOLID = {"type": "cube", "to_world": translate((0.1, 0.15, 0)) @ rotate(TWIST[0], 40) @ scale((0.5, 0.4, 0.3)),
+         "bsdf": {"type": "twosided", "one": textured(half=2.0)}}
+# Two leaves that meet along x = z = 0, seen from between.
+BOOK = {"type": "mesh", "bsdf": {"type": "twosided", "one": diffuse(0.7, 0.5, 0.3)}, "faces": torch.tensor([
+    [0, 1, 2], [0, 2, 3], [1, 0, 4], [1, 4, 5]]), "vertex_positions": torch.tensor([
+        [0, -9.0, 0], [0, 9, 0], [-9, 9, 5], [-9, -9, 5], [9, -9, 4], [9, 9, 4]], dtype=torch.float64)}
 ROOM = FLOOR | {"back": plane((0.2, 0.1, 3.4), (1, 0.2, 0.1), 170, bsdf=textured(4)), "lamp": point((0.6, -0.5, 1.6))}
 SCENES = {
     # A textured plane.
@@ -246,4 +252,31 @@ SCENES = {
     # By less than what changes the pattern of triangles, which the derivative does not see: it is 0.2% of the slope.
     "distances": MovingScene(scene(hills=relief(), **POINT), "hills.grid", wave(size=0.3), 0.001),
     "field of view": MovingScene(scene(sensor=camera(rfilter="box"), **FLOOR, **POINT), "sensor.x_fov", constant(1), 0.5),
+    # Silhouettes and creases in view. Light comes from all around, or from behind the camera, so that no shadow moves.
+    "outline of a cube": MovingScene(scene(solid=SOLID, **SKY), "solid.to_world", rigid(TWIST), 0.01),
+    "outline of a cube, camera": MovingScene(scene(solid=SOLID, **SKY), "sensor.to_world", rigid(TWIST, (0.5, -0.4, 2.6)),
+                                             0.005),
+    "outline of a mesh": MovingScene(scene(sheet=grid_mesh(wavy, 6, 0.7, bsdf=diffuse(0.7, 0.5, 0.3)), **SKY),
+                                     "sheet.vertex_positions", wave(size=0.3), 0.02),
+    "outline of a ball": MovingScene(
+        scene(ball={"type": "sphere", "center": [0.1, 0.2, 0.0], "radius": 0.6, "bsdf": METAL}, sky=envmap()),
+        "ball.to_world", rigid(TWIST), 0.01, samplings=("hybrid",)),
+    "outline of an instance": MovingScene(
+        scene(group={"type": "shapegroup", "solid": SOLID}, shown={
+            "type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": rotate((0.1, 1, 0.3), 20)}, **SKY),
+        "shown.to_world", rigid(TWIST), 0.01),
+    "one before another": MovingScene(
+        scene(near={"type": "rectangle", "to_world": translate((0.4, 0, 1.0)) @ scale((0.3, 0.4, 1)), "bsdf": diffuse(0.6)},
+              far={"type": "rectangle", "to_world": rotate(TILT, ANGLE) @ scale((0.6, 0.5, 1)),
+                   "emitter": {"type": "area", "radiance": rgb(2, 3, 4)}}, **SKY), "near.to_world",
+        rigid(TWIST, (0.4, 0, 1.0)), 0.01),
+    "where walls meet": MovingScene(scene(book=BOOK, **POINT), "sensor.to_world", rigid(TWIST, (0.5, -0.4, 2.6)), 0.005),
+    "outline, thinlens": MovingScene(
+        scene(sensor=blurred(SIZE, 40) | VIEW | {"focus_distance": 1.5, "aperture_radius": 0.2}, solid=SOLID, **SKY),
+        "sensor.aperture_radius", constant(1), 0.02, samplings=("hybrid",)),
+    "outline, fisheye": MovingScene(scene(sensor=calibrated(SIZE, 0.6, **FISHEYE) | VIEW, solid=SOLID, **SKY),
+                                    "sensor.to_world", rigid(TWIST, (0.5, -0.4, 2.6)), 0.01, samplings=("hybrid",)),
+    "outline without perspective": MovingScene(
+        scene(sensor=parallel() | {"film": camera()["film"]}, solid=SOLID, **SKY), "sensor.to_world",
+        rigid(TWIST, (0.5, -0.4, 2.6)), 0.005),
 }
