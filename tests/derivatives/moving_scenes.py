@@ -269,7 +269,7 @@ SCENES = {
         scene(near={"type": "rectangle", "to_world": translate((0.4, 0, 1.0)) @ scale((0.3, 0.4, 1)), "bsdf": diffuse(0.6)},
               far={"type": "rectangle", "to_world": rotate(TILT, ANGLE) @ scale((0.6, 0.5, 1)),
                    "emitter": {"type": "area", "radiance": rgb(2, 3, 4)}}, **SKY), "near.to_world",
-        rigid(TWIST, (0.4, 0, 1.0)), 0.01),
+        rigid(TWIST, (0.4, 0, 1.0)), 0.005),
     "where walls meet": MovingScene(scene(book=BOOK, **POINT), "sensor.to_world", rigid(TWIST, (0.5, -0.4, 2.6)), 0.005),
     "outline, thinlens": MovingScene(
         scene(sensor=blurred(SIZE, 40) | VIEW | {"focus_distance": 1.5, "aperture_radius": 0.2}, solid=SOLID, **SKY),

@@ -29,15 +29,16 @@ NOISY = {
     "wall behind the camera": 1024, "principled glass, spec_trans": 64,
     "thinlens, aperture_radius": 256, "thinlens, focus_distance": 256, "calibrated, k2": 64, "calibrated, k3": 256,
     "calibrated, k4": 64, "calibrated, k5": 128, "calibrated, k6": 256, "fisheye, k4": 64,
-    "one before another": 768, "outline of a cube, camera": 1024, "outline without perspective": 1024}
+    "one before another": 1024, "outline of a cube, camera": 2048, "outline without perspective": 2048,
+    "where walls meet": 96}
 # Of the same code as others that are not slow.
 SLOW = ("fisheye", "obj", "serialized")
 COARSE = {"normals under an envmap": 256, "envmap turned": 256, "wall behind the camera": 512,
-          "metal under a soft lamp": 128, "one before another": 96, "outline of a cube, camera": 192,
-          "outline without perspective": 192}  # for 5%; 2% is slow
+          "metal under a soft lamp": 128, "one before another": 192, "outline of a cube, camera": 320,
+          "outline without perspective": 384}  # for 5%; 2% is slow
 # Of the same code as others that are not slow, for 5%.
-OUTLINES = {"outline of a cube": 256, "outline of a mesh": 320, "outline of a ball": 704, "outline of an instance": 704,
-            "outline, thinlens": 768, "outline, fisheye": 320}
+OUTLINES = {"outline of a cube": 512, "outline of a mesh": 512, "outline of a ball": 1024, "outline of an instance": 1024,
+            "outline, thinlens": 1536, "outline, fisheye": 512}
 
 # A bias of the stated size is this many standard errors, so that 4 of them are exceeded whatever 2 of noise do.
 CERTAIN = 6
