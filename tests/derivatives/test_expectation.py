@@ -34,7 +34,7 @@ NOISY = {
 # Of the same code as others that are not slow.
 SLOW = ("fisheye", "obj", "serialized")
 COARSE = {"normals under an envmap": 256, "envmap turned": 256, "wall behind the camera": 512,
-          "metal under a soft lamp": 128, "one before another": 192, "outline of a cube, camera": 320,
+          "metal under a soft lamp": 128, "one before another": 256, "outline of a cube, camera": 320,
           "outline without perspective": 384}  # for 5%; 2% is slow
 # Of the same code as others that are not slow, for 5%.
 OUTLINES = {"outline of a cube": 512, "outline of a mesh": 512, "outline of a ball": 1024, "outline of an instance": 1024,
