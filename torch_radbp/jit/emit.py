@@ -37,6 +37,7 @@ from torch_radbp.jit.instructions import (
     scalar_suffix,
 )
 from torch_radbp.jit.loops import SEARCH
+from torch_radbp.jit.schedule import few_alive
 
 
 class Body(NamedTuple):
@@ -65,7 +66,7 @@ class Emitter:
         waiting: dict[Value, list[int]] = {}  # the outputs that each value is
         for number, value in enumerate(value for value in self.program.outputs if value is not None):
             waiting.setdefault(value, []).append(number)
-        for value in self.program.values if self.width == 1 else gathers_first(self.program.values):
+        for value in (few_alive if self.width == 1 else gathers_first)(self.program.values):
             self.here = self.entry if value.kind == NUMBER else self.body
             self.names[value] = self.emit(value)
             if self.width == 1 and value.kind == LANES:  # a thread has no register to spare for what is done
