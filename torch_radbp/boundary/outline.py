@@ -63,6 +63,7 @@ class Mesh(NamedTuple):
 
     corners: tuple[Tensor, Tensor, Tensor]  # of all triangles of the scene
     smooth: Tensor | None  # of all triangles of the scene
+    reads: tuple[bool, ...]  # whether the scene has normals and surface coordinates of vertices
     edges: Edges  # `corner` counts those of all triangles
     creases: Creases
 
@@ -162,8 +163,9 @@ class Outlines:
     def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Mesh | None:
         """The edges of some shapes, found anew only if triangles of the scene have changed; None: there are none."""
         known = self.known.get(shapes)
-        tables = (*triangles.corners, triangles.smooth)
-        if known is not None and all(map(unchanged, tables, (*known.corners, known.smooth))):
+        tables, reads = (*triangles.corners, triangles.smooth), tuple(
+            column is not None for column in (triangles.vertices.n, triangles.vertices.uv))
+        if known is not None and known.reads == reads and all(map(unchanged, tables, (*known.corners, known.smooth))):
             return known
         shape = torch.repeat_interleave(torch.tensor(counts, device=triangles.material.device))
         chosen = torch.isin(shape, torch.tensor(shapes, device=shape.device)).nonzero().squeeze(1)
@@ -171,7 +173,8 @@ class Outlines:
             return None
         edges = edges_of(triangles.vertices.p.stack(), torch.stack(triangles.corners, 1)[chosen])
         edges = edges._replace(corner=3 * chosen[torch.div(edges.corner, 3, rounding_mode="floor")] + edges.corner % 3)
-        found = self.known[shapes] = Mesh(triangles.corners, triangles.smooth, edges, creases(edges, triangles, shape))
+        found = self.known[shapes] = Mesh(triangles.corners, triangles.smooth, reads, edges,
+                                         creases(edges, triangles, shape))
         return found
 
 
