@@ -32,7 +32,7 @@ from torch_radbp.jit.cpu import CpuLoop, framed
 from torch_radbp.jit.emit import Emitter
 from torch_radbp.jit.graph import LANES, Program, Value
 from torch_radbp.jit.instructions import memory
-from torch_radbp.jit.machine import host_width
+from torch_radbp.jit.machine import host_width, object_code
 from torch_radbp.jit.run import Compiled
 
 NO_WORK = ("input", "constant", "gather")
@@ -72,7 +72,7 @@ class Unread(Emitter):
 
 def without_reads(program: Program) -> CpuLoop:
     """The loop of a program without its gathers."""
-    return CpuLoop(framed(Unread(program, host_width()).instructions(), host_width()))
+    return CpuLoop(object_code(framed(Unread(program, host_width()).instructions(), host_width())))
 
 
 def copied(x):

@@ -4,6 +4,8 @@ from typing import Annotated
 
 import typer
 
+from torch_radbp.training.commands.cache import EPILOG as CACHE_EPILOG
+from torch_radbp.training.commands.cache import cache
 from torch_radbp.training.commands.check import EPILOG as CHECK_EPILOG
 from torch_radbp.training.commands.check import check
 from torch_radbp.training.commands.info import EPILOG as INFO_EPILOG
@@ -34,6 +36,7 @@ app.command(epilog=RENDER_EPILOG)(render)
 app.command(epilog=INFO_EPILOG)(info)
 app.command(epilog=OPTIMIZE_EPILOG)(optimize)
 app.command(epilog=CHECK_EPILOG)(check)
+app.command(epilog=CACHE_EPILOG)(cache)
 
 
 def _version(wanted: bool) -> None:

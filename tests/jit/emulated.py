@@ -11,7 +11,7 @@ from array import array
 from typing import Any, NamedTuple
 
 from torch_radbp.jit.gpu import Gpu
-from torch_radbp.jit.machine import MachineCode
+from torch_radbp.jit.machine import MachineCode, object_code
 from torch_radbp.jit.nvptx import ptx
 
 LAUNCH = """\
@@ -79,7 +79,7 @@ class Emulated:
     def load(self, text: str, name: str) -> Any:
         if self.assemble:
             self.ptx.append(ptx(text, self.architecture))
-        return name, MachineCode(on_processor(text, self.backwards), entry="launch")
+        return name, MachineCode(object_code(on_processor(text, self.backwards)), entry="launch")
 
     def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
         name, code = kernel

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tests.jit.test_functions import arguments, mixed
-from torch_radbp.jit import LaneFunction, kept_code
+from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.driver import Driver, NoDriver, driver_of
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.nvptx import BLOCK
@@ -112,7 +112,7 @@ def test_ptx_is_assembled_once_and_machine_code_loaded_ever_after(folder):
     assert kind == "ptx" and text.endswith(b"\0") and size == len(text) and b".target sm_90" in text
     assert first.driver.of("cuLinkDestroy") == [("link",)] and not second.driver.of("cuLinkAddData")
     assert first.driver.of("cuModuleLoadData") == second.driver.of("cuModuleLoadData") == [(b"machine code",)]
-    assert len(list(folder.rglob("*.cubin"))) == 1
+    assert len(list(folder.rglob("*.code"))) == 1
 
 
 def test_an_error_of_the_driver_names_the_function_the_device_and_what_went_wrong():
@@ -152,37 +152,3 @@ def test_without_a_driver_the_message_says_so(monkeypatch):
     bindings(monkeypatch, lambda flags: (SimpleNamespace(name="CUDA_ERROR_NO_DEVICE"),))
     with pytest.raises(NoDriver, match="could not be started: CUDA_ERROR_NO_DEVICE. Look at what nvidia-smi says"):
         driver_of(DEVICE)
-
-
-def test_code_that_cannot_be_kept_is_made_each_time(monkeypatch, folder):
-    blocked = folder / "a file"
-    blocked.write_text("")
-    monkeypatch.setenv("RADBP_KERNEL_CACHE", str(blocked))
-    made: list[str] = []
-    for _ in range(2):
-        assert kept_code.machine_code("text", "sm_90", lambda text: made.append(text) or b"code") == b"code"
-    assert made == ["text"] * 2
-
-
-def test_damaged_code_is_made_anew(folder):
-    assert kept_code.machine_code("text", "sm_90", lambda text: b"code") == b"code"
-    path, = folder.rglob("*.cubin")
-    for damaged in (b"", path.read_bytes()[:-1], path.read_bytes()[:-1] + b"x"):
-        path.write_bytes(damaged)
-        assert kept_code.machine_code("text", "sm_90", lambda text: b"code") == b"code"
-    assert kept_code.machine_code("text", "sm_90", lambda text: b"other") == b"code"  # whole again
-
-
-def test_code_is_told_by_its_text_and_by_the_architecture(folder):
-    for text, architecture, code in (("a", "sm_80", b"1"), ("a", "sm_90", b"2"), ("b", "sm_90", b"3")):
-        assert kept_code.machine_code(text, architecture, lambda text, code=code: code) == code
-    assert len(list(folder.rglob("*.cubin"))) == 3 and not list(folder.rglob("*.part"))
-
-
-@pytest.mark.parametrize("platform, variable, place", [
-    ("linux", "XDG_CACHE_HOME", "torch_radbp/kernels"), ("win32", "LOCALAPPDATA", "torch_radbp/kernels")])
-def test_the_folder_is_that_of_the_platform(monkeypatch, folder, platform, variable, place):
-    monkeypatch.delenv("RADBP_KERNEL_CACHE")
-    monkeypatch.setenv(variable, str(folder))
-    monkeypatch.setattr(sys, "platform", platform)
-    assert kept_code.folder() == folder / place

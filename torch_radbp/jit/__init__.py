@@ -12,6 +12,7 @@ In the order of data:
 3. `emit.py` writes it as LLVM's text, for vectors of any width or for single lanes; `instructions.py` has the tables, and
    `prefetch.py` hints at the memory that will be needed.
 4. `machine.py` makes machine code of that, `run.py` calls it on tensors, `team.py` on several threads.
+5. `compiled.py` keeps it for later processes: on disk (`kept_code.py`), by what it depends on (`fingerprint.py`).
 
 It knows torch and LLVM, and nothing of rendering.
 """

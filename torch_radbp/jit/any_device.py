@@ -24,6 +24,16 @@ class AnyDevice:
     def text(self, program: Program) -> str:
         raise RuntimeError(self.reason)
 
+    @property
+    def platform(self) -> str:
+        raise RuntimeError(self.reason)
+
+    def code(self, program: Program) -> bytes:
+        raise RuntimeError(self.reason)
+
+    def loop(self, code: bytes, searched: Sequence[int]):
+        raise RuntimeError(self.reason)
+
     def compile(self, program: Program):
         raise RuntimeError(self.reason)
 

@@ -20,7 +20,7 @@ from torch_radbp.jit.emit import Body, emit
 from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.instructions import alignment
 from torch_radbp.jit.loops import TAKE_PARTS, few_lanes
-from torch_radbp.jit.machine import MachineCode, host_width
+from torch_radbp.jit.machine import MachineCode, host, host_width, object_code
 from torch_radbp.jit.prefetch import DECLARATION, prefetches
 from torch_radbp.jit.team import run_lanes
 
@@ -43,9 +43,22 @@ class Cpu:
         width = self.width or host_width() * vectors(program)
         return framed(emit(program, width), width)
 
+    @property
+    def platform(self) -> str:
+        """See `Target`."""
+        return f"{host()}, {self.width or host_width()} lanes"
+
+    def code(self, program: Program) -> bytes:
+        """See `Target`."""
+        return object_code(self.text(program))
+
+    def loop(self, code: bytes, searched: Sequence[int] = ()) -> CpuLoop:
+        """See `Target`."""
+        return CpuLoop(code)
+
     def compile(self, program: Program) -> CpuLoop:
         """See `Target`."""
-        return CpuLoop(self.text(program))
+        return self.loop(self.code(program))
 
     chosen = staticmethod(cpu_order.chosen)
     partition = staticmethod(cpu_order.partition)
@@ -61,11 +74,11 @@ class CpuLoop:
     """A program as machine code of the processor; see `target.Loop`.
 
     Args:
-        text: its module.
+        code: from `machine.object_code`.
     """
 
-    def __init__(self, text: str):
-        self.code = MachineCode(text)
+    def __init__(self, code: bytes):
+        self.code = MachineCode(code)
 
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
         """Runs the loop over all lanes, and waits for it."""

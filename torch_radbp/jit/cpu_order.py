@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, made_once
+from torch_radbp.jit.machine import kept, made_once
 
 # The body may begin with values that are carried from turn to turn.
 LOOP = """\
@@ -97,7 +97,7 @@ class Code:
     """The machine code of `text`: functions by the bytes of an element."""
 
     def __init__(self) -> None:
-        self.module = MachineCode(text(), entry="choose")
+        self.module = kept(text(), entry="choose")
         self.choose = self.function("choose", "ppn", ctypes.c_int64)
         self.count, self.partition, self.put_all = (
             {bits // 8: self.function(f"{name}_i{bits}", arguments) for bits in BITS}

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import torch
 
 from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition
-from torch_radbp.jit.machine import MachineCode, made_once
+from torch_radbp.jit.machine import kept, made_once
 
 BLOCK = 2048  # lanes
 
@@ -117,7 +117,7 @@ class Code:
     """The machine code of `text`."""
 
     def __init__(self) -> None:
-        self.module = MachineCode(text(), entry="scatter")
+        self.module = kept(text(), entry="scatter")
         self.loops = {(dtype, tables): self.module.address_of(f"scatter_{scalar}_{tables}")
                       for dtype, scalar in SCALARS.items() for tables in range(1, MOST_TABLES + 1)}
         self.run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.module.address)

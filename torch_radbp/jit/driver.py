@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
+import tempfile
 from array import array
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -80,7 +82,7 @@ class Driver:
             address, size = self.ask(driver.cuLinkComplete, state)
             return ctypes.string_at(int(address), size)
         except RuntimeError as error:
-            raise RuntimeError(f"{error}. {kept_code.refused(code, complaint)}") from error
+            raise RuntimeError(f"{error}. {refused(code, complaint)}") from error
         finally:
             self.ask(driver.cuLinkDestroy, state)
 
@@ -92,6 +94,15 @@ class Driver:
         with self.current():
             self.ask(self.driver.cuLaunchKernel, kernel, blocks, 1, 1, threads, 1, 1, 0, self.stream(), 0,
                      ctypes.addressof(words))
+
+
+def refused(code: bytes, complaint: bytes) -> str:
+    """What the assembler said of PTX that it did not take, and the file in which that is left for whoever looks into it."""
+    said = complaint.partition(b"\0")[0].decode(errors="replace").strip() or "nothing"
+    handle, name = tempfile.mkstemp(prefix="torch_radbp-", suffix=".ptx")
+    with os.fdopen(handle, "wb") as file:
+        file.write(code.rstrip(b"\0"))
+    return f"The assembler said: {said}. Its input is {name}"
 
 
 class NoDriver(RuntimeError):

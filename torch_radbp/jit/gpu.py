@@ -87,9 +87,22 @@ class Gpu(AnyDevice):
         """The module of a program, LLVM's text."""
         return framed(emit(without_library(program), width=1))
 
+    @property
+    def platform(self) -> str:
+        """The text is the same for all; machine code of it is kept by the driver."""
+        return "NVIDIA"
+
+    def code(self, program: Program) -> bytes:
+        """The text of a program's module."""
+        return self.text(program).encode()
+
+    def loop(self, code: bytes, searched: Sequence[int]) -> KernelLoop:
+        """The kernel of a module."""
+        return KernelLoop(Kernel(self.launcher, code.decode(), "lanes"), searched)
+
     def compile(self, program: Program) -> KernelLoop:
         """The kernel of a program."""
-        return KernelLoop(Kernel(self.launcher, self.text(program), "lanes"), program.searched)
+        return self.loop(self.code(program), program.searched)
 
     def kernel(self, name: str, case: tuple, text: Callable[[tuple], str]) -> Kernel:
         """A kernel for tensors of some dtypes, loaded once."""

@@ -1,28 +1,37 @@
-"""Machine code of a GPU's kernels on disk, by what they compute and for which architecture.
+"""Compiled code on disk, for later processes: entries by their name, a digest of all that they depend on.
 
 The folder is `torch_radbp/kernels` in the platform's folder for caches, or what the environment variable
-RADBP_KERNEL_CACHE names. Files are written beside their place and moved there, so several processes may write the same one;
-one that is damaged is made anew. Nothing is ever taken out: delete the folder at any time.
+RADBP_KERNEL_CACHE names; `off` keeps nothing. It must belong to the user who runs this, since its code is run. Files are
+written beside their place and moved there, so several processes may write the same one; one that is damaged, or of another
+name, counts as absent. What was not used for the longest time goes when all takes more than LIMIT. Delete the folder at
+any time.
 """
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import hashlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import llvmlite
 
-MARK = b"radbp kernel 1\n"  # what a file begins with, before the digest of its code
+MARK = b"radbp code 2\n"  # what a file begins with, before the digest of its name and contents
+DIGEST = hashlib.sha256().digest_size
+SUFFIX = ".code"
+LIMIT = 1 << 30  # bytes of all files
+OFF = "off"
 
 
-def folder() -> Path:
-    """Where machine code is kept."""
+def folder() -> Path | None:
+    """Where code is kept; None: nowhere."""
     if chosen := os.environ.get("RADBP_KERNEL_CACHE"):
-        return Path(chosen)
+        return None if chosen == OFF else Path(chosen)
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     elif sys.platform == "darwin":
@@ -32,52 +41,106 @@ def folder() -> Path:
     return base / "torch_radbp" / "kernels"
 
 
-def machine_code(text: str, architecture: str, make: Callable[[str], bytes]) -> bytes:
-    """The machine code of a module, from disk if it was made before.
-
-    Args:
-        text: LLVM's, which tells all that the kernel computes.
-        architecture: such as "sm_90".
-        make: makes the machine code of `text`. Where nothing can be written it is called each time.
-    """
-    name = hashlib.sha256("\n".join([llvmlite.__version__, architecture, text]).encode()).hexdigest()
-    path = folder() / architecture / f"{name}.cubin"
-    code = read(path)
-    if code is None:
-        code = make(text)
-        write(path, code)
-    return code
+@functools.cache
+def own(place: Path) -> bool:
+    """True if a folder, made now if there is none, belongs to this user and nobody else may write into it."""
+    try:
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        state = place.stat()
+    except OSError:
+        return False
+    return not hasattr(os, "getuid") or (state.st_uid == os.getuid() and not state.st_mode & 0o022)
 
 
-def read(path: Path) -> bytes | None:
-    """What `write` wrote; None if there is nothing, or it is damaged."""
+def path_of(name: str) -> Path | None:
+    """The file of an entry; None: nothing is kept."""
+    place = folder()
+    return place / f"{name}{SUFFIX}" if place is not None and own(place) else None
+
+
+def digest(name: str, contents: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + b"\n" + contents).digest()
+
+
+def read(name: str) -> bytes | None:
+    """What `write` kept under this name; None if there is nothing, or it is damaged."""
+    path = path_of(name)
+    if path is None:
+        return None
     try:
         found = path.read_bytes()
     except OSError:
         return None
-    digest, code = found[len(MARK):len(MARK) + 32], found[len(MARK) + 32:]
-    return code if found.startswith(MARK) and hashlib.sha256(code).digest() == digest else None
+    start = len(MARK) + DIGEST
+    if not found.startswith(MARK) or digest(name, found[start:]) != found[len(MARK):start]:
+        return None
+    with contextlib.suppress(OSError):
+        os.utime(path)  # it was used now
+    return zlib.decompress(found[start:])
 
 
-def write(path: Path, code: bytes) -> None:
-    """Puts machine code in its place at once; leaves it where the disk is full or read-only."""
+def write(name: str, code: bytes) -> None:
+    """Keeps code under a name; leaves it where the disk is full or read-only."""
+    path = path_of(name)
+    if path is None:
+        return
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         handle, beside = tempfile.mkstemp(dir=path.parent, suffix=".part")
     except OSError:
         return
+    contents = zlib.compress(code, 1)
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(MARK + hashlib.sha256(code).digest() + code)
+            file.write(MARK + digest(name, contents) + contents)
         os.replace(beside, path)
+        make_room(path.parent)
     except OSError:
-        Path(beside).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            Path(beside).unlink(missing_ok=True)
 
 
-def refused(code: bytes, complaint: bytes) -> str:
-    """What the assembler said of PTX that it did not take, and the file in which that is left for whoever looks into it."""
-    said = complaint.partition(b"\0")[0].decode(errors="replace").strip() or "nothing"
-    handle, name = tempfile.mkstemp(prefix="torch_radbp-", suffix=".ptx")
-    with os.fdopen(handle, "wb") as file:
-        file.write(code.rstrip(b"\0"))
-    return f"The assembler said: {said}. Its input is {name}"
+def files(place: Path) -> Iterator[tuple[Path, os.stat_result]]:
+    """The entries in a folder, and what writing left behind, with their states."""
+    for path in (*place.glob(f"*{SUFFIX}"), *place.glob("*.part")):
+        with contextlib.suppress(OSError):  # another process may have deleted it
+            yield path, path.stat()
+
+
+@functools.cache
+def make_room(place: Path) -> None:
+    """Deletes entries, those first that were used longest ago, until 3/4 of LIMIT are left; once per process and folder."""
+    found = sorted(files(place), key=lambda entry: entry[1].st_mtime)
+    size = sum(state.st_size for _, state in found)
+    if size <= LIMIT:
+        return
+    for path, state in found:
+        if size <= 3 * LIMIT // 4:
+            return
+        with contextlib.suppress(OSError):
+            path.unlink()
+        size -= state.st_size
+
+
+def clear() -> tuple[int, int]:
+    """Deletes all entries; returns how many there were, and their bytes."""
+    place = folder()
+    found = [] if place is None or not place.is_dir() else list(files(place))
+    for path, _ in found:
+        path.unlink(missing_ok=True)
+    return len(found), sum(state.st_size for _, state in found)
+
+
+def machine_code(text: str, architecture: str, make: Callable[[str], bytes]) -> bytes:
+    """The machine code of a module, from disk if it was made before.
+
+    Args:
+        text: LLVM's, which tells all that the code computes.
+        architecture: such as "sm_90", or all that is known of a processor.
+        make: makes the machine code of `text`. Where nothing can be written it is called in each process.
+    """
+    name = hashlib.sha256("\n".join([llvmlite.__version__, architecture, text]).encode()).hexdigest()
+    code = read(name)
+    if code is None:
+        code = make(text)
+        write(name, code)
+    return code

@@ -9,6 +9,8 @@ from typing import TypeVar
 
 from llvmlite import binding as llvm
 
+from torch_radbp.jit import kept_code
+
 Made = TypeVar("Made")
 
 
@@ -46,28 +48,50 @@ def initialized() -> llvm.Target:
     return llvm.Target.from_default_triple()
 
 
+@functools.cache
+def host() -> str:
+    """The processor that this runs on, with all that machine code for it depends on."""
+    return " ".join([llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()])
+
+
+def target_machine() -> llvm.TargetMachine:
+    """What makes machine code for this processor."""
+    return initialized().create_target_machine(cpu=llvm.get_host_cpu_name(),
+                                               features=llvm.get_host_cpu_features().flatten(), opt=2)
+
+
+def object_code(text: str) -> bytes:
+    """The machine code of a module in LLVM's text, as an object file."""
+    machine = target_machine()
+    module = llvm.parse_assembly(text)
+    module.triple = machine.triple
+    module.verify()
+    # Of what LLVM can do beyond this, nothing made the loops faster, and compilation took twice as long.
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_instruction_combine_pass()
+    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    return machine.emit_object(module)
+
+
 class MachineCode:
     """The functions of a module as machine code, which stays where it is as long as this object lives.
 
     Args:
-        text: the module.
+        code: an object file, from `object_code`.
         entry: its function that lies at `address`.
     """
 
-    def __init__(self, text: str, entry: str = "lanes_of_job"):
-        machine = initialized().create_target_machine(cpu=llvm.get_host_cpu_name(),
-                                                      features=llvm.get_host_cpu_features().flatten(), opt=2)
-        module = llvm.parse_assembly(text)
-        module.triple = machine.triple
-        module.verify()
-        # Of what LLVM can do beyond this, nothing made the loops faster, and compilation took twice as long.
-        passes = llvm.create_new_module_pass_manager()
-        passes.add_instruction_combine_pass()
-        passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
-        self.engine = llvm.create_mcjit_compiler(module, machine)
+    def __init__(self, code: bytes, entry: str = "lanes_of_job"):
+        self.engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
+        self.engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         self.engine.finalize_object()
         self.address = self.address_of(entry)
 
     def address_of(self, function: str) -> int:
         """Where a function of the module lies."""
         return self.engine.get_function_address(function)
+
+
+def kept(text: str, entry: str = "lanes_of_job") -> MachineCode:
+    """The machine code of a module in LLVM's text, from disk if it was made before."""
+    return MachineCode(kept_code.machine_code(text, host(), object_code), entry)

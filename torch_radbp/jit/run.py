@@ -7,43 +7,17 @@ import operator
 import threading
 from collections.abc import Callable
 from copy import copy
-from typing import Any
 
 from torch import Tensor
 
+from torch_radbp.jit import compiled as compiled_functions
 from torch_radbp.jit.arguments import Arguments, Parameter, Taken
+from torch_radbp.jit.compiled import Compiled, Interface
 from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.refusal import UnknownOperation
-from torch_radbp.jit.structure import assembler, difference, flatten, of_lanes, replaced
-from torch_radbp.jit.target import Loop, Target, target_of
+from torch_radbp.jit.structure import Leaf, difference, flatten, of_lanes, replaced
+from torch_radbp.jit.target import Target, target_of
 from torch_radbp.jit.trace import trace
-
-
-class Compiled:
-    """A function for arguments of one structure.
-
-    Args:
-        program: what is computed; each of its outputs once.
-        code: the program for a target.
-        results: of each tensor that is returned: the output number k, or ~k: the argument number k as it is.
-        structure: of what is returned, as `flatten` tells it.
-        assemble: puts the results into their tuples.
-    """
-
-    def __init__(self, program: Program, code: Loop, results: tuple[int, ...], structure: tuple,
-                 assemble: Callable[[list[Tensor]], Any]):
-        self.program, self.code, self.results, self.structure, self.assemble = program, code, results, structure, assemble
-        self.inputs = [value.static for value in program.inputs]  # which tensors of the arguments the loop reads
-        self.dtypes = [value.dtype for value in program.outputs]
-        self.sizes = [dtype.itemsize for dtype in self.dtypes]
-        self.firsts = [results.index(k) for k in range(len(program.outputs))]  # the first result that each output is
-        self.others = [place for place, k in enumerate(results) if k < 0 or self.firsts[k] != place]
-
-    def run(self, given: Arguments, outputs: list[int]) -> None:
-        """Computes all lanes; the results go to the addresses `outputs`."""
-        if given.lanes and outputs:
-            self.code.run(given.lanes, [given.pointers[place] for place in self.inputs],
-                          [given.sizes[place] for place in self.inputs], outputs)
 
 
 class LaneFunction:
@@ -72,7 +46,7 @@ class LaneFunction:
     compiling = threading.Lock()
 
     def __init__(self, function: Callable, tables: tuple[str, ...] = (), target: Target | None = None):
-        self.function, self.target = function, target
+        self.function, self.tables, self.target = function, tables, target
         self.name = getattr(function, "__name__", repr(function))
         names = list(inspect.signature(function).parameters)
         unknown = sorted(set(tables) - set(names))
@@ -172,26 +146,45 @@ class LaneFunction:
                              f"{given.device}, got one of {len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
 
     def compile(self, given: Arguments) -> Compiled | str:
-        """Traces the function for arguments of this structure, and makes machine code of it; or says why it cannot be."""
-        assemble: Callable | None = None
-        structure: list = []
+        """The function for arguments of this structure: from disk, or traced and compiled now; or why it cannot be."""
+        try:
+            if self.target is not None:  # asked for by name, to look at what it does: always compiled
+                program, interface = self.traced(given)
+                return Compiled(interface, self.target.compile(program))
+            target = target_of(given.device)
+            name = compiled_functions.name_of(self.function, self.tables, given, target)
+            found = None if name is None else compiled_functions.read(name, target)
+            if found is not None:
+                return found
+            program, interface = self.traced(given)
+        except UnknownOperation as error:
+            return str(error)
+        code = target.code(program)
+        if name is not None:
+            compiled_functions.write(name, interface, code)
+        return Compiled(interface, target.loop(code, program.searched))
+
+    def traced(self, given: Arguments) -> tuple[Program, Interface]:
+        """The program of the function for arguments of this structure.
+
+        Raises:
+            UnknownOperation: if it comes down to an operation that is not one of lanes.
+        """
+        returned, structure = None, []
 
         def flat(*tensors: Tensor) -> list[Tensor]:
-            nonlocal assemble
+            nonlocal returned
             stand_ins = iter(tensors)
             results: list[Tensor] = []
             returned = self.function(*replaced(given.given, lambda: next(stand_ins)))
-            flatten(returned, [], structure)
-            assemble = assembler(returned, results)
+            flatten(returned, results, structure)
             return results
 
-        try:
-            program = trace(flat, [leaf.dtype for leaf in given.leaves], given.kinds, given.firsts)
-        except UnknownOperation as error:
-            return str(error)
+        program = trace(flat, [leaf.dtype for leaf in given.leaves], given.kinds, given.firsts)
         passed = [value.operation == "input" and value.kind == LANES for value in program.outputs]
         outputs = tuple(dict.fromkeys(value for value, whole in zip(program.outputs, passed) if not whole))
         results = tuple(~value.static if whole else outputs.index(value) for value, whole in zip(program.outputs, passed))
         program = program._replace(outputs=outputs)
-        target = self.target or target_of(given.device)
-        return Compiled(program, target.compile(program), results, of_lanes(structure), assemble)
+        return program, Interface(
+            tuple(value.static for value in program.inputs), program.searched, tuple(value.dtype for value in outputs), results,
+            replaced(returned, Leaf), of_lanes(structure))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
-from itertools import zip_longest
 from typing import Any
 
 import torch
@@ -37,7 +37,7 @@ def of_lanes(key: Sequence) -> tuple:
 
 def difference(key: Sequence, other: Sequence) -> tuple[str, str]:
     """The first difference of two structures, in words for a message."""
-    return next((described(a), described(b)) for a, b in zip_longest(key, other) if a != b)
+    return next((described(a), described(b)) for a, b in itertools.zip_longest(key, other) if a != b)
 
 
 def described(item: tuple | None) -> str:
@@ -50,8 +50,12 @@ def described(item: tuple | None) -> str:
     return f"{kind.__name__} of {value}" if issubclass(kind, (tuple, list)) else repr(value)
 
 
-def replaced(part: Any, next_leaf: Callable[[], Tensor]) -> Any:
-    """The same nested tuples with other tensors, which `next_leaf` gives in order."""
+class Leaf:
+    """Stands in the place of a tensor."""
+
+
+def replaced(part: Any, next_leaf: Callable[[], Any]) -> Any:
+    """The same nested tuples with something else in the places of tensors, which `next_leaf` gives in order."""
     if isinstance(part, Tensor):
         return next_leaf()
     if isinstance(part, (tuple, list)):
@@ -109,17 +113,16 @@ def unpacker(part: Any) -> Callable[[Any], tuple | None]:
     return source.function("p", f"({''.join(leaf + ', ' for leaf in leaves)})")
 
 
-def assembler(part: Any, leaves: list[Tensor]) -> Callable[[list[Tensor]], Any]:
-    """Collects the tensors of nested tuples and lists, and returns the function that puts others in their places."""
-    source = Source()
+def assembler(shape: Any) -> Callable[[list[Tensor]], Any]:
+    """The function that puts tensors, in order, into the places of the `Leaf`s of nested tuples and lists."""
+    source, places = Source(), itertools.count()
 
     def expression(part: Any) -> str:
-        if isinstance(part, Tensor):
-            leaves.append(part)
-            return f"r[{len(leaves) - 1}]"
+        if isinstance(part, Leaf):
+            return f"r[{next(places)}]"
         if not isinstance(part, (tuple, list)):
             return source.name(part)
         items = "".join(expression(item) + ", " for item in part)
         return f"[{items}]" if isinstance(part, list) else f"new({source.name(type(part))}, ({items}))"
 
-    return source.function("r", expression(part))
+    return source.function("r", expression(shape))

@@ -41,12 +41,22 @@ class Target(Protocol):
     def text(self, program: Program) -> str:
         """The module of a program, LLVM's text."""
 
-    def compile(self, program: Program) -> Loop:
-        """The machine code of a program.
+    @property
+    def platform(self) -> str:
+        """All that code depends on beside the program; code may be kept for processes in which it is the same.
 
         Raises:
-            RuntimeError: if nothing can be compiled for it; the message says what is missing.
+            RuntimeError: if nothing can be compiled for this target; the message says what is missing.
         """
+
+    def code(self, program: Program) -> bytes:
+        """The code of a program: machine code, or what the driver of a device makes it of."""
+
+    def loop(self, code: bytes, searched: Sequence[int]) -> Loop:
+        """Code, ready to run; `searched` is the program's."""
+
+    def compile(self, program: Program) -> Loop:
+        """The program, ready to run."""
 
     def chosen(self, flags: Tensor) -> Tensor:
         """See `order.chosen`."""

@@ -14,7 +14,7 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, host_width, made_once
+from torch_radbp.jit.machine import MachineCode, host_width, kept, made_once
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import every_ball, every_triangle, queries
 from torch_radbp.raycast.ball import other_triangles, tables
@@ -92,7 +92,7 @@ def machine_code(loop: Callable, dtype: torch.dtype, balls: bool = False, width:
     """A loop of `queries` for numbers of a dtype and vectors of a width; None: what the processor has."""
     width = width or host_width() * torch.float32.itemsize // dtype.itemsize
     code = Vectors(width, "float" if dtype == torch.float32 else "double")
-    return MachineCode(loop(code, every_ball.beside(every_triangle.KERNEL) if balls else every_triangle.KERNEL))
+    return kept(loop(code, every_ball.beside(every_triangle.KERNEL) if balls else every_triangle.KERNEL))
 
 
 def mesh_in_units(vertices: Tensor, faces: Tensor, dtype: torch.dtype) -> tuple[Tensor, ...]:

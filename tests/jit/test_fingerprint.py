@@ -1,0 +1,151 @@
+"""A digest of what functions depend on: the same for the same, another for whatever changes a result."""
+
+import functools
+import importlib
+import os
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import pytest
+import torch
+
+from torch_radbp.jit.fingerprint import Opaque, fingerprint
+
+MODULE = """
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+{imported}
+
+FACTOR = {factor}
+TABLE = {{"a": [1.0, {table}]}}
+
+class Pair(NamedTuple):
+    x: float
+    def both(self):
+        return self.x {sign} 1
+
+@dataclass(frozen=True)
+class Kind:
+    number: int = 1
+    @property
+    def twice(self):
+        return {twice} * self.number
+
+class Special(Kind):
+    def other(self):
+        return [k + {inner} for k in range(3)]
+
+@lru_cache
+def remembered(x):
+    return x + {remembered}
+
+def inner(x, y={default}):
+    "{words}"
+    return remembered(x) * FACTOR + y + TABLE["a"][1]
+
+def outer(x):
+    from {module}_two import helped
+    return Pair(inner(x)).both() + Special(2).twice + math.sin(x) + helped(x)
+"""
+PARTS = {"imported": "", "factor": 2.0, "table": 3.0, "sign": "+", "twice": 2, "inner": 1, "remembered": 5, "default": 0,
+         "words": "Says what it does."}
+HELPER = "def helped(x):\n    return x + {}\n"
+
+
+@pytest.fixture
+def written(tmp_path, monkeypatch):
+    """Writes the module anew, with some parts exchanged, and returns the function `outer` of it."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def write(helped=1, **parts):
+        (tmp_path / "told.py").write_text(MODULE.format(module="told", **PARTS | parts))
+        (tmp_path / "told_two.py").write_text(HELPER.format(helped))
+        for name in ("told", "told_two"):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        for cached in tmp_path.rglob("*.pyc"):
+            cached.unlink()
+        importlib.import_module("told_two")
+        return importlib.import_module("told").outer
+
+    yield write
+    for name in ("told", "told_two"):
+        sys.modules.pop(name, None)
+
+
+def test_the_same_source_has_the_same_fingerprint(written):
+    assert fingerprint(written()) == fingerprint(written())
+    outer = written()
+    before = fingerprint(outer)
+    outer(1.0)  # what functions remember does not count
+    assert fingerprint(outer) == before
+
+
+@pytest.mark.parametrize("change", [{"factor": 2.5}, {"table": 3.5}, {"sign": "-"}, {"twice": 3}, {"inner": 2},
+                                    {"remembered": 6}, {"default": 1}, {"helped": 2}], ids=str)
+def test_whatever_a_function_may_reach_counts(written, change):
+    assert fingerprint(written(**change)) != fingerprint(written())
+
+
+def test_what_is_exchanged_while_the_program_runs_counts(written):
+    outer = written()
+    before = fingerprint(outer)
+    module = sys.modules["told"]
+    for owner, name, value in ((module, "FACTOR", 7.0), (module, "inner", lambda x: x), (module.Pair, "both", lambda pair: 0),
+                               (module, "TABLE", {"a": [0.0, 0.0]}),
+                               (sys.modules["told_two"], "helped", abs)):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(owner, name, value)
+            assert fingerprint(outer) != before, name
+    assert fingerprint(outer) == before
+
+
+def test_it_is_the_same_in_another_process_whatever_was_run_before():
+    code = ("import torch, torch_radbp as rb; from torch_radbp.jit.fingerprint import fingerprint; from torch_radbp import "
+            "stages; {}; print([fingerprint(stage) for stage in stages.EAGER])")
+    rendered = "rb.render(rb.load('assets/cornell_box/scene.xml', resolution=4), spp=1)"
+    copied = "from torch_radbp.vec import Vec3; import copy; copy.copy(Vec3(1, 2, 3))"  # leaves something in the class
+    found = {subprocess.run([sys.executable, "-c", code.format(before)], capture_output=True, text=True, check=True,
+                            env={**os.environ, "PYTHONHASHSEED": seed}).stdout
+             for before, seed in (("pass", "1"), (rendered, "2"), (copied, "3"))}
+    assert len(found) == 1 and "[" in found.pop()
+
+
+class Point(NamedTuple):
+    x: float
+
+
+@dataclass(frozen=True)
+class Smooth:
+    alpha: float
+
+
+@dataclass(frozen=True)
+class Rough:
+    alpha: float
+
+
+def test_values_are_told_apart():
+    values = [None, True, 1, 1.0, 0.0, -0.0, "1", b"1", (1,), [1], (1, 1), ((1,), 1), {"a": 1}, {"a": 2}, {1}, frozenset({2}),
+              torch.float32, torch.float64, Point(1.0), Point(2.0), Smooth(1.0), Smooth(2.0), Rough(1.0), Point, Smooth,
+              torch.ones(2), torch.ones(3), torch.ones(2).double(), torch.zeros(2), functools.partial(max, 1),
+              functools.partial(max, 2), max, min, torch.sin, torch.cos, lambda: 1, lambda: 2]
+    assert len({fingerprint(value) for value in values}) == len(values)
+    assert fingerprint({"b", "a", "c"}) == fingerprint({"c", "b", "a"})
+
+
+def test_closures_count():
+    def adds(number):
+        return lambda x: x + number
+
+    assert fingerprint(adds(1)) == fingerprint(adds(1)) != fingerprint(adds(2))
+
+
+def test_what_cannot_be_told_is_refused_by_name():
+    with pytest.raises(Opaque, match="_thread.lock"):
+        fingerprint(threading.Lock())

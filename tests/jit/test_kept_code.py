@@ -1,0 +1,185 @@
+"""Compiled code outlives its process: it is found again, damaged or not, and whatever the disk does."""
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.jit.test_functions import arguments, mixed
+from torch_radbp.jit import LaneFunction, kept_code, run
+
+ROOT = Path(__file__).parents[2]
+RENDER = """
+import warnings
+warnings.simplefilter("error")
+import torch
+import torch_radbp as rb
+from torch_radbp.jit import machine, run
+traced = []
+trace = run.trace
+run.trace = lambda function, *rest: traced.append(1) or trace(function, *rest)
+emit = machine.object_code
+machine.object_code = lambda text: traced.append("machine code") or emit(text)
+scene = rb.load(r"{root}/assets/cornell_box/scene.xml", resolution=8)
+value = scene.get_parameter("green.reflectance.value").requires_grad_()
+image = rb.Renderer(scene, spp=2, max_depth=4)(seed=3)
+image.square().sum().backward()
+print(len(traced), float(image.detach().double().sum()).hex(), float(value.grad.double().sum()).hex())
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where code is kept during the test."""
+    place = tmp_path / "kept"
+    monkeypatch.setenv("RADBP_KERNEL_CACHE", str(place))
+    return place
+
+
+def entries(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.code"))
+
+
+def call():
+    """What a new function of lanes returns, and whether it was traced for that."""
+    traced = []
+    with pytest.MonkeyPatch.context() as patch:
+        trace = run.trace
+        patch.setattr(run, "trace", lambda *arguments: traced.append(1) or trace(*arguments))
+        return LaneFunction(mixed, tables=("colours",))(*arguments(100)), bool(traced)
+
+
+def assert_right(found) -> None:
+    for value, expected in zip(leaves(found), leaves(mixed(*arguments(100)))):
+        torch.testing.assert_close(value, expected)
+
+
+def leaves(results) -> list[torch.Tensor]:
+    return [leaf for part in results for leaf in (part if isinstance(part, (tuple, list)) else [part])
+            if isinstance(leaf, torch.Tensor)]
+
+
+def rendered(folder, **environment: str) -> list[str]:
+    """What another process prints: how much it traced and compiled, the sum of an image, the sum of a gradient."""
+    done = subprocess.run([sys.executable, "-c", RENDER.format(root=ROOT)], capture_output=True, text=True, cwd=ROOT,
+                          env={**os.environ, "RADBP_KERNEL_CACHE": str(folder), **environment})
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    return done.stdout.split()
+
+
+def test_a_second_process_traces_and_compiles_nothing_and_renders_the_same(tmp_path):
+    first, second = rendered(tmp_path / "kept"), rendered(tmp_path / "kept")
+    assert int(first[0]) > 10 and int(second[0]) == 0
+    assert first[1:] == second[1:] == rendered("off")[1:]
+
+
+def test_processes_that_write_at_once_do_not_disturb_each_other(tmp_path):
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(lambda _: rendered(tmp_path / "kept"), range(2)))
+    last = rendered(tmp_path / "kept")
+    assert found[0][1:] == found[1][1:] == last[1:] and last[0] == "0"
+    assert not list((tmp_path / "kept").glob("*.part"))
+
+
+def test_a_function_is_read_from_disk(folder):
+    found, traced = call()
+    assert traced and len(entries(folder)) == 1
+    assert_right(found)
+    again, traced = call()
+    assert not traced
+    assert_right(again)
+
+
+@pytest.mark.parametrize("damage", [
+    lambda code: b"", lambda code: code[:-1], lambda code: code[:20], lambda code: code[:-1] + bytes([code[-1] ^ 1]),
+    lambda code: b"something else", lambda code: code + b"x"], ids=["empty", "cut", "head", "a bit", "foreign", "longer"])
+def test_a_damaged_file_is_made_anew(folder, damage, recwarn):
+    call()
+    path, = entries(folder)
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    found, traced = call()
+    assert traced and path.read_bytes() == whole and not recwarn.list
+    assert_right(found)
+
+
+def test_an_entry_under_the_name_of_another_is_not_taken(folder):
+    call()
+    mine, = entries(folder)
+    LaneFunction(lambda x: x + 1)(torch.ones(5))
+    other, = set(entries(folder)) - {mine}
+    shutil.copy(other, mine)
+    found, traced = call()
+    assert traced
+    assert_right(found)
+
+
+def test_a_full_disk_leaves_nothing_half_written(folder, monkeypatch, recwarn):
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    found, _ = call()
+    assert_right(found)
+    assert not list(folder.iterdir()) and not recwarn.list
+
+
+def test_where_no_folder_can_be_made_code_is_compiled_each_time(folder, monkeypatch, recwarn):
+    folder.write_text("a file")
+    for _ in range(2):
+        found, traced = call()
+        assert traced
+        assert_right(found)
+    assert not recwarn.list
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="POSIX only")
+def test_code_that_others_may_write_is_not_run(folder):
+    call()
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    folder.chmod(0o777)
+    kept_code.own.cache_clear()
+    _, traced = call()
+    assert traced
+
+
+def test_off_keeps_nothing(monkeypatch, tmp_path):
+    monkeypatch.setenv("RADBP_KERNEL_CACHE", "off")
+    monkeypatch.chdir(tmp_path)
+    call()
+    _, traced = call()
+    assert traced and not list(tmp_path.iterdir()) and kept_code.clear() == (0, 0)
+
+
+def test_what_was_not_used_for_longest_goes_first(folder, monkeypatch):
+    for k in range(8):
+        kept_code.write(f"{k}", os.urandom(1000))
+        os.utime(folder / f"{k}.code", (k, k))
+    assert kept_code.read("0") is not None  # used now
+    monkeypatch.setattr(kept_code, "LIMIT", 5000)
+    kept_code.make_room.cache_clear()
+    kept_code.make_room(folder)
+    assert sorted(path.stem for path in entries(folder)) == ["0", "6", "7"]
+    assert kept_code.clear()[0] == 3 and not entries(folder)
+
+
+def test_machine_code_is_told_by_its_text_and_by_the_architecture(folder):
+    for text, architecture, code in (("a", "sm_80", b"1"), ("a", "sm_90", b"2"), ("b", "sm_90", b"3")):
+        assert kept_code.machine_code(text, architecture, lambda text, code=code: code) == code
+    assert kept_code.machine_code("b", "sm_90", lambda text: b"other") == b"3"
+    assert len(entries(folder)) == 3
+
+
+@pytest.mark.parametrize("platform, variable, place", [
+    ("linux", "XDG_CACHE_HOME", "torch_radbp/kernels"), ("win32", "LOCALAPPDATA", "torch_radbp/kernels")])
+def test_the_folder_is_that_of_the_platform(monkeypatch, tmp_path, platform, variable, place):
+    monkeypatch.delenv("RADBP_KERNEL_CACHE")
+    monkeypatch.setenv(variable, str(tmp_path))
+    monkeypatch.setattr(sys, "platform", platform)
+    assert kept_code.folder() == tmp_path / place

@@ -1,0 +1,103 @@
+"""A function that was compiled: how it is called, its code, and both on disk for later processes."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import pickle
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import llvmlite
+import torch
+from torch import Tensor
+
+from torch_radbp.jit import kept_code
+from torch_radbp.jit.arguments import Arguments
+from torch_radbp.jit.fingerprint import Opaque, fingerprint
+from torch_radbp.jit.structure import assembler
+from torch_radbp.jit.target import Loop, Target
+
+UNREADABLE = (pickle.UnpicklingError, AttributeError, ImportError, EOFError, IndexError, TypeError, ValueError)
+
+
+class Interface(NamedTuple):
+    """How the code of a function is called, and what it returns."""
+
+    inputs: tuple[int, ...]  # which tensors of the arguments the code reads
+    searched: tuple[int, ...]  # of which of these it needs the lengths
+    dtypes: tuple[torch.dtype, ...]  # of the outputs, each of which is computed once
+    results: tuple[int, ...]  # of each tensor that is returned: the output number k, or ~k: the argument number k as it is
+    returned: Any  # the nested tuples and lists, with a `Leaf` in the place of each tensor
+    structure: tuple  # of these, as `flatten` tells it
+
+
+class Compiled:
+    """A function for arguments of one structure.
+
+    Args:
+        interface: of the code.
+        code: ready to run.
+    """
+
+    def __init__(self, interface: Interface, code: Loop):
+        self.interface, self.code = interface, code
+        self.inputs, _, self.dtypes, self.results, returned, self.structure = interface
+        self.assemble: Callable[[list[Tensor]], Any] = assembler(returned)
+        self.sizes = [dtype.itemsize for dtype in self.dtypes]
+        self.firsts = [self.results.index(k) for k in range(len(self.dtypes))]  # the first result that each output is
+        self.others = [place for place, k in enumerate(self.results) if k < 0 or self.firsts[k] != place]
+
+    def run(self, given: Arguments, outputs: list[int]) -> None:
+        """Computes all lanes; the results go to the addresses `outputs`."""
+        if given.lanes and outputs:
+            self.code.run(given.lanes, [given.pointers[place] for place in self.inputs],
+                          [given.sizes[place] for place in self.inputs], outputs)
+
+
+def name_of(function: Callable, tables: tuple[str, ...], given: Arguments, target: Target) -> str | None:
+    """A digest of all that the code of a function depends on; None if that cannot be told.
+
+    Args:
+        function: in plain torch.
+        tables: the parameters that hold tables.
+        given: arguments of the structure in question.
+        target: that it is compiled for.
+    """
+    structures = tuple(form.structure for form in given.forms)
+    try:
+        return fingerprint(function, tables, structures, given.shared, target.platform, compiler())
+    except Opaque:
+        return None
+
+
+@functools.cache
+def compiler() -> tuple[str, ...]:
+    """What compiles: versions, and a digest of the source of this package."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return str(torch.__version__), llvmlite.__version__, sys.version, digest.hexdigest()
+
+
+def read(name: str, target: Target) -> Compiled | None:
+    """What `write` kept under this name, also in an earlier process; None if there is nothing."""
+    found = kept_code.read(name)
+    if found is None:
+        return None
+    try:
+        interface, code = pickle.loads(found)
+    except UNREADABLE:
+        return None
+    return Compiled(interface, target.loop(code, interface.searched))
+
+
+def write(name: str, interface: Interface, code: bytes) -> None:
+    """Keeps a function for later processes, if what it returns can be told to them."""
+    try:
+        contents = pickle.dumps((interface, code))
+    except (pickle.PicklingError, AttributeError, TypeError):  # constants that only this process has
+        return
+    kept_code.write(name, contents)

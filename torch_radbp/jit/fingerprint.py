@@ -1,0 +1,192 @@
+"""What functions and values mean, as a digest that is the same in every process that has the same source.
+
+Compiled code outlives its process (`kept_code.py`), so its name must change with whatever it depends on: not only with the
+function that was compiled, but with each function, class and constant that this one may reach. These are found as Python
+finds them: from the code of a function through the globals, defaults and closures that it names, from a class through its
+attributes and bases, whatever stands there now. So functions that were exchanged while the program runs, and those of
+users' own plugins, count like any other. Of the standard library, torch and numpy, names stand for contents; their versions
+belong to the name of the code, as the source of this compiler does.
+"""
+
+from __future__ import annotations
+
+import enum
+import functools
+import hashlib
+import re
+import sys
+from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
+from pathlib import PurePath
+from types import CodeType, FunctionType, MethodType, ModuleType
+from typing import Any
+
+import numpy
+import torch
+from torch import Tensor
+
+LIBRARIES = frozenset({*sys.stdlib_module_names, "torch", "numpy", "llvmlite", "typing_extensions"})
+PLAIN = frozenset({type(None), bool, int, complex, str, bytes, range, slice, type(...), type(NotImplemented), torch.dtype,
+                   torch.device})
+# What Python keeps in a class for itself, and what does not change what its functions compute.
+ASIDE = frozenset({
+    "__doc__", "__module__", "__qualname__", "__dict__", "__weakref__", "__annotations__", "__annotate_func__",
+    "__annotations_cache__", "__dataclass_fields__", "__dataclass_params__", "__parameters__", "__orig_bases__",
+    "__firstlineno__", "__static_attributes__", "__slotnames__", "_abc_impl"})
+WRAPPED = (staticmethod, classmethod, MethodType)  # around a function, `__func__`
+MOST = 20_000  # definitions that are read
+
+
+class Opaque(Exception):
+    """Something whose meaning the source does not tell; the message names it."""
+
+
+def fingerprint(*things: Any) -> str:
+    """A digest of what these things mean.
+
+    Args:
+        things: functions, classes, numbers, strings, dtypes, tensors, dataclasses, and tuples, lists and dicts of these.
+
+    Raises:
+        Opaque: if they reach something whose meaning cannot be told, such as a lock.
+    """
+    reader = Reader()
+    lines = [reader.words(things)]
+    for thing in reader.named:  # grows meanwhile
+        lines.append(reader.definition(thing))
+        if len(lines) > MOST:
+            raise Opaque(f"more than {MOST} functions and classes")
+    return hashlib.sha256("\n".join(lines).encode(errors="surrogatepass")).hexdigest()
+
+
+class Reader:
+    """Puts things into words. Functions, classes and objects are named by number in place, and defined once."""
+
+    def __init__(self) -> None:
+        self.named: list[Any] = []
+        self.numbers: dict[int, int] = {}  # by identity
+
+    def name(self, thing: Any) -> str:
+        """The number of something that is to be defined."""
+        number = self.numbers.setdefault(id(thing), len(self.named))
+        if number == len(self.named):
+            self.named.append(thing)
+        return f"#{number}"
+
+    def words(self, value: Any) -> str:
+        """A value in words."""
+        kind = type(value)
+        if kind in PLAIN:
+            return repr(value)
+        if kind is float:
+            return value.hex()
+        if kind is tuple or kind is list:
+            return f"{kind.__name__}({self.listed(value)})"
+        if kind is dict:
+            return f"dict({self.listed(value)}: {self.listed(value.values())})"
+        if kind is set or kind is frozenset:
+            return f"set({sorted(map(self.words, value))})"
+        if kind is CodeType:
+            return self.code(value)
+        if kind is ModuleType:
+            return f"module {value.__name__}"
+        if kind in WRAPPED:
+            return f"{kind.__name__} {self.words(value.__func__)}"
+        if kind is property:
+            return f"property({self.listed((value.fget, value.fset, value.fdel))})"
+        if kind is functools.partial:
+            return f"partial({self.listed((value.func, value.args, value.keywords))})"
+        if kind is functools.cached_property:
+            return f"cached {self.words(value.func)}"
+        if isinstance(value, (Tensor, numpy.ndarray)):
+            array = value.detach().cpu().numpy() if isinstance(value, Tensor) else value
+            return f"array {array.dtype} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}"
+        if isinstance(value, (type, FunctionType)):
+            return self.full_name(value) if in_library(value) else self.name(value)
+        if not in_library(kind):
+            return self.name(value)
+        if hasattr(value, "__wrapped__"):  # a memory, whose contents do not matter
+            return f"remembered {self.words(value.__wrapped__)}"
+        if kind.__module__ in ("typing", "types") or isinstance(value, (numpy.generic, PurePath)):
+            return repr(value)
+        if kind is re.Pattern:
+            return f"pattern {value.pattern!r} {value.flags}"
+        if hasattr(value, "__name__") or hasattr(value, "__objclass__") or kind.__name__ == "_tuplegetter":
+            return f"{kind.__name__} {self.full_name(value)}"  # a function of a library in C, or an attribute's place
+        raise Opaque(f"an object of {kind.__module__}.{kind.__qualname__}")
+
+    def listed(self, values: Iterable) -> str:
+        return ", ".join(map(self.words, values))
+
+    def full_name(self, thing: Any) -> str:
+        return f"{getattr(thing, '__module__', None)}.{getattr(thing, '__qualname__', None)}"
+
+    def definition(self, thing: Any) -> str:
+        """A function, class or object by its parts."""
+        if isinstance(thing, FunctionType):
+            return self.function(thing)
+        if isinstance(thing, type):
+            parts = {name: part for name, part in vars(thing).items() if name not in ASIDE}
+            return f"class {self.full_name(thing)} of {self.listed(thing.__bases__)}: {self.words(parts)}"
+        if isinstance(thing, enum.Enum):
+            return f"{self.full_name(type(thing))}.{thing.name} {self.words(thing.value)}"
+        if is_dataclass(thing):
+            state = {field.name: getattr(thing, field.name) for field in fields(thing)}
+        elif isinstance(thing, tuple):
+            state = tuple(thing)
+        elif type(thing).__module__ and hasattr(thing, "__dict__"):
+            state = dict(sorted(vars(thing).items()))
+        else:
+            raise Opaque(f"an object of {self.full_name(type(thing))}")
+        return f"object of {self.words(type(thing))}: {self.words(state)}"
+
+    def function(self, function: FunctionType) -> str:
+        """A function by its code and all that the code names."""
+        if hasattr(function, "__wrapped__"):  # by what it does with the function, but not what it remembers of it
+            return f"around {self.words(function.__wrapped__)}: {self.code(function.__code__)}"
+        known = function.__globals__
+        found: dict[str, Any] = {}
+        for name in names(function.__code__):
+            if name in known:
+                found[name] = known[name]
+            elif name in sys.modules and not is_library(name):  # imported inside
+                found[name] = sys.modules[name]
+        for module in [value for value in found.values() if isinstance(value, ModuleType)]:
+            if not is_library(module.__name__):
+                found |= {f"{module.__name__}.{name}": vars(module)[name]
+                          for name in names(function.__code__) if name in vars(module)}
+        cells = []
+        for cell in function.__closure__ or ():
+            try:
+                cells.append(cell.cell_contents)
+            except ValueError:  # empty so far
+                cells.append(None)
+        return (f"function {self.full_name(function)} {self.code(function.__code__)} ({self.words(function.__defaults__)} "
+                f"{self.words(function.__kwdefaults__)} {self.listed(cells)}) {self.words(found)}")
+
+    def code(self, code: CodeType) -> str:
+        """What a code object does, wherever it stands."""
+        return f"code {instructions(code)} {self.words(code.co_consts)}"
+
+
+@functools.cache
+def instructions(code: CodeType) -> str:
+    """A code object without its constants."""
+    return repr((code.co_code, code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags,
+                 code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars))
+
+
+def names(code: CodeType) -> list[str]:
+    """The names that a function refers to, and functions inside of it, each once."""
+    inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in names(constant)]
+    return list(dict.fromkeys([*code.co_names, *inner]))
+
+
+def is_library(module: str) -> bool:
+    """True if a module's name stands for its contents."""
+    return module.partition(".")[0] in LIBRARIES or module.startswith(f"{__package__}.")
+
+
+def in_library(thing: Any) -> bool:
+    """True if a function or class belongs to a module of which that holds."""
+    return is_library(getattr(thing, "__module__", None) or "builtins")
