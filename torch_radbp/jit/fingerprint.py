@@ -5,7 +5,8 @@ function that was compiled, but with each function, class and constant that this
 finds them: from the code of a function through the globals, defaults and closures that it names, from a class through its
 attributes and bases, whatever stands there now. So functions that were exchanged while the program runs, and those of
 users' own plugins, count like any other. Of the standard library, torch and numpy, names stand for contents; their versions
-belong to the name of the code, as the source of this compiler does.
+belong to the name of the code, as the source of this compiler does. Modules of torch are no constants, and what takes one
+as its first argument is not reached.
 """
 
 from __future__ import annotations
@@ -103,6 +104,8 @@ class Reader:
             return f"array {array.dtype} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}"
         if isinstance(value, (type, FunctionType)):
             return self.full_name(value) if in_library(value) else self.name(value)
+        if isinstance(value, torch.nn.Module):
+            raise Opaque(f"a module, {self.full_name(kind)}")
         if not in_library(kind):
             return self.name(value)
         if hasattr(value, "__wrapped__"):  # a memory, whose contents do not matter
@@ -126,7 +129,8 @@ class Reader:
         if isinstance(thing, FunctionType):
             return self.function(thing)
         if isinstance(thing, type):
-            parts = {name: part for name, part in vars(thing).items() if name not in ASIDE}
+            bound = (FunctionType, property, functools.cached_property) if issubclass(thing, torch.nn.Module) else ()
+            parts = {name: part for name, part in vars(thing).items() if name not in ASIDE and not isinstance(part, bound)}
             return f"class {self.full_name(thing)} of {self.listed(thing.__bases__)}: {self.words(parts)}"
         if isinstance(thing, enum.Enum):
             return f"{self.full_name(type(thing))}.{thing.name} {self.words(thing.value)}"
@@ -177,9 +181,9 @@ def instructions(code: CodeType) -> str:
 
 
 def names(code: CodeType) -> list[str]:
-    """The names that a function refers to, and functions inside of it, each once."""
+    """The names that a function refers to, and functions inside of it, each once; what Python notes of modules left out."""
     inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in names(constant)]
-    return list(dict.fromkeys([*code.co_names, *inner]))
+    return [name for name in dict.fromkeys([*code.co_names, *inner]) if not name.startswith("__")]
 
 
 def is_library(module: str) -> bool:
