@@ -1,9 +1,10 @@
-# `make demo` recovers the Cornell box's reflectances from an image; `make test` runs the tests. All set up .venv first.
+# `make demo` recovers the Cornell box's reflectances from an image; `make test` runs the tests,
+# `make test-deep` those that take longer. All set up .venv first.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-slow test-peer gpu-check lint clean
+.PHONY: demo test test-deep test-peer gpu-check lint clean
 
 $(VENV)/.installed: setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -15,17 +16,21 @@ $(VENV)/.installed: setup.py constraints.txt
 demo: $(VENV)/.installed
 	$(BIN)/radbp optimize cornell_reflectance
 
-test: $(VENV)/.installed
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+# Workers begin at either end of the list, and who is done takes from the other; compiled code is kept for all of them.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-# What the tests leave out because it takes minutes, one after another.
-test-slow: $(VENV)/.installed
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --slow -m slow
+test: $(VENV)/.installed
+	$(PYTEST)
+
+# What takes longer: the rest of the long rows, and what is run from end to end.
+test-deep: $(VENV)/.installed
+	$(PYTEST) --deep
 
 # All that is compared with Mitsuba, by the version that the references were made with.
 test-peer: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test,peer]"
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/peer tests/bsdf tests/io
+	$(PYTEST) tests/peer tests/bsdf tests/io
+	$(PYTEST) --deep tests/peer tests/bsdf
 
 # On a machine with a CUDA GPU: the tests that need one, and times beside Mitsuba's; saves a report in runs/gpu-check.
 # Without a GPU it says so, runs nothing and fails.

@@ -1,5 +1,6 @@
-"""What tests of every part use: fixtures, the option `--slow`, and what is said at the end of a run."""
+"""What tests of every part use: fixtures, the option `--deep`, and what is said at the end of a run."""
 
+import gc
 from importlib import import_module
 
 import pytest
@@ -7,13 +8,11 @@ import torch
 
 pytest_plugins = ["pytester"]
 
-SLOW = "slow: runs with --slow"
 GPU = "gpu: needs a CUDA GPU"
 LEFT_OUT = {  # by what the reason of a skipped test holds
     "'mitsuba'": "comparisons with Mitsuba skipped: install the extra `peer`, or run `make test-peer`",
     "'warp'": "tests of the ray caster of GPUs skipped: install the extra `cuda`",
     GPU: "tests on a GPU skipped, for there is none: run `make gpu-check` where there is",
-    SLOW: "slow tests left out: run `make test-slow`",
 }
 
 
@@ -49,26 +48,33 @@ def fresh_stages(monkeypatch):
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--slow", action="store_true", help="also run what takes minutes")
+    parser.addoption("--deep", action="store_true", help="run the deep tests, and no others")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """What takes longest starts first, so that workers end together; what is slow only runs if asked for."""
-    items.sort(key=lambda item: "test_compile" not in item.nodeid)
+    """Leaves out what is deep, or what is not, and what needs a GPU where there is none."""
+    deep = config.getoption("--deep")
+    chosen = [item for item in items if (item.get_closest_marker("deep") is not None) == deep]
+    config.hook.pytest_deselected(items=[item for item in items if (item.get_closest_marker("deep") is not None) != deep])
+    items[:] = chosen
     if not torch.cuda.is_available():
         for item in items:
             if item.get_closest_marker("gpu"):
                 item.add_marker(pytest.mark.skip(reason=GPU))
-    if not config.getoption("--slow"):
-        for item in items:
-            if item.get_closest_marker("slow"):
-                item.add_marker(pytest.mark.skip(reason=SLOW))
+
+
+def pytest_collection_finish() -> None:
+    """What has been imported stays: collections of garbage need not look at it."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_terminal_summary(terminalreporter) -> None:
+def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
     """Says above pytest's closing line what was left out, and how to run it."""
     reasons = [str(report.longrepr) for report in terminalreporter.stats.get("skipped", [])]
     for what, words in LEFT_OUT.items():
         if count := sum(what in reason for reason in reasons):
             terminalreporter.write_line(f"{count} {words}")
+    if not config.getoption("--deep"):
+        terminalreporter.write_line("deep tests are left out: run `make test-deep`")

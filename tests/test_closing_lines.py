@@ -6,7 +6,7 @@ import pytest
 
 CONFTEST = Path(__file__).with_name("conftest.py").read_text().replace('pytest_plugins = ["pytester"]', "")
 INI = """[pytest]
-markers = slow
+markers = deep
 """
 
 
@@ -36,23 +36,23 @@ def test_skipped_comparisons_with_mitsuba_are_counted_above_the_closing_line(run
     result.assert_outcomes(passed=1, skipped=4)
 
 
-def test_slow_tests_are_counted_and_run_when_asked_for(run):
+def test_deep_tests_run_when_asked_for_and_alone(run):
     text = """
         import pytest
         def test_quick(): pass
-        @pytest.mark.slow
-        def test_slow(): pass
+        @pytest.mark.deep
+        def test_deep(): pass
     """
     result = run(text)
-    assert result.outlines[-2] == "1 slow tests left out: run `make test-slow`"
-    result.assert_outcomes(passed=1, skipped=1)
-    result = run(text, "--slow", "-m", "slow")
-    assert "slow tests" not in result.stdout.str()
+    assert result.outlines[-2] == "deep tests are left out: run `make test-deep`"
+    result.assert_outcomes(passed=1, deselected=1)
+    result = run(text, "--deep")
+    assert "left out" not in result.stdout.str()
     result.assert_outcomes(passed=1, deselected=1)
 
 
 def test_nothing_left_out_is_nothing_said(run):
-    result = run("def test_ours(): pass")
+    result = run("import pytest\n@pytest.mark.deep\ndef test_ours(): pass", "--deep")
     result.assert_outcomes(passed=1)
     assert "left out" not in result.stdout.str() and "Mitsuba" not in result.stdout.str()
 

@@ -9,6 +9,7 @@ import torch
 
 import torch_radbp as rb
 from tests.allocated import allocated
+from tests.deep import deep_but
 from tests.derivatives.endless import envmap, smooth_noise
 from tests.scenes import cornell, load, rectangle, sensor
 from torch_radbp.io.transform import rotate, scale, translate
@@ -87,7 +88,7 @@ def prepared(name: str, **settings) -> rb.Renderer:
                                       {"chunk": 4096, "sampling": "attached"}, {"adjoint": rb.TapeAdjoint()},
                                       {"chunk": 4096, "compile": True}],
                          ids=["stride 1", "log", "attached", "tape", "compiled"])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", deep_but(["a bitmap beside glass and metal"], CASES))
 def test_a_call_needs_what_is_predicted(name, settings):
     renderer = prepared(name, **settings)
     predicted, needed = renderer.memory_plan().peak, allocated(renderer)

@@ -32,7 +32,7 @@ def test_kernels_of_a_room_with_networks_are_assembled():
     assert {"bounce", "bounce_adjoint", "places", "rows"} <= check("networks", "hybrid", ARCHITECTURES[-1:])
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("scene", SCENES)
 def test_kernels_of_every_stage_and_kind_are_assembled(scene, sampling):

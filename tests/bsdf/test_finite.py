@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from tests.bsdf.lanes import Numbers
+from tests.deep import deep
 from torch_radbp.bsdf.conductor import ConductorKind
 from torch_radbp.bsdf.dielectric import DielectricKind
 from torch_radbp.bsdf.diffuse import DiffuseKind
@@ -102,7 +103,7 @@ def attached(values, wi):
             wi.map(lambda c: c.clone().requires_grad_()))
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("dtype", [torch.float32, deep(torch.float64)], ids=str)
 @pytest.mark.parametrize("name", KINDS)
 def test_sampling_stays_finite(name, dtype):
     kind = KINDS[name]

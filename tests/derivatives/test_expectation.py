@@ -1,6 +1,5 @@
 """Where no silhouette moves, the derivative is that of finite differences with independent samples, in expectation."""
 
-import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate
 from tests.derivatives.moving_scenes import FLOOR, SCENES, TURN, rigid, scene
 from tests.scenes import sensor
@@ -31,12 +31,10 @@ NOISY = {
     "calibrated, k4": 64, "calibrated, k5": 128, "calibrated, k6": 256, "fisheye, k4": 64,
     "one before another": 1024, "outline of a cube, camera": 2048, "outline without perspective": 2048,
     "where walls meet": 96}
-# Of the same code as others that are not slow.
-SLOW = ("fisheye", "obj", "serialized")
 COARSE = {"normals under an envmap": 256, "envmap turned": 256, "wall behind the camera": 512,
           "metal under a soft lamp": 128, "one before another": 256, "outline of a cube, camera": 320,
-          "outline without perspective": 384}  # for 5%; 2% is slow
-# Of the same code as others that are not slow, for 5%.
+          "outline without perspective": 384}  # for 5%
+# Of the same code as those, for 5%.
 OUTLINES = {"outline of a cube": 512, "outline of a mesh": 512, "outline of a ball": 1024, "outline of an instance": 1024,
             "outline, thinlens": 1536, "outline, fisheye": 512}
 
@@ -55,25 +53,27 @@ class Row(NamedTuple):
         return f"{self.name}, {self.bias:.0%}"
 
 
-ROWS = [*(pytest.param(Row(name, 0.02, NOISY.get(name, SPP)), marks=[pytest.mark.slow] * name.startswith(SLOW))
-          for name in SCENES if name not in {**COARSE, **OUTLINES}),
-        *(Row(name, 0.05, spp) for name, spp in COARSE.items()),
-        *(pytest.param(Row(name, 0.02, NOISY[name]), marks=pytest.mark.slow) for name in COARSE),
-        *(pytest.param(Row(name, 0.05, spp), marks=pytest.mark.slow) for name, spp in OUTLINES.items())]
-
-
-@functools.cache
-def measured(row: Row) -> Estimate:
-    """Rendered once for all tests of this file; where hybrid is attached, sample by sample, by one of them."""
-    moving = SCENES[row.name]._replace(samplings=("hybrid",)) if row.name in SPECULAR else SCENES[row.name]
-    estimate = Estimate(moving, Effort(row.spp, BATCHES))
-    estimate.add_round()
-    return estimate
+# Some of each kind, the least noisy ones; the others are deep.
+QUICK = ("plane shifted", "vertices with their normals", "instance turned", "vertices of an instance", "texture turned",
+         "normals under a point", "envmap seen", "plane turned under an envmap", "point light", "projector", "spot",
+         "directional light", "emitter seen", "ggx glass, index", "mirror turned", "principled, roughness", "camera turned",
+         "camera without perspective", "principal point x", "thinlens, aperture_radius", "calibrated, k2",
+         "cube, vertex_positions", "where walls meet", "distances")
+STATED = [*(Row(name, 0.02, NOISY.get(name, SPP)) for name in SCENES if name not in {**COARSE, **OUTLINES}),
+          *(Row(name, 0.05, spp) for name, spp in COARSE.items()),
+          *(Row(name, 0.02, NOISY[name]) for name in COARSE),
+          *(Row(name, 0.05, spp) for name, spp in OUTLINES.items())]
+ROWS = deep_but([row for row in STATED if row.name in QUICK], STATED)
 
 
 @pytest.mark.parametrize("row", ROWS, ids=str)
 def test_derivatives_are_those_of_finite_differences(row):
-    for sampling, result in measured(row).checks().items():
+    """And if they were wrong by the stated bias, that would be noticed."""
+    # Where hybrid is attached, sample by sample, by one of them.
+    moving = SCENES[row.name]._replace(samplings=("hybrid",)) if row.name in SPECULAR else SCENES[row.name]
+    measured = Estimate(moving, Effort(row.spp, BATCHES))
+    measured.add_round()
+    for sampling, result in measured.checks().items():
         reference = result.comparison.difference
         assert reference.isfinite().all() and reference.abs().max() > 0, sampling
         assert result.verdict == "agrees", f"{sampling}: {result}"
@@ -81,13 +81,9 @@ def test_derivatives_are_those_of_finite_differences(row):
         for projection in result.comparison.projections:
             assert abs(projection.z) <= 4, f"{sampling}: {result}"
             assert projection.backward_error < 1e-9, f"{sampling}: {result}"
-
-
-@pytest.mark.parametrize("sign", [1, -1], ids=["longer", "shorter"])
-@pytest.mark.parametrize("row", ROWS, ids=str)
-def test_derivatives_that_are_wrong_by_the_stated_bias_are_noticed(row, sign):
-    for sampling, result in measured(row).checks(error=sign * row.bias).items():
-        assert result.verdict.startswith("biased"), f"{sampling}: {result}"
+    for error in (row.bias, -row.bias):
+        for sampling, result in measured.checks(error).items():
+            assert result.verdict.startswith("biased"), f"{sampling}, {error}: {result}"
 
 
 @pytest.mark.parametrize("name", SPECULAR)

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from torch.autograd.gradcheck import GradcheckError
 
+from tests.deep import deep_but_every
 from tests.derivatives.frozen import Rendering
 from tests.derivatives.scenes import SCENES, build, subjects
 from torch_radbp.scene.pack import pack
@@ -65,7 +66,7 @@ def projections_of(image: Tensor) -> Tensor:
     return random / image.norm()
 
 
-@pytest.mark.parametrize("name, sampling", CASES)
+@pytest.mark.parametrize("name, sampling", deep_but_every(8, CASES))
 def test_gradcheck(name, sampling):
     scene = build(name)
     names = subjects(scene)

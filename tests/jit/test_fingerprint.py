@@ -131,8 +131,8 @@ class Rough:
 
 
 def test_values_are_told_apart():
-    values = [None, True, 1, 1.0, 0.0, -0.0, "1", b"1", (1,), [1], (1, 1), ((1,), 1), {"a": 1}, {"a": 2}, {1}, frozenset({2}),
-              torch.float32, torch.float64, Point(1.0), Point(2.0), Smooth(1.0), Smooth(2.0), Rough(1.0), Point, Smooth,
+    values = [None, True, 1, 1.0, 0.0, -0.0, "1", b"1", (1,), [1], (1, 1), ((1,), 1), {"a": 1}, {"a": 2}, {1},
+              frozenset({2}), torch.float32, torch.float64, Point(1.0), Point(2.0), Smooth(1.0), Smooth(2.0), Rough(1.0), Point, Smooth,
               torch.ones(2), torch.ones(3), torch.ones(2).double(), torch.zeros(2), functools.partial(max, 1),
               functools.partial(max, 2), max, min, torch.sin, torch.cos, lambda: 1, lambda: 2]
     assert len({fingerprint(value) for value in values}) == len(values)

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep, deep_but
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters
@@ -62,8 +63,8 @@ def test_compiled_gradients_of_what_moves_are_the_eager_ones():
 
 
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
-@pytest.mark.parametrize("name", EVERYTHING)
+@pytest.mark.parametrize("sampling", ["hybrid", deep("attached")])
+@pytest.mark.parametrize("name", deep_but(["textures"], EVERYTHING))
 def test_every_plugin_and_parameter_compiles_to_what_it_is_eagerly(name, sampling):
     settings, results = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling}, []
     for compile in (False, True):

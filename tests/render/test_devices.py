@@ -17,6 +17,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import torch_radbp as rb
 from benchmarks.ptx import Listing
+from tests.deep import deep_but
 from tests.render.recorded import SAMPLINGS, SCENES, build, calls_of
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.nvptx import ptx
@@ -68,8 +69,8 @@ NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_S
           "shining networks": {"shines", *OF_MANY_LAMPS, *OF_TWO_SIDES}}  # stages that a scene does without
 
 
-@pytest.mark.parametrize("sampling", SAMPLINGS)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
+@pytest.mark.parametrize("name", deep_but(["textures", "networks"], SCENES))
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES})
@@ -97,7 +98,7 @@ def kernels_on_cuda(stage: CompiledStage, arguments: tuple, monkeypatch) -> list
 
 
 SOME = pytest.param("networks", "hybrid", id="networks-hybrid")
-REST = [pytest.param(name, sampling, marks=pytest.mark.slow, id=f"{name}-{sampling}")
+REST = [pytest.param(name, sampling, marks=pytest.mark.deep, id=f"{name}-{sampling}")
         for name in SCENES for sampling in SAMPLINGS if (name, sampling) != ("networks", "hybrid")]
 
 

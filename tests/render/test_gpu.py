@@ -47,7 +47,7 @@ def test_the_image_and_gradients_of_the_kernels_are_the_eager_ones(gpu):
         assert relative_error(gradient, wanted) < (1e-3 if differs.any() else 1e-4), name
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("sampling", ["hybrid", "attached"])
 @pytest.mark.parametrize("name", EVERYTHING)
 def test_every_plugin_and_parameter_comes_out_of_the_kernels_as_it_is_eagerly(name, sampling, gpu):

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep_but
 from tests.gradients import assert_informative, relative_error
 from tests.scenes import load, rectangle, rgb, sensor, texels
 from tests.texture.meshes import add_attributes, panel
@@ -12,7 +13,7 @@ from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.plugin import REGISTRY, Texture, attributes
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-SETTINGS = {"spp": 6, "max_depth": 4, "rr_depth": 2}
+SETTINGS = {"spp": 6, "max_depth": 4, "rr_depth": 2, "compile": False}
 SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}
 WHITE = {"type": "diffuse", "reflectance": 0.8}
 # Values that are normals as well: above a half.
@@ -45,7 +46,7 @@ def build(bsdf: dict) -> rb.Scene:
     return add_attributes(scene)
 
 
-@pytest.mark.parametrize("texture", TEXTURES)
+@pytest.mark.parametrize("texture", deep_but(["checkerboard of attributes"], TEXTURES))
 @pytest.mark.parametrize("kind, slot", SLOTS)
 def test_every_slot_gives_the_gradient_of_the_tape(kind, slot, texture):
     if (kind, texture) == LEVEL:

@@ -9,6 +9,7 @@ from torch.func import functional_call
 
 import torch_radbp as rb
 from tests.allocated import allocated
+from tests.deep import deep_but_every
 from tests.gradients import (
     MEMOIZED,
     QUADRATIC,
@@ -221,7 +222,7 @@ SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name, attrib
          if Texture in options(attribute.annotation)]
 
 
-@pytest.mark.parametrize("kind, name", SLOTS)
+@pytest.mark.parametrize("kind, name", deep_but_every(4, SLOTS))
 def test_a_module_can_stand_in_every_slot_of_every_material(kind, name):
     """On a ball in a room, with the gradient of the tape."""
     outputs = 1 if "alpha" in name or name in ("weight", "opacity") else 3

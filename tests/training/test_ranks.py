@@ -127,7 +127,7 @@ def rank_processes(torchrun: int) -> dict[int, int]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize("processes", [2, 3])
 def test_several_processes_recover_the_cornell_box(processes, tmp_path):
     command = ("-m", "torch_radbp.training.cli", "optimize", "cornell_reflectance", "--out", str(tmp_path / "run"))

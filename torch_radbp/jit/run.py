@@ -185,6 +185,6 @@ class LaneFunction:
         outputs = tuple(dict.fromkeys(value for value, whole in zip(program.outputs, passed) if not whole))
         results = tuple(~value.static if whole else outputs.index(value) for value, whole in zip(program.outputs, passed))
         program = program._replace(outputs=outputs)
-        return program, Interface(
-            tuple(value.static for value in program.inputs), program.searched, tuple(value.dtype for value in outputs), results,
-            replaced(returned, Leaf), of_lanes(structure))
+        inputs = tuple(value.static for value in program.inputs)
+        dtypes = tuple(value.dtype for value in outputs)
+        return program, Interface(inputs, program.searched, dtypes, results, replaced(returned, Leaf), of_lanes(structure))
