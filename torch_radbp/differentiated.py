@@ -38,6 +38,15 @@ def detached(tensors):
     return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves])
 
 
+def settled(value: Tensor) -> Tensor:
+    """What a discrete choice is made by (of a lobe, of a light), or its probability: without derivative in every way of
+    sampling.
+
+    All choices go through here, so that tests can hold them while parameters move.
+    """
+    return value.detach()
+
+
 def differentiable(tensors) -> list[Tensor]:
     """The leaves of a record that derivatives are wanted of, in order."""
     return [leaf for leaf in leaves_of(tensors) if isinstance(leaf, Tensor) and leaf.requires_grad]

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.differentiated import settled
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.cone import Cone
@@ -67,5 +68,5 @@ def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: boo
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane,
-                     Vantage(ray.o.detach(), ray.d.detach()) if from_places else None,
+                     Vantage(ray.o.map(settled), ray.d.map(settled)) if from_places else None,
                      torch.zeros_like(lane, dtype=torch.bool) if following else None, cone)

@@ -30,7 +30,7 @@ from torch_radbp.scene import Scene
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.parameters import check_names
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tensors import SceneTensors, proposal_of
 from torch_radbp.settings import (
     INTERIOR,
     PRIMARY,
@@ -269,7 +269,7 @@ class Renderer(nn.Module):
                             sampling=self.sampling if moving else "detached", following=following)
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
-            return Integrand(tensors, detached(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
+            return Integrand(tensors, proposal_of(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
 
         chunks = plan_chunks(len(views), width * height, spp, lanes, workers)
         call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views, chunks, spp, seed_grad is not None,

@@ -10,56 +10,49 @@ part of the environment), whose probabilities are constants: here only what is d
 
 from __future__ import annotations
 
-import inspect
+import sys
 from collections.abc import Callable
 from importlib import import_module
 
 import torch
 from torch import Tensor
 from torch.func import functional_call
-from torch.utils._pytree import tree_leaves
 
 import torch_radbp as rb
 from torch_radbp.adjoint.function import render_images
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.differentiated import detached
+from torch_radbp.differentiated import detached, settled
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tensors import SceneTensors, proposal_of
 
-# Functions inside of which something is detached on behalf of a discrete choice: of a lobe, of a light. Of the whole scene
-# that the second one detaches, only the tables from which lights are chosen.
-PROPOSAL = "make_integrand"
-CHOICES = frozenset({"choose", "chance_of_lobe", "values_for_choice", "relative_chance", "vantage", PROPOSAL})
 RENDER = import_module("torch_radbp.render")
 DETACH = Tensor.detach
-DEEPEST_CALL = 40  # frames between such a function and what it detaches
 
 
 class Decisions:
     """While active, `Tensor.detach` and the ray caster answer as they did the first time that it was active, in order.
 
     The method is exchanged meanwhile: a `TorchFunctionMode` would be asked about every other operation as well, which takes
-    as long as they do.
+    as long as they do. What belongs to a choice is told by `torch_radbp.differentiated.settled`, which detaches it.
 
     Args:
-        functions: only what these detach; None: everything.
+        choices: only what `settled` detaches, and the tables of lights; else everything.
     """
 
-    def __init__(self, functions: frozenset[str] | None = None):
-        self.functions, self.answers, self.next = functions, [], None
+    def __init__(self, choices: bool = False):
+        self.choices, self.answers, self.next = choices, [], None
         self.recording, self.asking = False, False
-        self.scene, self.tables = None, set()
 
     def __enter__(self) -> None:
         self.recording = self.next is None
         self.next = 0
-        Tensor.detach = lambda value: self.detached(value)
-        RENDER.detached = every_leaf_detached
+        Tensor.detach = lambda value: self.detached(value, sys._getframe(1).f_code)
+        RENDER.proposal_of = self.proposal
 
     def __exit__(self, *error) -> None:
-        Tensor.detach, RENDER.detached = DETACH, detached
+        Tensor.detach, RENDER.proposal_of = DETACH, proposal_of
         if error[0] is None:
             assert self.next == len(self.answers), "a rendering took other decisions than the first one"
 
@@ -72,38 +65,25 @@ class Decisions:
         self.next += 1
         return self.answers[self.next - 1]
 
-    def detached(self, value: Tensor) -> Tensor:
-        """What `Tensor.detach` returns while this is active."""
-        if self.asking or not self.concerned(value):
-            return DETACH(value)
+    def detached(self, value: Tensor, by) -> Tensor:
+        """What `Tensor.detach` returns while this is active; `by` is the code that calls it."""
+        return DETACH(value) if self.asking or (self.choices and by is not settled.__code__) else self.held(value)
+
+    def held(self, value: Tensor) -> Tensor:
+        """The value that it had the first time, detached."""
         held = self.answer(lambda: DETACH(value).clone())
         assert held.shape == value.shape and held.dtype == value.dtype
         return held.view_as(held)
 
-    def concerned(self, value: Tensor) -> bool:
-        """Whether a value that is being detached is to be held."""
-        if self.functions is None:
-            return True
-        frame = inspect.currentframe()
-        for _ in range(DEEPEST_CALL):
-            frame = frame.f_back
-            if frame is None:
-                return False
-            name = frame.f_code.co_name
-            if name in self.functions:
-                return name != PROPOSAL or id(value) in self.choice_tables(frame.f_locals["tensors"])
-        return False
+    def proposal(self, scene: SceneTensors) -> SceneTensors:
+        """`proposal_of`, held: all of it, or only the tables from which lights are chosen."""
+        if not self.choices:
+            return self.all_held(scene)
+        return detached(scene)._replace(lights=self.all_held(scene.lights))
 
-    def choice_tables(self, scene: SceneTensors) -> set[int]:
-        """Of which lights, and which parts of the environment, are chosen; by identity."""
-        if scene is not self.scene:
-            self.scene, self.tables = scene, {id(leaf) for leaf in tree_leaves(scene.lights) if isinstance(leaf, Tensor)}
-        return self.tables
-
-
-def every_leaf_detached(tensors):
-    """`differentiated.detached`, but of a record without derivatives, too: they are asked for in each rendering."""
-    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(tensors)])
+    def all_held(self, record):
+        """Every tensor of a record held, also of one without derivatives."""
+        return with_leaves(record, [self.held(leaf) if isinstance(leaf, Tensor) else leaf for leaf in leaves_of(record)])
 
 
 class HeldCaster:
@@ -134,7 +114,7 @@ class Rendering:
         # What fused loops detach cannot be held.
         # The places on edges move with the edges.
         self.renderer = rb.Renderer(scene, compile=False, terms=["interior"], **settings)
-        self.decisions = Decisions(CHOICES if settings["sampling"] == "attached" else None)
+        self.decisions = Decisions(choices=settings["sampling"] == "attached")
         # Made now, so that it asks nothing later.
         self.held = HeldCaster(self.renderer.caster_of(pack(scene)), self.decisions)
 
@@ -156,7 +136,7 @@ class Rendering:
         forward pass has its probability inside of the density, and the derivative takes it out.
         """
         parameters = {f"renderer.{name}": value for name, value in self.parameters(attached(values)).items()}
-        caster = None if self.decisions.functions else self.held
+        caster = None if self.decisions.choices else self.held
         self.forget()
         with self.decisions, torch.enable_grad():
             return functional_call(TapedImage(self.renderer, self.seed, caster), parameters)

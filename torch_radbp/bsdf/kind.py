@@ -34,6 +34,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.differentiated import settled
 from torch_radbp.vec import Vec3
 
 SMALLEST_LEVEL = 1e-12  # squared length of a direction's horizontal part
@@ -188,12 +189,12 @@ def on_horizon_unless(usable: Tensor, w: Vec3) -> Vec3:
 
 def chance_of_lobe(chance: Tensor, fixed_lobes: bool) -> Tensor:
     """The probability of a lobe as part of a density: with its derivative, or without if lobes are fixed."""
-    return chance.detach() if fixed_lobes else chance
+    return settled(chance) if fixed_lobes else chance
 
 
 def values_for_choice(values: Values) -> Values:
     """The values by which lobes are chosen: detached, as every choice."""
-    return tuple(value.detach() for value in values)
+    return tuple(value.map(settled) for value in values)
 
 
 def either(condition: Tensor, first: Tensor | None, second: Tensor | None) -> Tensor | None:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.differentiated import settled
 from torch_radbp.emitter.kind import Aim, LightKind, Pick
 from torch_radbp.lookup import lookup
 from torch_radbp.sampling.sampler import unit
@@ -36,7 +37,7 @@ class LightSample(NamedTuple):
 
 def vantage(si: SurfaceInteraction) -> Vantage:
     """The place from which lights are picked, detached: the choice of a light is discrete."""
-    return Vantage(si.p.detach(), si.frame.n.detach())
+    return Vantage(si.p.map(settled), si.frame.n.map(settled))
 
 
 class Case(NamedTuple):

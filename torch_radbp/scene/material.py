@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Choice, Kind, Values, values_for_choice
+from torch_radbp.differentiated import settled
 from torch_radbp.lookup import lookup
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
@@ -92,14 +93,13 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
     """
     kind, values = material
     sampling = sampling_at(kind, sampling)
-    fixed = material.detach().values
-    lobe = kind.choose(fixed, wi.detach(), choice, u, v)
+    lobe = kind.choose(values_for_choice(values), wi.map(settled), choice, u, v)
     if followed(kind, sampling):
         wo = kind.sample(values, wi, lobe, u, v)
         if sampling == "hybrid" and kind.smooth:
             wo = where(lobe.delta, wo, wo.detach())
     else:
-        wo = kind.sample(fixed, wi, lobe, u, v).detach()
+        wo = kind.sample(material.detach().values, wi, lobe, u, v).detach()
     if not kind.smooth:
         return specular(material, wi, wo, lobe)
     value, pdf = kind.eval_pdf(values, wi, wo)
@@ -122,7 +122,7 @@ def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: Choice) -> Ten
     if chance is None:
         return 1.0
     chance = chance.clamp_min(LEAST_DENSITY)
-    return chance.detach() / chance
+    return settled(chance) / chance
 
 
 def specular(material: Material, wi: Vec3, wo: Vec3, lobe: Choice) -> BSDFSample:

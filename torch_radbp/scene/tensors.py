@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.differentiated import detached
 from torch_radbp.emitter.kind import LightKind, Table
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.scene.appearance import Appearance
@@ -151,3 +152,8 @@ class SceneTensors(NamedTuple):
     @property
     def dtype(self) -> torch.dtype:
         return self.triangles.vertices.p.x.dtype
+
+
+def proposal_of(scene: SceneTensors) -> SceneTensors:
+    """The scene by which directions, lobes and lights are sampled: the same tables without derivatives."""
+    return detached(scene)
