@@ -127,26 +127,27 @@ class Loops:
 @contextmanager
 def watched(unread: dict[Compiled, CpuLoop]) -> Iterator[Loops]:
     """Watches all compiled functions while it is open; `unread` remembers their loops without gathers."""
-    loops, names = Loops(), {}
+    loops, names, programs = Loops(), {}, {}
     prepare, run = LaneFunction.prepared, Compiled.run
 
     def prepared(function: LaneFunction, *arguments):
         found = prepare(function, *arguments)
-        names[id(found[0])] = function.name
+        if id(found[0]) not in names:
+            names[id(found[0])], programs[id(found[0])] = function.name, function.traced(found[1])[0]
         return found
 
     def running(compiled: Compiled, given: Arguments, outputs: list[int]) -> None:
-        name = names[id(compiled)]
+        name, program = names[id(compiled)], programs[id(compiled)]
         code, elsewhere = compiled.code, [torch.empty(given.lanes, dtype=dtype) for dtype in compiled.dtypes]
         if compiled not in unread:
-            unread[compiled] = without_reads(compiled.program)
+            unread[compiled] = without_reads(program)
         for loop, results, seconds in ((unread[compiled], [tensor.data_ptr() for tensor in elsewhere], loops.unread),
                                        (code, outputs, loops.seconds)):
             compiled.code, start = loop, time.thread_time()
             run(compiled, given, results)
             seconds[name] += time.thread_time() - start
         compiled.code = code
-        loops.work[name] = loops.work[name].plus(compiled.program, given.lanes)
+        loops.work[name] = loops.work[name].plus(program, given.lanes)
 
     with patch.object(LaneFunction, "prepared", prepared), patch.object(Compiled, "run", running):
         yield loops

@@ -32,7 +32,7 @@ def test_skipped_comparisons_with_mitsuba_are_counted_above_the_closing_line(run
         def test_theirs_too(name): pytest.importorskip("mitsuba")
         def test_skipped_for_another_reason(): pytest.skip("no such machine")
     """)
-    assert result.outlines[-2] == "3 comparisons with Mitsuba skipped: install the extra `peer`, or run `make test-peer`"
+    assert result.outlines[-3] == "3 comparisons with Mitsuba skipped: install the extra `peer`, or run `make test-peer`"
     result.assert_outcomes(passed=1, skipped=4)
 
 

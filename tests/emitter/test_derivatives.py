@@ -12,7 +12,7 @@ from torch import nn
 from torch.func import functional_call
 
 import torch_radbp as rb
-from tests.deep import deep_but
+from tests.deep import deep, deep_but
 from tests.emitter.lights import (
     EMITTERS,
     FLOOR,
@@ -107,7 +107,7 @@ def check(module: nn.Module, name: str, inputs: tuple, gradients_of: list[str]) 
     assert torch.autograd.gradcheck(outputs, (*values, *inputs), eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("name", [deep(name) if name == "all" else name for name in PARAMETERS])
 def test_a_light_sample_has_the_right_derivatives(name):
     torch.manual_seed(0)
     module = Sampled(load(sensor=sensor(2), **FLOOR, **SCENES[name]))
@@ -117,7 +117,7 @@ def test_a_light_sample_has_the_right_derivatives(name):
     check(module, name, inputs, PARAMETERS[name])
 
 
-@pytest.mark.parametrize("name", deep_but(["area", "area_mesh"], ["area", "area_mesh", "area_sphere", "envmap", "all"]))
+@pytest.mark.parametrize("name", deep_but(["area"], ["area", "area_mesh", "area_sphere", "envmap", "all"]))
 def test_emission_and_its_density_have_the_right_derivatives(name):
     torch.manual_seed(0)
     module = Hit(load(sensor=sensor(2), **FLOOR, **SCENES[name]), count=24)

@@ -13,8 +13,7 @@ def looked_up_twice(table, index, x):
 
 def test_gathers_come_before_what_they_do_not_need_and_after_what_they_do():
     function = LaneFunction(looked_up_twice, ("table",))
-    compiled, _ = function.prepared((torch.arange(5.0), torch.zeros(7, dtype=torch.int32), torch.rand(7)))
-    values = compiled.program.values
+    values = function.program(torch.arange(5.0), torch.zeros(7, dtype=torch.int32), torch.rand(7)).values
     ordered = gathers_first(values)
     assert len(ordered) == len(values) and set(ordered) == set(values)
     place = {value: number for number, value in enumerate(ordered)}

@@ -96,9 +96,9 @@ def test_what_is_exchanged_while_the_program_runs_counts(written):
     outer = written()
     before = fingerprint(outer)
     module = sys.modules["told"]
-    for owner, name, value in ((module, "FACTOR", 7.0), (module, "inner", lambda x: x), (module.Pair, "both", lambda pair: 0),
-                               (module, "TABLE", {"a": [0.0, 0.0]}),
-                               (sys.modules["told_two"], "helped", abs)):
+    changes = ((module, "FACTOR", 7.0), (module, "TABLE", {"a": [0.0, 0.0]}), (module, "inner", lambda x: x),
+               (module.Pair, "both", lambda pair: 0), (sys.modules["told_two"], "helped", abs))
+    for owner, name, value in changes:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(owner, name, value)
             assert fingerprint(outer) != before, name
@@ -132,9 +132,10 @@ class Rough:
 
 def test_values_are_told_apart():
     values = [None, True, 1, 1.0, 0.0, -0.0, "1", b"1", (1,), [1], (1, 1), ((1,), 1), {"a": 1}, {"a": 2}, {1},
-              frozenset({2}), torch.float32, torch.float64, Point(1.0), Point(2.0), Smooth(1.0), Smooth(2.0), Rough(1.0), Point, Smooth,
-              torch.ones(2), torch.ones(3), torch.ones(2).double(), torch.zeros(2), functools.partial(max, 1),
-              functools.partial(max, 2), max, min, torch.sin, torch.cos, lambda: 1, lambda: 2]
+              frozenset({2}),
+              torch.float32, torch.float64, torch.ones(2), torch.ones(3), torch.ones(2).double(), torch.zeros(2),
+              Point(1.0), Point(2.0), Smooth(1.0), Smooth(2.0), Rough(1.0), Point, Smooth,
+              max, min, torch.sin, torch.cos, lambda: 1, lambda: 2, functools.partial(max, 1), functools.partial(max, 2)]
     assert len({fingerprint(value) for value in values}) == len(values)
     assert fingerprint({"b", "a", "c"}) == fingerprint({"c", "b", "a"})
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.derivatives.scenes import subjects
 from tests.gradients import unwarned_renderer
@@ -49,8 +50,8 @@ def told(*things) -> set[CodeType]:
     return set().union(*(codes(thing.__code__) for thing in reader.named if isinstance(thing, FunctionType)))
 
 
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
-@pytest.mark.parametrize("name", EVERYTHING)
+@pytest.mark.parametrize("name, sampling", [("textures", "hybrid"), deep("materials", "attached"),
+                                            *(deep(name, "hybrid") for name in EVERYTHING if name != "textures")])
 def test_every_function_that_is_traced_belongs_to_the_name(name, sampling, fresh_stages, monkeypatch):
     named, missing, traced = [], {}, run.LaneFunction.traced
     name_of = compiled.name_of

@@ -56,6 +56,7 @@ def test_two_processes_that_share_two_views_find_the_gradient_of_one(two_views, 
     close_to_the_same(torch.load(folder / "gradient.pt"), gradient(two_views, ALONE))
 
 
+@pytest.mark.deep
 def test_three_processes_that_share_samples_find_the_mean_of_three_gradients(folder, monkeypatch):
     recipe = folder / "recipe.toml"
     finished(under_torchrun(3, "-m", "tests.training.gradient_of_ranks", str(recipe), str(folder / "gradient.pt")))
@@ -88,6 +89,7 @@ def test_processes_share_the_memory_of_a_machine(monkeypatch):
     assert own_budget(None, cpu) is None
 
 
+@pytest.mark.deep
 def test_a_killed_process_ends_the_run_with_a_message_and_resume_continues(folder, edit_recipe):
     edit_recipe("steps = 6", "steps = 4000")
     command = ("-m", "torch_radbp.training.cli", "optimize", str(folder / "recipe.toml"), "--out", str(folder / "run"))

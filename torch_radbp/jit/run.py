@@ -164,6 +164,10 @@ class LaneFunction:
             compiled_functions.write(name, interface, code)
         return Compiled(interface, target.loop(code, program.searched))
 
+    def program(self, *arguments) -> Program:
+        """What is computed for such arguments, traced now."""
+        return self.traced(Arguments(self.parameters, arguments))[0]
+
     def traced(self, given: Arguments) -> tuple[Program, Interface]:
         """The program of the function for arguments of this structure.
 
