@@ -1,0 +1,116 @@
+"""Single faults, and whether the tests find them: ``python -m tests.mutants``.
+
+Each fault is put into a copy of the tree, and the quick tests of the folders that are named beside it run there until one
+fails; if none does, all quick tests, then the deep ones. What no test finds is printed as such, and the exit status is 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+LEFT_ASIDE = shutil.ignore_patterns(".git", ".venv", "runs", "build", "dist", "*.egg-info", "__pycache__", ".pytest_cache")
+
+
+class Mutant(NamedTuple):
+    """A fault."""
+
+    file: str  # below torch_radbp
+    right: str  # stands there once
+    wrong: str
+    tests: tuple[str, ...]  # folders or files below tests, where it should show first
+
+
+MUTANTS = (
+    # Derivatives.
+    Mutant("adjoint/bounce.py", "Memo((local.E + local.F * memo.L).detach())", "Memo((local.E + local.F).detach())",
+           ("adjoint/test_furnace.py",)),
+    Mutant("adjoint/bounce.py", "adj_L = rows(adj_L, state.lane) * state.beta", "adj_L = rows(adj_L, state.lane)",
+           ("adjoint/test_furnace.py",)),
+    Mutant("scene/departure.py", "element = dot(cross(e1, e2), aim).abs() / squared",
+           "element = dot(cross(e1, e2), aim).abs() / squared.detach()", ("derivatives/test_expectation.py",)),
+    Mutant("boundary/primary.py", "+ (seen.y - primal(seen.y))", "- (seen.y - primal(seen.y))", ("boundary",)),
+    Mutant("texture/bank.py", "by_y = ((lower_left - upper_left)", "by_y = ((upper_left - lower_left)",
+           ("texture", "bsdf/test_bumpmap.py")),
+    Mutant("scene/material.py", "return settled(chance) / chance", "return settled(chance) / settled(chance)",
+           ("bsdf", "derivatives/test_gradcheck.py")),
+    Mutant("bsdf/fresnel.py", "product = eta * k  # a b", "product = eta * k.detach()", ("bsdf",)),
+    Mutant("texture/pyramid.py", "return finer * (1.0 - at.share) + coarser * at.share",
+           "return finer * (1.0 - at.share.detach()) + coarser * at.share.detach()",
+           ("texture", "derivatives/test_expectation.py")),
+    # Densities.
+    Mutant("sampling/warp.py", "return Vec2(root * (1.0 - v), root * v)", "return Vec2(u * (1.0 - v), u * v)",
+           ("sampling", "emitter")),
+    Mutant("emitter/area.py", "return density * (distance * distance) /", "return density * distance /", ("emitter",)),
+    Mutant("bsdf/microfacet.py", "2.276 * w.z * t", "2.376 * w.z * t", ("bsdf",)),
+    Mutant("bsdf/blendbsdf.py", "chance = weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)",
+           "chance = weight.clamp(0.0, 1.0 - LEAST_CHANCE)", ("bsdf", "derivatives/test_gradcheck.py")),
+    Mutant("path.py", "chosen, 1.0 / survival, survives)", "chosen, torch.rsqrt(survival), survives)",
+           ("render", "adjoint")),
+    Mutant("scene/light_choice.py", "return element, chance * lookup(choice.pmf, element)", "return element, chance",
+           ("emitter",)),
+    # Films.
+    Mutant("film/position.py", "(row + self.crop_y + 0.5", "(row + self.crop_x + 0.5", ("film", "render", "sensor")),
+    Mutant("film/gaussian.py", "(2 * self.stddev**2)) - edge)", "(2 * self.stddev**2)) - 0 * edge)", ("film", "render")),
+    Mutant("film/mitchell.py", "(-12 * b - 48 * c) * x", "(-12 * b - 46 * c) * x", ("film", "render")),
+    # Readers.
+    Mutant("io/transform.py", "np.array([[0, -z, y], [z, 0, -x]", "np.array([[0, z, y], [z, 0, -x]", ("io",)),
+    Mutant("io/gltf/material.py", 'scaled(image, 1, numbers["roughness"])', 'scaled(image, 2, numbers["roughness"])',
+           ("io",)),
+    Mutant("io/obj.py", "np.where(index > 0, index - 1, before + index)", "np.where(index > 0, index - 1, index)", ("io",)),
+)
+
+
+def found_by(tree: Path, arguments: list[str]) -> str | None:
+    """The first test that fails in a tree; None: all pass."""
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-x", "-n", "2", "--dist", "worksteal", "-p", "no:cacheprovider", *arguments],
+        cwd=tree, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    if done.returncode == 0:
+        return None
+    failed = [line.split()[1] for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return failed[0] if failed else f"exit status {done.returncode}"
+
+
+def examine(mutant: Mutant) -> str | None:
+    """The test that finds a fault; None: there is none."""
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(shutil.copytree(ROOT, Path(folder) / "tree", ignore=LEFT_ASIDE))
+        path = tree / "torch_radbp" / mutant.file
+        text = path.read_text()
+        if text.count(mutant.right) != 1:
+            raise ValueError(f"{mutant.file} has {mutant.right!r} {text.count(mutant.right)} times")
+        path.write_text(text.replace(mutant.right, mutant.wrong))
+        for arguments in ([f"tests/{part}" for part in mutant.tests], [], ["--deep"]):
+            if found := found_by(tree, arguments):
+                return f"{'deep: ' * ('--deep' in arguments)}{found}"
+    return None
+
+
+def main() -> None:
+    """Examines all, or those asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("numbers", type=int, nargs="*", help="only these, counted from 1")
+    options = parser.parse_args()
+    missed = 0
+    for number, mutant in enumerate(MUTANTS, 1):
+        if options.numbers and number not in options.numbers:
+            continue
+        start = time.perf_counter()
+        found = examine(mutant)
+        missed += found is None
+        print(f"{number:2} {mutant.file}: {mutant.wrong!r} -> {found or 'NOT FOUND'} ({time.perf_counter() - start:.0f} s)",
+              flush=True)
+    sys.exit(missed > 0)
+
+
+if __name__ == "__main__":
+    main()
