@@ -1,8 +1,8 @@
 """How long a new process takes to its first image: ``python -m benchmarks.first_image``.
 
 Each scene of `benchmarks.scenes` is rendered by processes of its own, whose compiled code is kept in a folder that is
-empty at first: what `import`, loading and the first image take, beside the fastest image of the same process. The first process
-compiles, the others find what it has left. The ratio is that of the whole to import, loading and the fastest image.
+empty at first: what `import`, loading and the first image take, beside the fastest image of the same process. The first
+process compiles, the others find what it has left. The ratio is that of the whole to import, loading and the fastest image.
 """
 
 from __future__ import annotations
