@@ -6,7 +6,7 @@ from torch.multiprocessing.reductions import StorageWeakRef
 
 import torch_radbp as rb
 from tests.gradients import cotangent, image_and_gradients, relative_error
-from tests.scenes import CASES, cornell, parameters
+from tests.scenes import CASES, cornell, furnace, parameters
 
 pytestmark = pytest.mark.usefixtures("threads")  # with one and with two
 
@@ -37,11 +37,26 @@ def test_a_graph_that_is_retained_can_be_walked_twice(adjoint):
 
 
 @pytest.mark.parametrize("adjoint", STRATEGIES, ids=repr)
-def test_double_backward_raises(adjoint):
+@pytest.mark.parametrize("loss", [lambda image: image.sum(), lambda image: (image**2).sum()], ids=["linear", "squares"])
+def test_a_backward_pass_that_is_recorded_raises(adjoint, loss):
     image, wanted = rendering(adjoint)
-    gradient, = torch.autograd.grad((image**2).sum(), wanted, create_graph=True)
-    with pytest.raises(RuntimeError, match="once_differentiable"):
-        gradient.sum().backward()
+    with pytest.raises(RuntimeError, match=r"first derivatives only.*create_graph=True.*adjoint=rb.TapeAdjoint\(\)"):
+        torch.autograd.grad(loss(image), wanted, create_graph=True)
+
+
+def test_the_hessian_of_a_rendering_is_refused_and_by_the_tape_that_of_the_closed_form():
+    """Without next-event estimation a pixel of the furnace is Le (1 + rho + rho^2 + rho^3)."""
+    name, rho = "walls.bsdf.reflectance.value", torch.tensor([0.3, 0.6, 0.9], dtype=torch.float64)
+
+    def pixel(adjoint):
+        renderer = rb.Renderer(furnace(), spp=1, max_depth=4, rr_depth=100, nee=False, adjoint=adjoint)
+        return lambda value: torch.func.functional_call(renderer, {f"scene.{name}": value})[0, :, 1, 1].sum()
+
+    with pytest.raises(RuntimeError, match="first derivatives only"):
+        torch.autograd.functional.hessian(pixel(rb.MemoizedAdjoint()), rho)
+    found = torch.autograd.functional.hessian(pixel(rb.TapeAdjoint()), rho)
+    expected = torch.tensor([1.0, 0.5, 0.25], dtype=torch.float64) * (2 + 6 * rho)
+    torch.testing.assert_close(found, torch.diag(expected), rtol=1e-10, atol=1e-12)
 
 
 def test_path_records_are_freed_by_the_backward_pass_though_the_image_lives_on():

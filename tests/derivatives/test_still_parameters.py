@@ -24,7 +24,7 @@ NOISY = ("pane", "dielectric", "blend", "blend of deltas", "mask", "plastic", "t
          "rough glass beckmann", "brushed glass beckmann")
 ROWS = [*((examples().get(pair), str(pair)) for pair in sorted(registered()) if is_still(pair)),
         *((example, str(example)) for example in MORE)]
-SOME = [pytest.param(example, id=name, marks=[pytest.mark.deep] * (place % 6 > 0))
+SOME = [pytest.param(example, id=name, marks=[pytest.mark.deep] * (place % 8 > 0))
         for place, (example, name) in enumerate(ROWS)]
 
 

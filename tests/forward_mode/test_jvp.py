@@ -7,6 +7,7 @@ from torch.func import functional_call
 
 import torch_radbp as rb
 from tests.bsdf.lanes import MATERIALS
+from tests.deep import deep_but_every
 from tests.emitter.lights import EMITTERS, scene_of
 from tests.gradients import relative_error, unwarned_renderer
 from tests.scenes import CASES, load, parameters, rectangle, rgb, sensor, texels
@@ -83,7 +84,7 @@ def test_forward_is_the_transpose_of_backward_under_an_emitter(kind):
     assert_transposed(lambda: scene_of(kind), names, **SETTINGS | {"spp": 16})
 
 
-@pytest.mark.parametrize("kind", MATERIALS)
+@pytest.mark.parametrize("kind", deep_but_every(2, MATERIALS))
 def test_forward_is_the_transpose_of_backward_on_a_material(kind):
     def described(material):
         """A dict of a scene: nested materials are children with names of their own."""

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.deep import deep_but
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, cotangent
 from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor, texels
@@ -122,7 +121,8 @@ def test_images_and_gradients_are_the_same(mode, adjoint, references):
         assert same(gradients(scene, adjoint), expected)
 
 
-@pytest.mark.parametrize("name", deep_but(["lamps"], EVERYTHING))
+@pytest.mark.deep
+@pytest.mark.parametrize("name", EVERYTHING)
 def test_gradients_of_all_parameters_ignore_autocast(name):
     """Those of poses run through matrix products, whose derivatives run while the user's own `backward()` does."""
     adjoint, settings = rb.MemoizedAdjoint(), {"spp": 1, "max_depth": 3, "sampling": "hybrid"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from functools import partial, wraps
 from itertools import groupby
 from typing import NamedTuple, TypeVar
 
@@ -199,6 +199,20 @@ def lane_adjoint(call: RenderCall, chunk: Chunk, grad_images: Tensor) -> Vec3:
     return Vec3(*(channel.repeat_interleave(chunk.samples) for channel in gradient))
 
 
+def first_derivatives_only(backward: Callable) -> Callable:
+    """A backward pass that refuses to be recorded, instead of giving gradients whose own derivative would be zero."""
+    @wraps(backward)
+    def refusing(ctx, *gradients: Tensor):
+        if torch.is_grad_enabled():
+            raise RuntimeError(
+                "a rendering has first derivatives only, and its backward pass is being recorded (create_graph=True, a "
+                "gradient penalty, torch.autograd.functional.hessian): render with adjoint=rb.TapeAdjoint(), which has "
+                "second derivatives and holds all paths in memory, or leave the rendering out of what is recorded")
+        return backward(ctx, *gradients)
+
+    return refusing
+
+
 class RenderFunction(torch.autograd.Function):
     """Images as a function of the scene's leaves, with memoized adjoint radiance as its derivative."""
 
@@ -221,6 +235,7 @@ class RenderFunction(torch.autograd.Function):
         return images
 
     @staticmethod
+    @first_derivatives_only
     @torch.autograd.function.once_differentiable
     @entry
     def backward(ctx, grad_images: Tensor):

@@ -1,12 +1,6 @@
 """The weighted sum of image losses that a recipe asks for.
 
-`two_buffer_l2` is the one to start with. A rendering I is a random estimate of the true image; the derivative of
-mean((I - T)^2) at one set of samples is 2 (I - T) dI, and E[I dI] differs from E[I] E[dI] because the same noise is
-in both factors. With two independent renderings, mean((I_a - T)(I_b - T)) and its derivative are unbiased at any
-number of samples. It may be negative: near the optimum it is a difference of noises.
-
-Reference: Gkioulekas et al. 2016, "An evaluation of computational imaging techniques for heterogeneous inverse
-scattering"; Azinovic et al. 2019, "Inverse path tracing for joint material and lighting estimation", section 4.
+`two_buffer_l2`, which has no bias at any number of samples, is the one to start with; `torch_radbp.losses` says why.
 """
 
 from collections.abc import Callable
@@ -16,13 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.io.image import linear_to_srgb
+from torch_radbp.losses import two_buffer_l2
 from torch_radbp.training import recipe
-
-
-def two_buffer_l2(image_a: Tensor, image_b: Tensor, target: Tensor) -> Tensor:
-    """Returns mean((image_a - target)(image_b - target)) of two independent renderings, all of shape (B, 3, H, W)."""
-    return ((image_a - target) * (image_b - target)).mean()
-
 
 TONE_MAPPINGS: dict[str, Callable[[Tensor], Tensor]] = {
     "none": lambda image: image,
