@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-deep test-peer gpu-check lint clean
+.PHONY: demo test test-deep test-peer test-torch gpu-check lint clean
 
 $(VENV)/.installed: setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -31,6 +31,13 @@ test-peer: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test,peer]"
 	$(PYTEST) tests/peer tests/bsdf tests/io
 	$(PYTEST) --deep tests/peer tests/bsdf
+
+# The quick tests on another version of torch, in an environment of its own: make test-torch VERSION=2.6.0
+test-torch:
+	$(PYTHON) -m venv $(VENV)-torch-$(VERSION)
+	$(VENV)-torch-$(VERSION)/bin/python -m pip install --quiet "torch==$(VERSION)" numpy
+	$(VENV)-torch-$(VERSION)/bin/python -m pip install --quiet -e ".[test]"
+	OMP_NUM_THREADS=1 $(VENV)-torch-$(VERSION)/bin/python -m pytest -n auto --dist worksteal
 
 # On a machine with a CUDA GPU: the tests that need one, and times beside Mitsuba's; saves a report in runs/gpu-check.
 # Without a GPU it says so, runs nothing and fails.

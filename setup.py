@@ -32,6 +32,7 @@ setup(
     long_description=Path(__file__).with_name("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     license="MIT",
+    license_files=["LICENSE"],
     python_requires=">=3.10",
     packages=[*find_packages(include=["torch_radbp", "torch_radbp.*"]), TRAINING, *PARTS, ASSETS],
     # Side by side in the wheel, as in the repository: recipes name their scenes by ../../assets.
@@ -40,7 +41,7 @@ setup(
                   "torch_radbp.emitter": ["sunsky_data.npz", "sunsky_data.md"]},
     cmdclass={"build_py": BuildWithoutScripts},
     install_requires=[
-        "torch>=2.13,<2.14",
+        "torch>=2.6",
         "numpy>=1.26",
         "embreex>=4.4",
         "llvmlite>=0.45",

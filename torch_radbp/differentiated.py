@@ -6,11 +6,12 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from torch_radbp.record import leaves_of, with_leaves
+from torch_radbp.torch_internals import inside_dual_level
 
 
 def tangent_of(tensor: Tensor) -> Tensor | None:
     """The tangent of a dual tensor, None if it has none."""
-    if forward_ad._current_level < 0:  # there are no dual tensors
+    if not inside_dual_level():
         return None
     return forward_ad.unpack_dual(tensor).tangent if tensor.is_floating_point() else None
 

@@ -7,13 +7,14 @@ calls it instead, as it is, and compiles what is around. Both are modes of a thr
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
 import torch
-from torch._C._dynamo.eval_frame import set_eval_frame
-from torch.utils._contextlib import context_decorator
+
+from torch_radbp.torch_internals import without_compiler
 
 Function = TypeVar("Function", bound=Callable)
 
@@ -21,19 +22,16 @@ Function = TypeVar("Function", bound=Callable)
 @contextmanager
 def without_modes() -> Iterator[None]:
     """Neither autocast nor compilation on this thread."""
-    compiler = set_eval_frame(None)
-    try:
-        with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
-            yield
-    finally:
-        set_eval_frame(compiler)
+    with without_compiler(), torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
+        yield
 
 
 def entry(function: Function) -> Function:
-    """`function`, which runs without those modes.
+    """`function`, which runs without those modes."""
+    @functools.wraps(function)
+    def called(*arguments, **settings):
+        with without_modes():
+            return function(*arguments, **settings)
 
-    It does what `torch.compiler.disable` does, without the three seconds in which that imports the compiler.
-    """
-    called = context_decorator(without_modes, function)
     called._torchdynamo_disable = True
     return called

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call
-from torch.utils._pytree import tree_map
 
 from torch_radbp.entry import entry
 from torch_radbp.plugin import finite
 from torch_radbp.render import Renderer
 from torch_radbp.scene import Scene
+from torch_radbp.torch_internals import tree_map
 
 
 @entry

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 from torch import Tensor
-from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint import TapeAdjoint
 from torch_radbp.adjoint.function import RenderCall, pilot_paths
@@ -14,6 +13,7 @@ from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
 from torch_radbp.differentiated import any_differentiated, detached, differentiable
 from torch_radbp.integrand import Integrand
 from torch_radbp.stages import EAGER
+from torch_radbp.torch_internals import tree_flatten
 
 PILOT_LANES = 4096  # paths that predict the memory of a call
 

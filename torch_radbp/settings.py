@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from torch import nn
@@ -55,9 +55,9 @@ def check_settings(renderer: nn.Module) -> None:
     if renderer.light_choice not in (None, *CHOICES):
         raise ValueError(f"light_choice={renderer.light_choice!r} is not known; "
                          f"{nearest(str(renderer.light_choice), CHOICES)}")
-    unknown = [term for term in renderer.terms if term not in TERMS]
-    if isinstance(renderer.terms, str) or unknown:
-        raise ValueError(f"terms={renderer.terms!r} is not known; it must be a set of some of {', '.join(TERMS)}")
+    terms = renderer.terms
+    if not isinstance(terms, Collection) or isinstance(terms, str) or any(term not in TERMS for term in terms):
+        raise ValueError(f"terms={terms!r} is not known; it must be a set or list of some of {', '.join(TERMS)}")
     if renderer.sampling not in SAMPLINGS:
         raise ValueError(f"sampling={renderer.sampling!r} is not known; {nearest(str(renderer.sampling), SAMPLINGS)}")
 

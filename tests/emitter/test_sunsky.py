@@ -1,5 +1,7 @@
 """Daylight: Mitsuba's values, the sun's place, and what is refused."""
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
@@ -90,6 +92,10 @@ BAD = {
     "aperture": ({"sun_aperture": 0.0}, "sun_aperture must be between 0 and 180 degrees, got 0.0"),
     "limb": ({"complex_sun": True}, "complex_sun is not supported"),
     "shear": ({"to_world": np.diag([1.0, 2, 1, 1])}, "to_world of a sunsky must be a rotation"),
+    "month": ({"month": 13}, "month must be from 1 to 12, got 13"),
+    "day": ({"month": 2, "day": 30}, "day must be from 1 to 28 in month 2, got 30"),
+    "latitude": ({"latitude": 500.0}, "latitude must be from -90 to 90, got 500"),
+    "hour": ({"hour": 25.0}, "hour must be from 0 to 24, got 25"),
     "unknown": ({"ground_albedo": 0.3}, "no attribute 'ground_albedo'; .*known: albedo, complex_sun, day"),
 }
 
@@ -100,3 +106,13 @@ def test_what_cannot_be_is_refused(case):
     attributes, message = BAD[case]
     with pytest.raises(ValueError, match=message):
         load(sensor=sensor(4), sky={"type": "sunsky"} | attributes)
+
+
+def test_a_sun_below_the_horizon_is_told():
+    with pytest.warns(rb.SceneWarning, match="below the horizon"):
+        load(sensor=sensor(4), sky={"type": "sunsky", "sun_direction": [0.0, 1.0, -0.2]})
+    with pytest.warns(rb.SceneWarning, match="below the horizon"):
+        load(sensor=sensor(4), sky={"type": "sunsky", "hour": 2.0})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load(sensor=sensor(4), sky={"type": "sunsky", "sun_direction": [0.0, 1.0, 0.2]})

@@ -92,6 +92,7 @@ BAD = {
     "no frames": ({"frames": []}, "must have \"frames\", a list"),
     "frame": ({"frames": [3]}, r"frames\[0\]: must be an object, got 3"),
     "name": (with_frame(file_path=None), r"frames\[0\].file_path: must be the name"),
+    "fisheye": (OPENCV | {"is_fisheye": "false"}, "is_fisheye must be true or false, got 'false'"),
     "same name": (OPENCV | {"frames": 2 * OPENCV["frames"][:1]}, r"frames\[1\].file_path: a second"),
     "model": (OPENCV | {"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' is not supported; .*OPENCV_FI"),
     "coefficient": (OPENCV | {"k4": 0.1}, "k4 = 0.1 is no coefficient of the camera_model OPENCV; known: k1, k2, k3"),

@@ -22,6 +22,8 @@ CONSTRUCTOR = {
     "adjoint by name": ({"adjoint": "log"}, TypeError, "adjoint must be one of MemoizedAdjoint, QuadraticAdjoint, "
                                                        "ReplayAdjoint, TapeAdjoint, got 'log'"),
     "adjoint as class": ({"adjoint": rb.MemoizedAdjoint}, TypeError, "adjoint must be one of MemoizedAdjoint"),
+    "terms to be read once": ({"terms": iter(["interior"])}, ValueError, "it must be a set or list of some of interior"),
+    "no terms": ({"terms": None}, ValueError, "terms=None is not known; it must be a set or list of some of interior"),
     "unknown sampling": ({"sampling": "both"}, ValueError, "sampling='both' is not known; known: attached"),
     "memory budget": ({"memory_budget": "plenty"}, ValueError, "memory_budget"),
     "memory budget of zero": ({"memory_budget": 0}, ValueError, "memory_budget"),

@@ -100,6 +100,7 @@ BAD = {
     "no numbers": ({"t": ["a", "b", "c"]}, "t must be numbers"),
     "coefficients": ({"distortion": [0.1, 0.2]}, "0 or 4 or 5 or 8 coefficients .k1, k2, p1, p2, k3, k4, k5, k6., got 2"),
     "fisheye": ({"distortion": [0.1] * 5, "fisheye": True}, "0 or 4 coefficients .k1, k2, k3, k4., got 5"),
+    "yes": ({"fisheye": "yes"}, "fisheye must be True or False, got 'yes'"),
     "gradient": ({"K": K.clone().requires_grad_()}, "K requires a gradient, which would not reach it"),
     "width": ({"width": 0}, "width must be an integer of at least 1"),
     "scale": ({"scale": 0.0}, "scale must be greater than 0"),

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_map
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.lookup import Tap, tapped
@@ -24,6 +23,7 @@ from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import Given
+from torch_radbp.torch_internals import tree_map
 from torch_radbp.vec import Ray, Vec3, rows
 
 

@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten
 
 from torch_radbp.adjoint.bounce import bounce_adjoint
 from torch_radbp.adjoint.sweep import Sweep
@@ -21,6 +20,7 @@ from torch_radbp.path_state import Arrival, PathState, Position
 from torch_radbp.plugin import Plugin, Texture
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.torch_internals import tree_flatten
 from torch_radbp.vec import rows
 
 ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) and smaller steps"

@@ -14,20 +14,14 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
-from torch._C._functorch import (
-    TransformType,
-    get_interpreter_stack,
-    get_unwrapped,
-    is_functorch_wrapped_tensor,
-)
-from torch._functorch.pyfunctorch import temporarily_clear_interpreter_stack
 from torch.autograd import forward_ad
-from torch.utils._pytree import tree_map
 
+from torch_radbp import torch_internals
 from torch_radbp.adjoint.function import RenderCall, render_images
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.differentiated import tangent_of
 from torch_radbp.record import leaves_of
+from torch_radbp.torch_internals import tree_map
 
 
 def has_tangents(record) -> bool:
@@ -53,7 +47,7 @@ def render_tangents(call: RenderCall) -> Tensor:
 
 def inside_transforms() -> bool:
     """True while a transform of `torch.func` is active."""
-    return bool(get_interpreter_stack())
+    return bool(torch_internals.transforms())
 
 
 def outside_transforms(render: Callable, parameters: dict[str, Tensor]):
@@ -62,24 +56,23 @@ def outside_transforms(render: Callable, parameters: dict[str, Tensor]):
     Raises:
         RuntimeError: in any other transform, or in several.
     """
-    transforms = [interpreter.key() for interpreter in get_interpreter_stack()]
-    if transforms != [TransformType.Jvp]:
-        names = ", ".join(transform.name.lower() for transform in transforms)
-        raise RuntimeError(f"of the transforms of torch.func rendering works in jvp only, and not nested, but is called in: "
-                           f"{names}; for gradients use torch.autograd.grad or backward(), not torch.func.grad or vjp")
-    duals = {name: tuple(map(unwrapped, forward_ad.unpack_dual(value))) for name, value in parameters.items()}
-    with temporarily_clear_interpreter_stack():
+    transforms = torch_internals.transforms()
+    if transforms != ["jvp"]:
+        raise RuntimeError("of the transforms of torch.func rendering works in jvp only, and not nested, but is called in: "
+                           f"{', '.join(transforms)}; for gradients use torch.autograd.grad or backward(), not "
+                           "torch.func.grad or vjp")
+    duals = {name: tuple(map(torch_internals.unwrapped, forward_ad.unpack_dual(value)))
+             for name, value in parameters.items()}
+
+    def rendered():
         images = render({name: value if tangent is None else forward_ad.make_dual(value, tangent)
                          for name, (value, tangent) in duals.items()})
-        images = tree_map(lambda image: tuple(forward_ad.unpack_dual(image)), images)
+        return tree_map(lambda image: tuple(forward_ad.unpack_dual(image)), images)
+
+    images = torch_internals.outside_transforms(rendered)
     return tree_map(rewrapped, images, is_leaf=lambda part: isinstance(part, tuple) and isinstance(part[1], Tensor | None))
 
 
 def rewrapped(image: tuple[Tensor, Tensor | None]) -> Tensor:
     """The dual tensor of an image and its tangent, if it has one."""
     return image[0] if image[1] is None else forward_ad.make_dual(*image)
-
-
-def unwrapped(tensor: Tensor | None) -> Tensor | None:
-    """The plain tensor inside of one that `torch.func` has wrapped."""
-    return get_unwrapped(tensor) if tensor is not None and is_functorch_wrapped_tensor(tensor) else tensor

@@ -13,8 +13,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_flatten, tree_map_only
 from torch.utils.weak import WeakIdKeyDictionary
 
 from torch_radbp.adjoint.outside import OutsideValues
@@ -23,6 +21,7 @@ from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.integrand import Integrand
 from torch_radbp.path_state import Arrival, PathState
+from torch_radbp.torch_internals import TorchDispatchMode, tree_flatten, tree_map_only
 from torch_radbp.vec import Vec3
 from torch_radbp.wavefront import Step, take_step
 

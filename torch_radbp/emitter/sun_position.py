@@ -6,14 +6,33 @@ Reference: Blanco-Muriel, Alarcon-Padilla, Lopez-Moratalla and Lara-Coira 2001, 
 from __future__ import annotations
 
 import math
+from calendar import monthrange
 
 import torch
 from torch import Tensor
+
+from torch_radbp.plugin import integer
 
 # Mitsuba's: an afternoon in Tokyo.
 DAY = {"latitude": 35.6894, "longitude": 139.6917, "timezone": 9.0, "year": 2010, "month": 7, "day": 10, "hour": 15.0,
        "minute": 0.0, "second": 0.0}
 PARALLAX = 6371.01 / 149597890.0  # radius of the earth over its distance from the sun
+
+
+RANGES = {"latitude": (-90, 90), "longitude": (-360, 360), "timezone": (-14, 14), "year": (1, 9999), "month": (1, 12),
+          "hour": (0, 24), "minute": (0, 60), "second": (0, 60)}  # inclusive
+
+
+def check_place_and_time(given: dict[str, float]) -> None:
+    """Raises ValueError for a place or time that is none; `given` as `DAY`."""
+    for name in ("year", "month", "day"):
+        integer(name, given[name])
+    for name, (low, high) in RANGES.items():
+        if not low <= given[name] <= high:
+            raise ValueError(f"{name} must be from {low} to {high}, got {given[name]}")
+    days = monthrange(given["year"], given["month"])[1]
+    if not 1 <= given["day"] <= days:
+        raise ValueError(f"day must be from 1 to {days} in month {given['month']}, got {given['day']}")
 
 
 def sun_position(latitude: float, longitude: float, timezone: float, year: int, month: int, day: int, hour: float,

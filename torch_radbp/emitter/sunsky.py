@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,9 +26,9 @@ from torch_radbp.domain import FRACTION, NUMBER, Domain
 from torch_radbp.emitter.attributes import FACTOR, colour, factor, weight
 from torch_radbp.emitter.envmap import Envmap, EnvmapKind, EnvmapTable, density, envmap_table, sample_direction
 from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
-from torch_radbp.emitter.sun_position import DAY, sun_position
+from torch_radbp.emitter.sun_position import DAY, check_place_and_time, sun_position
 from torch_radbp.lookup import lookup
-from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
+from torch_radbp.plugin import Matrix4, Point3, SceneWarning, Texture, finite, register
 from torch_radbp.sampling.sampler import fine_unit
 from torch_radbp.shape.surface import affine
 from torch_radbp.texture.bitmap import LUMINANCE
@@ -254,8 +255,9 @@ class Sunsky(Light):
                  "day": day, "hour": hour, "minute": minute, "second": second}
         named = [name for name, value in given.items() if value is not None]
         if sun_direction is None:
-            sun = self.rotation().double() @ sun_position(*(DAY[name] if value is None else value
-                                                            for name, value in given.items()))
+            moment = {name: DAY[name] if value is None else value for name, value in given.items()}
+            check_place_and_time(moment)
+            sun = self.rotation().double() @ sun_position(**moment)
         elif named:
             raise ValueError(f"give either sun_direction or a place and time, got {', '.join(named)} as well")
         else:
@@ -266,6 +268,9 @@ class Sunsky(Light):
         # A unit vector stays as it is, to the last bit.
         self.register_buffer("sun_direction", (sun if abs(length - 1) < UNIT else sun / length).to(dtype))
         self.sampling_weight = weight(sampling_weight)
+        if self.local_sun()[2] < 0:
+            warnings.warn("the sun of a sunsky is below the horizon, its local xy plane, and does not shine; local +z is "
+                          "the zenith: turn it by to_world where the scene has another", SceneWarning, stacklevel=2)
 
     complex_sun = False
     latitude = longitude = timezone = year = month = day = hour = minute = second = None  # resolved into `sun_direction`

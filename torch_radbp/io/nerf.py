@@ -129,7 +129,10 @@ def size_of_image(path: Path) -> list[int]:
 
 def intrinsics(place: str, given: dict[str, Any], size: list[int]) -> Intrinsics:
     """What a frame says of its camera, with what is said of all."""
-    model = given.get("camera_model", "OPENCV_FISHEYE" if given.get("is_fisheye") else "OPENCV")
+    fisheye = given.get("is_fisheye", False)
+    if not isinstance(fisheye, bool):
+        raise SceneError(f"{place}: is_fisheye must be true or false, got {fisheye!r:.80}")
+    model = given.get("camera_model", "OPENCV_FISHEYE" if fisheye else "OPENCV")
     if not isinstance(model, str) or model not in LENSES:
         raise SceneError(f"{place}: camera_model {model!r:.80} is not supported; {nearest(str(model)[:80], LENSES)}")
     (width, height), focal = size, []

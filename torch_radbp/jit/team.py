@@ -14,6 +14,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
+from torch_radbp.torch_internals import library_of_torch
+
 PART = 4096  # lanes that a thread takes at a time
 
 
@@ -31,7 +33,7 @@ LoopBody = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 def openmp_parallel():
     """GOMP_parallel(body, argument, number of threads, flags) of torch's own OpenMP runtime, or None."""
     # A symbol is looked up in a library and in all it depends on, hence in the runtime that torch loaded.
-    function = getattr(ctypes.CDLL(torch._C.__file__), "GOMP_parallel", None)
+    function = getattr(library_of_torch(), "GOMP_parallel", None)
     if function is not None:
         function.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint, ctypes.c_uint]
         function.restype = None

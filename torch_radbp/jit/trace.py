@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from torch_radbp.jit.graph import NUMBER, TABLE, Builder, Program, Value, program
 from torch_radbp.jit.inference import INFERRED
 from torch_radbp.jit.operations import DECOMPOSED, HANDLERS
 from torch_radbp.jit.refusal import refusal
+from torch_radbp.torch_internals import TorchDispatchMode, functions_of_torch_only
 
 SIZE = 1_000_003  # of lanes while tracing; what they are is known by their kind, not by their size
 
@@ -55,7 +55,7 @@ class TableStandIn(Tensor):
     def __torch_function__(cls, func, types, args=(), kwargs=None):
         if func in (Tensor.shape.__get__, Tensor.size, Tensor.__len__, Tensor.numel, Tensor.nelement):
             raise refusal("the length of a table, which may differ from call to call (hand it over as a number),")
-        with torch._C.DisableTorchFunctionSubclass():
+        with functions_of_torch_only():
             return func(*args, **(kwargs or {}))
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_radbp.entry import entry
 from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.plugin import ReconstructionFilter, integer, no_gradient, positive
+from torch_radbp.plugin import ReconstructionFilter, boolean, integer, no_gradient, positive
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
 
 ORDER = {BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), FISHEYE: ("k1", "k2", "k3", "k4")}
@@ -103,7 +103,7 @@ def intrinsics_of(K: Any, width: int, height: int, distortion: Sequence[float], 
     matrix = array("K", K, (3, 3))
     if matrix[1, 0] != 0 or (matrix[2] != (0, 0, 1)).any():
         raise ValueError(f"K must be fx, skew, cx; 0, fy, cy; 0, 0, 1, got {matrix.tolist()}")
-    model = FISHEYE if fisheye else BROWN_CONRADY
+    model = FISHEYE if boolean("fisheye", fisheye) else BROWN_CONRADY
     values = array("distortion", distortion, None).flatten()
     if len(values) not in LENGTHS[model]:
         raise ValueError(f"distortion must have {' or '.join(map(str, LENGTHS[model]))} coefficients "
