@@ -3,6 +3,7 @@
 import base64
 import math
 import struct
+import warnings
 import zlib
 
 import numpy as np
@@ -99,6 +100,9 @@ BAD = {
     "an alpha mode": (set_to("materials", 0, "alphaMode", to="CLIP"), "alphaMode must be OPAQUE, MASK or BLEND, got 'CLIP'"),
     "a wrap mode": (lambda f: f.document["textures"][0].update(sampler=f.add("samplers", wrapS=1)), "wrapS 1 is not known"),
     "a file from the network": (set_to("buffers", 0, "uri", to="http://x/y.bin"), "no other is read"),
+    "a file of the system": (set_to("buffers", 0, "uri", to="/etc/passwd"), "leads out of the folder of the document; if"),
+    "a file above": (set_to("buffers", 0, "uri", to="../../y.bin"), "'../../y.bin' leads out of the folder"),
+    "a file above in disguise": (set_to("buffers", 0, "uri", to="a/%2e%2e/..%2Fy.bin"), "leads out of the folder"),
     "a file that is not there": (set_to("buffers", 0, "uri", to="y.bin"), "y.bin: file not found"),
     "damaged base64": (set_to("buffers", 0, "uri", to="data:;base64,@@@"), "its data URI is damaged"),
     "no base64": (set_to("buffers", 0, "uri", to="data:text/plain,abc"), "must be encoded as base64"),
@@ -137,6 +141,24 @@ def test_values_that_are_not_finite_are_refused(tmp_path):
     positions[1, 2] = np.nan
     file.node({"attributes": {"POSITION": file.array(positions)}, "mode": 6}, name="sheet")
     refused(tmp_path, file.save(tmp_path / "good.glb").read_bytes(), "vertex_positions must be finite, got 1 of 12")
+
+
+def test_files_outside_of_the_folder_are_read_if_that_is_allowed(tmp_path):
+    file = square()
+    file.document["buffers"][0]["uri"] = "../buffer.bin"
+    (tmp_path / "asset").mkdir()
+    path = file.save(tmp_path / "asset" / "good.gltf")
+    (tmp_path / "buffer.bin").write_bytes(file.binary + b"and more")
+    with pytest.raises(rb.SceneError, match="leads out of the folder of the document; .*allow_outside=True"):
+        rb.load(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rb.GltfWarning)
+        for allowed in (True, "true"):
+            assert len(rb.load(path, allow_outside=allowed).shapes) == 1
+        (tmp_path / "asset" / "linked.bin").symlink_to(tmp_path / "buffer.bin")
+        file.document["buffers"][0]["uri"] = "linked.bin"
+        with pytest.raises(rb.SceneError, match="leads out of the folder"):
+            rb.load(file.save(path))
 
 
 HEADER = struct.Struct("<4sII")

@@ -40,8 +40,9 @@ def load(path: str | os.PathLike, **variables: Any) -> Scene:
             such a file leaves open, `resolution` (pixels of the longer side; 512), `spp` (16), `max_depth` (-1), `light`
             (radiance of a constant light, added to those of the file; 1 if it has none), `camera` (False: look at the whole
             scene from the front instead of through the file's cameras), `scene` (the number of one of several),
-            `lumens_per_watt` (1; 683 undoes what Blender's exporter multiplies lights with), and `strict` (True: an error
-            instead of a warning about what cannot be read).
+            `lumens_per_watt` (1; 683 undoes what Blender's exporter multiplies lights with), `strict` (True: an error
+            instead of a warning about what cannot be read), and `allow_outside` (True: also read images and buffers that do
+            not lie in the folder of the file, or below).
 
     Raises:
         SceneError: names the file and the place in it, and what is supported.

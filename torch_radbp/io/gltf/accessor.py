@@ -18,10 +18,17 @@ MAX_NUMBERS = 2**28  # of all accessors together, counted as often as they are r
 
 
 class Buffers:
-    """The bytes that a document refers to."""
+    """The bytes that a document refers to.
 
-    def __init__(self, document: Document, binary: bytes | None, folder: Path):
-        self.document, self.binary, self.folder = document, binary, folder
+    Args:
+        document: the file's.
+        binary: its binary chunk, if it has one.
+        folder: that file names are relative to.
+        allow_outside: also read files that do not lie in `folder`, or below.
+    """
+
+    def __init__(self, document: Document, binary: bytes | None, folder: Path, allow_outside: bool = False):
+        self.document, self.binary, self.folder, self.allow_outside = document, binary, folder, allow_outside
         self.known: dict[int, bytes] = {}
         self.numbers = 0  # read so far
 
@@ -31,7 +38,7 @@ class Buffers:
             part = self.document.of("buffers", index, user, "buffer")
             length, uri = part.integer("byteLength"), part.text("uri", None)
             if uri is not None:
-                content = self.resource(uri, part)
+                content = self.resource(uri, part, length)
             elif index == 0 and self.binary is not None:
                 content = self.binary
             else:
@@ -41,8 +48,9 @@ class Buffers:
             self.known[index] = content[:length]
         return self.known[index]
 
-    def resource(self, uri: str, user: Part) -> bytes:
-        """The bytes behind a URI: a data URI, or the name of a file relative to the document."""
+    def resource(self, uri: str, user: Part, length: int = -1) -> bytes:
+        """The bytes behind a URI: a data URI, or the name of a file relative to the document, of which the first `length`
+        bytes are read; -1: all."""
         if uri.startswith("data:"):
             head, comma, body = uri.partition(",")
             if not comma or not head.endswith(";base64"):
@@ -57,9 +65,13 @@ class Buffers:
             scheme = ""
         if scheme or "\0" in uri:
             raise user.fail(f"the uri {uri[:80]!r} is no file name relative to the document; no other is read")
+        path = self.folder / unquote(uri)
+        if not self.allow_outside and not path.resolve().is_relative_to(self.folder.resolve()):
+            raise user.fail(f"the uri {uri[:80]!r} leads out of the folder of the document; if you trust it, load it with "
+                            "allow_outside=True (on the command line -D allow_outside=true)")
         try:
-            with opened(self.folder / unquote(uri)) as file:
-                return file.read()
+            with opened(path) as file:
+                return file.read(length)
         except OSError as error:
             raise user.fail(str(error)) from error
 

@@ -42,6 +42,7 @@ class Options(NamedTuple):
     scene: int | None = None  # number of the scene in the file
     lumens_per_watt: float = 1.0  # see `lamp`
     strict: bool = False  # an error instead of a warning about what cannot be read
+    allow_outside: bool = False  # read files that do not lie in the folder of this one, or below
 
 
 def options(file: str, given: dict[str, Any]) -> Options:
@@ -61,7 +62,7 @@ def options(file: str, given: dict[str, Any]) -> Options:
 
 def option(file: str, name: str, value: Any) -> Any:
     """One option."""
-    if name in ("camera", "strict"):
+    if name in ("camera", "strict", "allow_outside"):
         words = {"true": True, "false": False}
         value = words.get(value, value) if isinstance(value, str) else value
         if not isinstance(value, bool):
@@ -101,7 +102,7 @@ class _Reader:
         self.file, self.options, self.losses = file, chosen, Losses()
         self.document = Document(file, container.document)
         check_extensions(self.document, self.losses)
-        self.buffers = Buffers(self.document, container.binary, Path(file).parent)
+        self.buffers = Buffers(self.document, container.binary, Path(file).parent, chosen.allow_outside)
         self.children: dict[str, Plugin] = {}
         self.names = Names()
         textures = Textures(self.document, Pictures(self.document, self.buffers), self.losses)
