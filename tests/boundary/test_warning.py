@@ -111,7 +111,12 @@ LIGHTS = {  # all of which cast a shadow of the cube `aside` into the view
     "spot.to_world": {"type": "spot", "to_world": look_at((-4.4, 0.2, 3), (0, 0, -1), (0, 1, 0)), "cutoff_angle": 30},
     "directional.to_world": {"type": "directional", "direction": [1.1, -0.05, -1], "irradiance": rgb(3, 3, 3)},
     "area.to_world": {"type": "rectangle", "emitter": {"type": "area", "radiance": rgb(9, 7, 5)},
-                      "to_world": look_at((-4.4, 0.2, 3), (0, 0, -1), (0, 1, 0)) @ scale((0.2, 0.2, 0.2))}}
+                      "to_world": look_at((-4.4, 0.2, 3), (0, 0, -1), (0, 1, 0)) @ scale((0.2, 0.2, 0.2))},
+    # Their middle lies inside.
+    "ball.to_world": {"type": "sphere", "to_world": translate((-4.4, 0.2, 3)) @ scale((0.2, 0.2, 0.2)),
+                      "emitter": {"type": "area", "radiance": rgb(9, 7, 5)}},
+    "block.to_world": {"type": "cube", "to_world": translate((-4.4, 0.2, 3)) @ scale((0.2, 0.2, 0.2)),
+                       "emitter": {"type": "area", "radiance": rgb(9, 7, 5)}}}
 
 
 def shadows(scene: rb.Scene, *names: str) -> list[str]:
@@ -124,15 +129,16 @@ def test_shadows_that_fall_into_the_view_are_named_with_all_that_moves_them(name
     def lit(**shapes) -> rb.Scene:
         return load(camera=sensor(4, fov=30), floor=FLOOR, **{name.split(".")[0]: LIGHTS[name]}, **shapes)
 
-    assert shadows(lit(), name, "floor.to_world") == []
-    for moving in (name, "aside.vertex_positions", "floor.to_world"):
+    assert shadows(lit(), name, "floor.to_world", "camera.to_world") == []
+    for moving in (name, "aside.vertex_positions", "floor.to_world", "camera.to_world"):
         message, = warnings_of(lit(aside=ASIDE), moving)
         assert f"`{moving}`" in message and "borders of shadows" in message
     message, = warnings_of(lit(aside=ASIDE), name, "aside.vertex_positions", "aside.vertex_normals")
     assert "`aside.vertex_positions`" in message and f"`{name}`" in message
     assert warnings_of(lit(aside=ASIDE), "floor.bsdf.reflectance.data") == []
     # What lies elsewhere casts its shadow elsewhere.
-    assert shadows(lit(aside={**CUBE, "to_world": translate((2.4, 0.1, 1)) @ scale((0.2, 0.2, 0.2))}), name) == []
+    assert shadows(lit(aside={**CUBE, "to_world": translate((2.4, 0.1, 1)) @ scale((0.2, 0.2, 0.2))}), name,
+                   "camera.to_world") == []
 
 
 def test_no_shadow_is_cast_by_what_is_not_lit():

@@ -24,10 +24,11 @@ class Shadows(NamedTuple):
 
     edge: Tensor  # (S,) int64, the edge that casts the shadow
     receiver: Tensor  # (S,) int64, the triangle on which the shadow falls
+    seen: Tensor  # (views, S) bool, by which cameras
 
 
 def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Tensor, axis: Tensor,
-                    sights: Sequence[Sight]) -> Shadows:
+                    sights: Sequence[Sight], own: Tensor | None = None) -> Shadows:
     """The shadows that a light casts into some views. A shadow hidden behind a surface counts as seen.
 
     Args:
@@ -37,6 +38,8 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
         light: (4,) homogeneous coordinates of the light: a position, or with 0 at the end the direction towards it.
         axis: (3,) the light shines only into directions on this side; 0: into all.
         sights: of the cameras.
+        own: (T,) bool, the triangles that emit the light, which do not hide it: its middle may lie inside; None: there are
+            none.
     """
     extent = (vertices.amax(0) - vertices.amin(0)).max().double()
     vertices = vertices.double()
@@ -50,13 +53,19 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
     distance = reach.norm(dim=1)
     d = reach / distance.clamp_min(1e-300)[:, None]
     lit = d @ axis.double() >= 0
-    lit &= ~caster.occluded(ray_from(place - d * APART * extent, -d), (distance - 2 * APART * extent).float())
+    towards, before = ray_from(place - d * APART * extent, -d), (distance - 2 * APART * extent).float()
+    if own is None:
+        lit &= ~caster.occluded(towards, before)
+    else:
+        met = caster.intersect(towards)
+        lit &= (met.prim < 0) | (met.t >= before) | own[met.prim.long().clamp_min(0)]
     hit = caster.intersect(ray_from(place + d * APART * extent, d))
     border = place + d * (APART * extent + hit.t[:, None].double())
     falls = (lit & (hit.prim >= 0)).nonzero().squeeze(1)
     points = Edges(falls, falls, falls, falls[:0], falls[:0], falls[:0])
-    falls = falls[torch.stack([crosses_view(points, border, sight) for sight in sights]).any(0)]
-    return Shadows(edge[falls], hit.prim[falls].long())
+    seen = torch.stack([crosses_view(points, border, sight) for sight in sights])
+    falls, seen = falls[seen.any(0)], seen[:, seen.any(0)]
+    return Shadows(edge[falls], hit.prim[falls].long(), seen)
 
 
 def viewpoint(place: Tensor, vertices: Tensor) -> Tensor:

@@ -81,13 +81,16 @@ class JumpWatch:
                                  f"terms=('interior', 'primary'), has what silhouettes in view contribute")
 
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about shadows that move because a light, the shape that casts them or the shape below moves, or None.
+        """The warning about shadows that move because a light, the shape that casts them, the shape below or the camera
+        moves, or None.
 
         Parameters that move silhouettes too are left out. Shadows are searched once for each parameter, by casting rays
         from some of the lights.
         """
         scene, shapes = rendering.scene, rendering.movers
-        names = {name for plugin in scene.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}.union(*shapes)
+        cameras = [rendering.moving(sensor) for sensor in rendering.sensors]
+        names = {name for plugin in scene.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
+        names = names.union(*shapes, *cameras)
         if names <= self.looked_at:
             return None
         self.looked_at |= names
@@ -102,18 +105,23 @@ class JumpWatch:
         shape_of = torch.repeat_interleave(torch.tensor(rendering.sizes, device=faces.device))
         missing: set[str] = set()
         for light in lights:
-            found = shadows_in_view(edges, vertices, rendering.caster, light.place, light.axis, rendering.sights)
+            emitters = [place for place, shape in enumerate(owners) if shape is light.shape]
+            own = torch.isin(shape_of, torch.tensor(emitters, device=shape_of.device)) if emitters else None
+            found = shadows_in_view(edges, vertices, rendering.caster, light.place, light.axis, rendering.sights, own)
             casting = shape_at[edges.vertex[edges.a[found.edge]]]
             pairs = torch.stack([casting, shape_of[found.receiver]], 1).unique(dim=0)
             for casts, catches in pairs.tolist():
                 if owners[casts] is not light.shape:
                     missing |= {*light.moving, *shapes[casts], *shapes[catches]}
+            cast = torch.tensor([owner is not light.shape for owner in owners], device=faces.device)[casting]
+            missing |= {name for names, seen in zip(cameras, found.seen) if (seen & cast).any() for name in names}
         missing -= self.missing(rendering).keys()
         if not missing:
             return None
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(missing))} lack the contribution of the "
-                                 f"borders of shadows: some in view move over the surface on which they fall. A loss that "
-                                 f"depends on where shadows lie has a biased gradient; check_gradient measures by how much")
+                                 f"borders of shadows: some in view move over the image, or over the surface on which "
+                                 f"they fall. A loss that depends on where shadows lie has a biased gradient; "
+                                 f"check_gradient measures by how much")
 
     def jumps_of_a_bsdf(self, rendering: Rendering) -> JumpWarning | None:
         """The warning about a BSDF that is discontinuous in its directions while these turn, or None.
