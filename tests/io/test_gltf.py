@@ -387,7 +387,8 @@ def test_options_may_be_text_and_are_checked(file, tmp_path):
     assert camera.film.width == 32 and camera.sampler.sample_count == 4 and scene.integrator.max_depth == 3
     for given, message in [
             ({"size": 3}, "no option 'size'; .*known: allow_outside, camera, light"),
-            ({"spp": "x"}, "spp must be an integer"), ({"resolution": 0}, "at least 1"), ({"strict": 1}, "must be true or false"),
+            ({"spp": "x"}, "spp must be an integer"), ({"resolution": 0}, "at least 1"),
+            ({"strict": 1}, "must be true or false"),
             ({"scene": 4}, r"scene 4 does not exist; the document has scenes 0 to 0")]:
         with pytest.raises(SceneError, match=f"asset.glb: .*{message}"):
             rb.load(path, **given)
