@@ -93,7 +93,8 @@ def test_processes_share_the_memory_of_a_machine(monkeypatch):
 def test_a_killed_process_ends_the_run_with_a_message_and_resume_continues(folder, edit_recipe):
     edit_recipe("steps = 6", "steps = 4000")
     command = ("-m", "torch_radbp.training.cli", "optimize", str(folder / "recipe.toml"), "--out", str(folder / "run"))
-    with under_torchrun(2, *command, start_new_session=True) as process:
+    # torchrun looks after its processes every 5 seconds: by then the other one has noticed the loss, and is not terminated.
+    with under_torchrun(2, "--monitor-interval", "5", *command, start_new_session=True) as process:
         metrics = MetricsFile(folder / "run" / "metrics.csv")
         deadline = time.monotonic() + 300
         while not metrics.path.exists() or len(metrics.rows()) < 3:
