@@ -16,8 +16,7 @@ TRAINING = PACKAGE.parent / "training"
 
 # Data flows down this list; a module may import from its own layer and from those above it.
 LAYERS = [
-    {"differentiated", "domain", "entry", "vec", "lookup", "losses", "plugin", "pose", "record", "jit",
-     "torch_internals"}, {"sampling"},
+    {"differentiated", "domain", "entry", "vec", "lookup", "losses", "plugin", "pose", "record", "jit"}, {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
     {"raycast", "view"}, {"path_state"}, {"path", "queues"}, {"given"}, {"integrand"}, {"wavefront"}, {"adjoint"},
     {"boundary", "aov"}, {"stages", "settings"},

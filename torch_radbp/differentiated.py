@@ -5,8 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from torch_radbp.jit.torch_internals import inside_dual_level
 from torch_radbp.record import leaves_of, with_leaves
-from torch_radbp.torch_internals import inside_dual_level
 
 
 def tangent_of(tensor: Tensor) -> Tensor | None:

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import torch
 
-from torch_radbp.torch_internals import without_compiler
+from torch_radbp.jit.torch_internals import without_compiler
 
 Function = TypeVar("Function", bound=Callable)
 

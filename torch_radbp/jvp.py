@@ -11,10 +11,10 @@ from torch.autograd import forward_ad
 from torch.func import functional_call
 
 from torch_radbp.entry import entry
+from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.plugin import finite
 from torch_radbp.render import Renderer
 from torch_radbp.scene import Scene
-from torch_radbp.torch_internals import tree_map
 
 
 @entry

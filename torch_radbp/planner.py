@@ -12,8 +12,8 @@ from torch_radbp.adjoint.memory import MemoryPlan, Workload, plan_memory, predic
 from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
 from torch_radbp.differentiated import any_differentiated, detached, differentiable
 from torch_radbp.integrand import Integrand
+from torch_radbp.jit.torch_internals import tree_flatten
 from torch_radbp.stages import EAGER
-from torch_radbp.torch_internals import tree_flatten
 
 PILOT_LANES = 4096  # paths that predict the memory of a call
 

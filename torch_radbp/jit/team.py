@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
-from torch_radbp.torch_internals import library_of_torch
+from torch_radbp.jit.torch_internals import library_of_torch
 
 PART = 4096  # lanes that a thread takes at a time
 
