@@ -1,8 +1,8 @@
 """Single faults, and whether the tests find them: ``python -m tests.mutants``.
 
 Each fault is put into a copy of the tree, and the quick tests of the folders that are named beside it run there until one
-fails; if none does, the deep ones of these folders, then all quick and all deep tests. What no test finds is printed as such,
-and the exit status is 1.
+fails; if none does, the deep ones of these folders, then all quick and all deep tests. What no test finds is printed as
+such, and the exit status is 1.
 """
 
 from __future__ import annotations
