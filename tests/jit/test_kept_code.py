@@ -5,6 +5,7 @@ import shutil
 import stat
 import subprocess
 import sys
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -120,11 +121,12 @@ def test_an_entry_under_the_name_of_another_is_not_taken(folder):
     assert_right(found)
 
 
-def test_a_full_disk_leaves_nothing_half_written(folder, monkeypatch, recwarn):
-    def full(*arguments):
-        raise OSError(28, "No space left on device")
+@pytest.mark.parametrize("owner, name", [(os, "replace"), (tempfile, "mkstemp")], ids=["full", "read-only"])
+def test_a_disk_that_takes_nothing_is_left_as_it_is(folder, monkeypatch, recwarn, owner, name):
+    def refused(*arguments, **settings):
+        raise OSError("No space left on device, or read-only file system")
 
-    monkeypatch.setattr(os, "replace", full)
+    monkeypatch.setattr(owner, name, refused)
     found, _ = call()
     assert_right(found)
     assert not list(folder.iterdir()) and not recwarn.list
