@@ -62,9 +62,8 @@ MUTANTS = (
            ("emitter/test_light_choice.py",)),
     # Films.
     Mutant("film/position.py", "(row + self.crop_y + 0.5", "(row + self.crop_x + 0.5", ("sensor", "render/test_camera.py")),
-    Mutant("film/gaussian.py", "(2 * self.stddev**2)) - edge)", "(2 * self.stddev**2)) - 0 * edge)",
-           ("render/test_filter.py",)),
-    Mutant("film/mitchell.py", "(-12 * b - 48 * c) * x", "(-12 * b - 46 * c) * x", ("render/test_filter.py", "film")),
+    Mutant("film/gaussian.py", "(2 * self.stddev**2)) - edge)", "(2 * self.stddev**2)) - 0 * edge)", ("film",)),
+    Mutant("film/mitchell.py", "(-12 * b - 48 * c) * x", "(-12 * b - 46 * c) * x", ("film",)),
     # Readers.
     Mutant("io/transform.py", "np.array([[0, -z, y], [z, 0, -x]", "np.array([[0, z, y], [z, 0, -x]",
            ("io/test_transform.py",)),
