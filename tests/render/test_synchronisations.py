@@ -57,7 +57,8 @@ def of_second_call(scene: rb.Scene, depth: int) -> Counter:
 
     def render() -> None:
         image = renderer(seed=1)
-        RenderFunction.backward(image.grad_fn, cotangent(image.detach()))  # by autograd's engine it would leave the mode
+        with torch.no_grad():  # as autograd's engine does, by which it would leave the mode
+            RenderFunction.backward(image.grad_fn, cotangent(image.detach()))
 
     exchanges(render)
     return exchanges(render)
