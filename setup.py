@@ -43,6 +43,7 @@ setup(
     install_requires=[
         "torch>=2.6",
         "numpy>=1.26",
+        'numpy>=2; sys_platform == "win32"',  # whose integers have 64 bits there, as elsewhere
         "embreex>=4.4",
         "llvmlite>=0.45",
         "OpenEXR>=3.3",

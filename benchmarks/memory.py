@@ -1,10 +1,11 @@
 """Peak memory and time of every adjoint strategy: ``python -m benchmarks.memory``.
 
 The scene of `versus_mitsuba` at depth 32: Cornell box, no Russian roulette, the same gradients, the renderer's own
-chunks. Each strategy runs in a process of its own: a small pass first, which loads what there is to load; then the peak
-of resident memory during one forward and backward pass, over what was resident before, and what the renderer predicts
-beside it. `checkpoint per bounce` is plain autograd over `torch.utils.checkpoint` at every bounce, which is what torch
-offers without this project. The last column is the relative difference of the gradient to the first strategy's.
+chunks. By default image and derivative have samples of their own; all other rows share them. Each strategy runs in a
+process of its own: a small pass first, which loads what there is to load; then the peak of resident memory during one
+forward and backward pass, over what was resident before, and what the renderer predicts beside it. `checkpoint per bounce`
+is plain autograd over `torch.utils.checkpoint` at every bounce, which is what torch offers without this project. The last
+column is the relative difference of the gradient to the first strategy's.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ from torch_radbp.vec import Vec3, masked, rows
 from torch_radbp.wavefront import add_at, survivors, take_step
 
 CHECKPOINT = "checkpoint per bounce"
+DEFAULT = "default"
 STRATEGIES = {
+    DEFAULT: rb.MemoizedAdjoint(),
     "stride 1": rb.MemoizedAdjoint(1),
     "stride 8": rb.MemoizedAdjoint(8),
     'stride "sqrt"': rb.MemoizedAdjoint("sqrt"),
@@ -80,7 +83,7 @@ def measure(name: str, options: argparse.Namespace) -> dict:
     def make(resolution: int) -> tuple[rb.Renderer, torch.Tensor]:
         scene = cornell_box(Setting(resolution, options.spp, options.depth))
         renderer = scene.renderer(options.compile, adjoint=STRATEGIES[name], chunk=options.chunk or None,
-                                  sampling=options.sampling)
+                                  sampling=options.sampling, share_samples=name != DEFAULT)
         return renderer, torch.from_numpy(cotangent(resolution)).permute(2, 0, 1)[None]
 
     small, small_adjoint = make(16)

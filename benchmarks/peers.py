@@ -54,9 +54,9 @@ def timed(forward: Callable[[], object], backward: Callable[[object], None], set
 class Ours:
     """This renderer, on the CPU or on CUDA."""
 
-    def __init__(self, scene: BenchmarkScene, compiled: bool, device: str = "cpu"):
+    def __init__(self, scene: BenchmarkScene, compiled: bool, device: str = "cpu", share_samples: bool = False):
         warnings.simplefilter("ignore", rb.SilhouetteWarning)
-        self.renderer = scene.renderer(compiled).to(device)
+        self.renderer = scene.renderer(compiled, share_samples=share_samples).to(device)
         self.renderer.terms = ["interior"]  # as `prb` has them
         self.settle = torch.cuda.synchronize if device == "cuda" else lambda: None
         self.parameters = {name: self.renderer.scene.get_parameter(name) for name in scene.parameters}
@@ -68,8 +68,11 @@ class Ours:
             for parameter in self.parameters.values():
                 parameter.mul_(change(seed))
         self.renderer.scene.zero_grad()
-        return timed(lambda: self.renderer(seed=seed), lambda image: (image * self.cotangent).sum().backward(),
-                     self.settle)
+        return timed(lambda: self.rendering(seed), lambda image: (image * self.cotangent).sum().backward(), self.settle)
+
+    def rendering(self, seed: int) -> Tensor:
+        """The images, attached to the parameters."""
+        return self.renderer(seed=seed)
 
     def gradient_sums(self) -> dict[str, float]:
         """The sum of the gradient's entries, for each parameter."""

@@ -1,4 +1,4 @@
-"""Registers and spills of every kernel that a rendering on a GPU runs. Needs no GPU: NVIDIA's assembler tells.
+"""Registers, spills and reads of every kernel that a rendering on a GPU runs. Needs no GPU: NVIDIA's assembler tells.
 
     python -m benchmarks.ptx [--architectures sm_80 sm_90] [--scenes NAME ...] [--samplings hybrid attached]
 
@@ -10,6 +10,7 @@ kernel that several of them share is listed once.
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from array import array
 from collections.abc import Iterator
@@ -63,9 +64,19 @@ def kernels(scene: str, sampling: str) -> Iterator[Kernel]:
             yield from (Kernel(stage, kinds, text) for text in listing.texts)
 
 
-def usage(text: str, architecture: str) -> Usage:
-    """What a kernel takes of a GPU."""
-    return assemble(ptx(text, architecture), architecture, find())
+class Counts(NamedTuple):
+    """What a kernel takes of a GPU, and how often its PTX reads memory."""
+
+    usage: Usage
+    reads: int  # instructions
+    fusible: int  # products and sums of which the assembler may make one instruction or two
+
+
+def counts(text: str, architecture: str) -> Counts:
+    """The counts of a kernel."""
+    code = ptx(text, architecture)
+    return Counts(assemble(code, architecture, find()), len(re.findall(r"\bld\.global", code)),
+                  len(re.findall(r"\s(?:add|sub|mul)\.f(?:32|64)\b", code)))
 
 
 def main() -> None:
@@ -77,18 +88,18 @@ def main() -> None:
     if find() is None:
         raise SystemExit("no ptxas: install the extra `test`, or NVIDIA's CUDA toolkit")
     print(f"{'scene':>12} {'sampling':>8} {'stage':>15} {'architecture':>12} {'parameters':>10} {'registers':>9} "
-          f"{'stack':>6} {'stores':>6} {'loads':>6} {'ms':>6}  materials")
+          f"{'stack':>6} {'stores':>6} {'loads':>6} {'reads':>6} {'ms':>6}  materials")
     seen = set()
     for scene in given.scenes:
         for sampling in given.samplings:
             for kernel in kernels(scene, sampling):
                 for architecture in given.architectures if kernel.text not in seen else ():
                     begun = time.perf_counter()
-                    found = usage(kernel.text, architecture)
+                    found, reads, _ = counts(kernel.text, architecture)
                     took = 1000 * (time.perf_counter() - begun)
                     print(f"{scene:>12} {sampling:>8} {kernel.stage:>15} {architecture:>12} {kernel.parameters:>10} "
-                          f"{found.registers:>9} {found.stack:>6} {found.stores:>6} {found.loads:>6} {took:>6.0f}  "
-                          f"{kernel.kinds}", flush=True)
+                          f"{found.registers:>9} {found.stack:>6} {found.stores:>6} {found.loads:>6} {reads:>6} "
+                          f"{took:>6.0f}  {kernel.kinds}", flush=True)
                 seen.add(kernel.text)
 
 

@@ -34,7 +34,8 @@ def measure(options: argparse.Namespace) -> dict:
         scene = make(Path(folder), setting._replace(resolution=options.resolution or setting.resolution,
                                                     spp=options.spp or setting.spp))
         peers = {MITSUBA: Mitsuba(scene, options.device),
-                 "eager" if options.eager else "compiled": Ours(scene, not options.eager, options.device)}
+                 "eager" if options.eager else "compiled": Ours(scene, not options.eager, options.device,
+                                                                  options.share_samples)}
     first = {name: peer.run(10_000)._asdict() for name, peer in peers.items()}
     for peer in peers.values():
         peer.run(10_001)
@@ -99,6 +100,8 @@ def main() -> None:
     parser.add_argument("--resolution", type=int, help="pixels a side; default: that of the scene")
     parser.add_argument("--spp", type=int, help="samples a pixel; default: those of the scene")
     parser.add_argument("--eager", action="store_true", help="this renderer with compile=False")
+    parser.add_argument("--share-samples", action="store_true",
+                        help="of image and derivative, which Mitsuba and, by default, this renderer do not")
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="that both render on")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
@@ -107,7 +110,7 @@ def main() -> None:
     if options.only:
         print(json.dumps(measure(options)))
         return
-    flags = [f"--{name}" for name in ("eager", "quick") if getattr(options, name)]
+    flags = [f"--{name}" for name in ("eager", "quick", "share-samples") if getattr(options, name.replace("-", "_"))]
     flags += [f"--{name}={value}" for name in ("resolution", "spp") if (value := getattr(options, name))]
     print(HEADER, flush=True)
     results, failed = [], []

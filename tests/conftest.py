@@ -12,6 +12,7 @@ GPU = "gpu: needs a CUDA GPU"
 LEFT_OUT = {  # by what the reason of a skipped test holds
     "'mitsuba'": "comparisons with Mitsuba skipped: install the extra `peer`, or run `make test-peer`",
     "'warp'": "tests of the ray caster of GPUs skipped: install the extra `cuda`",
+    "no interpreter of PTX": "tests of what PTX computes skipped: RADBP_PTX_INTERPRETER names the folder of an interpreter",
     GPU: "tests on a GPU skipped, for there is none: run `make gpu-check` where there is",
 }
 

@@ -16,7 +16,8 @@ TRAINING = PACKAGE.parent / "training"
 
 # Data flows down this list; a module may import from its own layer and from those above it.
 LAYERS = [
-    {"differentiated", "domain", "entry", "vec", "lookup", "losses", "plugin", "pose", "record", "jit"}, {"sampling"},
+    {"differentiated", "domain", "entry", "vec", "lookup", "losses", "noise_watch", "plugin", "pose", "record", "jit"},
+    {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
     {"raycast", "view"}, {"path_state"}, {"path", "queues"}, {"given"}, {"integrand"}, {"wavefront"}, {"adjoint"},
     {"boundary", "aov"}, {"stages", "settings"},

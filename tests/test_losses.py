@@ -1,5 +1,7 @@
 """Losses of noisy images: derivatives that noise does not bias, against closed forms and in a rendering."""
 
+import re
+
 import pytest
 import torch
 
@@ -72,3 +74,34 @@ def test_shapes_that_differ_are_refused():
                  lambda: rb.losses.exchange_derivatives(image, image[0])):
         with pytest.raises(ValueError, match=r"must have one shape, got \(1, 3, 4, 4\) and "):
             call()
+
+
+IMAGE = torch.zeros(1, 3, 4, 4)
+# Name -> (target, kind of error, what the message says).
+TARGETS = {
+    "bfloat16": (IMAGE.bfloat16(), TypeError, "target must be a tensor of torch.float32 or torch.float64, got "
+                                              "torch.bfloat16; convert it, target.float()"),
+    "half": (IMAGE.half(), TypeError, "got torch.float16; convert it, target.float()"),
+    "truth values": (IMAGE.bool(), TypeError, "got torch.bool; convert it, target.float()"),
+    "bytes": (IMAGE.byte(), TypeError, "got torch.uint8; convert it, target.float()"),
+    "complex": (IMAGE.cfloat(), TypeError, "got torch.complex64"),
+    "meta": (IMAGE.to("meta"), ValueError, "image_a is on cpu and target on meta; move one, target.to(image_a.device)"),
+    "sparse": (IMAGE.to_sparse(), TypeError, "target must be a dense tensor, got torch.sparse_coo; convert it, "
+                                             "target.to_dense()"),
+    "none": (None, TypeError, "got NoneType"),
+    "an array": (IMAGE.numpy(), TypeError, "got ndarray"),
+    "another size": (IMAGE[..., :3], ValueError, "image_a and target must have one shape, got (1, 3, 4, 4) and (1, 3"),
+}
+
+
+@pytest.mark.hostile
+@pytest.mark.parametrize("target, kind, message", TARGETS.values(), ids=TARGETS)
+def test_a_target_that_is_no_image_is_named(target, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        rb.losses.two_buffer_l2(IMAGE, IMAGE, target)
+
+
+@pytest.mark.hostile
+def test_the_images_of_an_exchange_are_checked_too():
+    with pytest.raises(TypeError, match="image_b must be a tensor of torch.float32 or torch.float64, got torch.bfloat16"):
+        rb.losses.exchange_derivatives(IMAGE, IMAGE.bfloat16())

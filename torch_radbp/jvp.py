@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call
 
-from torch_radbp.entry import entry
+from torch_radbp.entry import arguments_of, check_arguments, entry
 from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.plugin import finite
 from torch_radbp.render import Renderer
@@ -48,6 +48,7 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
 
     Reference: Griewank and Walther 2008, "Evaluating Derivatives", chapter 3.
     """
+    check_arguments(jvp, settings, arguments_of(jvp, Renderer.__init__))
     renderer = Renderer(scene, **settings)
     tangents = checked_tangents(scene, tangents)
     if aovs is None:

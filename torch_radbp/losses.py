@@ -10,7 +10,10 @@ Azinovic et al. 2019, "Inverse path tracing for joint material and lighting esti
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
+
+DTYPES = (torch.float32, torch.float64)
 
 
 def two_buffer_l2(image_a: Tensor, image_b: Tensor, target: Tensor) -> Tensor:
@@ -27,9 +30,10 @@ def two_buffer_l2(image_a: Tensor, image_b: Tensor, target: Tensor) -> Tensor:
         A scalar.
 
     Raises:
-        ValueError: if the shapes differ.
+        ValueError: if the shapes or devices differ.
+        TypeError: for another dtype than float32 and float64.
     """
-    check_shapes(image_a=image_a, image_b=image_b, target=target)
+    check_images(image_a=image_a, image_b=image_b, target=target)
     return ((image_a - target) * (image_b - target)).mean()
 
 
@@ -49,15 +53,26 @@ def exchange_derivatives(image_a: Tensor, image_b: Tensor) -> tuple[Tensor, Tens
         The values of `image_a` and `image_b`, (B, 3, H, W) each.
 
     Raises:
-        ValueError: if the shapes differ.
+        ValueError: if the shapes or devices differ.
+        TypeError: for another dtype than float32 and float64.
     """
-    check_shapes(image_a=image_a, image_b=image_b)
+    check_images(image_a=image_a, image_b=image_b)
     return image_a.detach() + (image_b - image_b.detach()), image_b.detach() + (image_a - image_a.detach())
 
 
-def check_shapes(**images: Tensor) -> None:
-    """Raises ValueError if images differ in shape, which broadcasting would hide."""
+def check_images(**images: Tensor) -> None:
+    """Raises TypeError for what is no dense tensor of floats, ValueError if shapes, which broadcast, or devices differ."""
+    for name, image in images.items():
+        if not isinstance(image, Tensor) or image.dtype not in DTYPES:
+            kind = image.dtype if isinstance(image, Tensor) else type(image).__name__
+            raise TypeError(f"{name} must be a tensor of torch.float32 or torch.float64, got {kind}; convert it, "
+                            f"{name}.float()")
+        if image.layout != torch.strided:
+            raise TypeError(f"{name} must be a dense tensor, got {image.layout}; convert it, {name}.to_dense()")
     (first, image), *others = images.items()
     for name, other in others:
+        if other.device != image.device:
+            raise ValueError(f"{first} is on {image.device} and {name} on {other.device}; move one, "
+                             f"{name}.to({first}.device)")
         if other.shape != image.shape:
             raise ValueError(f"{first} and {name} must have one shape, got {tuple(image.shape)} and {tuple(other.shape)}")

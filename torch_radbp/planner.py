@@ -16,6 +16,7 @@ from torch_radbp.jit.torch_internals import tree_flatten
 from torch_radbp.stages import EAGER
 
 PILOT_LANES = 4096  # paths that predict the memory of a call
+IMAGE_COPIES = 4  # the sums of its chunks, the image, its gradient and what the loss makes of both
 
 
 class MemoryPlanner:
@@ -35,20 +36,21 @@ class MemoryPlanner:
         work = self.workload(call)
         chunk = max(part.lanes for part in call.chunks)
         if budget is None:
-            return predict(work, chunk, call.adjoint, call.retrace)
-        return plan_memory(budget, work, chunk, call.adjoint if adjoint_is_chosen else None)
+            return predict(work, chunk, call.adjoint, call.record_bytes)
+        return plan_memory(budget, work, chunk, call.adjoint if adjoint_is_chosen else None, call.shares_samples)
 
     def workload(self, call: RenderCall) -> Workload:
         """What a call has to compute, and what each bounce of it needs."""
         scene = detached(call.scene)
         integrand = call.make_integrand(scene).with_stages(EAGER)
         lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
+        image_bytes = 3 * (lanes // call.spp) * scene.dtype.itemsize
         moving = integrand.settings.moving
         triangles = (moving and integrand.settings.sampling != "attached"
                      and any_differentiated(call.scene.triangles.vertices.p))
         return Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
                         call.stages is not EAGER, call.workers, moving, triangles, call.scene.lights.by_place,
-                        call.scene.layout.traces_cones, scene.triangles.instances is not None,
+                        call.scene.layout.traces_cones, scene.triangles.instances is not None, IMAGE_COPIES * image_bytes,
                         self.working_set(call, integrand, triangles))
 
     def working_set(self, call: RenderCall, integrand: Integrand, triangles: bool) -> WorkingSet:

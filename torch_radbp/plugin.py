@@ -10,6 +10,7 @@ import difflib
 import importlib
 import inspect
 import operator
+import types
 import typing
 from collections.abc import Iterable, Iterator, MutableMapping
 from functools import cache
@@ -99,6 +100,7 @@ class Plugin(nn.Module):
     type: str = ""
     object_of_any_name: str | None = None  # the attribute for a nested texture whose name says nothing
     takes_modules = False  # in the place of its textures
+    in_scene = False  # made, with all attributes that it will have
     instead_of_objects: str | None = None  # what to do where an object is given that Mitsuba takes and this does not
 
     def __init__(self) -> None:
@@ -109,6 +111,13 @@ class Plugin(nn.Module):
     def __getattr__(self, name: str):
         shared = self.__dict__.get("shared", {})
         return shared[name] if name in shared else super().__getattr__(name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if self.in_scene and isinstance(value, (nn.Parameter, nn.Module)) or name in self.__dict__.get("_modules", ()):
+            value = assigned(self, name, value)
+        if isinstance(value, nn.Module):
+            self.__dict__.get("shared", {}).pop(name, None)
+        super().__setattr__(name, value)
 
     def share(self, name: str) -> None:
         """Keeps the child `name` as a reference only, because it is registered (and named) elsewhere."""
@@ -134,11 +143,20 @@ class Plugin(nn.Module):
         live = isinstance(value, nn.Parameter)
         self.register_parameter(name, value if live else nn.Parameter(value, requires_grad=False))
 
+    def for_mitsuba(self) -> Plugin:
+        """What Mitsuba has in the place of this plugin, with its current values: as a rule itself.
+
+        Raises:
+            ValueError: names what Mitsuba lacks.
+        """
+        return self
+
 
 class Texture(Plugin):
     category = "texture"
     tabulated = True  # its values are those of a table, `texels`
     entries: str | None = None  # the parameter whose entries these values are; None: they are computed
+    of_module: typing.ClassVar[type[Texture]]  # makes a texture of a plain module: `NeuralTexture`
 
     def sources(self) -> tuple[Tensor, ...]:
         """All tensors that its values are computed from, attached."""
@@ -169,6 +187,10 @@ class BSDF(Plugin):
 class Emitter(Plugin):
     category = "emitter"
 
+    def up(self) -> Tensor | None:
+        """(3,) the world direction of its pole, of any length; None: it has none."""
+        return None
+
 
 class Shape(Plugin):
     category = "shape"
@@ -177,6 +199,7 @@ class Shape(Plugin):
 
 class Sensor(Plugin):
     category = "sensor"
+    up: tuple[float, float, float] | None = None  # of the world, if the data set that it is of says so
 
     def views(self) -> dict[str, Sensor]:
         """The sensors that make an image each, by what is added to the name of this one."""
@@ -244,6 +267,55 @@ def attributes(cls: type[Plugin]) -> dict[str, Attribute]:
     return schema
 
 
+def options(annotation: Any) -> tuple[Any, ...]:
+    """The members of a union, or the annotation alone."""
+    is_union = typing.get_origin(annotation) in (types.UnionType, typing.Union)
+    return typing.get_args(annotation) if is_union else (annotation,)
+
+
+def plugin_categories(annotation: Any) -> list[str]:
+    """The categories of plugins that an attribute accepts; empty if it takes plain values only."""
+    members = [(typing.get_args(option) or (option,))[-1] for option in options(annotation)]
+    return [member.category for member in members if isinstance(member, type) and issubclass(member, Plugin)]
+
+
+def with_article(noun: str) -> str:
+    """"an emitter", "a bsdf"."""
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
+def assigned(owner: Plugin, name: str, value: Any) -> Any:
+    """What the attribute `name` of a plugin becomes when `value` is assigned to it: a texture of a plain module.
+
+    Raises:
+        AttributeError: if the plugin has no such attribute.
+        TypeError: if the attribute holds a plugin, and the value cannot stand there.
+    """
+    if not hasattr(owner, name) and name != "parametrizations":
+        known = {*attributes(type(owner)), *owner._parameters, *owner._modules, *owner.shared}
+        raise AttributeError(f"{owner.type or type(owner).__name__} has no attribute {name!r}; {nearest(name, known)}")
+    schema = attributes(type(owner))
+    expected = plugin_categories(schema[name].annotation) if name in schema else []
+    if not expected or value is None:
+        return value
+    if isinstance(value, nn.Module) and not isinstance(value, Plugin) and "texture" in expected:
+        value = Texture.of_module(value)
+    if not isinstance(value, Plugin) or value.category not in expected:
+        found = "a texture" if isinstance(value, Texture) else f"a {type(value).__name__}"
+        advice = {"bsdf": "; a network or another texture stands in a material, as .bsdf.reflectance",
+                  "texture": "; numbers go into its parameter, as .reflectance.value.data"}.get(expected[0], "")
+        raise TypeError(f"{name} of {with_article(owner.type)} must be {with_article(expected[0])}, got {found}{advice}")
+    if isinstance(value, Texture) and not value.tabulated and not owner.takes_modules:
+        raise no_module(owner, name, value)
+    return value
+
+
+def no_module(owner: Plugin, name: str, texture: Texture) -> TypeError:
+    """The error about a texture that is no table where only tables can stand."""
+    return TypeError(f"{name} of {type(owner).__name__} must be a colour or a bitmap, got a {type(texture).__name__}: a "
+                     f"module can stand in the place of every texture of a material, and of a light on a surface, only")
+
+
 def nearest(name: str, known: typing.Iterable[str]) -> str:
     """A sentence that lists the known names, the most similar first."""
     known = sorted(known)
@@ -264,6 +336,8 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
         tensor = value
     else:
         tensor = value.detach().clone() if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")
+    if tensor.is_meta:
+        raise ValueError(f"{name} is on the device meta, which holds no numbers: give it on the CPU")
     if tensor.is_complex():
         raise ValueError(f"{name} must be real numbers, got {tensor.dtype}; take its real part")
     if not tensor.is_floating_point():

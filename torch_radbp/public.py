@@ -11,6 +11,7 @@ from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.nerf import cameras_from_nerf
 from torch_radbp.io.write import save
 from torch_radbp.jvp import jvp
+from torch_radbp.noise_watch import RepeatedNoiseWarning
 from torch_radbp.plugin import SceneError, SceneWarning
 from torch_radbp.pose import look_at, se3
 from torch_radbp.render import Renderer, render
@@ -19,7 +20,7 @@ from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture
 
 __all__ = ["GltfWarning", "GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture", "NonFiniteError",
-           "QuadraticAdjoint", "Renderer", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
+           "QuadraticAdjoint", "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
            "SilhouetteWarning", "TapeAdjoint", "camera_from_opencv", "cameras_from_colmap", "cameras_from_kornia",
            "cameras_from_nerf", "check_gradient", "jvp", "load", "load_dict", "look_at", "render", "save",
            "save_image", "se3"]

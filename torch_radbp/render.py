@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from math import inf
 
 import torch
 from torch import Tensor, nn
@@ -10,18 +11,20 @@ from torch.func import functional_call
 
 from torch_radbp.adjoint import MemoizedAdjoint, TapeAdjoint
 from torch_radbp.adjoint.chunks import fair_chunk, plan_chunks
-from torch_radbp.adjoint.cost import Request, check_cost, lanes_of_chunks
+from torch_radbp.adjoint.cost import Request, bytes_of_records, check_cost, lanes_of_chunks, recorded_lanes
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
-from torch_radbp.adjoint.function import RenderCall, render_images, render_with_derivative
+from torch_radbp.adjoint.function import RenderCall, render_detached, render_with_derivative
 from torch_radbp.adjoint.memory import MemoryPlan
-from torch_radbp.adjoint.tape import trace_attached
+from torch_radbp.adjoint.tape import render_taped
 from torch_radbp.aov.images import aov_jumps, render_aovs
-from torch_radbp.aov.quantity import checked_names
-from torch_radbp.boundary import JumpWatch, Outline, Outlines, Rendering, Sight, image_jumps, moves
-from torch_radbp.differentiated import any_differentiated, detached, primal
-from torch_radbp.entry import entry
+from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
+from torch_radbp.boundary import Jumps, JumpWatch, Outlines, Rendering, Sight, image_jumps, moves
+from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal
+from torch_radbp.entry import arguments_of, check_arguments, entry
 from torch_radbp.integrand import Integrand
 from torch_radbp.jit.target import COMPILED
+from torch_radbp.jit.team import threads
+from torch_radbp.noise_watch import NoiseWatch
 from torch_radbp.path_state import Settings
 from torch_radbp.planner import MemoryPlanner
 from torch_radbp.raycast import RayCaster, make_caster
@@ -38,7 +41,7 @@ from torch_radbp.settings import (
     SensorChoice,
     check_settings,
     checked_scene,
-    checked_seed,
+    checked_seeds,
     samples_per_pixel,
     sensor_indices,
     size_of_films,
@@ -79,7 +82,13 @@ class Renderer(nn.Module):
             their bounds; what surrounds the scene, comes from far away or is a beam stands beside it. None: "tree" in scenes
             of many emitters, where it is less noisy on diffuse surfaces; on glossy ones compare it with "uniform".
         terms: of derivatives, which to compute: "interior", of radiance where the image is continuous, and "primary", of the
-            edges that the camera sees: silhouettes, and creases where surfaces meet that are shaded differently.
+            curves at which the image jumps: silhouettes, creases where surfaces meet that are shaded differently, rims
+            where shading normals turn away from the camera, and cuts by its near and far plane.
+        share_samples: differentiate the very samples of the image, which saves a pass over the scene. By default the
+            derivative has samples of its own, since the noise that image and derivative share biases the gradient of every
+            loss that is not linear in the image. It does not where two independent images take each other's part:
+            `rb.losses`. Of what the shared paths need, as much is kept until the backward pass as takes an eighth of the
+            machine's memory; the rest is traced again.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, what the borders of shadows contribute and edges that are seen by reflection; a `SilhouetteWarning` says so,
@@ -101,7 +110,7 @@ class Renderer(nn.Module):
                  hide_emitters: bool | None = None, adjoint=None, sampling: str = "hybrid", nee: bool | None = None,
                  chunk: int | None = None, memory_budget: str | int | None = None, compile: bool = True,
                  caster: str | None = None, light_choice: str | None = None,
-                 terms: Collection[str] = TERMS):
+                 terms: Collection[str] = TERMS, share_samples: bool = False):
         super().__init__()
         self.scene = checked_scene(scene)
         defaults = scene.integrator
@@ -111,13 +120,13 @@ class Renderer(nn.Module):
         self.hide_emitters = defaults.hide_emitters if hide_emitters is None else hide_emitters
         self.nee = defaults.nee if nee is None else nee
         self.sampling, self.compile_stages, self.caster_name = sampling, compile, caster
-        self.light_choice, self.terms = light_choice, terms
+        self.light_choice, self.terms, self.share_samples = light_choice, terms, share_samples
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
         self.known_caster: KnownCaster | None = None
         self.kept, self.kept_for_aovs = Kept(), Kept()
         self.jump_watch, self.outlines = JumpWatch(), Outlines()
-        self.planner = MemoryPlanner()
+        self.planner, self.noise_watch = MemoryPlanner(), NoiseWatch()
         check_settings(self)
 
     @property
@@ -129,17 +138,26 @@ class Renderer(nn.Module):
     def spp(self, value: int | None) -> None:
         self.chosen_spp = value
 
+    def __getattr__(self, name: str):
+        scene = self.__dict__.get("_modules", {}).get("scene")
+        if scene is not None and name in scene._modules:
+            raise AttributeError(f"a renderer has no attribute {name!r}, but its scene has, renderer.scene.{name}: names of "
+                                 f"its parameters begin with 'scene.{name}.' in functional_call and in state dicts")
+        return super().__getattr__(name)
+
     @entry
-    def forward(self, seed: int = 0, sensors: SensorChoice = None, spp: int | None = None, seed_grad: int | None = None,
+    def forward(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
+                seed_grad: int | None = None,
                 aovs: Sequence[str] | None = None) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
         """Renders the scene.
 
         Args:
-            seed: of the random numbers; the same seed gives the same image.
+            seed: of the random numbers; the same seed gives the same image. None: 0. A loop gives another in each step, such
+                as its number; a `RepeatedNoiseWarning` says so if it does not.
             sensors: index or name of the sensor to render, or several of them; None: all.
             spp: samples per pixel of this call; None: as the renderer says.
-            seed_grad: draws the backward pass from its own random numbers, so that derivatives of losses that are not
-                linear in the image are not biased by sharing samples with it.
+            seed_grad: of the samples of the derivative, backward or forward. None: one that follows from `seed`, or `seed`
+                itself with `share_samples`; the same as `seed` shares samples in this call.
             aovs: names of quantities to return beside the image; see `aovs`.
 
         Returns:
@@ -157,24 +175,25 @@ class Renderer(nn.Module):
             return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                       dict(self.named_parameters()))
         if aovs is not None:
-            return self(seed, sensors, spp, seed_grad), self.aovs(aovs, seed, sensors, spp)
+            return self(seed, sensors, spp, seed_grad), self.aovs(aovs, seed or 0, sensors, spp)
         call = self.prepare(seed, sensors, spp, seed_grad)
-        outlines = self.look(call, sensors, seed if seed_grad is None else seed_grad)
-        images = self.images(call, seed_grad)
+        if seed is None:
+            self.noise_watch.look(call.parameters)
+        outlines = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        images = self.images(call)
         images = images if INTERIOR in self.terms else primal(images)
         return images if outlines is None else images + image_jumps(call, outlines)
 
-    def images(self, call: RenderCall, seed_grad: int | None) -> Tensor:
+    def images(self, call: RenderCall) -> Tensor:
         """The images with the derivatives of what is seen inside of their edges."""
-        if isinstance(call.adjoint, TapeAdjoint):
-            if seed_grad is not None:
-                raise ValueError("seed_grad draws a backward pass of its own, which TapeAdjoint has not; use another")
-            return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached)[0]
-        if has_tangents((call.scene, [view.camera for view in call.views])):
-            if seed_grad is not None:
-                raise ValueError("seed_grad draws a backward pass of its own, which forward mode has not; leave it out")
-            return render_tangents(call)
-        return render_with_derivative(call)
+        record = call.scene, [view.camera for view in call.views]
+        forward_mode = has_tangents(record)
+        if not forward_mode and not (torch.is_grad_enabled() and differentiable(record)):
+            return render_detached(call)
+        if not forward_mode and not isinstance(call.adjoint, TapeAdjoint):
+            return render_with_derivative(call)
+        attached = (render_taped if isinstance(call.adjoint, TapeAdjoint) else render_tangents)(call.of_derivative())
+        return attached if call.shares_samples else render_detached(call) + (attached - primal(attached))
 
     @entry
     def aovs(self, names: Sequence[str] | None = None, seed: int = 0, sensors: SensorChoice = None,
@@ -213,13 +232,15 @@ class Renderer(nn.Module):
         call = self.prepare(seed, sensors, spp, None, aovs=True)
         outlines = self.look(call, sensors, seed)
         quantities = tuple(dict.fromkeys(outputs.values()))
+        if call.scene.layout.surround is not None and not self.hide_emitters:
+            self.jump_watch.say(alpha_of_surroundings(quantities))
         images = render_aovs(call, quantities)
         images = images if INTERIOR in self.terms else {name: primal(image) for name, image in images.items()}
         if outlines is not None:
             images |= {name: images[name] + jump for name, jump in aov_jumps(call, outlines, quantities).items()}
         return {output: images[quantity] for output, quantity in outputs.items()}
 
-    def look(self, call: RenderCall, sensors: SensorChoice, seed: int) -> list[Outline | None] | None:
+    def look(self, call: RenderCall, sensors: SensorChoice, seed: int) -> list[Jumps] | None:
         """The edges at which the images of a call jump, view by view, if they are asked for and something moves them.
 
         Warns of what derivatives lack.
@@ -228,31 +249,37 @@ class Renderer(nn.Module):
         sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
         instances = call.scene.triangles.instances
         rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, Kept(self.kept),
-                              None if instances is None else instances.casting, PRIMARY in self.terms)
+                              None if instances is None else instances.casting, PRIMARY in self.terms,
+                              UNLIMITED if self.max_depth == -1 else self.max_depth)
         self.jump_watch.look(rendering)
         return self.outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
 
-    def prepare(self, seed: int, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
+    def prepare(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                 aovs: bool = False) -> RenderCall:
         """The scene packed, rays ready to be cast, chunks planned; with what `aovs` may be about if asked for."""
         check_settings(self)  # they may have been assigned since
+        if torch.jit.is_tracing():
+            raise RuntimeError("a rendering cannot be traced by torch.jit.trace, since its operations depend on the paths: "
+                               "trace the networks around it, or call the renderer as it is")
         check_names(self)
         available, indices = self.scene.sensors, sensor_indices(self.scene, sensors)
         seen = [available[index] for index in indices]
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
-        seed = checked_seed("seed", seed)
-        seeds = (seed, seed if seed_grad is None else checked_seed("seed_grad", seed_grad))
+        seeds = checked_seeds(seed, seed_grad, self.share_samples)
         width, height = size_of_films(seen)
         device = self.scene.device
-        workers = torch.get_num_threads() if device.type == "cpu" else 1
+        workers = threads() if device.type == "cpu" else 1
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
         fused = self.runs_compiled()
-        lanes = self.chunk or fair_chunk(len(indices), width * height, spp, workers,
-                                         lanes_of_chunks(device, self.scene.dtype, workers, fused))
         parameters = {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad}
-        keeps = parameters and torch.is_grad_enabled() and seed_grad is None and self.memory_budget is None
+        record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
+        differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
+        about = lanes_of_chunks(device, self.scene.dtype, workers, fused)
+        if differentiating and device.type == "cpu":
+            about = min(about, recorded_lanes(self.adjoint, max_depth, self.rr_depth, self.scene.dtype))
+        lanes = self.chunk or fair_chunk(len(indices), width * height, spp, workers, about)
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
-                           self.adjoint if keeps else None, fused))
+                           self.adjoint if differentiating else None, record_bytes, fused))
         kept = Kept(self.kept_for_aovs if aovs else self.kept)
         scene = pack(self.scene, kept, self.light_choice, aovs)
         caster = self.caster_of(scene)
@@ -272,13 +299,13 @@ class Renderer(nn.Module):
             return Integrand(tensors, proposal_of(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
 
         chunks = plan_chunks(len(views), width * height, spp, lanes, workers)
-        call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views, chunks, spp, seed_grad is not None,
-                          workers, following, self.scene, parameters)
+        call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views, chunks, spp, seeds[0] == seeds[1],
+                          record_bytes, workers, following, self.scene, parameters)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)
         chunks = plan_chunks(len(views), width * height, spp, plan.chunk, workers)
-        return call._replace(adjoint=plan.adjoint, chunks=chunks, retrace=call.retrace or plan.retrace)
+        return call._replace(adjoint=plan.adjoint, chunks=chunks, record_bytes=0.0 if plan.retrace else inf)
 
     def runs_compiled(self) -> bool:
         """True if a call would run fused loops: those are for the CPU and for CUDA, and autograd, backward or forward,
@@ -320,7 +347,7 @@ class Renderer(nn.Module):
 
 
 @entry
-def render(scene: Scene, *, seed: int = 0, sensors: SensorChoice = None, seed_grad: int | None = None,
+def render(scene: Scene, *, seed: int | None = None, sensors: SensorChoice = None, seed_grad: int | None = None,
            aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs)`: see `Renderer`.
 
@@ -334,4 +361,5 @@ def render(scene: Scene, *, seed: int = 0, sensors: SensorChoice = None, seed_gr
     Returns:
         (B, 3, H, W) linear RGB radiance; if `aovs` are asked for, that and the images of these quantities by name.
     """
+    check_arguments(render, settings, arguments_of(render, Renderer.__init__))
     return Renderer(scene, **settings)(seed=seed, sensors=sensors, seed_grad=seed_grad, aovs=aovs)

@@ -19,6 +19,7 @@ SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None:
 INTERIOR, PRIMARY = "interior", "primary"
 TERMS = (INTERIOR, PRIMARY)  # of derivatives
 SAMPLINGS = ("hybrid", "detached", "attached")
+OF_DERIVATIVE = 0x3F84D5B5B5470917  # what the seed of a derivative differs by: digits of pi, so far from any counter
 STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 
 
@@ -48,6 +49,7 @@ def check_settings(renderer: nn.Module) -> None:
     renderer.max_depth, renderer.rr_depth = depths(renderer.max_depth, renderer.rr_depth)
     renderer.hide_emitters = boolean("hide_emitters", renderer.hide_emitters)
     renderer.nee, renderer.compile_stages = boolean("nee", renderer.nee), boolean("compile", renderer.compile_stages)
+    renderer.share_samples = boolean("share_samples", renderer.share_samples)
     renderer.chunk = None if renderer.chunk is None else integer("chunk", renderer.chunk, 1)
     renderer.memory_budget = None if renderer.memory_budget is None else parse_budget(renderer.memory_budget)
     if not isinstance(renderer.adjoint, STRATEGIES):
@@ -100,6 +102,18 @@ def checked_seed(name: str, value: int) -> int:
     if not -(1 << 63) <= seed < 1 << 64:
         raise ValueError(f"{name} must be from -2**63 to 2**64 - 1, got {seed}")
     return seed
+
+
+def checked_seeds(seed: int | None, seed_grad: int | None, share_samples: bool) -> tuple[int, int]:
+    """The seeds of an image and of its derivative; None as `Renderer.forward` has it.
+
+    Raises:
+        ValueError: as `checked_seed`.
+    """
+    seed = checked_seed("seed", 0 if seed is None else seed)
+    if seed_grad is not None:
+        return seed, checked_seed("seed_grad", seed_grad)
+    return seed, seed if share_samples else seed ^ OF_DERIVATIVE
 
 
 def sensor_indices(scene: Scene, sensors: SensorChoice) -> list[int]:

@@ -55,27 +55,28 @@ class Step(NamedTuple):
 
 
 def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
-              hit: Hit | None = None) -> tuple[Vertex, Vec3 | None, Step]:
+              hit: Hit | None = None, with_light: bool = True) -> tuple[Vertex, Vec3 | None, Step]:
     """One bounce of every lane; rays are cast only if `step` and `hit` do not hold their answers.
 
     Returns:
         The vertices of the lanes that meet an appearance, the light that the other lanes of `Step.order` meet (None: there
-        are none), and the decisions.
+        are none, or `with_light` does not ask for it), and the decisions.
     """
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
         step = Step(hit, *queued(integrand, state.ray, hit, integrand.is_last(depth)), undecided, undecided,
                     picked_lights(integrand, state, hit, depth))
-        vertex, light = bounce_queues(integrand, state, depth, step)
+        vertex, light = bounce_queues(integrand, state, depth, step, with_light)
         connects = integrand.settings.nee and not integrand.is_last(depth)
         visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
             torch.zeros_like(vertex.survives))
         return vertex, light, step._replace(visible=visible, survives=vertex.survives)
-    return *bounce_queues(integrand, state, depth, step), step
+    return *bounce_queues(integrand, state, depth, step, with_light), step
 
 
-def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step) -> tuple[Vertex, Vec3 | None]:
+def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step,
+                  with_light: bool) -> tuple[Vertex, Vec3 | None]:
     """The vertices of the lanes that meet an appearance, each queue by its functions, and the light that others meet."""
     settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
     arrival, at = step.arrival(state), integrand.at(depth)
@@ -86,7 +87,8 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
         return part.scene, part.proposal, reached, lanes, at, settings, given
 
     *_, last = step.queues
-    light = integrand.part(last).evaluate(*arguments(last, arrival, at, settings)) if last.appearance is None else None
+    ends = with_light and last.appearance is None
+    light = integrand.part(last).evaluate(*arguments(last, arrival, at, settings)) if ends else None
     queues = [queue for queue in step.queues if queue.appearance is not None]
     bounces = [integrand.part(queue).evaluate for queue in queues]
     if not bounces:
@@ -180,7 +182,7 @@ class Bounce(NamedTuple):
 
 
 def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mapping[int, Step] = {},
-            hit: Hit | None = None) -> Iterator[Bounce]:
+            hit: Hit | None = None, with_light: bool = True) -> Iterator[Bounce]:
     """The loop over bounces, until every path has ended.
 
     Args:
@@ -189,9 +191,10 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         depth: of the first bounce to take.
         steps: by depth, what was decided before; no ray is cast there.
         hit: of the first rays, if it is known.
+        with_light: see `take_step`.
     """
     while depth < integrand.max_depth and len(state.lane):
-        vertex, light, step = take_step(integrand, state, depth, steps.get(depth), hit)
+        vertex, light, step = take_step(integrand, state, depth, steps.get(depth), hit, with_light)
         yield Bounce(depth, state, vertex, light, step)
         state, depth, hit = survivors(integrand, vertex.next, step), depth + 1, None
 
@@ -220,6 +223,12 @@ def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathStat
         if light is not None:
             put_rows(L, bounce.ended, brightened(L, state.beta, step.order[count:], bounce.ended, light, None, None))
     return L
+
+
+def walk(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None]) -> None:
+    """Shows `visit` what `trace` does, whose sum is not wanted."""
+    for bounce in bounces(integrand, start, with_light=False):
+        visit(bounce.depth, bounce.state, bounce.step)
 
 
 def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:

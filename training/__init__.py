@@ -8,7 +8,7 @@ The steps of one `radbp optimize RECIPE.toml`:
     targets       reads the target images                           -> Targets
     optimize      the training loop: render, loss, backward, step   -> Recovery
     interrupt     ends it on Ctrl-C and SIGTERM
-    run_folder    keeps what a run leaves behind; checkpoint its state
-    outcome       images and values of the state reached; verdict judges the loss
+    run_folder    keeps what a run leaves behind; checkpoint its state, which continuation compares with a run
+    outcome       images and values of the state reached; verdict judges loss and parameters
     report        turns a run folder into one report.html
 """

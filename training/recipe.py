@@ -1,9 +1,11 @@
 """The schema of recipes: one pydantic model per TOML table. Reading and writing is in `recipe_file`."""
 
-from typing import Annotated, ClassVar, Literal
+import math
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     Discriminator,
     Field,
     Tag,
@@ -13,6 +15,7 @@ from pydantic import (
 from torch_radbp.adjoint.memory import parse_budget
 from torch_radbp.training.device import parse_device
 from torch_radbp.training.recipe_values import (
+    LARGEST,
     Count,
     Fraction,
     Number,
@@ -123,7 +126,7 @@ def _check_device(name: str) -> str:
 class Render(Table):
     """Arguments of `torch_radbp.Renderer`; what is left out is taken from the scene file."""
 
-    spp: Count = 16  # samples per pixel of each rendered buffer; two_buffer_l2 renders two
+    spp: Count = 16  # samples per pixel of a step's image; two_buffer_l2 renders two, other losses one in two halves
     max_depth: Whole | None = Field(None, ge=-1)
     rr_depth: Count | None = None
     adjoint: Adjoint | None = None  # None: memoized, with the stride that memory_budget leaves room for, else 1
@@ -134,15 +137,6 @@ class Render(Table):
     caster: str | None = None
     device: Annotated[str, AfterValidator(_check_device)] | None = None  # "cpu", "cuda" or "cuda:1"; None: the CPU
     seed: Whole = Field(0, ge=0)
-    # Independent samples for the backward pass: unbiased gradients of non-linear losses, at the price of a second
-    # forward pass.
-    decorrelate: Switch = False
-
-    @model_validator(mode="after")
-    def _check_decorrelate(self):
-        if self.decorrelate and self.adjoint is not None and self.adjoint.strategy == "tape":
-            raise ValueError('decorrelate needs a backward pass of its own, which strategy = "tape" does not have')
-        return self
 
 
 class Loss(Table):
@@ -259,6 +253,12 @@ class Report(Table):
     checkpoint_every: Count = 50
 
 
+def _check_variables(variables: Any) -> Any:
+    if isinstance(variables, dict) and "allow_outside" in variables:
+        raise ValueError("a recipe cannot allow files outside of the folder of its scene; pass --allow-outside")
+    return variables
+
+
 class Recipe(Table):
     """A whole recipe. Paths are absolute once read."""
 
@@ -267,7 +267,8 @@ class Recipe(Table):
     title: str = ""
     description: str = ""
     scene: RecipePath
-    variables: dict[str, str | Whole | Number] = {}  # of the scene file, as in rb.load(path, resolution=128)
+    # Of the scene file, as in rb.load(path, resolution=128).
+    variables: Annotated[dict[str, str | Whole | Number], BeforeValidator(_check_variables)] = {}
     steps: Count
     targets: list[Target] = Field(min_length=1)
     parameters: list[Parameter] = Field(min_length=1)
@@ -276,3 +277,14 @@ class Recipe(Table):
     optimizer: AnyOptimizer = Adam()
     schedule: AnySchedule = Constant()
     report: Report = Report()
+
+    @model_validator(mode="after")
+    def _check_learning_rates(self):
+        if isinstance(self.schedule, Step):
+            rates = [self.optimizer.learning_rate, *(each.learning_rate for each in self.parameters if each.learning_rate)]
+            times = (self.steps - 1) // self.schedule.every
+            largest = math.log10(max(rates)) + times * math.log10(self.schedule.factor)
+            if largest > math.log10(LARGEST):
+                raise ValueError(f"a schedule.factor of {self.schedule.factor:g}, {times} times, makes a learning rate of "
+                                 f"1e{largest:.0f} by the last step, and the most is {LARGEST:g}; lower the factor")
+        return self

@@ -7,6 +7,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from torch_radbp.io.atomic import replacing
+from torch_radbp.training.commands.bundled import is_bundled
 from torch_radbp.training.recipe import OFFSET, VALUE, Recipe
 
 try:
@@ -16,6 +17,7 @@ except ModuleNotFoundError:  # Python 3.10
 
 
 SHOWN = 10  # faults of a recipe that a message lists
+AGAIN = "# To run it again: radbp optimize recipe.toml --allow-outside (its files lie elsewhere)\n\n"
 # An array of numbers as tomli_w writes it, one to a line.
 NUMBERS = re.compile(r"\[\n\s*((?:[-+.\w]+,?\s+)*)\]")
 
@@ -24,16 +26,18 @@ class RecipeError(ValueError):
     """A recipe that cannot be run; the message names the file, the table and the key."""
 
 
-def read_recipe(path, overrides: list[str] = ()) -> Recipe:
+def read_recipe(path, overrides: list[str] = (), allow_outside: bool = False) -> Recipe:
     """Reads and checks a recipe.
 
     Args:
         path: the TOML file; paths inside are relative to it.
         overrides: `key=value` strings, keys dotted (`render.spp=32`, `parameters.0.initial=[0.2, 0.2, 0.2]`), values in
             TOML (a bare word is a string).
+        allow_outside: also take files that do not lie in the recipe's folder, or below. Those
+            of recipes that come with the package are taken anyway.
 
     Raises:
-        RecipeError: not TOML, unknown key, wrong value or missing file.
+        RecipeError: not TOML, unknown key, wrong value, missing file, or one outside of the folder.
         FileNotFoundError: no such recipe.
     """
     path = Path(path)
@@ -48,7 +52,8 @@ def read_recipe(path, overrides: list[str] = ()) -> Recipe:
     for override in overrides:
         _override(data, override)
     try:
-        return Recipe.model_validate(data, context={"base_dir": path.resolve().parent})
+        return Recipe.model_validate(data, context={"base_dir": path.resolve().parent,
+                                                    "allow_outside": allow_outside or is_bundled(path)})
     except ValidationError as error:
         lines = _lines(error, data)
         more = [f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else []
@@ -63,7 +68,7 @@ def write_recipe(recipe: Recipe, path: Path) -> None:
     text = NUMBERS.sub(lambda array: f"[{array[1].strip().rstrip(',')}]", text)
     text = re.sub(r"(?<=[\d.]),\n\s+(?=[-+\d])", ", ", text)
     with replacing(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_text(AGAIN + text, encoding="utf-8")
 
 
 def _override(data: dict, override: str) -> None:

@@ -8,6 +8,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from torch_radbp.plugin import nearest
 
+LARGEST = 1e30  # a number that float32 holds, and its products with other sensible ones too
+
 
 class Table(BaseModel):
     """A TOML table whose unknown keys are refused with the nearest known one."""
@@ -26,9 +28,14 @@ class Table(BaseModel):
 
 
 def _resolve(path: Path, info) -> Path:
-    path = Path(os.path.abspath(info.context["base_dir"] / path))
+    folder, given = info.context["base_dir"], path
+    path = Path(os.path.abspath(folder / given))
+    if not info.context["allow_outside"] and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
+        raise ValueError(f"{str(given)[:80]!r} leads out of the recipe's folder {folder}; if you trust the recipe, pass "
+                         "--allow-outside (in Python allow_outside=True)")
     if not os.path.isfile(path):  # unlike Path.is_file, it raises nothing for names that are too long
-        raise ValueError(f"no such file: {path}")
+        what = "is a folder, not a file" if os.path.isdir(path) else "is not an ordinary file"
+        raise ValueError(f"{path}: {what}" if os.path.exists(path) else f"no such file: {path}")
     return path
 
 
@@ -47,12 +54,18 @@ def _check_value(value: Any) -> Any:
     return value
 
 
+def _check_magnitude(value: float) -> float:
+    if abs(value) > LARGEST:
+        raise ValueError(f"must be from -{LARGEST:g} to {LARGEST:g}, got {value:g}")
+    return value
+
+
 # The value of a parameter: one number for all entries, nested lists, or an image file.
 Value = Annotated[float | list[float] | list[list[float]] | RecipePath, BeforeValidator(_check_value)]
 # Strict: `steps = true` and `spp = "4"` are mistakes, not 1 and 4.
 Whole = Annotated[int, Field(strict=True, lt=2**31)]
 Whole64 = Annotated[int, Field(strict=True, lt=2**63)]
-Number = Annotated[float, Field(strict=True)]
+Number = Annotated[float, Field(strict=True), AfterValidator(_check_magnitude)]
 Switch = Annotated[bool, Field(strict=True)]
 Fraction = Annotated[Number, Field(ge=0, lt=1)]
 Positive = Annotated[Number, Field(gt=0)]

@@ -8,8 +8,10 @@ from rich.console import Console
 from torch_radbp.training.interrupt import Interrupts
 from torch_radbp.training.progress import TimedProgress
 from torch_radbp.training.ranks import ALONE, RankError, Ranks
+from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.recovery.checkpoint import check_state, load_checkpoint, save_checkpoint
+from torch_radbp.training.recovery.checkpoint import State, load_checkpoint, save_checkpoint
+from torch_radbp.training.recovery.continuation import check_state, expected_moments, state_bytes
 from torch_radbp.training.recovery.optimize import Recovery, train
 from torch_radbp.training.recovery.outcome import finish, save_before
 from torch_radbp.training.recovery.run_folder import RunFolder
@@ -24,6 +26,7 @@ def run(
     console: Console,
     interrupts: Interrupts | None = None,
     ranks: Ranks = ALONE,
+    allow_outside: bool = False,
 ) -> tuple[dict[str, Any] | None, Path]:
     """Runs a recipe, or continues the run in `folder_path`.
 
@@ -38,6 +41,7 @@ def run(
         console: what is printed on.
         interrupts: receives the signals; None: one of its own does.
         ranks: the processes that run it together; the first writes and prints, the others only take steps.
+        allow_outside: take files outside of the folders of the recipe and of a glTF scene.
 
     Returns:
         the summary, whose "status" is "finished" or "interrupted", None of a process that is not the first; the path of the
@@ -47,47 +51,70 @@ def run(
         ValueError, OSError: something in the recipe or its files is wrong; nothing has been written then.
         KeyboardInterrupt: a signal came before the first step, or to another process than the first.
         RankError: another process has ended; the state reached is saved.
+        FolderInUseError: another process writes into the folder.
     """
     interrupts = Interrupts() if interrupts is None else interrupts
     folder = RunFolder(folder_path)
     with interrupts:
-        recipe = read_recipe(recipe_path, overrides)
-        state = ranks.from_first(lambda: _state_to_resume(folder, recipe)) if resume else None
-        recovery = Recovery(recipe, ranks)
-        interrupts.check()
-        if state is not None:
-            check_state(folder.checkpoint, state, recovery.state_dict(), recipe.steps)
-        if not ranks.is_first:
-            return _steps_alone(recovery, state, folder, interrupts), folder.report
-        with interrupts.held():
-            if state is None:
-                folder.start(recipe)
-                save_checkpoint(folder.checkpoint, recovery.state_dict())
-                name = recipe.title or recipe_path.stem
-                console.print(f"{name}: {recipe.steps} steps, writing to {folder_path}", soft_wrap=True)
-            else:
-                folder.save_recipe(recipe)
-                folder.forget_from(state["step"])
+        recipe = read_recipe(recipe_path, overrides, allow_outside)
+        if resume:
+            ranks.from_first(lambda: _take_folder(folder, recipe))
         try:
-            # Now, while the parameters have their initial values; an earlier run may have been stopped before it got here.
-            if not all(folder.image_path(name, "before", ".exr").exists() for name in recovery.targets.names):
-                save_before(recovery, folder)
-        except KeyboardInterrupt:
-            console.print(f"stopped before the first step; to continue: --resume --out {folder_path}", soft_wrap=True)
-            raise
-        if state is not None:
-            recovery.load_state_dict(state)
-        return _steps_and_report(recovery, folder, console, interrupts)
+            recovery = Recovery(recipe, ranks, allow_outside)
+            interrupts.check()
+            state = ranks.from_first(lambda: _state_to_resume(folder, recovery)) if resume else None
+            if not ranks.is_first:
+                return _steps_alone(recovery, state, folder, interrupts), folder.report
+            _begin(recovery, state, folder, recipe_path.stem, console, interrupts)
+            return _steps_and_report(recovery, folder, console, interrupts)
+        finally:
+            folder.lock.release()
 
 
-def _state_to_resume(folder: RunFolder, recipe) -> dict[str, Any]:
+def _take_folder(folder: RunFolder, recipe: Recipe) -> None:
+    """Takes the lock of the folder of a run of this recipe."""
     if not folder.checkpoint.is_file():
         raise ValueError(f"--resume: {folder.path} holds no checkpoint; start the run without --resume")
-    folder.check_same_recipe(recipe)
-    return load_checkpoint(folder.checkpoint)
+    folder.lock.acquire()
+    try:
+        folder.check_same_recipe(recipe)
+    except BaseException:
+        folder.lock.release()
+        raise
 
 
-def _steps_alone(recovery: Recovery, state: dict[str, Any] | None, folder: RunFolder, interrupts: Interrupts) -> None:
+def _state_to_resume(folder: RunFolder, recovery: Recovery) -> State:
+    fresh, moments = recovery.state_dict(), expected_moments(recovery.optimizer)
+    state = load_checkpoint(folder.checkpoint, state_bytes(fresh, moments))
+    check_state(folder.checkpoint, state, fresh, recovery.parameters, moments, recovery.recipe.steps)
+    return state
+
+
+def _begin(
+    recovery: Recovery, state: State | None, folder: RunFolder, name: str, console: Console, interrupts: Interrupts
+) -> None:
+    """Writes what there is before the next step, and brings the recovery to a state."""
+    with interrupts.held():
+        if state is None:
+            folder.start(recovery.recipe)
+            save_checkpoint(folder.checkpoint, recovery.state_dict())
+            name = recovery.recipe.title or name
+            console.print(f"{name}: {recovery.recipe.steps} steps, writing to {folder.path}", soft_wrap=True)
+        else:
+            folder.save_recipe(recovery.recipe)
+            folder.forget_from(state["step"])
+    try:
+        # Now, while the parameters have their initial values; an earlier run may have been stopped before it got here.
+        if not all(folder.image_path(name, "before", ".exr").exists() for name in recovery.targets.names):
+            save_before(recovery, folder)
+    except KeyboardInterrupt:
+        console.print(f"stopped before the first step; to continue: --resume --out {folder.path}", soft_wrap=True)
+        raise
+    if state is not None:
+        recovery.load_state_dict(state)
+
+
+def _steps_alone(recovery: Recovery, state: State | None, folder: RunFolder, interrupts: Interrupts) -> None:
     """The steps of a process that is not the first."""
     if state is not None:
         recovery.load_state_dict(state)

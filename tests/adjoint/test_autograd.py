@@ -19,7 +19,7 @@ def rendering(adjoint=None, seed_grad=None):
     return rb.Renderer(scene, spp=2, max_depth=4, adjoint=adjoint)(seed=1, seed_grad=seed_grad), wanted
 
 
-@pytest.mark.parametrize("seed_grad", [None, 2])
+@pytest.mark.parametrize("seed_grad", [None, 1])
 @pytest.mark.parametrize("adjoint", STRATEGIES, ids=repr)
 def test_a_second_backward_pass_raises(adjoint, seed_grad):
     image, _ = rendering(adjoint, seed_grad)
@@ -60,7 +60,7 @@ def test_the_hessian_of_a_rendering_is_refused_and_by_the_tape_that_of_the_close
 
 
 def test_path_records_are_freed_by_the_backward_pass_though_the_image_lives_on():
-    image, _ = rendering()
+    image, _ = rendering(seed_grad=1)
     visibility = [StorageWeakRef(t.untyped_storage()) for t in image.grad_fn.saved_tensors if t.dtype == torch.bool]
     assert visibility and len(visibility) % 4 == 0 and not any(mask.expired() for mask in visibility)
     image.sum().backward()

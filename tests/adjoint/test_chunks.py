@@ -23,7 +23,7 @@ def test_every_sample_of_every_pixel_is_in_one_chunk(sensors, pixels, spp, lanes
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 16])
-@pytest.mark.parametrize("side, spp", [(192, 16), (192, 8), (256, 16), (101, 16), (500, 1)])
+@pytest.mark.parametrize("side, spp", [(192, 16), (192, 24), (256, 16), (101, 64), (500, 4)])
 def test_workers_get_as_much_of_every_part_of_the_image(side, spp, workers):
     """Up to two runs of 16 pixels in each quarter: one at either end."""
     lanes = fair_chunk(1, side * side, spp, workers, 1 << 18)
@@ -38,4 +38,6 @@ def test_workers_get_as_much_of_every_part_of_the_image(side, spp, workers):
 def test_chunks_of_a_small_image_are_not_too_small():
     assert fair_chunk(1, 32 * 32, 1, 16, 1 << 18) >= 32 * 32
     lanes = fair_chunk(1, 64 * 64, 4, 16, 1 << 18)
-    assert all(chunk.lanes >= LEAST_LANES for chunk in plan_chunks(1, 64 * 64, 4, lanes, 16))
+    assert len(plan_chunks(1, 64 * 64, 4, lanes, 16)) == 1
+    lanes = fair_chunk(1, 256 * 256, 4, 16, 1 << 18)
+    assert all(chunk.lanes >= LEAST_LANES for chunk in plan_chunks(1, 256 * 256, 4, lanes, 16))

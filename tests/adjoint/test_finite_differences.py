@@ -24,7 +24,7 @@ def test_gradcheck(name, adjoint):
     scene = case.scene()
     for sensor in scene.sensors:
         sensor.film.width = sensor.film.height = sensor.film.crop_width = sensor.film.crop_height = 2
-    renderer = rb.Renderer(scene, spp=1, max_depth=4, rr_depth=100, adjoint=adjoint)
+    renderer = rb.Renderer(scene, spp=1, max_depth=4, rr_depth=100, adjoint=adjoint, share_samples=True)
     inputs = [scene.get_parameter(n).detach().clone().requires_grad_() for n in case.parameters]
     names = [f"scene.{n}" for n in case.parameters]
 
@@ -53,7 +53,7 @@ def white_at(red: float, size: int = 6) -> rb.Scene:
 @pytest.mark.parametrize("adjoint", ADJOINTS, ids=repr)
 def test_gradient_is_right_at_zero_reflectance(adjoint):
     depth, seed, cotangent = 6, 4, torch.ones(1, 3, 6, 6, dtype=torch.float64)
-    settings = {"spp": 4, "max_depth": depth, "rr_depth": 100}
+    settings = {"spp": 4, "max_depth": depth, "rr_depth": 100, "share_samples": True}
     _, (gradient,) = image_and_gradients(white_at(0.0), ["white.reflectance.value"], seed=seed, adj_image=cotangent,
                                          adjoint=adjoint, **settings)
     # Exact: at one seed the image is a polynomial of degree depth - 1 in one reflectance.

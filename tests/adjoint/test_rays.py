@@ -12,7 +12,8 @@ def rays(adjoint, **settings):
     """(rays of the forward pass, rays of the backward pass)."""
     scene = cornell()
     wanted = parameters(scene, ["white.reflectance.value"])
-    renderer = rb.Renderer(scene, adjoint=adjoint, **{"spp": 2, "max_depth": 6, "rr_depth": 100} | settings)
+    renderer = rb.Renderer(scene, adjoint=adjoint, share_samples=True,
+                           **{"spp": 2, "max_depth": 6, "rr_depth": 100} | settings)
     image = renderer(seed=1)
     forward = renderer.last_caster.rays_cast
     (gradient,) = torch.autograd.grad(image, wanted, cotangent(image.detach()))

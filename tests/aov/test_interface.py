@@ -1,5 +1,7 @@
 """What users call: names, shapes, the image beside, chunks, compiled code, and what is refused."""
 
+import warnings
+
 import pytest
 import torch
 
@@ -118,3 +120,19 @@ def test_jvp_has_quantities_too():
     image, found = rb.jvp(scene, tangents, spp=2, max_depth=1, aovs=["depth", "prim_index"])
     assert torch.equal(image, rb.jvp(scene, tangents, spp=2, max_depth=1))
     assert found["depth"].abs().max() > 0 and (found["prim_index"] == 0).all()
+
+
+def alpha_warnings(names: list[str], **settings) -> list[str]:
+    """What two images of quantities of a scene under a sky say about a mask."""
+    renderer = rb.Renderer(two_walls(), spp=1, **settings)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for seed in range(2):
+            renderer.aovs(names, seed=seed)
+    return [str(warning.message) for warning in caught if "'alpha'" in str(warning.message)]
+
+
+def test_alpha_under_a_sky_is_said_to_be_no_mask_once():
+    message, = alpha_warnings(["alpha"])
+    assert "'hit'" in message and "hide_emitters=True" in message
+    assert alpha_warnings(["hit", "depth"]) == alpha_warnings(["alpha"], hide_emitters=True) == []

@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.ptx import ARCHITECTURES, kernels, usage
+from benchmarks.ptx import ARCHITECTURES, counts, kernels
 from benchmarks.ptxas import Rejected, assemble, find
 from tests.render.recorded import SAMPLINGS, SCENES
 
@@ -21,8 +21,8 @@ def check(scene: str, sampling: str, architectures) -> set[str]:
     for kernel in {kernel.text: kernel for kernel in kernels(scene, sampling)}.values():
         found.add(kernel.stage)
         for architecture in architectures:
-            used = usage(kernel.text, architecture)
-            assert 0 < used.registers <= 255
+            used, _, fusible = counts(kernel.text, architecture)
+            assert 0 < used.registers <= 255 and fusible == 0
             assert used.stores <= SPILLS.get(kernel.stage, 0), (kernel.stage, kernel.kinds, used)
             assert 8 * kernel.parameters <= 32_764  # bytes that PTX has for them
     return found

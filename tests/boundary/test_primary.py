@@ -98,6 +98,16 @@ def test_an_outline_that_grows_gains_its_length(kind):
     assert_close(derivative(scene, "shape.to_world", grow), expected)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("far", [1e4, 1e5])
+def test_an_outline_far_from_the_origin_gains_its_length_too(far, dtype):
+    view = parallel() | {"to_world": translate((far, 0, 0)) @ parallel()["to_world"]}
+    pose = translate((far + 0.125, 0.0625, 0)) @ scale((0.5, 0.5, 0.5))
+    scene = load(dtype, camera=view, sky=DARK, shape={"type": "cube", "to_world": pose} | GLOW)
+    grow = torch.diag(torch.tensor([0.5, 0.5, 0.5, 0.0], dtype=dtype))
+    assert_close(derivative(scene, "shape.to_world", grow, spp=256), 2 * JUMP / (2 / SIZE) ** 2)
+
+
 def camera(kind: str) -> dict:
     view = sensor(SIZE, rfilter="gaussian")
     if kind == "perspective":

@@ -99,8 +99,9 @@ def test_inside_of_a_room_the_camera_moves_no_silhouettes_but_those_of_what_stan
 def test_what_moves_out_of_view_or_moves_nothing_gives_no_warning():
     scene = scene_of(box=CUBE, plane=rectangle((0, 0, -1), 9, bsdf=PICTURE),
                      behind=rectangle((0, 0, 6), 0.5), aside={**CUBE, "to_world": translate((9, 0, 0))})
-    assert warnings_of(scene, "plane.to_world", "behind.to_world", "aside.vertex_positions", "box.vertex_normals",
-                       "plane.bsdf.reflectance.data", "box.bsdf.reflectance.value", "sky.radiance.value") == []
+    found = warnings_of(scene, "plane.to_world", "behind.to_world", "aside.vertex_positions", "box.vertex_normals",
+                        "plane.bsdf.reflectance.data", "box.bsdf.reflectance.value", "sky.radiance.value")
+    assert [message for message in found if "outlines" in message] == []
 
 
 FLOOR = rectangle((0, 0, -1), 9, bsdf=PICTURE)
@@ -300,3 +301,72 @@ def test_so_are_those_that_follow_glass(name, kind):
 def test_directions_from_a_single_plane_meet_no_edges():
     scene = scene_of(plate=rectangle((0, 0, 0), 9, (1, 2, 0), 20, bsdf=METAL))
     assert not warnings_of(scene, "plate.bsdf.alpha_u.value", sampling="attached")
+
+
+PLATE = rectangle((0, 0, 1), 0.4, bsdf=diffuse(0.5))
+ENVMAP = {"type": "envmap", "bitmap": texels(4, 8)}
+
+
+def soft_shadows(scene: rb.Scene, *names: str) -> list[str]:
+    """The warnings about shadows, where edges in view are computed."""
+    for name in names:
+        scene.get_parameter(name).requires_grad_()
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="brute")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for seed in range(2):
+            renderer(seed=seed)
+    return [str(warning.message) for warning in caught if "borders of shadows" in str(warning.message)]
+
+
+@pytest.mark.parametrize("sky", [SKY, ENVMAP, {"type": "sunsky", "sun_direction": [0.3, 0.2, 1.0]}],
+                         ids=["constant", "envmap", "sunsky"])
+@pytest.mark.parametrize("name", ["plate.to_world", "floor.to_world", "camera.to_world"])
+def test_what_hides_a_part_of_the_sky_is_warned_of_once_by_name(name, sky):
+    message, = soft_shadows(load(camera=sensor(4), sky=sky, floor=FLOOR, plate=PLATE), name)
+    assert f"`{name}`" in message and "soft" in message
+
+
+@pytest.mark.parametrize("shape", [CUBE, {"type": "sphere", "radius": 0.7}, rectangle((0, 0, 0), 0.5)])
+def test_a_convex_shape_alone_hides_no_sky_from_itself(shape):
+    assert soft_shadows(scene_of(thing=shape), "thing.to_world", "camera.to_world") == []
+
+
+def test_no_sky_is_hidden_where_none_is_seen_or_nothing_moves():
+    room = {"type": "cube", "flip_normals": True, "to_world": scale((9, 9, 9)), "bsdf": diffuse(0.5)}
+    assert soft_shadows(scene_of(room=room, floor=FLOOR, plate=PLATE), "plate.to_world", "camera.to_world") == []
+    assert soft_shadows(scene_of(floor=FLOOR, plate=PLATE), "floor.bsdf.reflectance.data", "sky.radiance.value") == []
+    mirror = FLOOR | {"bsdf": {"type": "conductor"}}
+    assert soft_shadows(scene_of(floor=mirror, plate=PLATE), "plate.to_world") == []
+
+
+SUN = {"type": "directional", "direction": [0.0, 0, -1], "irradiance": rgb(3, 3, 3)}
+BALL = {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}}
+
+
+def caustics(max_depth: int = 4, **objects) -> list[str]:
+    """The warnings about light that is not found."""
+    renderer = rb.Renderer(load(camera=sensor(4), **objects), spp=1, max_depth=max_depth)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for seed in range(2):
+            renderer(seed=seed)
+    return [str(warning.message) for warning in caught if "caustics" in str(warning.message)]
+
+
+@pytest.mark.parametrize("lamp", [POINT, SUN], ids=["point", "directional"])
+@pytest.mark.parametrize("kind", ["dielectric", "conductor"])
+def test_caustics_of_a_light_without_extent_are_said_to_be_missing(kind, lamp):
+    aside = SUN | {"direction": [1.0, 0, -1]} if lamp is SUN else lamp | {"position": [-2.0, 0, 0.5]}
+    message, = caustics(lamp=aside, floor=FLOOR, ball=BALL | {"bsdf": {"type": kind}})
+    assert "`lamp`" in message and "`ball`" in message and "area emitter" in message
+
+
+def test_no_caustics_are_missing_where_paths_find_them_or_there_are_none():
+    area = {**rectangle((0, 0, 3), 0.3, (1, 0, 0), 180), "emitter": {"type": "area", "radiance": rgb(9, 7, 5)}}
+    assert caustics(lamp=area, floor=FLOOR, ball=BALL) == caustics(sky=SKY, floor=FLOOR, ball=BALL) == []
+    assert caustics(lamp=POINT, floor=FLOOR, ball=BALL | {"bsdf": {"type": "roughdielectric"}}) == []
+    assert caustics(lamp=POINT, floor=FLOOR, ball=BALL, max_depth=2) == []  # direct light alone
+    assert caustics(lamp=POINT, floor=FLOOR | {"bsdf": {"type": "conductor"}}) == []  # nothing shows it
+    hidden = BALL | {"to_world": translate((0, 0, -3))}
+    assert caustics(lamp=POINT, floor=FLOOR, ball=hidden) == []

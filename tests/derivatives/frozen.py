@@ -113,7 +113,7 @@ class Rendering:
         self.names, self.seed = names, seed
         # What fused loops detach cannot be held.
         # The places on edges move with the edges.
-        self.renderer = rb.Renderer(scene, compile=False, terms=["interior"], **settings)
+        self.renderer = rb.Renderer(scene, compile=False, terms=["interior"], share_samples=True, **settings)
         self.decisions = Decisions(choices=settings["sampling"] == "attached")
         # Made now, so that it asks nothing later.
         self.held = HeldCaster(self.renderer.caster_of(pack(scene)), self.decisions)

@@ -38,7 +38,8 @@ class Estimate:
         self.eps = torch.finfo(value.dtype).eps
         self.measurements = {}
         for sampling in moving.samplings:
-            renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling, compile=effort.compile)
+            renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling, compile=effort.compile,
+                                   share_samples=True)
             self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value, self.tangent, moving.step,
                                                       effort.spp, effort.seed, None, None, total=0)
         self.sums: dict[str, Tensor] = {}

@@ -37,7 +37,7 @@ def test_the_brush_strokes_follow_coordinates_and_vertices(name, distribution):
     """Attached, at a fixed seed: the derivative of what is rendered."""
     normals = torch.nn.functional.normalize(torch.tensor([[0.1, -0.1, 1], [0.2, 0.05, 1], [-0.1, 0.2, 1], [0, 0.1, 1]]))
     scene = scene_of(BRUSHED | {"distribution": distribution}, vertex_normals=normals)
-    renderer = rb.Renderer(scene, spp=1, max_depth=2, sampling="attached", nee=False)
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, sampling="attached", nee=False, share_samples=True)
     value = scene.get_parameter(name).detach().clone().requires_grad_()
 
     def image(value):

@@ -87,8 +87,8 @@ def test_hybrid_is_detached_but_where_a_mirror_or_glass_is():
         assert_same(names, hybrid, detached, 1e-14)
     for name, parameter in (("conductor", "subject_plane.to_world"), ("dielectric", "subject.eta"),
                             ("rough glass beckmann", "subject.eta"), ("rough glass ggx", "subject.alpha.value")):
-        _, (hybrid,) = gradients_of(lambda name=name: build(name), [parameter], sampling="hybrid")
-        _, (detached,) = gradients_of(lambda name=name: build(name), [parameter], sampling="detached")
+        _, (hybrid,) = gradients_of(lambda name=name: build(name), [parameter], sampling="hybrid", share_samples=True)
+        _, (detached,) = gradients_of(lambda name=name: build(name), [parameter], sampling="detached", share_samples=True)
         assert relative_error(hybrid, detached) > 0.01
 
 
@@ -144,7 +144,7 @@ def test_gradients_of_several_sensors_add_up(sampling):
 def test_the_backward_pass_casts_no_ray_if_hits_are_kept(adjoint, sampling):
     scene = build("dielectric")
     wanted = [scene.get_parameter(name).requires_grad_() for name in subjects(scene)]
-    renderer = rb.Renderer(scene, adjoint=adjoint, sampling=sampling, **SETTINGS)
+    renderer = rb.Renderer(scene, adjoint=adjoint, sampling=sampling, share_samples=True, **SETTINGS)
     image = renderer(seed=3)
     before = renderer.last_caster.rays_cast
     gradients = torch.autograd.grad(image, wanted, cotangent(image.detach()))
@@ -162,7 +162,7 @@ def test_the_backward_pass_can_have_samples_of_its_own(sampling):
         image = rb.Renderer(scene, sampling=sampling, **SETTINGS)(seed=seed, seed_grad=seed_grad)
         return image.detach(), torch.autograd.grad(image, wanted, cotangent(image.detach()))
 
-    image, expected = gradients(8, None)
+    image, expected = gradients(8, 8)
     other, found = gradients(3, 8)
     assert not torch.equal(image, other) and all(gradient.abs().max() > 0 for gradient in expected)
     assert_same(names, found, expected, 1e-14)

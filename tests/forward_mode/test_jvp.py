@@ -249,8 +249,15 @@ def test_both_modes_at_once_are_refused_but_for_the_tape():
     assert hessian.abs().max() > 0
 
 
-def test_seed_grad_is_refused():
+def test_tangents_have_the_samples_of_seed_grad():
     renderer, name = rb.Renderer(CASES["cornell"].scene(), **SETTINGS), "white.reflectance.value"
     x = renderer.scene.get_parameter(name).detach()
-    with forward_ad.dual_level(), pytest.raises(ValueError, match="seed_grad"):
-        functional_call(renderer, {f"scene.{name}": forward_ad.make_dual(x, x)}, kwargs={"seed_grad": 1})
+
+    def dual(**seeds):
+        return forward_ad.unpack_dual(functional_call(renderer, {f"scene.{name}": forward_ad.make_dual(x, x)}, kwargs=seeds))
+
+    with forward_ad.dual_level():
+        image, tangent = dual(seed=1, seed_grad=2)
+        one, other = (dual(seed=seed, seed_grad=seed) for seed in (1, 2))
+    assert torch.equal(image, one.primal) and torch.equal(tangent, other.tangent)
+    assert not torch.equal(tangent, one.tangent)

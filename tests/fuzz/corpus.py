@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import OpenEXR
+import torch
 from PIL import Image
 
 from tests.io.gltf_files import SQUARE, GltfFile
@@ -27,10 +28,14 @@ from tests.peer.scene_files import Folder
 from tests.texture.meshes import PLY as COLOURED
 from tests.training.conftest import RECIPE, SCENE
 from torch_radbp.plugin import REGISTRY, attributes
+from torch_radbp.training.recipe_file import read_recipe
+from torch_radbp.training.recovery.checkpoint import save_checkpoint
+from torch_radbp.training.recovery.optimize import Recovery
 
 ROOT = Path(__file__).parents[2]
 FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "vol", "exr", "png", "bmp", "tga", "hdr",
-                                          "pfm", "toml", "gltf", "glb")} | {"colmap": ".txt", "nerf": ".json"}
+                                          "pfm", "toml", "gltf", "glb")}
+FAMILIES |= {"colmap": ".txt", "nerf": ".json", "checkpoint": ".safetensors"}
 NEXT_FILE = b"# the next file\n"  # between cameras.txt and images.txt of a COLMAP model, which mutate as one
 
 
@@ -59,6 +64,7 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
         "vol": [Seed(folders["meshes"], content) for content in VOLUMES],
         **image_seeds,
         "toml": _recipes(root, folders["recipe"]),
+        "checkpoint": _checkpoints(root),
         **_assets(root),
         **_cameras(root),
     }
@@ -112,10 +118,11 @@ def _scenes(root: Path) -> list[Seed]:
     (root / "others").mkdir()
     (root / "others" / "coloured.ply").write_text(COLOURED)
     seeds += [Seed(seeds[0].folder, seeds[0].content.replace(b'type="path"', f'type="{name}"'.encode()))
-              for name in ("prb_basic", "prbvolpath", "ptracer", "volpath", "volpathmis")]
+              for name in ("prb_basic", "prb_projective", "prbvolpath", "ptracer", "volpath", "volpathmis")]
     direct = '<integrator type="direct"><integer name="shading_samples" value="1"/>'
     plain = OTHERS.format("").replace('<integrator type="prb" name="image"><integer name="max_depth" value="3"/>', direct)
-    seeds.append(Seed(root / "others", plain.encode()))
+    projective = plain.replace(direct, '<integrator type="direct_projective">')
+    seeds += [Seed(root / "others", text.encode()) for text in (plain, projective)]
     seeds += [Seed(root / "others", CAMERAS.replace("independent", name).encode()) for name in ("orthogonal", "stratified")]
     return [*seeds, Seed(root / "assets" / "cornell_box", including), Seed(root / "others", _others().encode()),
             Seed(root / "others", OLD.encode())]
@@ -140,6 +147,32 @@ def _recipes(root: Path, folder: Path) -> list[Seed]:
     shipped = root / "training" / "recipes"
     seeds = [Seed(shipped, path.read_bytes()) for path in sorted(shipped.glob("*.toml"))]
     return [Seed(folder, RECIPE.encode())] * 4 + seeds
+
+
+def _checkpoints(root: Path) -> list[Seed]:
+    """States after a step of every optimiser, each in a folder with its recipe."""
+    seeds = []
+    for name in ("adam", "sgd", "rmsprop"):
+        folder = root / f"run_{name}"
+        folder.mkdir()
+        for file in ("scene.xml", "target.exr", "picture.png"):
+            shutil.copyfile(root / "recipe" / file, folder / file)
+        momentum = "momentum = 0.5\n" if name != "adam" else ""
+        (folder / "recipe.toml").write_text(RECIPE.replace('name = "adam"\n', f'name = "{name}"\n{momentum}'))
+        recovery = Recovery(read_recipe(folder / "recipe.toml"))
+        take_step(recovery)
+        save_checkpoint(folder / "seed.safetensors", recovery.state_dict())
+        seeds.append(Seed(folder, (folder / "seed.safetensors").read_bytes()))
+    return seeds
+
+
+def take_step(recovery: Recovery) -> None:
+    """A step along a made-up gradient."""
+    for parameter in recovery.parameters:
+        parameter.raw.grad = torch.ones_like(parameter.raw)
+    recovery.optimizer.step()
+    recovery.scheduler.step()
+    recovery.step += 1
 
 
 def _write_exr(path: Path, channels: dict[str, np.ndarray], compression: str = "ZIP", kind=OpenEXR.scanlineimage) -> Path:

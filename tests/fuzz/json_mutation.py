@@ -9,6 +9,8 @@ import struct
 from collections.abc import Iterator
 from typing import Any
 
+from torch_radbp.training.recovery.checkpoint import HEADER
+
 VALUES: list[Any] = [0, 1, -1, 2, 3, 7, 255, 2**16, 2**31, 2**32, 2**53, 10**400, 0.5, 1e-30, 1e30, 1e300, True, False,
                      None, "", "x", "\u00e9", "../x", [], {}, [0], [1, 2, 3], [0.0] * 16, {"index": 0}, "VEC3", 5123, 5126]
 
@@ -50,3 +52,16 @@ def of_glb(source: random.Random, content: bytes, others: list[bytes]) -> bytes:
     text += b" " * (-len(text) % 4)
     rest = content[20 + size:]
     return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
+
+
+def of_checkpoint(source: random.Random, content: bytes, others: list[bytes]) -> bytes:
+    """The same of one of the two documents in a checkpoint: the table of its tensors, and the numbers beside them."""
+    size, = struct.unpack_from("<Q", content)
+    text = content[8:8 + size]
+    table = json.loads(text)
+    if source.random() < 0.7:
+        table["__metadata__"][HEADER] = of_json(source, table["__metadata__"][HEADER].encode(), others).decode()
+        text = json.dumps(table).encode()
+    else:
+        text = of_json(source, text, others)
+    return struct.pack("<Q", len(text)) + text + content[8 + size:]

@@ -17,10 +17,13 @@ from typing import NamedTuple
 import torch
 
 import torch_radbp as rb
-from tests.fuzz.corpus import NEXT_FILE
+from tests.fuzz.corpus import NEXT_FILE, take_step
 from tests.texture.networks import mlp, textured
 from torch_radbp.io.transform import translate
+from torch_radbp.sensor.calibrated import Calibrated
 from torch_radbp.training.recipe_file import read_recipe
+from torch_radbp.training.recovery.checkpoint import load_checkpoint
+from torch_radbp.training.recovery.continuation import check_state, expected_moments, state_bytes
 from torch_radbp.training.recovery.optimize import Recovery
 
 MESH_OPTIONS = [{}, {"face_normals": True}, {"recompute_normals": True}, {"flip_tex_coords": True, "flip_normals": True},
@@ -90,13 +93,17 @@ def judged(family: str, path: Path) -> Verdict:
 
 
 def load_mutant(family: str, path: Path) -> rb.Scene | None:
-    """The scene that a file describes or is part of; None for a recipe, which is checked as far as its first step."""
+    """The scene that a file describes or is part of; None for a recipe, which is checked as far as its first step, and
+    for a checkpoint, from which one is taken."""
     if family == "toml":
-        recipe = read_recipe(path)
+        recipe = read_recipe(path, allow_outside=True)
         try:
             Recovery(recipe)
         except REFUSALS as error:  # about the recipe's parameters or one of its files
             raise ValueError(f"{path}: {error}") from error
+        return None
+    if family == "checkpoint":
+        continued(path)
         return None
     if family in ("xml", "gltf", "glb"):
         return rb.load(path)
@@ -119,6 +126,16 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
                          "wall": {"type": "rectangle", "emitter": {"type": "area", "radiance": picture}},
                          "sheet": {"type": "rectangle", "to_world": translate((0.8, 0.9, 0.5)),
                                    "bsdf": one_of(PICTURE_USES, path)(picture)}})
+
+
+def continued(path: Path) -> None:
+    """Continues the run whose recipe is beside the checkpoint at `path` by a step."""
+    recovery = Recovery(read_recipe(path.parent / "recipe.toml"))
+    fresh, moments = recovery.state_dict(), expected_moments(recovery.optimizer)
+    state = load_checkpoint(path, state_bytes(fresh, moments))
+    check_state(path, state, fresh, recovery.parameters, moments, recovery.recipe.steps)
+    recovery.load_state_dict(state)
+    take_step(recovery)
 
 
 def model_of(path: Path) -> Path:
@@ -154,8 +171,11 @@ def check_saved(scene: rb.Scene) -> None:
             saved = rb.load(Path(folder) / "saved.xml")
         except REFUSALS as error:
             raise AssertionError("what was saved does not load") from error
-    # Meshes are saved where their poses put them, and recomputed normals as what they are now.
-    ours, theirs = ({name for name, _ in each.named_parameters() if not name.endswith(("to_world", "vertex_normals"))}
+    # Meshes are saved where their poses put them, recomputed normals as what they are now, and some calibrated cameras as
+    # perspective ones.
+    others = tuple(f"{name}." for name, sensor in scene.named_sensors.items() if isinstance(sensor, Calibrated))
+    ours, theirs = ({name for name, _ in each.named_parameters()
+                     if not name.endswith(("to_world", "vertex_normals")) and not name.startswith(others)}
                     for each in (scene, saved))
     if ours != theirs:
         raise AssertionError(f"what was saved has other parameters: {sorted(ours ^ theirs)}")

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable
 from xml.etree import ElementTree
 
-from tests.fuzz.json_mutation import of_glb, of_json
+from tests.fuzz.json_mutation import of_checkpoint, of_glb, of_json
 
 NUMBERS = ["0", "-0", "1", "-1", "2", "0.5", "1e-46", "1e-30", "1e-8", "1e8", "1e20", "3e38", "1e39", "1e308", "1e309",
            "nan", "inf", "-inf", "255", "256", "65536", "2147483647", "2147483648", "4294967296", "18446744073709551616",
@@ -34,7 +34,8 @@ def mutate(family: str, source: random.Random, content: bytes, others: list[byte
     for _ in range(1 + min(int(source.expovariate(1.3)), 3)):
         try:
             content = source.choice(MUTATIONS[family])(source, content, others)
-        except (ElementTree.ParseError, struct.error, LookupError, ValueError, OverflowError):
+        except (ElementTree.ParseError, struct.error, LookupError, ValueError, TypeError,
+                OverflowError):
             content = of_bytes(source, content, others)  # what an earlier mutation broke has no structure
     return content
 
@@ -199,6 +200,7 @@ MUTATIONS: dict[str, list[Mutation]] = {
     "png": [of_chunks, of_bytes],
     "serialized": [of_inflated, of_inflated, of_bytes],
     "toml": [of_values, of_values, of_words, of_lines, of_bytes],
+    "checkpoint": [of_checkpoint, of_checkpoint, of_checkpoint, of_bytes],
     "gltf": [of_values, of_values, of_json, of_json, of_words, of_bytes],
     "glb": [of_glb, of_glb, of_bytes],
     "colmap": [of_values, of_values, of_words, of_lines, of_bytes],

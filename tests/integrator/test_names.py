@@ -16,10 +16,11 @@ def scene_of(dtype=torch.float64, material=None, **integrator):
 
 
 # What Mitsuba 3.9.1 answers: path's default depth is unlimited, that of the differentiable integrators 6.
-DEPTHS = {"path": -1, "volpath": -1, "volpathmis": -1, "prb": 6, "prb_basic": 6, "prbvolpath": 6, "ptracer": -1}
+DEPTHS = {"path": -1, "volpath": -1, "volpathmis": -1, "prb": 6, "prb_basic": 6, "prbvolpath": 6, "ptracer": -1,
+          "prb_projective": 6}
 
 
-@pytest.mark.filterwarnings("ignore:ptracer is rendered as path")
+@pytest.mark.filterwarnings("ignore:(ptracer|prb_projective) is rendered as")
 @pytest.mark.parametrize("name", DEPTHS)
 def test_an_integrator_is_path_tracing_with_the_depth_of_its_name(name):
     renderer = rb.Renderer(scene_of(type=name), spp=2)
@@ -56,6 +57,25 @@ def test_ptracer_says_that_it_starts_at_the_camera():
         scene_of(type="ptracer")
 
 
+@pytest.mark.parametrize("name, plain", [("prb_projective", "prb"), ("direct_projective", "direct")])
+def test_projective_integrators_say_once_which_terms_there_are(name, plain, tmp_path):
+    settings = {"sppc": 4, "sppp": 2, "sppi": 0, "guiding": "grid", "guiding_proj": False, "guiding_rounds": 2,
+                "project_seed": "bsdf"}
+    with pytest.warns(UserWarning) as found:
+        scene = scene_of(torch.float32, type=name, hide_emitters=True, **settings)
+    assert [str(each.message) for each in found] == [
+        f"{name} is rendered as {plain}: derivatives have the interior and the edges in view, as Renderer(terms=) says; "
+        "what borders of shadows and edges seen by reflection contribute is missing, and Renderer warns where it does; "
+        "sppc, sppp, sppi, guiding and project_seed are without effect"]
+    same = scene_of(torch.float32, type=plain, hide_emitters=True)
+    assert torch.equal(rb.render(scene, spp=2), rb.render(same, spp=2))
+    assert (scene.integrator.max_depth, scene.integrator.alpha()) == (same.integrator.max_depth, same.integrator.alpha())
+    rb.save(scene, tmp_path / "scene.xml")
+    with pytest.warns(UserWarning, match=f"{name} is rendered as {plain}"):
+        again = rb.load(tmp_path / "scene.xml").integrator
+    assert {key: getattr(again, key) for key in settings} == settings
+
+
 def test_volpath_says_that_passing_straight_through_counts():
     with pytest.warns(UserWarning, match="counts towards max_depth=4, which it does not in Mitsuba's volpath"):
         scene_of(type="volpath", max_depth=4, material={"type": "mask", "opacity": 0.5, "b": diffuse(0.5, 0.5, 0.5)})
@@ -63,7 +83,10 @@ def test_volpath_says_that_passing_straight_through_counts():
 
 
 @pytest.mark.parametrize("attributes, message", [
-    ({"type": "prb_projective"}, "borders of shadows and edges.*known: aov, direct, moment, path"),
+    ({"type": "prb_projective", "guiding": "kd"}, "guiding 'kd' is not known"),
+    ({"type": "direct_projective", "project_seed": "light"}, "project_seed 'light' is not known"),
+    ({"type": "prb_projective", "sppi": -1}, "sppi must be an integer of at least 0"),
+    ({"type": "direct_projective", "max_depth": 3}, "no attribute 'max_depth'"),
     ({"type": "depth"}, "aovs=\"dd:depth\""), ({"type": "stokes"}, "no polarisation"),
     ({"type": "pathh"}, "did you mean 'path'"), ({"type": "direct", "max_depth": 3}, "no attribute 'max_depth'"),
     ({"type": "direct", "bsdf_samples": 0}, "mirrors and glass would be black"),

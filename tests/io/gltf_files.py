@@ -85,3 +85,14 @@ class GltfFile:
         chunks += struct.pack("<I4s", len(binary), b"BIN\0") + binary
         path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
         return path
+
+
+def set_to(*path, to):
+    """A function that replaces an entry of the document, such as accessors, 0, count."""
+    def spoil(file):
+        inner = file.document
+        for key in path[:-1]:
+            inner = inner[key]
+        inner[path[-1]] = to
+
+    return spoil

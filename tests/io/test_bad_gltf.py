@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import torch_radbp as rb
-from tests.io.gltf_files import SQUARE, GltfFile
+from tests.io.gltf_files import SQUARE, GltfFile, set_to
 from torch_radbp.plugin import SceneError
 
 
@@ -31,17 +31,6 @@ def refused(folder, content, message, name="asset.glb"):
     text = str(caught.value)
     assert text.startswith(str(path)) and "\n" not in text and len(text) < 1000
     assert message in text, text
-
-
-def set_to(*path, to):
-    """A function that replaces an entry of the document, such as accessors, 0, count."""
-    def spoil(file):
-        inner = file.document
-        for key in path[:-1]:
-            inner = inner[key]
-        inner[path[-1]] = to
-
-    return spoil
 
 
 def drop(*path):
@@ -100,7 +89,7 @@ BAD = {
     "an alpha mode": (set_to("materials", 0, "alphaMode", to="CLIP"), "alphaMode must be OPAQUE, MASK or BLEND, got 'CLIP'"),
     "a wrap mode": (lambda f: f.document["textures"][0].update(sampler=f.add("samplers", wrapS=1)), "wrapS 1 is not known"),
     "a file from the network": (set_to("buffers", 0, "uri", to="http://x/y.bin"), "no other is read"),
-    "a file of the system": (set_to("buffers", 0, "uri", to="/etc/passwd"), "leads out of the folder of the document; if"),
+    "a file of the system": (set_to("buffers", 0, "uri", to="/etc/passwd"), "leads out of the folder of the document, "),
     "a file above": (set_to("buffers", 0, "uri", to="../../y.bin"), "'../../y.bin' leads out of the folder"),
     "a file above in disguise": (set_to("buffers", 0, "uri", to="a/%2e%2e/..%2Fy.bin"), "leads out of the folder"),
     "a file that is not there": (set_to("buffers", 0, "uri", to="y.bin"), "y.bin: file not found"),
@@ -149,12 +138,11 @@ def test_files_outside_of_the_folder_are_read_if_that_is_allowed(tmp_path):
     (tmp_path / "asset").mkdir()
     path = file.save(tmp_path / "asset" / "good.gltf")
     (tmp_path / "buffer.bin").write_bytes(file.binary + b"and more")
-    with pytest.raises(rb.SceneError, match="leads out of the folder of the document; .*allow_outside=True"):
+    with pytest.raises(rb.SceneError, match="leads out of the folder of the document, .*; .*allow_outside=True"):
         rb.load(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rb.GltfWarning)
-        for allowed in (True, "true"):
-            assert len(rb.load(path, allow_outside=allowed).shapes) == 1
+        assert len(rb.load(path, allow_outside=True).shapes) == 1
         (tmp_path / "asset" / "linked.bin").symlink_to(tmp_path / "buffer.bin")
         file.document["buffers"][0]["uri"] = "linked.bin"
         with pytest.raises(rb.SceneError, match="leads out of the folder"):
@@ -215,7 +203,7 @@ def test_a_picture_of_too_many_pixels_is_refused_before_it_is_decoded(tmp_path):
     for chunk in (b"IHDR" + struct.pack(">IIBBBBB", 30000, 30000, 1, 0, 0, 0, 0), b"IDAT" + zlib.compress(b""), b"IEND"):
         png += struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
     file.document["images"][0] = {"uri": "data:image/png;base64," + base64.b64encode(png).decode()}
-    refused(tmp_path, file.save(tmp_path / "good.glb").read_bytes(), "900000000 pixels")
+    refused(tmp_path, file.save(tmp_path / "good.glb").read_bytes(), "1 to 134217728 pixels, this one has more")
 
 
 def test_numbers_are_counted_as_often_as_nodes_use_them(tmp_path, monkeypatch):

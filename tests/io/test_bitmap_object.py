@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 import torch_radbp as rb
 from tests.io.documents import scene_dict
@@ -25,7 +26,25 @@ def test_the_values_are_those_of_mitsuba(mi, array, raw):
     scene = rb.load_dict(scene_dict(white={"type": "diffuse", "reflectance": texture(bitmap, raw)}))
     ours = scene.get_parameter("white.reflectance.data").detach().numpy()
     assert 0.2 < theirs.mean() < 0.8
-    np.testing.assert_allclose(ours, np.broadcast_to(theirs, ours.shape), atol=2e-6)
+    assert ours.shape == theirs.shape
+    np.testing.assert_allclose(ours, theirs, atol=2e-6)
+
+
+@pytest.mark.parametrize("raw", [False, True], ids=["", "raw"])
+@pytest.mark.parametrize("name", ["8 bits", "8 bits, grey"])
+def test_arrays_of_bytes_are_read_as_their_bitmaps(mi, name, raw):
+    theirs = np.array(mi.traverse(mi.load_dict(texture(mi.Bitmap(ARRAYS[name]), raw)))["data"])
+    for array in (ARRAYS[name], torch.from_numpy(ARRAYS[name].copy())):
+        scene = rb.load_dict(scene_dict(white={"type": "diffuse", "reflectance": texture(array, raw, name="data")}))
+        ours = scene.get_parameter("white.reflectance.data").detach().numpy()
+        assert ours.shape == theirs.shape and 0.2 < ours.mean() < 0.8
+        np.testing.assert_allclose(ours, theirs, atol=2e-6)
+
+
+def test_an_environment_map_of_bytes_is_decoded_as_well(mi):
+    ours, theirs = (rb.load_dict(scene_dict(sky={"type": "envmap", "bitmap": image})).get_parameter("sky.data").detach()
+                    for image in (BYTES[..., :3], mi.Bitmap(BYTES[..., :3])))
+    np.testing.assert_allclose(ours.numpy(), theirs.numpy(), atol=2e-6)
 
 
 def test_a_bitmap_that_says_that_it_is_srgb_is_decoded(mi):

@@ -60,6 +60,12 @@ ADOPTED = {
         lambda p: wall({"type": "diffuse", "reflectance": bitmap("bitmap", p)}),
         "wall.bsdf.reflectance.data",
     ),
+    "grey bitmap": (
+        torch.rand(3, 4, 1),
+        lambda p: wall({"type": "diffuse", "reflectance": bitmap("data", p)}),
+        "wall.bsdf.reflectance.data",
+    ),
+    "grey envmap": (torch.rand(3, 4, 1), lambda p: {"sky": bitmap("bitmap", p, "envmap")}, "sky.data"),
     "envmap": (torch.rand(3, 4, 3), lambda p: {"sky": bitmap("bitmap", p, "envmap")}, "sky.data"),
     "envmap by its other name": (torch.rand(3, 4, 3), lambda p: {"sky": bitmap("data", p, "envmap")}, "sky.data"),
     "radiance": (torch.rand(3), lambda p: {"sky": {"type": "constant", "radiance": p}}, "sky.radiance.value"),
@@ -158,11 +164,6 @@ REFUSED = {
         "to_world",
     ),
     "computed position": (lambda: {"lamp": {"type": "point", "position": 2 * LEAF}}, "lamp.position", "position"),
-    "grey bitmap": (
-        lambda: wall({"type": "diffuse", "reflectance": bitmap("data", nn.Parameter(torch.rand(2, 2, 1)))}),
-        "wall.bsdf.reflectance",
-        "data",
-    ),
     "flat bitmap": (
         lambda: wall({"type": "diffuse", "reflectance": bitmap("data", nn.Parameter(torch.rand(2, 2)))}),
         "wall.bsdf.reflectance",
@@ -243,7 +244,7 @@ def test_what_would_lose_its_gradient_is_refused_by_name(objects, place, name):
     [
         lambda: Diffuse(reflectance=torch.rand(3, requires_grad=True)),
         lambda: Bitmap(data=torch.rand(2, 2, 3, requires_grad=True)),
-        lambda: Bitmap(data=nn.Parameter(torch.rand(2, 2, 1))),
+        lambda: Bitmap(data=nn.Parameter(torch.rand(2, 2))),
     ],
     ids=["colour", "bitmap", "grey"],
 )

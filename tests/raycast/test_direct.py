@@ -103,6 +103,45 @@ def test_scale_changes_nothing(scale):
     assert not bool(scaled.occluded(Ray(ray.o * scale, ray.d), 0.999 * scale * hit.t).any())
 
 
+def beside_ordinary_ones(shape: str, size: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Forty triangles of a size, or slivers of a width, in random places, and one of ten units behind them."""
+    generator = torch.Generator().manual_seed(5)
+    centres = 2 * torch.rand(40, 1, 3, generator=generator, dtype=torch.float64) - 1
+    corners = torch.randn(40, 3, 3, generator=generator, dtype=torch.float64)
+    if shape == "sliver":
+        corners[:, 2] = 0.7 * corners[:, 0] + 0.3 * corners[:, 1] + size * corners[:, 2]
+    else:
+        corners *= size
+    large = torch.tensor([[-9.0, -9, -5], [9, -9, -5], [0, 9, -5]]).double()
+    return torch.cat([(centres + corners).reshape(-1, 3), large]).float(), torch.arange(123).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("name", ["direct", "brute"])
+@pytest.mark.parametrize("shape", ["triangle", "sliver"])
+@pytest.mark.parametrize("size", [1e-12, 1e-9, 1e-8, 1e-7, 1e-6, 1e-3, 1e3, 1e6])
+def test_triangles_of_any_size_are_hit_by_the_rays_that_hit_them_in_double_precision(size, shape, name):
+    vertices, faces = beside_ordinary_ones(shape, size)
+    expected = make_caster("brute", vertices.double(), faces).intersect(random_rays(2000, torch.float64)).prim
+    assert 0.05 < (expected >= 0).float().mean()
+    for dtype in DTYPES:
+        caster, ray = make_caster(name, vertices, faces), random_rays(2000, dtype)
+        assert torch.equal(caster.intersect(ray).prim, expected)
+        assert torch.equal(caster.occluded(ray, torch.full((2000,), torch.inf, dtype=dtype)), expected >= 0)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("size", [1e-12, 1e-9, 1e-6, 1e-3, 1e3, 1e6])
+def test_rays_from_nearby_hit_a_triangle_of_any_size_beside_an_ordinary_one(size, dtype):
+    corners = torch.tensor([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0.1]], dtype=dtype)
+    vertices = torch.cat([size * corners, corners + torch.tensor([40.0, 0, 0])])
+    generator = torch.Generator().manual_seed(1)
+    share = 0.05 + torch.rand(500, 3, generator=generator).to(dtype)
+    inside = share / share.sum(1, keepdim=True) @ corners
+    o = Vec3.of(size * (2 * torch.rand(500, 3, generator=generator) + torch.tensor([0.0, 0, 1])).to(dtype))
+    hit = Direct(vertices, torch.arange(6).reshape(-1, 3)).intersect(Ray(o, Vec3.of(size * inside) - o))
+    assert bool((hit.prim == 0).all())
+
+
 def test_rays_of_both_dtypes_may_be_asked_of_one_caster():
     vertices, faces = mesh("sphere in a box", torch.float64)
     caster = Direct(vertices, faces)

@@ -1,13 +1,10 @@
 """Lanes: how many, how laid out, broken ones among them, on how many threads."""
 
-import sys
-
 import pytest
 import torch
 
 from tests.raycast.meshes import mesh, random_rays, take
 from tests.raycast.test_hits import CASTERS, COMPILED
-from torch_radbp.jit import team
 from torch_radbp.raycast import Ray, make_caster
 from torch_radbp.vec import Vec3
 
@@ -102,13 +99,8 @@ def test_answers_have_the_shape_of_the_rays(caster):
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
-@pytest.mark.parametrize("pool", ["torch's OpenMP team", "Python threads"])
 @pytest.mark.parametrize("caster", COMPILED)
-def test_the_number_of_threads_changes_nothing(caster, threads, pool, monkeypatch, threads_restored):
-    if pool == "Python threads":
-        monkeypatch.setattr(team, "openmp_parallel", lambda: None)
-    elif team.openmp_parallel() is None:
-        pytest.skip("this torch has no OpenMP runtime with GOMP_parallel")
+def test_the_number_of_threads_changes_nothing(caster, threads, threads_restored):
     tracer = make_caster(caster, *mesh("sphere in a box"))
     ray, tmax = random_rays(50_001), torch.full((50_001,), 0.7)
     torch.set_num_threads(1)
@@ -148,12 +140,6 @@ def test_neighbours_that_go_the_same_way_leave_a_closed_sphere_nowhere():
     tracer = make_caster("embree", vertices, faces)
     assert bool((tracer.intersect(ray).prim >= 0).all())
     assert bool(tracer.occluded(ray, torch.full((8 * groups,), torch.inf)).all())
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a pool of Python threads may stand in")
-def test_torch_lends_its_threads():
-    """Without them queries are right but slower: nothing else would tell."""
-    assert team.openmp_parallel() is not None
 
 
 def test_brute_force_is_right_across_its_chunks(monkeypatch):

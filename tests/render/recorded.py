@@ -37,18 +37,18 @@ def recording() -> tuple[Stages, Calls]:
     return EAGER._make(watched(name, stage) for name, stage in EAGER._asdict().items()), found
 
 
-def build(name: str) -> rb.Scene:
+def build(name: str, dtype: torch.dtype = torch.float64) -> rb.Scene:
     """A scene of `SCENES`, of which everything is differentiated."""
-    return (NETWORKS[name]() if name in NETWORKS else build_everything(name)).requires_grad_()
+    return (NETWORKS[name](dtype=dtype) if name in NETWORKS else build_everything(name, dtype)).requires_grad_()
 
 
-def calls_of(name: str, sampling: str) -> Calls:
+def calls_of(name: str, sampling: str, dtype: torch.dtype = torch.float64) -> Calls:
     """The arguments of all calls of the stages while a scene of `SCENES` is rendered, differentiated and described."""
     stages, found = recording()
     with mock.patch.object(import_module("torch_radbp.render"), "EAGER", stages), warnings.catch_warnings():
         warnings.simplefilter("ignore", rb.SilhouetteWarning)
         warnings.simplefilter("ignore", rb.JumpWarning)
-        renderer = rb.Renderer(build(name), spp=2, max_depth=4, rr_depth=2, sampling=sampling, compile=False)
+        renderer = rb.Renderer(build(name, dtype), spp=2, max_depth=4, rr_depth=2, sampling=sampling, compile=False)
         image = renderer()
         image.backward(cotangent(image.detach()))
         with torch.no_grad():

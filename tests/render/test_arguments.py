@@ -48,7 +48,6 @@ CALLS = {
     "half a seed": ({"seed": 1.5}, "seed must be an integer, got 1.5"),
     "seed as text": ({"seed": "1"}, "seed must be an integer, got '1'"),
     "seed as truth": ({"seed": False}, "seed must be an integer, got False"),
-    "no seed": ({"seed": None}, "seed must be an integer, got None"),
     "half a second seed": ({"seed_grad": 0.5}, "seed_grad must be an integer, got 0.5"),
     "sensor as float": ({"sensors": 0.0}, "sensors: an index must be an integer, got 0.0"),
     "sensor as truth": ({"sensors": True}, "sensors: an index must be an integer, got True"),

@@ -43,7 +43,7 @@ MEMORY = {  # film, settings, gigabytes that there are, what is needed
     "image": ({"width": 8192, "height": 8192}, {"spp": 1}, False, 1, ": 1.5"),
     "chunk": ({"width": 512, "height": 512}, {"spp": 64, "chunk": 10**9}, False, 1, ": 4.6"),
     "small chunks": ({"width": 64, "height": 64}, {"spp": 4096, "chunk": 1}, False, 1, ": 3.1"),
-    "paths that are kept": ({"width": 512, "height": 512}, {"spp": 1024}, True, 8, ": "),
+    "records of a chunk": ({"width": 512, "height": 512}, {"spp": 64, "chunk": 10**9}, True, 1, ": "),
     "tape": ({"width": 256, "height": 256}, {"spp": 1024, "adjoint": rb.TapeAdjoint()}, True, 8, ": 14"),
 }
 
@@ -58,14 +58,15 @@ def test_more_memory_than_there_is_is_refused(film, settings, differentiated, th
 
 
 def test_a_budget_or_no_gradient_asks_for_no_more_than_a_chunk(monkeypatch):
-    """The planner keeps to its budget, and what is not differentiated keeps nothing."""
+    """The planner keeps to its budget, records to their share, and what is not differentiated keeps nothing."""
     monkeypatch.setattr(cost, "memory_of", lambda device: GIB // 256)
     scene = with_film(width=8, height=8)
     scene.get_parameter("red.reflectance.value").requires_grad_()
     call = {"spp": 1024, "max_depth": 2, "chunk": 1024}
     with pytest.raises(ValueError, match="set memory_budget, or average the gradients of calls of fewer samples"):
-        rb.render(scene, **call)
-    assert rb.render(scene, **call, seed_grad=3).requires_grad
+        rb.render(scene, **call, adjoint=rb.TapeAdjoint())
+    assert rb.render(scene, **call).requires_grad
+    assert rb.render(scene, **call, share_samples=True).requires_grad
     assert rb.render(scene, **call, memory_budget="12MiB").requires_grad
     with torch.no_grad():
         rb.render(scene, **call)

@@ -4,8 +4,6 @@ No GPU is needed: the kernels run on the processor, one thread after another, fr
 (`tests/jit/emulated.py`). So all but the translation to PTX, the driver and the rays of `warp` is what a GPU would run.
 """
 
-from importlib import import_module
-
 import pytest
 import torch
 
@@ -13,9 +11,8 @@ import torch_radbp as rb
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.jit.emulated import Emulated
+from tests.render.on_gpu import render_on
 from tests.scenes import CASES, cornell
-from torch_radbp import stages
-from torch_radbp.integrand import Stages
 from torch_radbp.jit.gpu import Gpu
 
 pytestmark = pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning",
@@ -27,10 +24,7 @@ SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 3}
 def gpu(monkeypatch) -> Gpu:
     """A GPU on which compiled renderings run during the test; it begins with nothing compiled."""
     device = Gpu(Emulated())
-    fused: Stages = stages.fused(device)
-    monkeypatch.setattr(import_module("torch_radbp.render"), "compiled", lambda: fused)
-    for module in ("order", "scatter"):
-        monkeypatch.setattr(import_module(f"torch_radbp.jit.{module}"), "target_of", lambda of: device)
+    render_on(device, monkeypatch)
     return device
 
 

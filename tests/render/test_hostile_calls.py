@@ -34,7 +34,6 @@ def replaced(value, name: str = NAME):
 
 
 CALLS = {
-    "no seed": ({"seed": None}, "seed must be an integer, got None"),
     "seed that is no number": ({"seed": NAN}, "seed must be an integer, got nan"),
     "fractional seed": ({"seed": 1.5}, "seed must be an integer, got 1.5"),
     "seed as truth": ({"seed": True}, "seed must be an integer, got True"),
@@ -181,6 +180,36 @@ PARAMETERS = {
 def test_a_parameter_of_a_functional_call(call, kind, message):
     with pytest.raises(kind, match=re.escape(message)):
         call()
+
+
+def test_a_parameter_without_the_prefix_of_the_scene():
+    """torch's own message has no room for the advice; it is the cause."""
+    with pytest.raises(AttributeError) as caught:
+        functional_call(renderer(), {NAME: GREY}, kwargs={"seed": 0})
+    assert ("a renderer has no attribute 'floor', but its scene has, renderer.scene.floor: names of its parameters begin "
+            "with 'scene.floor.' in functional_call") in str(caught.value.__cause__)
+    assert not hasattr(renderer(), "floor") and not hasattr(renderer(), "nothing")
+
+
+# Name -> (a call with an argument that there is not, what the message says).
+ARGUMENTS = {
+    "sensor": (lambda ours: ours(sensor=0), "Renderer.forward() has no argument 'sensor'; did you mean 'sensors'"),
+    "seeds": (lambda ours: ours(seeds=0), "has no argument 'seeds'; did you mean 'seed'"),
+    "seed_grads": (lambda ours: ours(seed_grads=0), "has no argument 'seed_grads'; did you mean 'seed_grad'"),
+    "of aovs": (lambda ours: ours.aovs(["depth"], sensor=0), "Renderer.aovs() has no argument 'sensor'; did you mean 'sens"),
+    "of memory_plan": (lambda ours: ours.memory_plan(sensor=0), "memory_plan() has no argument 'sensor'"),
+    "of render": (lambda ours: rb.render(ours.scene, sensor=0), "render() has no argument 'sensor'; did you mean 'sensors'"),
+    "a setting of render": (lambda ours: rb.render(ours.scene, max_dept=3), "'max_dept'; did you mean 'max_depth'"),
+    "of jvp": (lambda ours: rb.jvp(ours.scene, {NAME: GREY}, sensor=0), "jvp() has no argument 'sensor'; did you mean"),
+    "of check_gradient": (lambda ours: rb.check_gradient(ours.scene, NAME, sensor=0),
+                          "check_gradient() has no argument 'sensor'; did you mean 'sensors'"),
+}
+
+
+@pytest.mark.parametrize("call, message", ARGUMENTS.values(), ids=ARGUMENTS)
+def test_an_argument_that_there_is_not(call, message):
+    with pytest.raises(TypeError, match=re.escape(message)):
+        call(renderer())
 
 
 def without_value(ours: rb.Renderer) -> None:
@@ -380,3 +409,78 @@ def test_the_gradient_by_one_parameter_is_the_same_beside_those_of_all_others():
     found, expected = renderer().requires_grad_(), renderer()
     found.compile_stages = expected.compile_stages = False
     assert torch.equal(gradient(found), gradient(expected))
+
+
+def bitmap_renderer() -> rb.Renderer:
+    """A floor with an image of 4 x 4 texels and a network beside it."""
+    network = torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.Sigmoid())
+    bsdfs = ({"type": "diffuse", "reflectance": {"type": "bitmap", "data": torch.full((4, 4, 3), 0.5)}},
+             {"type": "diffuse", "reflectance": network}, {"type": "diffuse", "reflectance": 0.5})
+    shapes = {f"shape_{k}": {"type": "rectangle", "bsdf": bsdf} for k, bsdf in enumerate(bsdfs)}
+    film = {"type": "hdrfilm", "width": 2, "height": 2}
+    ours = rb.load_dict({"type": "scene", "sensor": {"type": "perspective", "film": film}, "sky": {"type": "constant"},
+                         **shapes})
+    return rb.Renderer(ours, spp=1, max_depth=2, compile=False)
+
+
+RESIZED = {
+    "a bitmap": ("shape_0.bsdf.reflectance.data", (8, 8, 3), "from (4, 4, 3) to (8, 8, 3)"),
+    "a bitmap to fewer": ("shape_0.bsdf.reflectance.data", (1, 1, 3), "from (4, 4, 3) to (1, 1, 3)"),
+    "a layer": ("shape_1.bsdf.reflectance.module.0.weight", (5, 2), "from (3, 2) to (5, 2)"),
+    "a colour": ("shape_2.bsdf.reflectance.value", (3,), "from () to (3,)"),
+}
+
+
+@pytest.mark.parametrize("name, shape, message", RESIZED.values(), ids=RESIZED)
+def test_a_parameter_resized_before_the_backward_pass(name, shape, message):
+    ours = bitmap_renderer()
+    parameter = ours.scene.get_parameter(name).requires_grad_()
+    image = ours(seed=1)
+    parameter.data = torch.rand(shape)
+    message = f"the parameter {name!r} has been resized between a rendering and its backward pass, {message}"
+    with pytest.raises(RuntimeError, match=re.escape(message)):
+        image.sum().backward()
+
+
+def batch_of_gradients(ours: rb.Renderer) -> None:
+    colour = ours.scene.get_parameter(NAME).requires_grad_()
+    image = ours(seed=1)
+    torch.autograd.grad(image, colour, torch.ones(2, *image.shape), is_grads_batched=True)
+
+
+def vectorized_jacobian(ours: rb.Renderer) -> None:
+    torch.autograd.functional.jacobian(lambda value: functional_call(ours, {f"scene.{NAME}": value}, kwargs={"seed": 0}),
+                                       torch.full((3,), 0.5), vectorize=True)
+
+
+BATCH = "the backward pass of a rendering takes one gradient of the image at a time, and a batch is given (is_grads"
+FOREIGN = {
+    "a batch of gradients": (batch_of_gradients, RuntimeError, BATCH),
+    "a vectorized jacobian": (vectorized_jacobian, RuntimeError, BATCH),
+    "a trace": (lambda ours: torch.jit.trace(ours, ()), RuntimeError, "a rendering cannot be traced by torch.jit.trace"),
+}
+
+
+@pytest.mark.parametrize("call, kind, message", FOREIGN.values(), ids=FOREIGN)
+def test_what_torch_can_do_with_other_functions(call, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        call(renderer())
+
+
+TRUTH = "got Tensor of shape (2, 2, 3) of torch.bool"
+NOTHING = "on the device meta, which holds no numbers"
+GIVEN = {
+    "truth values as a bitmap": ({"type": "bitmap", "data": torch.ones(2, 2, 3, dtype=torch.bool)}, TRUTH),
+    "truth values as a colour": ({"type": "rgb", "value": torch.ones(3, dtype=torch.bool)}, "of shape (3,) of torch.bool"),
+    "truth values as a reflectance": (torch.ones(3, dtype=torch.bool), "of shape (3,) of torch.bool"),
+    "a bitmap on no device": ({"type": "bitmap", "data": torch.ones(2, 2, 3, device="meta")}, NOTHING),
+    "a colour on no device": ({"type": "rgb", "value": torch.ones(3, device="meta")}, NOTHING),
+    "a parameter on no device": ({"type": "rgb", "value": torch.nn.Parameter(torch.ones(3, device="meta"))}, NOTHING),
+}
+
+
+@pytest.mark.parametrize("value, message", GIVEN.values(), ids=GIVEN)
+def test_values_of_a_description_that_are_no_numbers(value, message):
+    floor = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": value}}
+    with pytest.raises(rb.SceneError, match=re.escape(message)):
+        rb.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "sky": {"type": "constant"}, "floor": floor})

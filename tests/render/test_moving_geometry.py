@@ -116,7 +116,7 @@ def test_casters_of_the_past_are_freed(differentiated):
     scene = cornell()
     if differentiated:
         parameters(scene, NAMES)
-    renderer = rb.Renderer(scene, **SETTINGS)
+    renderer = rb.Renderer(scene, share_samples=True, **SETTINGS)
     casters, images = [], []
     for _ in range(4):
         images.append(renderer())

@@ -121,8 +121,8 @@ def test_image_and_gradients_are_those_of_the_tape_where(name, poses, met):
     scene = load(**objects)
     names = [name for name, _ in scene.named_parameters() if poses or not name.endswith(POSES)]
     wanted = parameters(scene, names)
-    renderer = rb.Renderer(scene, terms=["interior"], **{"spp": 1, "max_depth": 4, "rr_depth": 3,
-                                                         "adjoint": rb.TapeAdjoint()} | settings)
+    renderer = rb.Renderer(scene, terms=["interior"], share_samples=True,
+                           **{"spp": 1, "max_depth": 4, "rr_depth": 3, "adjoint": rb.TapeAdjoint()} | settings)
     expected, tape = image_and_gradients(renderer, wanted)
     assert met[0] == first
     assert len(met) == bounces if bounces else len(met) > 1

@@ -15,7 +15,8 @@ def batches(kind: str | None):
     chosen = {} if kind is None else {"sampler": {"type": kind, "sample_count": 16}}
     names = ("white.reflectance.value", "light.emitter.radiance.value")
     scene = cornell(sensors={"camera": sensor(6, **chosen)})
-    found = [image_and_gradients(scene, names, seed=seed, spp=16, max_depth=3, adj_image=torch.ones(1, 3, 6, 6))
+    found = [image_and_gradients(scene, names, seed=seed, spp=16, max_depth=3, share_samples=True,
+                                   adj_image=torch.ones(1, 3, 6, 6))
              for seed in range(BATCHES)]
     return torch.stack([image for image, _ in found]), torch.stack([torch.cat(gradients) for _, gradients in found])
 

@@ -53,7 +53,8 @@ def no_memory_is_asked_for(monkeypatch):
 
 def of_second_call(scene: rb.Scene, depth: int) -> Counter:
     """What is exchanged in the second rendering and backward pass of a scene, of which the first is forgotten."""
-    renderer = rb.Renderer(scene, spp=2, max_depth=depth, rr_depth=100, caster="brute", compile=False)
+    renderer = rb.Renderer(scene, spp=2, max_depth=depth, rr_depth=100, caster="brute", compile=False,
+                           share_samples=True)
 
     def render() -> None:
         image = renderer(seed=1)

@@ -136,7 +136,7 @@ def test_gradients_of_a_scene_ignore_what_is_not_seen():
         wanted = [scene.get_parameter(name).requires_grad_() for name in names]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SilhouetteWarning)
-            image = rb.render(scene, spp=8, max_depth=1, adjoint=adjoint)
+            image = rb.render(scene, spp=8, max_depth=1, adjoint=adjoint, share_samples=True)
         assert (image == 0).any() and (image > 0).any()
         of_sky, of_k1 = torch.autograd.grad(image.sum(), wanted)
         torch.testing.assert_close((of_sky * wanted[0]).sum().detach(), image.sum().detach(), rtol=1e-10, atol=0)

@@ -179,3 +179,36 @@ def test_triangles_are_found_again_only_if_the_grid_has_changed(monkeypatch):
     scene.shape.grid.data[2, 2, 2] -= 0.01
     assert pack(scene, kept).triangles.vertices.p.x.requires_grad and len(calls) == 2
     assert geometry.number_of_triangles(kept, scene.shape) == len(scene.shape.triangles().faces)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("normals", ["smooth", "analytic"])
+@pytest.mark.parametrize("seed", range(6))
+def test_values_of_zero_have_finite_derivatives(seed, normals, dtype):
+    """Of grids of -1, 0 and 1, in which whole edges and voxels are zero: what has no direction has no derivative."""
+    generator = torch.Generator().manual_seed(seed)
+    values = torch.tensor([-1.0, 0.0, seed % 2, 0.0, 0.0])
+    size = (2, 3, 5)[seed % 3]
+    grid = values[torch.randint(0, 5, (size, size, size, 1), generator=generator)]
+    grid[0, 0, 0] = -1.0
+    shape = sdfgrid.SDFGrid(grid=grid, normals=normals).to(dtype)
+    shape.grid.requires_grad_()
+    triangles = shape.triangles()
+    weights = torch.randn(triangles.vertices.shape, generator=generator).to(dtype)
+    gradient, = torch.autograd.grad(((triangles.vertices + triangles.normals) * weights).sum(), shape.grid)
+    assert bool(torch.isfinite(triangles.vertices).all() & torch.isfinite(triangles.normals).all())
+    assert torch.allclose(triangles.normals.norm(dim=1), torch.ones((), dtype=dtype), atol=1e-5)
+    assert float(gradient.abs().max()) < 1e7  # thousands of vertices whose normals turn within a hundredth of a voxel
+
+
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+@pytest.mark.parametrize("normals", ["smooth", "analytic"])
+def test_a_signed_distance_cut_off_at_zero_renders_with_finite_derivatives(normals):
+    """A band of -1 around a ball inside of zeros, as of a truncated field."""
+    x = torch.linspace(-1, 1, 9)
+    grid = torch.where(sum(part.square() for part in torch.meshgrid(x, x, x, indexing="ij")) < 0.3, -1.0, 0.0)[..., None]
+    scene = load(sensor=sensor(6, (1.5, 1.2, 2.5), (0.5, 0.5, 0.5)), sky={"type": "constant", "radiance": 1.0},
+                 ball={"type": "sdfgrid", "grid": grid, "normals": normals})
+    values = scene.get_parameter("ball.grid").requires_grad_()
+    gradient, = torch.autograd.grad(rb.render(scene, spp=2, max_depth=2, terms=["interior"]).sum(), values)
+    assert 0 < float(gradient.abs().max()) < 1e6

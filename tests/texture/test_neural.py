@@ -98,7 +98,7 @@ def test_forward_mode_is_the_transpose_of_backward(names, sampling):
 
 def test_weights_against_finite_differences():
     """Of the image at one seed: directions follow the roughness, so that nothing is held."""
-    settings = {"spp": 4, "max_depth": 3, "rr_depth": 100, "sampling": "attached", "seed": 3}
+    settings = {"spp": 4, "max_depth": 3, "rr_depth": 100, "sampling": "attached", "seed": 3, "share_samples": True}
     generator = torch.Generator().manual_seed(0)
     tangents = {name: torch.randn(room().get_parameter(name).shape, generator=generator, dtype=torch.float64)
                 for name in WEIGHTS}
@@ -121,7 +121,7 @@ def test_weights_against_finite_differences():
 def test_gradcheck_of_weights_and_of_what_moves_the_place(of, moving):
     """The camera sees nothing but the poster, whose edges are out of view: the image is smooth in its pose."""
     renderer = rb.Renderer(poster(textured(mlp(2 if of == "uv" else 3, 3), of), size=2), spp=1, max_depth=2, nee=False,
-                           sampling="attached")
+                           sampling="attached", share_samples=True)
     names = [f"scene.{name}" for name in (*weights(renderer.scene), moving)]
     values = [dict(renderer.named_parameters())[name].detach().clone() for name in names]
     pose = values.pop()

@@ -103,7 +103,7 @@ def test_forward_mode_is_the_transpose_of_backward(sampling):
 
 def test_weights_against_finite_differences():
     """Of the image at one seed, in which no decision depends on the brightness of two lamps."""
-    settings = {"spp": 4, "max_depth": 3, "rr_depth": 100, "seed": 3}
+    settings = {"spp": 4, "max_depth": 3, "rr_depth": 100, "seed": 3, "share_samples": True}
     generator, scene = torch.Generator().manual_seed(0), lit_room()
     tangents = {name: torch.randn(scene.get_parameter(name).shape, generator=generator, dtype=torch.float64)
                 for name in WEIGHTS}
@@ -139,7 +139,8 @@ def test_the_pose_of_a_lamp_against_finite_differences(of):
         return value
 
     expected = (loss(1e-6) - loss(-1e-6)) / 2e-6
-    _, (gradient,) = image_and_gradients(scene, ["lamp.to_world"], seed=0, adj_image=adj_image, spp=2, max_depth=1)
+    _, (gradient,) = image_and_gradients(scene, ["lamp.to_world"], seed=0, adj_image=adj_image, spp=2, max_depth=1,
+                                          share_samples=True)
     assert abs(expected) > 1e-3 and abs((tangent * gradient).sum() - expected) < 1e-6 * abs(expected)
 
 

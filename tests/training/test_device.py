@@ -9,7 +9,8 @@ from torch_radbp.training.cli import app
 from torch_radbp.training.device import usable_device
 from torch_radbp.training.ranks import ALONE
 from torch_radbp.training.recipe_file import RecipeError, read_recipe
-from torch_radbp.training.recovery.checkpoint import check_state, load_checkpoint, save_checkpoint
+from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint, save_checkpoint
+from torch_radbp.training.recovery.continuation import check_state, expected_moments
 from torch_radbp.training.recovery.optimize import Recovery, make_optimizer
 from torch_radbp.training.run import run
 
@@ -34,7 +35,7 @@ def start(folder, overrides=(), resume=False):
 def test_a_recipe_names_the_cpu(folder):
     summary = start(folder, ["render.device=cpu"])
     assert summary["status"] == "finished" and summary["machine"]["device"] == "cpu"
-    assert read_recipe(folder / "run" / "recipe.toml", []).render.device == "cpu"
+    assert read_recipe(folder / "run" / "recipe.toml", allow_outside=True).render.device == "cpu"
 
 
 @pytest.mark.parametrize("cuda, advice", [(None, "built without CUDA; install one built for it"), ("12.9", "nvidia-smi")])
@@ -90,21 +91,22 @@ def test_a_run_continues_on_another_device(folder):
 def test_the_state_of_the_optimiser_follows_to_the_device_of_the_parameters(folder):
     """From the CPU to `meta`, which every torch has."""
     start(folder)
-    state = load_checkpoint(folder / "run" / "checkpoint.pt")
+    state = load_checkpoint(folder / "run" / FILE_NAME, 2**20)
     recovery = Recovery(read_recipe(folder / "recipe.toml", []), ALONE)
     recovery.scene.to("meta")
     recovery.optimizer = make_optimizer(recovery.parameters, recovery.recipe.optimizer)
     recovery.load_state_dict(state)
     moments = [value for held in recovery.optimizer.state.values() for name, value in held.items() if name != "step"]
     assert moments and all(value.is_meta for value in moments)
-    assert all(value.device.type == "cpu" for held in state["optimizer"]["state"].values() for value in held.values())
+    assert all(value.device.type == "cpu" for held in state["moments"].values() for value in held.values())
 
 
 def test_checkpoints_are_read_to_the_memory_of_the_host(folder):
     start(folder)
-    fresh = Recovery(read_recipe(folder / "recipe.toml", []), ALONE).state_dict()
-    path = folder / "run" / "checkpoint.pt"
-    state = load_checkpoint(path)
+    path = folder / "run" / FILE_NAME
+    state = load_checkpoint(path, 2**20)
     save_checkpoint(path, state)
-    check_state(path, load_checkpoint(path), fresh, 6)
+    recovery = Recovery(read_recipe(folder / "recipe.toml", []), ALONE)
+    moments = expected_moments(recovery.optimizer)
+    check_state(path, load_checkpoint(path, 2**20), recovery.state_dict(), recovery.parameters, moments, 6)
     assert all(value.device.type == "cpu" for value in state["parameters"].values())

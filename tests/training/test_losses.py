@@ -33,16 +33,22 @@ def test_two_buffer_gradient_is_unbiased_at_one_sample():
     assert abs(mean - 2 * (THETA - TARGET)) < 4 * error
 
 
-def test_one_buffer_l2_gradient_is_biased_by_the_variance():
+def test_gradients_of_other_losses_are_unbiased_too():
+    mean, error = mean_gradient(Objective([L2(name="l2")]), images=(1, 2))
+    assert error < 0.02
+    assert abs(mean - 2 * (THETA - TARGET)) < 4 * error
+
+
+def test_l2_of_one_image_is_biased_by_the_variance():
     # E[2 (theta X - T) X] = 2 (2 theta - T): it pulls theta to T / 2.
-    mean, error = mean_gradient(Objective([L2(name="l2")]), images=(1,))
+    mean, error = mean_gradient(Objective([L2(name="l2")]), images=(1, 1))
     assert abs(mean - 2 * (2 * THETA - TARGET)) < 4 * error
     assert abs(mean - 2 * (THETA - TARGET)) > 40 * error
 
 
-def test_one_image_losses_see_the_mean_of_the_buffers():
+def test_losses_of_one_image_are_means_over_the_buffers():
     target = torch.zeros(1, 3, 4, 4)
-    buffers = [torch.full_like(target, 1.0), torch.full_like(target, 3.0)]
+    buffers = torch.full_like(target, 1.0), torch.full_like(target, 3.0)
     losses = [TwoBufferL2(name="two_buffer_l2", weight=2.0), L1(name="l1", weight=0.5)]
     total, terms = Objective(losses)(buffers, target)
     assert terms["two_buffer_l2"].item() == pytest.approx(3.0)
@@ -50,18 +56,18 @@ def test_one_image_losses_see_the_mean_of_the_buffers():
     assert total.item() == pytest.approx(2.0 * 3.0 + 0.5 * 2.0)
 
 
-def test_number_of_buffers_follows_the_losses():
-    assert Objective([L1(name="l1")]).buffers_needed == 1
-    assert Objective([L1(name="l1"), TwoBufferL2(name="two_buffer_l2")]).buffers_needed == 2
+def test_losses_of_one_image_share_its_samples_among_the_buffers():
+    assert Objective([L1(name="l1")]).spp_of_buffer(5) == 3
+    assert Objective([L1(name="l1"), TwoBufferL2(name="two_buffer_l2")]).spp_of_buffer(5) == 5
 
 
 @pytest.mark.parametrize("spec", [SSIM(name="ssim"), MultiScaleSSIM(name="ms_ssim")])
 def test_similarity_is_zero_for_equal_images_and_not_for_others(spec):
     target = torch.rand(2, 3, 24, 24, generator=torch.Generator().manual_seed(0))
     objective = Objective([spec])
-    assert objective([target.clone()], target)[0].item() == pytest.approx(0.0, abs=1e-5)
+    assert objective((target, target), target)[0].item() == pytest.approx(0.0, abs=1e-5)
     other = (1 - target).requires_grad_()
-    loss = objective([other], target)[0]
+    loss = objective((other, other), target)[0]
     loss.backward()
     assert loss.item() > 0.1
     assert other.grad.isfinite().all() and other.grad.abs().max() > 0

@@ -14,6 +14,7 @@ import torch
 from tests.training.gradient_of_ranks import gradient
 from torch_radbp.adjoint.cost import memory_of
 from torch_radbp.training.ranks import ALONE, Ranks
+from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint
 from torch_radbp.training.recovery.metrics import MetricsFile
 from torch_radbp.training.recovery.optimize import own_budget
 
@@ -105,14 +106,14 @@ def test_a_killed_process_ends_the_run_with_a_message_and_resume_continues(folde
     assert process.returncode != 0
     message = r"error: process 0 of 2 lost another one.*the state after \d+ steps is saved; to continue: --resume"
     assert re.search(message, said)
-    reached = torch.load(folder / "run" / "checkpoint.pt")["step"]
+    reached = load_checkpoint(folder / "run" / FILE_NAME, 2**20)["step"]
     assert reached >= 3
 
     steps = str(reached + 2)
     said = finished(under_torchrun(2, *command, "--resume", "--steps", steps))
     assert said.count("report:") == 1  # by one process only
     assert [int(row["step"]) for row in metrics.rows()] == list(range(reached + 2))
-    assert torch.load(folder / "run" / "checkpoint.pt")["processes"] == 2
+    assert load_checkpoint(folder / "run" / FILE_NAME, 2**20)["processes"] == 2
 
 
 def rank_processes(torchrun: int) -> dict[int, int]:

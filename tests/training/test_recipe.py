@@ -45,9 +45,6 @@ BAD_RECIPES = {
     "stride without memo": (
         'caster = "brute"', 'adjoint = { strategy = "replay", stride = 2 }', ["adjoint", "stride", "memoized"],
     ),
-    "tape without a backward pass of its own": (
-        'caster = "brute"', 'decorrelate = true\nadjoint = { strategy = "tape" }', ["render", "decorrelate", "tape"],
-    ),
 }  # fmt: skip
 
 
@@ -153,7 +150,7 @@ def test_written_recipe_reads_back_the_same_from_another_folder(folder):
     (folder / "runs" / "one").mkdir(parents=True)
     copy = folder / "runs" / "one" / "recipe.toml"
     write_recipe(recipe, copy)
-    assert read_recipe(copy) == recipe
+    assert read_recipe(copy, allow_outside=True) == recipe
     assert str(folder) not in copy.read_text(), "paths in a written recipe are relative"
 
 

@@ -18,7 +18,7 @@ from torch_radbp.training.recovery.optimize import Recovery
 from torch_radbp.training.recovery.passes import render_in_passes
 from torch_radbp.training.report.chart import Line, line_chart
 from torch_radbp.training.report.curve_colours import curve_colours
-from torch_radbp.training.report.curves import running_mean
+from torch_radbp.training.report.curves import curves_section, running_mean
 from torch_radbp.training.run import run
 
 
@@ -82,8 +82,8 @@ def test_report_says_what_was_recovered(run_folder):
 
 
 def test_run_folder_is_complete(run_folder):
-    expected = {"recipe.toml", "metrics.csv", "parameters.safetensors", "checkpoint.pt", "summary.json", "report.html"}
-    expected |= {"images", "textures", "tensorboard", "scene"}
+    expected = {"recipe.toml", "metrics.csv", "parameters.safetensors", "checkpoint.safetensors", "summary.json"}
+    expected |= {"report.html", "images", "textures", "tensorboard", "scene"}
     assert {path.name for path in run_folder.iterdir()} == expected
     for role in ("before", "target", "after", "error"):
         assert read_image(run_folder / "images" / f"camera_{role}.exr").shape == (6, 8, 3)
@@ -234,3 +234,15 @@ def test_progress_of_a_short_job_prints_nothing():
     with TimedProgress(Console(file=text), "step", None) as progress:
         progress.update(5, 5)
     assert text.getvalue() == ""
+
+
+@pytest.mark.parametrize(("first", "points"), [(0, 4), (5, 3)])
+def test_the_curve_of_a_parameter_begins_at_its_value_before_the_first_step(first, points):
+    parameter = {"name": "ior", "before": [1.0], "recovered": [4.0], "shape": [1], "picture": False}
+    rows = [{"step": first + index, "loss": 1.0, "loss.l1": 1.0, "ior": 2.0 + index} for index in range(3)]
+    section = curves_section({"parameters": [parameter], "verdict": {"noise": None}}, rows)
+    curve = re.findall(r'<polyline points="([^"]*)" stroke="[^"]*" class="curve"', section)[-1].split()
+    places = [tuple(map(float, point.split(","))) for point in curve]
+    assert len(places) == points
+    rises = [before[1] - after[1] for before, after in zip(places, places[1:])]
+    assert max(rises) - min(rises) <= 0.2, "one unit a step, from the first on"

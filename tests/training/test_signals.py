@@ -8,9 +8,9 @@ import sys
 import time
 
 import pytest
-import torch
 
 from torch_radbp.training.interrupt import WORDS, Interrupts
+from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint
 from torch_radbp.training.recovery.metrics import MetricsFile
 
 pytestmark = pytest.mark.hostile
@@ -101,7 +101,7 @@ def signalled(forks, folder):
 
 
 def state_of(folder):
-    return torch.load(folder / "run" / "checkpoint.pt", weights_only=True)["step"]
+    return load_checkpoint(folder / "run" / FILE_NAME, 2**20)["step"]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 RUN = 16  # pixels: their rays are coherent, and a row of an image has many such runs
-LEAST_LANES = 1 << 12  # of a chunk if the user does not say: below, a second thread costs more in Python than it takes over
+LEAST_LANES = 1 << 15  # of a chunk if the user does not say: below, a second one costs more in Python than it gains
 
 
 class Pixels(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from typing import NamedTuple
 
@@ -17,6 +18,9 @@ LANES = {True: 1 << 18, False: 1 << 17}  # of a chunk on the CPU if the user doe
 # On a GPU the host takes milliseconds to start a bounce of whatever size, so chunks are as large as its memory allows.
 LANES_ON_GPU = (1 << 18, 1 << 24)  # the fewest and the most of a chunk, about
 BYTES_ON_GPU = {True: 4096, False: 16384}  # of its memory for each lane of float32; compiled and eager
+RECORDS_OF_CHUNK = 200 << 20  # bytes, on the CPU if the user does not say
+LONGEST_TAIL = 20  # bounces after roulette has begun, in the mean of paths that survive as often as it lets them
+SHARE_OF_RECORDS = 1 / 8  # of all memory
 
 
 class Request(NamedTuple):
@@ -31,7 +35,8 @@ class Request(NamedTuple):
     dtype: torch.dtype
     device: torch.device
     workers: int  # chunks that are traced side by side
-    adjoint: object | None  # the strategy, if it keeps something of every path; None: nothing is kept
+    adjoint: object | None  # the strategy, if there is a backward pass within no budget
+    record_bytes: float  # see `RenderCall`; 0: image and derivative have samples of their own
     compiled: bool
 
     @property
@@ -46,7 +51,7 @@ class Request(NamedTuple):
         working = together * LEAST_BOUNCE * self.dtype.itemsize
         if self.adjoint is not None:
             work = Workload([1.0], self.paths, self.max_depth, self.dtype, self.compiled, self.workers)
-            working = max(working, predict(work, self.chunk, self.adjoint).peak)
+            working = max(working, predict(work, self.chunk, self.adjoint, self.record_bytes).peak)
         return images + working + CHUNK_BYTES * -(-self.paths // self.chunk)
 
     def __str__(self) -> str:
@@ -59,6 +64,18 @@ def lanes_of_chunks(device: torch.device, dtype: torch.dtype, workers: int, comp
         return LANES[compiled or workers == 1]
     fewest, most = LANES_ON_GPU
     return int(max(fewest, min(most, memory_of(device) / (BYTES_ON_GPU[compiled] * dtype.itemsize / 4))))
+
+
+@functools.lru_cache
+def recorded_lanes(adjoint, max_depth: int, rr_depth: int, dtype: torch.dtype) -> int:
+    """The lanes of a chunk on the CPU whose records take their share of memory, if paths are as long as can be expected."""
+    bounces = max(1, min(max_depth, rr_depth + LONGEST_TAIL))
+    return RECORDS_OF_CHUNK // max(1, predict(Workload([1.0] * bounces, 1, max_depth, dtype), 1, adjoint).kept)
+
+
+def bytes_of_records(device: torch.device) -> float:
+    """What the paths of an image may take of a device's memory until the backward pass, if nothing else is said."""
+    return SHARE_OF_RECORDS * memory_of(device)
 
 
 def check_cost(request: Request) -> None:
@@ -82,6 +99,6 @@ def memory_of(device: torch.device) -> float:
     """All bytes that a device has, used or not; infinite if it does not tell. Processes under torchrun share the host's."""
     if device.type == "cuda":
         return torch.cuda.get_device_properties(device).total_memory
-    if device.type != "cpu" or not hasattr(os, "sysconf"):
+    if device.type != "cpu" or "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", ()):
         return float("inf")
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / int(os.environ.get("LOCAL_WORLD_SIZE", "1"))

@@ -21,6 +21,7 @@ from torch_radbp.path_state import Arrival, PathState, Position
 from torch_radbp.plugin import Plugin, Texture
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.neural import SMOOTH, NeuralTexture
 from torch_radbp.vec import rows
 
 ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) and smaller steps"
@@ -97,6 +98,12 @@ def owner_of(scene: Scene, parameter: str) -> str:
         if isinstance(plugin, Plugin) and not isinstance(plugin, Texture):
             return described(scene, plugin)
     return described(scene, scene.get_submodule(".".join(path)))
+
+
+def network_of(scene: Scene | None, parameter: str) -> str | None:
+    """The name of the texture whose module a parameter belongs to; None: it belongs to none."""
+    owner = parameter.partition(".module.")[0]
+    return owner if scene is not None and isinstance(dict(scene.named_modules()).get(owner), NeuralTexture) else None
 
 
 def plain_name(parameter: str) -> str:
@@ -191,8 +198,12 @@ def gradient_error(bad: list[tuple[Tensor, Tensor]], integrand: Integrand, scene
     else:
         whose = "the scene"
     bad_values = sum(int((~torch.isfinite(gradient)).sum()) for _, gradient in bad)
-    return NonFiniteError(f"the gradient of {whose} is NaN or infinite in {bad_values} values: "
-                          f"{finding.place(integrand.scene, scene)}; {ADVICE}")
+    networks = sorted({texture for name in names for texture in [network_of(scene, plain_name(name))] if texture})
+    if finding.depth is None and networks:
+        place = f"in the derivative of the module of {' or '.join(map(repr, networks))} by its own parameters; {SMOOTH}"
+    else:
+        place = f"{finding.place(integrand.scene, scene)}; {ADVICE}"
+    return NonFiniteError(f"the gradient of {whose} is NaN or infinite in {bad_values} values: {place}")
 
 
 def parameters_behind(bad: list[tuple[Tensor, Tensor]], parameters: dict[str, Tensor]) -> list[str]:

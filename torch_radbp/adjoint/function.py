@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, wraps
 from itertools import groupby
+from threading import Lock
 from typing import NamedTuple, TypeVar
 
 import torch
@@ -28,6 +29,7 @@ from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand, Stages
+from torch_radbp.jit.torch_internals import batched
 from torch_radbp.path import CameraSample
 from torch_radbp.path_state import PathState, start_path
 from torch_radbp.raycast import RayCaster
@@ -37,7 +39,7 @@ from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3
 from torch_radbp.view import View
-from torch_radbp.wavefront import Step, trace
+from torch_radbp.wavefront import Step, trace, walk
 
 Result = TypeVar("Result")
 SAVED = object()  # stands for a tensor that autograd keeps
@@ -54,11 +56,17 @@ class RenderCall(NamedTuple):
     views: list[View]
     chunks: list[Chunk]
     spp: int
-    retrace: bool  # the backward pass traces its paths anew instead of keeping those of the forward pass
+    shares_samples: bool  # the backward pass differentiates the very samples of the image
+    record_bytes: float  # of these that are kept for it at most; it traces the others again
     workers: int  # chunks that are traced side by side
     following: bool = False  # see `Settings.following`
     module: Scene | None = None  # whose tensors these are; gives names to errors
     parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
+
+
+    def of_derivative(self) -> RenderCall:
+        """The call whose image has the samples of the derivative."""
+        return self._replace(views=[view._replace(sample_keys=view.sample_keys[1:] * 2) for view in self.views])
 
 
 def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
@@ -101,27 +109,40 @@ def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integr
 def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey, record: bool,
                 tracer: Callable = trace) -> tuple[Vec3, PathRecord]:
     """What counts of each lane's radiance, and what the backward pass will need of it."""
-    strategy = call.adjoint
-    states: dict[int, PathState] = {}
-    steps: dict[int, Step] = {}
-    bounces = 0
+    samples, recorder = camera_samples(call, chunk, key), Recorder(call.adjoint, integrand.max_depth)
+    L = tracer(integrand_of(call, integrand, chunk), started(call, samples), recorder.visit if record else None)
+    radiance = L if record and call.adjoint.keep_radiance else None
+    return weighted(L, samples.weight), recorder.record(partial(start_paths, call, chunk, key), radiance, samples.weight)
 
-    def visit(depth: int, state: PathState, step: Step) -> None:
-        nonlocal bounces
-        bounces = depth + 1
-        if not record:
-            return
-        kept = strategy.kept(bounces, integrand.max_depth)
-        states[depth] = state
-        for known in [known for known in states if known not in kept or (known == 0 and len(kept) < bounces)]:
-            del states[known]  # also of camera paths, which are made again, unless all others are kept
-        if strategy.keep_hits:
-            steps[depth] = step
 
-    samples = camera_samples(call, chunk, key)
-    L = tracer(integrand_of(call, integrand, chunk), started(call, samples), visit)
-    radiance, weight = L if record and strategy.keep_radiance else None, samples.weight
-    return weighted(L, weight), PathRecord(lambda: start_paths(call, chunk, key), radiance, states, steps, bounces, weight)
+def record_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey) -> PathRecord:
+    """What the backward pass needs of a chunk's paths, without their radiance unless the strategy asks for it."""
+    if call.adjoint.keep_radiance:
+        return trace_chunk(call, integrand, chunk, key, record=True)[1]
+    samples, recorder = camera_samples(call, chunk, key), Recorder(call.adjoint, integrand.max_depth)
+    walk(integrand_of(call, integrand, chunk), started(call, samples), recorder.visit)
+    return recorder.record(partial(start_paths, call, chunk, key), None, samples.weight)
+
+
+class Recorder:
+    """Keeps what a strategy asks for of the bounces that it is shown, until there are `most`."""
+
+    def __init__(self, strategy, most: int):
+        self.strategy, self.most, self.bounces = strategy, most, 0
+        self.states: dict[int, PathState] = {}
+        self.steps: dict[int, Step] = {}
+
+    def visit(self, depth: int, state: PathState, step: Step) -> None:
+        self.bounces = depth + 1
+        kept = self.strategy.kept(self.bounces, self.most)
+        self.states[depth] = state
+        for known in [known for known in self.states if known not in kept or (known == 0 and len(kept) < self.bounces)]:
+            del self.states[known]  # also of camera paths, which are made again, unless all others are kept
+        if self.strategy.keep_hits:
+            self.steps[depth] = step
+
+    def record(self, start: Callable[[], PathState], radiance: Vec3 | None, weight: Tensor | None) -> PathRecord:
+        return PathRecord(start, radiance, self.states, self.steps, self.bounces, weight)
 
 
 def weighted(L: Vec3, weight: Tensor | None) -> Vec3:
@@ -147,16 +168,33 @@ def sums_in_pairs(terms: Tensor) -> Tensor:
 
 
 def render_images(call: RenderCall, integrand: Integrand, record: bool,
-                  tracer: Callable = trace) -> tuple[Tensor, list[PathRecord]]:
-    """(B, 3, H, W) linear RGB, and the records of the chunks if asked for."""
+                  tracer: Callable = trace) -> tuple[Tensor, list[PathRecord | None]]:
+    """(B, 3, H, W) linear RGB, and the records of those chunks of which one is wanted and kept; None of the others."""
+    allowance = Allowance(call.record_bytes if record else 0)
+
     def trace_one(chunk: Chunk) -> tuple[Tensor, PathRecord | None]:
+        record = allowance.left > 0
         L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], record, tracer)
-        return pixel_sums(chunk, L), path_record if record else None
+        return pixel_sums(chunk, L), path_record if record and allowance.covers(path_record) else None
 
     sums, records = zip(*of_chunks(call, trace_one))
     images = assembled(call, sums)
     check_images(call, integrand, images.detach())
-    return images, list(records) if record else []
+    return images, list(records)
+
+
+class Allowance:
+    """The bytes of records that are still to be kept, of chunks that are traced side by side."""
+
+    def __init__(self, count: float):
+        self.left, self.lock = count, Lock()
+
+    def covers(self, record: PathRecord) -> bool:
+        """True if a record is to be kept, which is then counted."""
+        size = sum(item.nbytes for item in leaves_of(record) if isinstance(item, Tensor))
+        with self.lock:
+            self.left -= size
+            return self.left >= 0
 
 
 def of_chunks(call: RenderCall, work: Callable[[Chunk], Result]) -> list[Result]:
@@ -208,6 +246,10 @@ def first_derivatives_only(backward: Callable) -> Callable:
                 "a rendering has first derivatives only, and its backward pass is being recorded (create_graph=True, a "
                 "gradient penalty, torch.autograd.functional.hessian): render with adjoint=rb.TapeAdjoint(), which has "
                 "second derivatives and holds all paths in memory, or leave the rendering out of what is recorded")
+        if any(map(batched, gradients)):
+            raise RuntimeError("the backward pass of a rendering takes one gradient of the image at a time, and a batch is "
+                               "given (is_grads_batched=True, vectorize=True): call torch.autograd.grad for each, with "
+                               "retain_graph=True, or take rb.jvp for derivatives of all pixels")
         return backward(ctx, *gradients)
 
     return refusing
@@ -218,15 +260,16 @@ class RenderFunction(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, call: RenderCall, *leaves: Tensor) -> Tensor:
+        ctx.shapes = {name: tuple(parameter.shape) for name, parameter in call.parameters.items()}
         ctx.camera_leaves = [asks_for_gradient(view.camera) for view in call.views]
         ctx.scene_leaves = asks_for_gradient(call.scene)
         scene, views = detached(call.scene), [detached(view) for view in call.views]
         integrand = call.make_integrand(scene)
         ctx.call = call = call._replace(scene=scene, views=views, caster=None, make_integrand=None)
-        record = any(ctx.needs_input_grad) and not call.retrace
-        images, records = render_images(call, integrand, record)
+        wanted = any(ctx.needs_input_grad)
+        images, records = render_images(call, integrand, record=wanted and call.shares_samples)
         # An image that lives on keeps the hierarchy of triangles alive only if its backward pass casts rays.
-        casts_again = call.retrace or not call.adjoint.keep_hits
+        casts_again = wanted and (None in records or not call.adjoint.keep_hits)
         ctx.integrand = integrand if casts_again else integrand._replace(caster=None)
         # Saved as tensors, so that autograd frees them after the backward pass and refuses a second one.
         recorded = leaves_of(records)
@@ -240,6 +283,7 @@ class RenderFunction(torch.autograd.Function):
     @entry
     def backward(ctx, grad_images: Tensor):
         call, integrand = ctx.call, ctx.integrand
+        check_shapes(call.parameters, ctx.shapes)
         saved = iter(ctx.saved_tensors[len(ctx.needs_input_grad) - 1:])
         records = with_leaves(ctx.records, (next(saved) if item is SAVED else item for item in leaves_of(ctx.records)))
         asked = iter(ctx.needs_input_grad[1:])
@@ -252,8 +296,9 @@ class RenderFunction(torch.autograd.Function):
 
         def swept(index: int, gradients: Gradients, make_sweep: Callable = Sweep) -> Sweep:
             chunk = call.chunks[index]
-            key = call.views[chunk.sensor].sample_keys[call.retrace]
-            record = trace_chunk(call, integrand, chunk, key, record=True)[1] if call.retrace else records[index]
+            key, record = call.views[chunk.sensor].sample_keys[1], records[index]
+            if record is None:
+                record = record_chunk(call, integrand, chunk, key)
             sweep = make_sweep(integrand_of(call, integrand, chunk), record,
                                weighted(lane_adjoint(call, chunk, grad_images), record.weight), wanted, gradients)
             call.adjoint.backward(sweep)
@@ -264,11 +309,11 @@ class RenderFunction(torch.autograd.Function):
                 if finding.depth is None:
                     swept(index, Gradients(leaves), partial(CheckedSweep, finding))
 
-        def differentiate_share(share: range) -> Gradients:
+        def differentiate_share(share: Iterable[int]) -> Gradients:
             gradients = Gradients((*leaves, *cameras))
             for index in share:
                 chunk = call.chunks[index]
-                key = call.views[chunk.sensor].sample_keys[call.retrace]
+                key = call.views[chunk.sensor].sample_keys[1]
                 sweep = swept(index, gradients)
                 wants = wanted_of_cameras[chunk.sensor]
                 if any(wants):
@@ -286,6 +331,15 @@ class RenderFunction(torch.autograd.Function):
             raise gradient_error(bad, integrand, call.module, call.parameters, sweep_again)
         results = iter(results)
         return None, *(next(results) if need else None for need in ctx.needs_input_grad[1:])
+
+
+def check_shapes(parameters: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> None:
+    """Raises RuntimeError naming a parameter whose shape is not that which it had in the forward pass."""
+    for name, parameter in parameters.items():
+        if tuple(parameter.shape) != shapes[name]:
+            raise RuntimeError(f"the parameter {name!r} has been resized between a rendering and its backward pass, from "
+                               f"{shapes[name]} to {tuple(parameter.shape)}: call backward() first, then resize it and "
+                               f"render again")
 
 
 def asks_for_gradient(record) -> list[bool]:
@@ -312,6 +366,13 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple
                                                                             (memo.adj_ray, memo.adj_cone)))
         adjoints = vector_jacobian_product(outputs, inputs, adjoints)
     return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]
+
+
+def render_detached(call: RenderCall) -> Tensor:
+    """The images without derivatives."""
+    call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
+    with torch.no_grad():
+        return render_images(call, call.make_integrand(call.scene), record=False)[0]
 
 
 def render_with_derivative(call: RenderCall) -> Tensor:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from math import inf
 from typing import NamedTuple
 
 import torch
@@ -50,7 +51,7 @@ class MemoryPlan(NamedTuple):
 
     chunk: int  # lanes
     adjoint: object
-    retrace: bool  # the backward pass traces its paths anew, so that nothing is kept between the passes
+    retrace: bool  # the backward pass traces paths anew, all or those of which nothing is kept between the passes
     kept: int  # bytes between forward and backward pass
     working: int  # bytes on top of that while a chunk is processed
 
@@ -100,6 +101,7 @@ class Workload(NamedTuple):
     by_place: bool = False  # whether lights are picked with regard to the place that they are to illuminate
     cones: bool = False  # whether paths carry cones
     instances: bool = False  # whether hits tell which instance
+    images: int = 0  # bytes of the images, of their sums and of their gradients
     measured: WorkingSet | None = None  # of a bounce; None: the least that it may be
 
     @property
@@ -110,14 +112,14 @@ class Workload(NamedTuple):
         return WorkingSet(*least)
 
 
-def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> MemoryPlan:
+def predict(work: Workload, chunk: int, adjoint, record_bytes: float = inf) -> MemoryPlan:
     """Bytes that a forward and backward pass will need.
 
     Args:
         work: what is to be done.
         chunk: lanes traced together.
         adjoint: the strategy.
-        retrace: see `MemoryPlan`.
+        record_bytes: that are kept between the passes at most.
     """
     fractions, lanes, dtype = work.fractions, work.lanes, work.dtype
 
@@ -133,7 +135,7 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     spare = SPARE * dtype.itemsize
     if isinstance(adjoint, TapeAdjoint):
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
-        return MemoryPlan(chunk, adjoint, False, kept, int(together * (WASTE * bounce.per_lane + spare)))
+        return MemoryPlan(chunk, adjoint, False, kept, int(together * (WASTE * bounce.per_lane + spare)) + work.images)
     depths = adjoint.kept(bounces, work.max_depth)
     per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * state
     step = size(STEP[work.by_place]) + size(INSTANCE) * work.instances
@@ -146,8 +148,9 @@ def predict(work: Workload, chunk: int, adjoint, retrace: bool = False) -> Memor
     busy = max(WASTE * (swept + held), WASTE * share * bounce.per_lane) + spare
     working = max(together * (busy * max(fractions) + replayed) + work.workers * sweep.fixed, WASTE * tables.packing)
     working += work.workers * tables.totals
-    kept = int((together if retrace else lanes) * per_lane)
-    return MemoryPlan(chunk, adjoint, retrace, kept, int(working))
+    # What is traced again is recorded chunk by chunk; and what is kept, chunk by chunk, too.
+    kept = min(lanes * per_lane, max(record_bytes, together * per_lane))
+    return MemoryPlan(chunk, adjoint, kept < lanes * per_lane, int(kept), int(working) + work.images)
 
 
 def states_kept(adjoint, bounces: int, work: Workload) -> float:
@@ -156,19 +159,19 @@ def states_kept(adjoint, bounces: int, work: Workload) -> float:
     return sum(work.fractions[depth] for depth in depths if depth > 0 or len(depths) == bounces)
 
 
-def candidates(chunk: int, adjoint) -> Iterator[tuple[int, object, bool]]:
-    """Chunk, strategy and whether to trace again, from the fastest to the most frugal.
+def candidates(chunk: int, adjoint, shares_samples: bool) -> Iterator[tuple[int, object, float]]:
+    """Chunk, strategy and how much to keep between the passes, from the fastest to the most frugal.
 
     Smaller chunks cost little, replayed bounces more, and tracing all paths again most.
     """
     strategies = [MemoizedAdjoint(stride) for stride in (1, 2, 4, 8, "sqrt", "log")] if adjoint is None else [adjoint]
-    for retrace in (False, True):
+    for record_bytes in (inf, 0.0) if shares_samples else (0.0,):
         for strategy in strategies:
-            if retrace and isinstance(strategy, TapeAdjoint):
+            if record_bytes == 0 and shares_samples and isinstance(strategy, TapeAdjoint):
                 continue
             lanes = chunk
             while lanes >= SMALLEST_CHUNK:
-                yield lanes, strategy, retrace
+                yield lanes, strategy, record_bytes
                 lanes //= 2
 
 
@@ -178,7 +181,7 @@ def size_of(count: float) -> str:
     return f"{count / UNITS[unit]:.3g} {unit}"
 
 
-def plan_memory(budget: int, work: Workload, chunk: int, adjoint=None) -> MemoryPlan:
+def plan_memory(budget: int, work: Workload, chunk: int, adjoint=None, shares_samples: bool = True) -> MemoryPlan:
     """The fastest chunk and strategy that fit `budget` bytes.
 
     Args:
@@ -186,12 +189,13 @@ def plan_memory(budget: int, work: Workload, chunk: int, adjoint=None) -> Memory
         work: what is to be done.
         chunk: the largest to try, lanes.
         adjoint: the strategy if the user chose one: then only the chunk is planned; else None.
+        shares_samples: image and derivative have the same samples, so that something may be kept of them.
 
     Raises:
         ValueError: if nothing fits; the message says how much the most frugal plan needs.
     """
-    plans = [predict(work, size, strategy, retrace)
-             for size, strategy, retrace in candidates(max(chunk, SMALLEST_CHUNK), adjoint)]
+    plans = [predict(work, size, strategy, record_bytes)
+             for size, strategy, record_bytes in candidates(max(chunk, SMALLEST_CHUNK), adjoint, shares_samples)]
     fitting = next((plan for plan in plans if plan.peak <= budget), None)
     if fitting is None:
         least = min(plans, key=lambda plan: plan.peak)

@@ -93,7 +93,7 @@ class Sweep:
 
     def advance(self, state: PathState, depth: int) -> PathState:
         """Replays one bounce."""
-        vertex, _, step = take_step(self.integrand, state, depth, self.record.steps.get(depth))
+        vertex, _, step = take_step(self.integrand, state, depth, self.record.steps.get(depth), with_light=False)
         return survivors(self.integrand, vertex.next, step)
 
     @property
@@ -109,7 +109,7 @@ class Sweep:
         """Differentiates one bounce and moves the memo from L_{k+1} to L_k."""
         step = self.record.steps.get(depth)
         if step is None:
-            step = take_step(self.integrand, state, depth)[-1]
+            step = take_step(self.integrand, state, depth, with_light=False)[-1]
         integrand, arrival = self.integrand, step.arrival(state)
         same = taken(integrand.stages.bounce_adjoint, arrival=arrival, adj_L=self.adj_L, memo=self.memo,
                      at=integrand.at(depth), settings=integrand.settings_at(depth))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_radbp.adjoint.function import RenderCall, render_images
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.differentiated import detached
 from torch_radbp.given import given_values
@@ -28,6 +29,11 @@ class TapeAdjoint:
     """
 
 
+def render_taped(call: RenderCall) -> Tensor:
+    """The images of a scene, (B, 3, H, W), with all derivatives."""
+    return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached)[0]
+
+
 def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
     """`trace` with all derivatives, in reverse mode (recorded) or in forward mode (of dual tensors).
 
@@ -40,7 +46,7 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
     L, depth = Vec3.buffer(state.beta.x.detach()), 0
     hit = first_hit(fixed, detached(state).ray, depth)
     while depth < integrand.max_depth and len(state.lane):
-        vertex, _, step = take_step(fixed, detached(state), depth, hit=hit)
+        vertex, _, step = take_step(fixed, detached(state), depth, hit=hit, with_light=False)
         alive, last = surviving(step), integrand.is_last(depth)
         hit = None if last else fixed.caster.intersect(rows(vertex.next.ray, alive))
         following = spread(hit, alive, vertex.shadow_distance)

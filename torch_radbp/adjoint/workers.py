@@ -6,47 +6,40 @@ after each costs as much as the work, and one busy neighbour holds them all up. 
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from threading import Barrier
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 import torch
 
+from torch_radbp.jit.team import Task, alone_in_torch, together, until_none_is_left
+
 Result = TypeVar("Result")
 
 
-@functools.cache
-def pool(threads: int) -> ThreadPoolExecutor:
-    """Threads whose torch operations stay on them."""
-    everyone = Barrier(threads)
+def in_turns(count: int, workers: int, work: Callable[[Iterable[int]], Result]) -> list[Result]:
+    """`work` on the numbers 0 to `count` - 1, dealt out in turn in as many shares as there are workers; results in order.
 
-    def stay_alone() -> None:
-        torch.get_num_threads()  # a thread takes the default when it first asks, also after it was told another number
-        torch.set_num_threads(1)
-        everyone.wait()
-
-    executor = ThreadPoolExecutor(threads, thread_name_prefix="torch_radbp")
-    for started in [executor.submit(stay_alone) for _ in range(threads)]:
-        started.result()
-    torch.set_num_threads(threads)  # the number is per thread, but the default of threads to come is not
-    return executor
-
-
-def in_turns(count: int, workers: int, work: Callable[[range], Result]) -> list[Result]:
-    """`work` on the numbers 0 to `count` - 1, dealt out to the workers in turn; the results in the workers' order.
-
-    Who gets which number is fixed, so that sums of the results are the same each time.
+    Which numbers are one share is fixed, so that sums of the results are the same each time; who takes it is not.
     """
     workers = min(workers, count)
-    shares = [range(worker, count, workers) for worker in range(workers)]
     if workers <= 1:
-        return [work(share) for share in shares]
-    grad = torch.is_grad_enabled()
+        return [work(range(count))] if count else []
+    grad, results = torch.is_grad_enabled(), {}
+    shares = deque((worker, range(worker, count, workers)) for worker in range(workers))
 
-    def share_of_work(share: range) -> Result:
-        with torch.set_grad_enabled(grad):
-            return work(share)
+    def take_shares(task: Task) -> None:
+        with alone_in_torch(threads=1), torch.set_grad_enabled(grad):
+            for number, share in until_none_is_left(shares):
+                results[number] = work(while_nobody_failed(task, share))
 
-    return [future.result() for future in [pool(torch.get_num_threads()).submit(share_of_work, share) for share in shares]]
+    together(take_shares, workers)
+    return [results[worker] for worker in range(workers)]
+
+
+def while_nobody_failed(task: Task, share: range) -> Iterator[int]:
+    """The numbers of a share, or, after an error on another thread, the first of them."""
+    for number in share:
+        if task.error is not None:
+            return
+        yield number

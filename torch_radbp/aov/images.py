@@ -21,9 +21,9 @@ from torch_radbp.adjoint.function import (
     started,
 )
 from torch_radbp.aov import material, path, surface
-from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, UNDIFFERENTIATED, plain
-from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.primary import jumps_of_views
+from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, TURNING, UNDIFFERENTIATED, plain
+from torch_radbp.boundary.outline import Jumps
+from torch_radbp.boundary.primary import Seen, jumps_of_views
 from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
@@ -66,12 +66,12 @@ def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
     return dict(zip(names, (image.contiguous() for image in images.split(counts, 1))))
 
 
-def aov_jumps(call: RenderCall, outlines: list[Outline | None], names: tuple[str, ...]) -> dict[str, Tensor]:
+def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> dict[str, Tensor]:
     """By name, zeros whose derivative is what the edges of surfaces contribute to images of quantities; see `image_jumps`.
 
     Args:
         call: of which something moves.
-        outlines: of each view.
+        jumps: of each view.
         names: of quantities; those that have no derivative are left out.
     """
     names = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
@@ -80,14 +80,15 @@ def aov_jumps(call: RenderCall, outlines: list[Outline | None], names: tuple[str
         found = lane_values(integrand, start, tuple(dict.fromkeys(map(plain, group))))
         return tuple(channel for name in group for channel in moments(name, found[plain(name)]))
 
-    jumps: dict[str, Tensor] = {}
+    found: dict[str, Tensor] = {}
     for of_paths in (False, True):
         group = tuple(name for name in names if (plain(name) in OF_PATHS) == of_paths)
         counts = [len(QUANTITIES[plain(name)]) for name in group]
         if group:
             seen = call if of_paths else call._replace(make_integrand=partial(with_emitters, call.make_integrand))
-            jumps |= zip(group, jumps_of_views(seen, outlines, sum(counts), values).split(counts, 1))
-    return jumps
+            turns = tuple(plain(name) in TURNING for name, count in zip(group, counts) for _ in range(count))
+            found |= zip(group, jumps_of_views(seen, jumps, Seen(turns, values)).split(counts, 1))
+    return found
 
 
 def with_emitters(make_integrand: Callable[[SceneTensors], Integrand], scene: SceneTensors) -> Integrand:

@@ -13,6 +13,7 @@ OF_MATERIALS = {"albedo": "RGB"}
 OF_PATHS = {"xyz": "XYZ", "alpha": "A", "hit": "A"}
 QUANTITIES = {**OF_SURFACES, **OF_MATERIALS, **OF_PATHS}
 UNDIFFERENTIATED = ("xyz", "prim_index", "shape_index")  # have no derivatives; alpha and hit only at edges
+TURNING = ("albedo", "alpha", "hit")  # may differ between the two sides of a surface
 SQUARED = "m2_"  # the name of a quantity's second moment begins with it
 
 
@@ -24,6 +25,14 @@ def plain(name: str) -> str:
 def channel_names(name: str, quantity: str) -> list[str]:
     """The channels of an output in a file, as Mitsuba names them: "nn.X", "nn.Y" and "nn.Z" of the normals "nn"."""
     return [f"{name}.{letter}" for letter in QUANTITIES[plain(quantity)]]
+
+
+def alpha_of_surroundings(names: Iterable[str]) -> UserWarning | None:
+    """The warning that `alpha` is asked for where the image shows the surroundings, and is no mask; or None."""
+    if "alpha" not in map(plain, names):
+        return None
+    return UserWarning("the quantity 'alpha' is 1 everywhere, because an emitter surrounds the scene and counts as seen: as "
+                       "a mask of the shapes take 'hit', or hide_emitters=True")
 
 
 def checked_names(names: Iterable[str]) -> tuple[str, ...]:

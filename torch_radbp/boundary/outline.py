@@ -16,6 +16,9 @@ from torch import Tensor
 
 from torch_radbp.adjoint.function import RenderCall
 from torch_radbp.boundary.edges import Edges, edges_of
+from torch_radbp.boundary.faces import Faces
+from torch_radbp.boundary.faces import joined as joined_faces
+from torch_radbp.boundary.places import Placed
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.differentiated import detached
 from torch_radbp.raycast.known import same
@@ -26,12 +29,6 @@ from torch_radbp.vec import Vec3, rows
 
 COPLANAR = 1e-6  # half of the difference of unit normals, below which triangles lie in one plane
 MOST_SHOWN = 1 << 20  # edges of instances of a group that are examined; of more instances some are picked at random
-
-
-class Placed(NamedTuple):
-    """What shows vertices of groups, in place of a `Hit`."""
-
-    instance: Tensor  # (N,) int32, as hits count
 
 
 class Outline(NamedTuple):
@@ -56,6 +53,13 @@ class Moving(NamedTuple):
 
     shapes: tuple[bool, ...]  # each shape, those of groups last
     instances: tuple[bool, ...]  # each instance, as hits count but from 0
+
+
+class Jumps(NamedTuple):
+    """Where the image of a view may jump."""
+
+    outline: Outline | None  # edges; None: there are none
+    faces: Faces | None  # triangles inside of which it may
 
 
 class Mesh(NamedTuple):
@@ -88,8 +92,8 @@ class Outlines:
     def __init__(self) -> None:
         self.known: dict[object, Mesh] = {}
 
-    def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Outline | None]:
-        """The outlines of each view of a call: of all shapes where the camera moves, of those that move where it does not.
+    def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
+        """Where each view of a call may jump: at all shapes where the camera moves, at those that move where it does not.
 
         Args:
             rendering: the call's.
@@ -99,10 +103,13 @@ class Outlines:
         scene, generator = detached(call.scene), torch.Generator("cpu").manual_seed(seed % (1 << 63))
         instances = rendering.moving_instances
         own = Moving(tuple(map(bool, rendering.movers)), instances)
+        turning = own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, rendering.turners)))
         everything = Moving(*((True,) * len(part) for part in own))
-        wanted = [everything if rendering.moving(sensor) else own for sensor in rendering.sensors]
-        found = {moving: self.of(scene, rendering.sizes, moving, generator) for moving in dict.fromkeys(wanted)}
-        return [found[moving] for moving in wanted]
+        wanted = [(everything,) * 2 if rendering.moving(sensor) else (own, turning) for sensor in rendering.sensors]
+        sizes = rendering.sizes
+        found = {pair: Jumps(self.of(scene, sizes, pair[0], generator), faces_of(scene, sizes, pair[1], generator))
+                 for pair in dict.fromkeys(wanted)}
+        return [found[pair] for pair in wanted]
 
     def of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Outline | None:
         """The edges of all that moves; None: there are none.
@@ -138,16 +145,13 @@ class Outlines:
         """The edges of a group, as its instances show them."""
         first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
         members = tuple(number for number, start in enumerate(accumulate(counts[:-1], initial=0)) if first <= start < last)
-        shows = range(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
         everywhere = any(moving.shapes[member] for member in members)
-        wanted = [number for number in shows if everywhere or moving.instances[number]]
-        mesh = self.mesh(triangles, counts, members) if wanted else None
+        shows = slice(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
+        mesh = self.mesh(triangles, counts, members) if everywhere or any(moving.instances[shows]) else None
         if mesh is None:
             return None
         edges, jumps = mesh.edges, mesh.creases.jumps(triangles.n)
-        most, chosen = max(1, MOST_SHOWN // len(edges.a)), torch.tensor(wanted)
-        if most < len(wanted):
-            chosen = chosen[torch.randperm(len(wanted), generator=generator)[:most]]
+        chosen, part = chosen_instances(instances, group, moving, everywhere, len(edges.a), generator)
         chosen = chosen.to(edges.a.device)
         times = torch.arange(len(chosen), device=chosen.device)
 
@@ -158,7 +162,7 @@ class Outlines:
                       repeated(edges.edge, len(edges.a)), edges.corner.repeat(len(chosen)))
         jumps = jumps.repeat(len(chosen))
         return Outline(shown, (chosen + 1).to(torch.int32).repeat_interleave(len(edges.vertex)), jumps,
-                       torch.full_like(jumps, len(chosen) / len(wanted)))
+                       torch.full_like(jumps, part))
 
     def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Mesh | None:
         """The edges of some shapes, found anew only if triangles of the scene have changed; None: there are none."""
@@ -176,6 +180,52 @@ class Outlines:
         found = self.known[shapes] = Mesh(triangles.corners, triangles.smooth, reads, edges,
                                          creases(edges, triangles, shape))
         return found
+
+
+def faces_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Faces | None:
+    """The triangles of all that moves; None: there are none. Args as for `Outlines.of`."""
+    triangles, firsts = scene.triangles, list(accumulate(counts, initial=0))
+    device = triangles.material.device
+    instances = None if triangles.instances is None else triangles.instances.casting
+    own = firsts[-1] if instances is None else int(instances.first_triangle[0])
+
+    def of_shapes(first: int, last: int, which: Sequence[bool]) -> Tensor:
+        found = [torch.arange(start, start + count, device=device) for start, count, moves in zip(firsts, counts, which)
+                 if moves and first <= start < last]
+        return torch.cat(found) if found else torch.zeros(0, dtype=torch.int64, device=device)
+
+    world = of_shapes(0, own, moving.shapes)
+    share = torch.ones(len(world), dtype=torch.float64, device=device)
+    parts = [Faces(world, None if instances is None else torch.zeros_like(world, dtype=torch.int32), share)]
+    for group in range(0 if instances is None else len(instances.first_triangle) - 1):
+        first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
+        members = of_shapes(first, last, (True,) * len(counts))
+        everywhere = len(of_shapes(first, last, moving.shapes)) > 0
+        chosen, part = chosen_instances(instances, group, moving, everywhere, len(members), generator)
+        shows = chosen.to(device, torch.int32) + 1
+        parts.append(Faces(members.repeat(len(shows)), shows.repeat_interleave(len(members)),
+                           torch.full((len(shows) * len(members),), part, dtype=torch.float64, device=device)))
+    return joined_faces([part for part in parts if len(part.triangle)])
+
+
+def chosen_instances(instances: Instances, group: int, moving: Moving, everywhere: bool, size: int,
+                     generator: torch.Generator) -> tuple[Tensor, float]:
+    """The instances of a group that are examined, int64 from 0, and which share they are of those that move.
+
+    Args:
+        instances: of all groups.
+        group: which.
+        moving: what does.
+        everywhere: whether something in the group moves, and so all instances.
+        size: of what each instance shows.
+        generator: picks some where there are too many.
+    """
+    shows = range(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
+    wanted = torch.tensor([number for number in shows if everywhere or moving.instances[number]], dtype=torch.int64)
+    most = max(1, MOST_SHOWN // max(size, 1))
+    if most >= len(wanted):
+        return wanted, 1.0
+    return wanted[torch.randperm(len(wanted), generator=generator)[:most]], most / len(wanted)
 
 
 def unchanged(table: Tensor | None, known: Tensor | None) -> bool:

@@ -1,4 +1,4 @@
-"""Places on the edges of an outline, as a camera sees them."""
+"""Places on the film at which an image jumps, and where they lie on the surfaces of the scene."""
 
 from __future__ import annotations
 
@@ -8,9 +8,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.function import RenderCall
-from torch_radbp.boundary.edges import Edges
-from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.silhouette import is_silhouette, is_silhouette_from
 from torch_radbp.path import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import (
@@ -24,136 +21,118 @@ from torch_radbp.sampling.sampler import (
     random_bits,
 )
 from torch_radbp.scene.cone import camera_cone
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, max_component
+from torch_radbp.scene.placement import shown
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, max_component, rows
 from torch_radbp.view import View
 
-APART = 3e-5  # share of its distance by which places on either side of an edge lie off it, through which paths are traced
-STEP = 1e-5  # of the length of an edge in view, by which its direction on the film is found
-NEIGHBOURS = 64  # successive places on an outline that share a sequence of low discrepancy
-FEWEST, LARGEST_SHARE = 256, 4  # places on the outline; and one for so many paths of the image at most
-SALT = 0x2545F491  # tells the random numbers of outlines from those of images
+APART = 3e-5  # share of its distance by which places on either side of a curve lie off it, through which paths are traced
+ROUNDED = 32 * 2.0**-24  # the same as a share of the coordinates, by whose rounding in float32 rays miss the places
+NEIGHBOURS = 64  # successive places that share a sequence of low discrepancy
+FEWEST, LARGEST_SHARE = 256, 4  # places on the curves of a kind; and one for so many paths of the image at most
+SALT = 0x2545F491  # tells the random numbers of places from those of images
 ALONG, FILM_U, FILM_V = 0, 1, 2  # random numbers of a place beside those of the aperture
 APERTURE_COUNTER = 0x1B873593
 
+# What a place lies on: edges that are silhouettes and edges that are creases, and the curves inside of triangles at which
+# shading normals turn away from the camera, and at which its near and its far plane cut them.
+SILHOUETTE, CREASE, RIM, NEAR, FAR = range(5)
+
+
+class Placed(NamedTuple):
+    """What shows vertices of groups, in place of a `Hit`."""
+
+    instance: Tensor  # (N,) int32, as hits count
+
+
+class Between(NamedTuple):
+    """Three vertices of a surface, rows of the scene's vertices; (N,) int64."""
+
+    first: Tensor
+    second: Tensor
+    third: Tensor  # of a place on an edge the second once more
+
 
 class Places(NamedTuple):
-    """N places on edges of an outline in one view; float64 where not said otherwise, detached."""
+    """N places on curves at which an image jumps, in one view; float64 where not said otherwise, detached."""
 
-    edge: Tensor  # (N,) int64
-    silhouette: Tensor  # (N,) bool: it is one; else it is a crease
-    along: Tensor  # (N,) share of the way from a to b
+    kind: Tensor  # (N,) int64: SILHOUETTE, CREASE, ...
+    between: Between
+    instance: Tensor | None  # (N,) int32 that shows these vertices, as hits count; None: the scene has none
+    u: Tensor  # (N,) barycentric coordinates: of the second vertex
+    v: Tensor  # of the third
     p: Vec3  # world
     film: Vec2  # pixels from the upper left corner of the crop window
-    normal: Vec2  # across the edge on the film; as long as the piece of the edge that the place stands for, pixels
+    normal: Vec2  # across the curve on the film; as long as the piece of it that the place stands for, pixels
+    side: Tensor  # 1 where the surface lies ahead on the film, on a rim its front; -1 where it lies behind
+    drift: Tensor  # what the curve moves along its normal where its level changes by one at a fixed place; 0 on edges
     key: LaneKey  # of random numbers
     aperture: Vec2 | None  # as of `CameraKind.sample_ray`
 
-
-class Choice(NamedTuple):
-    """The edges in a view, and how often each is picked."""
-
-    enters: Tensor  # (E,) shares of the way from a to b between which it is in view
-    leaves: Tensor
-    weight: Tensor  # (E,) not normalised; 0: not at all
-    silhouette: Tensor  # (E,) bool: it is one, from somewhere on the lens
-    length: float  # of all edges in view on the film, those that may jump less counted as less, pixels
+    def at(self, scene: SceneTensors) -> Vec3:
+        """The places in the world, glued to their triangles; attached, float64."""
+        corners = tuple(rows(scene.triangles.vertices.p, corner) for corner in self.between)
+        if self.instance is not None:
+            corners = shown(scene, Placed(self.instance), corners)
+        return interpolated(tuple(corner.map(torch.Tensor.double) for corner in corners), self.u, self.v)
 
 
-def places_in_view(call: RenderCall, number: int, outline: Outline) -> Places:
-    """Places on an outline as a camera sees it, in proportion to lengths on the film."""
-    view, edges = call.views[number], outline.edges
-    vertices = outline.vertices(call.scene).stack().double()
-    choice = edges_in_view(view, outline, vertices)
-    count = number_of_places(choice.length * call.spp, view.width * view.height * call.spp)
-    key = keys(view.sample_keys[1], count, vertices.device)
-    numbers = bounce_key(key, CAMERA_COUNTER)
-    total = running_sum(choice.weight)
-    place = torch.arange(count, dtype=torch.float64, device=vertices.device) + fine_unit(random_bits(numbers, ALONG))
-    target = place * (total[-1:] / max(count, 1))
-    edge = torch.searchsorted(total, target, right=True).clamp_max(len(total) - 1)
-    weight = choice.weight[edge]
-    share = ((target - total[edge] + weight) / weight).clamp(0.0, 1.0)
-    reach = choice.leaves[edge] - choice.enters[edge]
-    along = choice.enters[edge] + reach * share
-    # The density over `along` is weight / (total reach); the length of the edge on the film per `along` is in `normal`.
-    stands_for = reach * total[-1:] / (weight * max(count, 1) * outline.share[edge])
-    aperture = None
+class Numbers(NamedTuple):
+    """The random numbers of some places."""
+
+    key: LaneKey
+    along: Tensor  # (N,) in [0, 1)
+    aperture: Vec2 | None  # (N,) in [0, 1)
+
+
+def numbers_of(view: View, count: int, salt: int) -> Numbers:
+    """The random numbers of some places in a view; curves of another kind have another salt."""
+    key = view.sample_keys[1]
+    place = torch.arange(count, dtype=torch.int32, device=key.seed.device)
+    salted = SampleKey(hash32(key.seed ^ (SALT + salt)), key.shared)
+    lanes = lane_key(salted, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    along, aperture = fine_unit(random_bits(bounce_key(lanes, CAMERA_COUNTER), ALONG)), None
     if view.camera.kind.has_aperture:
-        more = bounce_key(key, APERTURE_COUNTER)
+        more = bounce_key(lanes, APERTURE_COUNTER)
         aperture = Vec2(*(fine_unit(random_bits(more, dimension)) for dimension in (APERTURE_U, APERTURE_V)))
-    a, b = (Vec3.of(vertices[index[edge]]) for index in (edges.a, edges.b))
-    before, at, after = (on_film(view, a + (b - a) * (along + step * reach), aperture) for step in (-STEP, 0.0, STEP))
-    scale = stands_for / (2.0 * STEP * reach)
-    p = a + (b - a) * along
-    silhouette = choice.silhouette[edge]
-    if aperture is not None:
-        eyes = camera_sample(call, view, at, aperture, key).ray.o.stack().double()
-        silhouette = is_silhouette_from(edges, vertices, edge, eyes)
-        scale = scale * (silhouette | (outline.crease[edge] > 0))
-    return Places(edge, silhouette, along, p, at, Vec2(-(after.y - before.y) * scale, (after.x - before.x) * scale), key,
-                  aperture)
+    return Numbers(lanes, along, aperture)
 
 
-def number_of_places(wanted: float, paths: int) -> int:
-    """How many places on an outline are sampled: as many as a pixel has samples for each pixel of length, within bounds.
+def number_of_places(length: float, call: RenderCall, view: View) -> int:
+    """How many places are sampled: as many as a pixel has samples for each pixel of length, within bounds.
 
     Args:
-        wanted: length times samples of a pixel; 0: nothing is in view.
-        paths: of the image.
+        length: of all curves of a kind on the film, pixels; 0: nothing is in view.
+        call: of `view`.
     """
-    return 0 if wanted == 0.0 else max(FEWEST, min(int(wanted), paths // LARGEST_SHARE))
+    paths = view.width * view.height * call.spp
+    return 0 if length == 0.0 else max(FEWEST, min(int(length * call.spp), paths // LARGEST_SHARE))
 
 
-def keys(key: SampleKey, count: int, device: torch.device) -> LaneKey:
-    """The keys of the random numbers of places."""
-    place = torch.arange(count, dtype=torch.int32, device=device)
-    salted = SampleKey(hash32(key.seed ^ SALT), key.shared)
-    return lane_key(salted, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
-
-
-def edges_in_view(view: View, outline: Outline, vertices: Tensor) -> Choice:
-    """Which edges are in view, and how long they are there; `vertices` (U, 3) of the outline, float64."""
-    camera, edges = view.camera, outline.edges
-    silhouette = is_silhouette(edges, vertices, camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
-    jump = torch.where(silhouette, 1.0, outline.crease.double())
-    some, enters, leaves = clipped(view, edges, vertices, (jump > 0).nonzero().squeeze(1))
-    a, b = (Vec3.of(vertices[index[some]]) for index in (edges.a, edges.b))
-    middle = Vec2(*(torch.full_like(enters, 0.5),) * 2) if camera.kind.has_aperture else None
-    ends = [on_film(view, a + (b - a) * along, middle) for along in (enters, leaves)]
-    length = torch.hypot(ends[1].x - ends[0].x, ends[1].y - ends[0].y)
-    weight = length * jump[some]
-    every = torch.zeros(3, len(jump), dtype=torch.float64, device=vertices.device)
-    enters, leaves, weights = every.index_copy(1, some, torch.stack([enters, leaves, weight]))
-    return Choice(enters, leaves, weights, silhouette, float(weight.sum()))
-
-
-def clipped(view: View, edges: Edges, vertices: Tensor, some: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Those of some edges that are in view, (S,), and the shares of the way from a to b between which they are.
-
-    Only edges that cross the border of the view are clipped.
+def picked(weight: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Picks one of W things for each of N places, in proportion to weights, and in order.
 
     Args:
-        view: where also counts what the filter reaches beyond the window.
-        edges: between `vertices`, (U, 3) float64.
-        some: (E',) int64, of the edges.
+        weight: (W,) not normalised.
+        along: (N,) uniform numbers.
+
+    Returns:
+        The row of `weight`; a uniform number that is left over; and how many things of that weight a place stands for.
     """
-    camera, film = view.camera, view.camera.film
+    total, count = running_sum(weight), len(along)
+    place = torch.arange(count, dtype=torch.float64, device=weight.device) + along
+    target = place * (total[-1:] / max(count, 1))
+    row = torch.searchsorted(total, target, right=True).clamp_max(len(total) - 1)
+    own = weight[row]
+    return row, ((target - total[row] + own) / own).clamp(0.0, 1.0), total[-1:] / (own * max(count, 1))
+
+
+def window(view: View) -> tuple[Tensor, Tensor]:
+    """The borders of a view and of what the filter reaches beyond it: left and right, upper and lower, (2,) positions."""
+    film = view.camera.film
     reach = film.filter.quantiles.abs().max()
-    x, y = (torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
-            for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
-    beyond = camera.kind.frustum(camera.lens, x, y, Vec3.of(vertices)) < 0
-    bits = 1 << torch.arange(len(beyond), device=vertices.device)
-    outside = (beyond * bits[:, None]).sum(0)  # a bit for each plane of the frustum, as Cohen and Sutherland have it
-    at_a, at_b = (outside[index[some]] for index in (edges.a, edges.b))
-    seen = (at_a & at_b) == 0
-    some, crossing = some[seen], (at_a | at_b)[seen].nonzero().squeeze(1)
-    enters = torch.zeros(len(some), dtype=torch.float64, device=vertices.device)
-    a, b = (Vec3.of(vertices[index[some[crossing]]]) for index in (edges.a, edges.b))
-    first, last = camera.kind.clipped(camera.lens, x, y, a, b)
-    leaves = torch.ones_like(enters).index_copy(0, crossing, last)
-    enters = enters.index_copy(0, crossing, first)
-    seen = enters < leaves
-    return some[seen], enters[seen], leaves[seen]
+    return tuple(torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
+                 for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
 
 
 def on_film(view: View, p: Vec3, aperture: Vec2 | None) -> Vec2:
@@ -164,7 +143,7 @@ def on_film(view: View, p: Vec3, aperture: Vec2 | None) -> Vec2:
 
 
 def beside(view: View, places: Places) -> tuple[Vec2, Vec2]:
-    """Points of the film close to an edge, behind and ahead of it; pixels from the upper left corner of the crop window."""
+    """Points of the film close to a curve, behind and ahead of it; pixels from the upper left corner of the crop window."""
     camera, film = view.camera, view.camera.film
     position = Vec2((places.film.x + film.crop_x) / film.size_x, (places.film.y + film.crop_y) / film.size_y)
     ray, _ = camera.kind.sample_ray(camera.lens, position, places.aperture)
@@ -172,8 +151,9 @@ def beside(view: View, places: Places) -> tuple[Vec2, Vec2]:
     distance = torch.sqrt(dot(offset, offset))
     cone = camera_cone(camera, ray, position, places.aperture)
     # Far enough for the rounding of places in the world and of positions on the film.
-    apart = APART * torch.maximum(torch.maximum(distance, max_component(places.p.map(torch.abs)))
-                                  / (cone.width + cone.spread * distance), film.size_x)
+    coordinate = max_component(places.p.map(torch.abs))
+    apart = torch.maximum(torch.maximum(APART * distance, ROUNDED * coordinate) / (cone.width + cone.spread * distance),
+                          APART * film.size_x)
     scale = apart / torch.hypot(places.normal.x, places.normal.y).clamp_min(TINY)
     across = places.normal * scale
     return (Vec2(places.film.x - across.x, places.film.y - across.y),

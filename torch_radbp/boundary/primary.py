@@ -5,9 +5,9 @@ changes by
 
     dI = integral of h (L_behind - L_ahead) v . n dl
 
-along the curve, whose normal n points ahead. Places on the edges of the outline are sampled, L is estimated on either side
-by a path through a point close by, and v follows the attached ends of the edge and the attached camera. The place on an edge
-stays where it is on the edge: sliding along it changes nothing.
+along the curve, whose normal n points ahead. Places on the edges of the outline, and on the curves inside of triangles that
+`contour.py` finds, are sampled, L is estimated on either side by a path through a point close by, and v follows the attached
+vertices and the attached camera. The place on an edge stays where it is on the edge: sliding along it changes nothing.
 
 The result is an image of zeros with that derivative, backward and forward.
 
@@ -16,20 +16,37 @@ Reference: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ra
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.function import RenderCall, integrand_of, started
 from torch_radbp.adjoint.workers import in_turns
-from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import FILM_U, FILM_V, Places, beside, camera_sample, places_in_view
+from torch_radbp.boundary.contour import LEVELS, level_at, places_on_contours
+from torch_radbp.boundary.edge_places import places_on_edges
+from torch_radbp.boundary.outline import Jumps
+from torch_radbp.boundary.places import (
+    CREASE,
+    FAR,
+    FILM_U,
+    FILM_V,
+    NEAR,
+    RIM,
+    SILHOUETTE,
+    Places,
+    beside,
+    camera_sample,
+)
 from torch_radbp.differentiated import any_differentiated, detached, primal
 from torch_radbp.integrand import Integrand
+from torch_radbp.path import CameraSample
 from torch_radbp.path_state import PathState
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.record import joined
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, fine_unit, random_bits
+from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.vec import dot, rows
 from torch_radbp.wavefront import first_hit, trace
 
@@ -40,58 +57,74 @@ BLOCK = 1 << 15  # places that are traced together
 Evaluate = Callable[[Integrand, PathState, Hit], tuple[Tensor, ...]]
 
 
+class Seen(NamedTuple):
+    """What camera paths see that may jump."""
+
+    turns: tuple[bool, ...]  # for each channel, whether it differs between the two sides of a surface
+    evaluate: Evaluate  # gives the channels, detached
+
+
 def moves(call: RenderCall) -> bool:
-    """True if a vertex, an instance or a camera has derivatives."""
-    instances = call.scene.triangles.instances
-    return any_differentiated((call.scene.triangles.vertices.p, instances and (instances.linear, instances.origin),
+    """True if a vertex, a shading normal, an instance or a camera has derivatives."""
+    vertices, instances = call.scene.triangles.vertices, call.scene.triangles.instances
+    return any_differentiated((vertices.p, vertices.n, instances and (instances.linear, instances.origin),
                                [view.camera.lens for view in call.views]))
 
 
-def image_jumps(call: RenderCall, outlines: list[Outline | None]) -> Tensor:
-    """(B, 3, H, W) zeros whose derivative is what jumps contribute to the image; `outlines`: of each view."""
+def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
+    """(B, 3, H, W) zeros whose derivative is what jumps contribute to the image; `jumps`: of each view."""
     def radiance(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
         return tuple(trace(integrand, start, hit=hit))
 
-    return jumps_of_views(call, outlines, 3, radiance)
+    return jumps_of_views(call, jumps, Seen((True,) * 3, radiance))
 
 
-def jumps_of_views(call: RenderCall, outlines: list[Outline | None], channels: int, evaluate: Evaluate) -> Tensor:
-    """(B, C, H, W) zeros with the derivative of jumps in C channels, which `evaluate` gives for camera paths, detached."""
-    return torch.stack([jumps_of_view(call, number, outline, channels, evaluate)
-                        for number, outline in enumerate(outlines)])
+def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: Seen) -> Tensor:
+    """(B, C, H, W) zeros with the derivative of jumps in C channels."""
+    return torch.stack([jumps_of_view(call, number, own, seen) for number, own in enumerate(jumps)])
 
 
-def jumps_of_view(call: RenderCall, number: int, outline: Outline | None, channels: int, evaluate: Evaluate) -> Tensor:
+def jumps_of_view(call: RenderCall, number: int, jumps: Jumps | None, seen: Seen) -> Tensor:
     """(C, H, W) of view `number`; the rest as for `jumps_of_views`."""
-    view = call.views[number]
+    view, channels = call.views[number], len(seen.turns)
     image = torch.zeros(channels, view.height * view.width, dtype=call.scene.dtype, device=call.scene.device)
     shape = channels, view.height, view.width
-    if outline is None:
-        return image.view(shape)
     with torch.no_grad():
         still = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
-        places = places_in_view(still, number, outline)
-        found = strengths(still, number, places, channels, evaluate)
+        places = [] if jumps is None else places_of(still, number, jumps, any(seen.turns))
+        found = strengths(still, number, joined(places), seen) if places else None
     if found is None:
         return image.view(shape)
-    kept, pixel, strength = found
-    places = rows(places, kept)
-    film = view.camera.film
-    a, b = (outline.vertices(call.scene, index[places.edge]).map(torch.Tensor.double)
-            for index in (outline.edges.a, outline.edges.b))
-    seen = view.camera.kind.project(view.camera.lens, a + (b - a) * places.along, places.aperture)
-    moved = ((seen.x - primal(seen.x)) * film.size_x * places.normal.x
+    places, pixel, strength = found
+    return image.index_add(1, pixel, (strength * motion(call, number, places)).to(image.dtype)).view(shape)
+
+
+def places_of(call: RenderCall, number: int, jumps: Jumps, rims: bool) -> list[Places]:
+    """Places on all curves at which view `number` may jump; `rims`: those of shading normals are among them."""
+    found = [] if jumps.outline is None else [places_on_edges(call, number, jumps.outline)]
+    return found + ([] if jumps.faces is None else places_on_contours(call, number, jumps.faces, rims))
+
+
+def motion(call: RenderCall, number: int, places: Places) -> Tensor:
+    """(N,) zeros, attached: the areas of the film that pieces of curves sweep, pixels."""
+    view, film = call.views[number], call.views[number].camera.film
+    seen = view.camera.kind.project(view.camera.lens, places.at(call.scene), places.aperture)
+    swept = ((seen.x - primal(seen.x)) * film.size_x * places.normal.x
              + (seen.y - primal(seen.y)) * film.size_y * places.normal.y)
-    return image.index_add(1, pixel, (strength * moved).to(image.dtype)).view(shape)
+    for kind in LEVELS:
+        own = (places.kind == kind).nonzero().squeeze(1)
+        if len(own):
+            level = level_at(call.scene, view, rows(places, own), kind)
+            swept = swept.index_add(0, own, places.drift[own] * (level - primal(level)))
+    return swept
 
 
-def strengths(call: RenderCall, number: int, places: Places, channels: int,
-              evaluate: Evaluate) -> tuple[Tensor, Tensor, Tensor] | None:
-    """What the places of which the camera sees the jump add to pixels, for each pixel that the edge moves along its normal.
+def strengths(call: RenderCall, number: int, places: Places, seen: Seen) -> tuple[Places, Tensor, Tensor] | None:
+    """What the places of which the camera sees the jump add to pixels, for each pixel that the curve moves along its normal.
 
     Returns:
-        The places, (K,), their pixels, (K,), row-major, and (C, K) the differences of what is seen behind and ahead of the
-        edge, times what the place counts in the pixel; None: no place counts.
+        These K places, their pixels, (K,), row-major, and (C, K) the differences of what is seen behind and ahead of the
+        curve, times what the place counts in the pixel; None: no place counts.
     """
     view = call.views[number]
     numbers = bounce_key(places.key, CAMERA_COUNTER)
@@ -102,37 +135,59 @@ def strengths(call: RenderCall, number: int, places: Places, channels: int,
         return None
     blocks = counted.split(min(BLOCK, -(-len(counted) // call.workers)))
 
-    def work(share: range) -> list[tuple[Tensor, Tensor]]:
-        return [differences(call, number, rows(places, blocks[block]), evaluate) for block in share]
+    def work(share: Iterable[int]) -> list[tuple[Tensor, Tensor]]:
+        return [differences(call, number, rows(places, blocks[block]), seen) for block in share]
 
     shares = in_turns(len(blocks), call.workers, work)
     parts = [shares[block % len(shares)][block // len(shares)] for block in range(len(blocks))]
     kept = torch.cat([block[own] for block, (own, _) in zip(blocks, parts)])
     if not len(kept):
         return None
-    return kept, (row * view.width + column)[kept], torch.cat([jump for _, jump in parts], 1) * counts[kept]
+    return rows(places, kept), (row * view.width + column)[kept], torch.cat([jump for _, jump in parts], 1) * counts[kept]
 
 
-def differences(call: RenderCall, number: int, places: Places, evaluate: Evaluate) -> tuple[Tensor, Tensor]:
-    """The places that nothing hides, (K,), and what is seen behind less what is seen ahead of the edge, (C, K) float64."""
+def differences(call: RenderCall, number: int, places: Places, seen: Seen) -> tuple[Tensor, Tensor]:
+    """The places that nothing hides, (K,), and what is seen behind less what is seen ahead of the curve, (C, K) float64."""
     view = call.views[number]
     integrand = integrand_of(call, call.make_integrand(call.scene), call.chunks[0]._replace(sensor=number))
     sides = [camera_sample(call, view, film, places.aperture, places.key) for film in beside(view, places)]
     hits = [first_hit(integrand, side.ray, 0) for side in sides]
+    times = in_sight(integrand, places, sides, hits)
+    shown = times.nonzero().squeeze(1)
+    values = []
+    for side, hit in zip(sides, hits):
+        side = rows(side, shown)
+        found = seen.evaluate(integrand, started(call, side), rows(hit, shown))
+        values.append(torch.stack([value if side.weight is None else value * side.weight for value in found]).double())
+    jump = (values[0] - values[1]) * times[shown]
+    turns = torch.tensor(seen.turns, device=jump.device)
+    return shown, jump * (turns[:, None] | (places.kind[shown] != RIM))
+
+
+def in_sight(integrand: Integrand, places: Places, sides: list[CameraSample], hits: list[Hit]) -> Tensor:
+    """(N,) 1 for places that nothing hides, by what the rays behind and ahead of them hit; 0 for others; or -1.
+
+    Where an outline turns back and forth within less than the distance between the two rays, they see a jump at all its
+    pieces, of which only one has it. Pieces that run back are known by their surface, which lies on the other side. They
+    count as -1, so that one remains.
+    """
     distances = [dot(places.p - side.ray.o, side.ray.d) for side in sides]
     shown = [past(hit, distance * (1.0 - NEARER)) for hit, distance in zip(hits, distances)]
     here = [shown[side] & ~past(hits[side], distances[side] * (1.0 + NEARER)) for side in (0, 1)]
     turning = [past(hit, distance * (1.0 - GRAZING)) & ~past(hit, distance * (1.0 + GRAZING))
                for hit, distance in zip(hits, distances)]
-    ends = (shown[0] & turning[1]) | (shown[1] & turning[0])
-    seen = torch.where(places.silhouette, ends, here[0] & here[1])
-    seen = (seen & ((places.normal.x != 0) | (places.normal.y != 0))).nonzero().squeeze(1)
-    values = []
-    for side, hit in zip(sides, hits):
-        side = rows(side, seen)
-        found = evaluate(integrand, started(call, side), rows(hit, seen))
-        values.append(torch.stack([value if side.weight is None else value * side.weight for value in found]).double())
-    return seen, values[0] - values[1]
+    kind, ahead = places.kind, places.side > 0
+    ends = (kind == SILHOUETTE) | (kind == FAR)
+    seen = ends & torch.where(ahead, shown[0] & turning[1], shown[1] & turning[0])
+    turned = ends & ~seen & torch.where(ahead, shown[1] & turning[0], shown[0] & turning[1])
+    seen |= (kind == CREASE) & here[0] & here[1] | (kind == NEAR)
+    if bool((kind == RIM).any()):
+        fronts = [is_in_front(integrand.scene, side.ray, hit) for side, hit in zip(sides, hits)]
+        # Beyond a narrow band of the other side there is none: the silhouette has the whole jump.
+        jumps = (kind == RIM) & turning[0] & turning[1] & (fronts[0] != fronts[1])
+        seen |= jumps & (fronts[1] == ahead)
+        turned |= jumps & (fronts[1] != ahead)
+    return (seen.double() - turned.double()) * ((places.normal.x != 0) | (places.normal.y != 0))
 
 
 def past(hit: Hit, distance: Tensor) -> Tensor:

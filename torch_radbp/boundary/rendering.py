@@ -39,6 +39,7 @@ class Rendering:
     kept: Kept  # of this rendering
     instances: Instances | None  # of the scene as it is now
     primary: bool  # derivatives have what edges in view contribute
+    max_depth: int  # of paths, as the renderer has it
 
     def materials(self) -> list[tuple[BSDF, Kind]]:
         """The materials, one for each side, and how they scatter."""
@@ -72,6 +73,11 @@ class Rendering:
         return [number_of_triangles(self.kept, shape) for shape in self.shapes]
 
     @cached_property
+    def shape_of(self) -> Tensor:
+        """The number of the shape of each triangle of the caster, (T,) int64; a hit counts those of a group once."""
+        return torch.repeat_interleave(torch.tensor(self.sizes, device=self.caster.faces.device))
+
+    @cached_property
     def seen(self) -> ShownTriangles:
         """The triangles in the world; of groups of many, those of some instances."""
         sizes = self.sizes
@@ -95,6 +101,11 @@ class Rendering:
                      for group, instances in self.scene.groups.items()}
         return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]
                 for shape, instances in zip(self.shapes, self.scene.shown_by)]
+
+    @cached_property
+    def turners(self) -> list[list[str]]:
+        """For each shape, the parameters that turn only its shading normals, of those with derivatives."""
+        return [self.moving(shape, ("vertex_normals",)) for shape in self.shapes]
 
 
 class ShownTriangles(NamedTuple):

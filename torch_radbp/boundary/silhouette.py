@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -12,6 +13,7 @@ from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import Vec3
 
 ROUNDING = 1e-9  # of sums of products, relative
+NEITHER = math.inf  # in place of a side: no edge of this triangle is a silhouette
 MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a surface may end exactly there
 
 
@@ -47,7 +49,7 @@ def is_silhouette(edges: Edges, vertices: Tensor, eye: Tensor, radius: Tensor | 
 
     That is so for the single triangle at the rim of a surface, and for two triangles of which one is seen from the front
     and the other from behind. The orientation of triangles does not matter: two neighbours in a plane always lie on
-    different sides of their common edge.
+    different sides of their common edge. Of the edges of a triangle that is seen edge-on only the nearer ones count.
 
     Args:
         edges: of the mesh.
@@ -58,6 +60,8 @@ def is_silhouette(edges: Edges, vertices: Tensor, eye: Tensor, radius: Tensor | 
     towards = vertices[edges.a] * eye[3] - eye[:3]
     normal = normals(edges, vertices, edges.edge, edges.opposite)
     side = side_of(normal, towards[edges.edge])
+    nearer = behind_itself(edges, vertices, edges.edge, edges.opposite, towards[edges.edge]) & (side == 0.0)
+    side = torch.where(nearer, NEITHER, side)
     if radius is None:
         return on_one_side(side, edges.edge, len(edges.a))
     either = (normal * towards[edges.edge]).sum(1).abs() <= radius * normal.norm(dim=1)
@@ -78,8 +82,10 @@ def is_silhouette_from(edges: Edges, vertices: Tensor, edge: Tensor, eyes: Tenso
     own = count[edge]
     asked = torch.arange(len(edge), device=edge.device).repeat_interleave(own)
     number = torch.arange(len(asked), device=edge.device) - (own.cumsum(0) - own)[asked]
-    normal = normals(edges, vertices, edge[asked], edges.opposite[order[first[asked] + number]])
-    return on_one_side(side_of(normal, (vertices[edges.a[edge]] - eyes)[asked]), asked, len(edge))
+    opposite, towards = edges.opposite[order[first[asked] + number]], (vertices[edges.a[edge]] - eyes)[asked]
+    side = side_of(normals(edges, vertices, edge[asked], opposite), towards)
+    nearer = behind_itself(edges, vertices, edge[asked], opposite, towards) & (side == 0.0)
+    return on_one_side(torch.where(nearer, NEITHER, side), asked, len(edge))
 
 
 def normals(edges: Edges, vertices: Tensor, edge: Tensor, opposite: Tensor) -> Tensor:
@@ -106,17 +112,30 @@ def side_of(normal: Tensor, towards: Tensor) -> Tensor:
     return torch.where(along.abs() <= ROUNDING * products.abs().sum(1), 0.0, torch.sign(along))
 
 
+def behind_itself(edges: Edges, vertices: Tensor, edge: Tensor, opposite: Tensor, towards: Tensor) -> Tensor:
+    """True where a triangle that is seen edge-on lies on the eye's side of an edge, which it hides; (H,) bool.
+
+    Args:
+        edges, vertices, edge, opposite: as for `normals`.
+        towards: (H,) from the eye to the edge.
+    """
+    a = vertices[edges.a]
+    along, inwards = (vertices[edges.b] - a)[edge], vertices[opposite] - a[edge]
+    share = (inwards * along).sum(1) / (along * along).sum(1)
+    return ((inwards - along * share[:, None]) * towards).sum(1) < 0.0
+
+
 def on_one_side(side: Tensor, edge: Tensor, count: int) -> Tensor:
     """True for edges with all triangles that are not seen edge-on, at least one, on one side; (E,) bool.
 
     Args:
-        side: (H,) of each triangle, from `side_of`.
+        side: (H,) of each triangle, from `side_of`, or `NEITHER`.
         edge: (H,) of each triangle.
         count: E.
     """
     total, seen = (torch.zeros(count, dtype=side.dtype, device=side.device).index_add_(0, edge, part)
                    for part in (side, side.abs()))
-    return (total.abs() == seen) & (seen > 0)
+    return (total.abs() == seen) & (seen > 0) & torch.isfinite(seen)
 
 
 def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:

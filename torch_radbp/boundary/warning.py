@@ -3,24 +3,26 @@
 The derivative of an image has two parts: that of the radiance inside each surface, and what is gained or lost at the edges
 where one surface ends and another appears behind it. The second part is computed for the edges that the camera sees, see
 `primary.py`, unless the renderer is told to leave it out. It is missing for those seen by reflection, by refraction, and by
-light. Borders of shadows are silhouettes as seen from a light. They are searched for lights with a position or a direction,
-but not for light from all around.
+light. Borders of shadows are silhouettes as seen from a light. They are searched for lights with a position or a direction;
+for light from all around see `sky.py`.
 """
 
 from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.caustics import unfound_caustics
 from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.boundary.rendering import MOVE_SHAPES, Rendering
 from torch_radbp.boundary.shadow import shadows_in_view
 from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
+from torch_radbp.boundary.sky import hidden_sky
 from torch_radbp.plugin import Shape
 from torch_radbp.raycast.known import same
 from torch_radbp.scene.material import followed, sampling_at
@@ -56,15 +58,26 @@ class JumpWatch:
         # Those that have not warned yet.
         self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over]
         self.known: dict[object, tuple[Tensor, Edges]] = {}  # faces and edges of the meshes examined so far
+        self.said: set[str] = set()
+        self.of_lights: list[Callable] = [unfound_caustics]  # looks that are due: one at the first rendering is enough
         self.looked_at: set[str] = set()  # the moving parameters for which shadows have been searched
 
     def look(self, rendering: Rendering) -> None:
-        """Warns if the derivatives to be computed lack something."""
+        """Warns if the image, or the derivatives to be computed, lack something."""
+        due, self.of_lights = self.of_lights, []
+        for look in due:
+            self.say(look(rendering))
         for look in self.looks:
             warning = look(rendering)
             if warning is not None:
                 self.looks = [other for other in self.looks if other != look]  # not in place: other threads look too
-                warnings.warn(warning, stacklevel=level_of_the_caller())
+                self.say(warning)
+
+    def say(self, warning: Warning | None) -> None:
+        """Warns, unless there is nothing to say or that has been said."""
+        if warning is not None and str(warning) not in self.said:
+            self.said.add(str(warning))
+            warnings.warn(warning, stacklevel=level_of_the_caller())
 
     def silhouettes_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about silhouettes of moving shapes and of all shapes if a camera moves, or None.
@@ -85,24 +98,42 @@ class JumpWatch:
         moves, or None.
 
         Parameters that move silhouettes too are left out. Shadows are searched once for each parameter, by casting rays
-        from some of the lights.
+        from some of the lights, and towards the sky.
         """
-        scene, shapes = rendering.scene, rendering.movers
         cameras = [rendering.moving(sensor) for sensor in rendering.sensors]
-        names = {name for plugin in scene.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
-        names = names.union(*shapes, *cameras)
+        names = {name for plugin in rendering.scene.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
+        names = names.union(*rendering.movers, *cameras)
         if names <= self.looked_at:
             return None
         self.looked_at |= names
-        lights, owners = some_of(list(lights_of(rendering))), rendering.shapes
-        if not lights:
+        lights = some_of(list(lights_of(rendering)))
+        of_lights = self.borders_of_shadows(rendering, lights, cameras) if lights else set()
+        of_sky = soft_shadows(rendering, cameras)
+        named = self.missing(rendering).keys()
+        missing = (of_lights | of_sky) - named
+        if not missing:
             return None
+        soft = "" if not of_sky - named else (" The shadows of light from all around are soft, but the border of what "
+                                              "hides a part of the sky or of the surroundings counts likewise.")
+        return SilhouetteWarning(f"derivatives with respect to {listed(sorted(missing))} lack the contribution of the "
+                                 f"borders of shadows: some in view move over the image, or over the surface on which "
+                                 f"they fall.{soft} A loss that depends on where shadows lie has a biased gradient; "
+                                 f"check_gradient measures by how much")
+
+    def borders_of_shadows(self, rendering: Rendering, lights: list[Light], cameras: list[list[str]]) -> set[str]:
+        """The parameters that move borders of shadows in view, of lights with a position or a direction.
+
+        Args:
+            rendering: that is about to start.
+            lights: of the scene.
+            cameras: for each sensor, the parameters that move it.
+        """
+        owners, shapes = rendering.shapes, rendering.movers
         vertices, faces, counts = rendering.seen
         edges = self.edges("world", vertices, faces, counts)
         casts_at = torch.repeat_interleave(torch.tensor(counts, device=faces.device))
         shape_at = casts_at.new_zeros(len(vertices)).index_copy(0, faces.flatten().long(), casts_at.repeat_interleave(3))
-        # A hit counts the triangles of a group once.
-        shape_of = torch.repeat_interleave(torch.tensor(rendering.sizes, device=faces.device))
+        shape_of = rendering.shape_of
         missing: set[str] = set()
         for light in lights:
             emitters = [place for place, shape in enumerate(owners) if shape is light.shape]
@@ -115,13 +146,7 @@ class JumpWatch:
                     missing |= {*light.moving, *shapes[casts], *shapes[catches]}
             cast = torch.tensor([owner is not light.shape for owner in owners], device=faces.device)[casting]
             missing |= {name for names, seen in zip(cameras, found.seen) if (seen & cast).any() for name in names}
-        missing -= self.missing(rendering).keys()
-        if not missing:
-            return None
-        return SilhouetteWarning(f"derivatives with respect to {listed(sorted(missing))} lack the contribution of the "
-                                 f"borders of shadows: some in view move over the image, or over the surface on which "
-                                 f"they fall. A loss that depends on where shadows lie has a biased gradient; "
-                                 f"check_gradient measures by how much")
+        return missing
 
     def jumps_of_a_bsdf(self, rendering: Rendering) -> JumpWarning | None:
         """The warning about a BSDF that is discontinuous in its directions while these turn, or None.
@@ -241,6 +266,29 @@ def lights_of(rendering: Rendering) -> Iterator[Light]:
             # The normals of a closed surface add up to zero, but for rounding.
             axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
             yield Light(*shape.emitter.kind().source(middle, axis), shape, rendering.moving(shape, MOVE_SHAPES))
+
+
+def scattering(rendering: Rendering) -> Tensor:
+    """The triangles of the caster, (T,) bool, whose material scatters light into more than single directions."""
+    smooth = [any(bsdf.kind().smooth for bsdf in one_sided([shape.bsdf])) for shape in rendering.shapes]
+    return torch.tensor(smooth, device=rendering.shape_of.device)[rendering.shape_of]
+
+
+def soft_shadows(rendering: Rendering, cameras: list[list[str]]) -> set[str]:
+    """The parameters that move what hides a part of the sky, or what it is hidden from, in view.
+
+    Args:
+        rendering: that is about to start.
+        cameras: for each sensor, the parameters that move it.
+    """
+    surrounded = any(emitter.kind().surround for emitter in rendering.scene.emitters)
+    if not surrounded or not (any(rendering.movers) or any(cameras)):
+        return set()
+    found = hidden_sky(rendering, scattering(rendering))
+    pairs = torch.stack([rendering.shape_of[found.blocker], rendering.shape_of[found.receiver]], 1).unique(dim=0)
+    shapes = {shape for pair in pairs.tolist() for shape in pair}
+    return {*(name for shape in shapes for name in rendering.movers[shape]),
+            *(name for view in found.view.unique().tolist() for name in cameras[view])}
 
 
 def some_of(lights: list[Light]) -> list[Light]:

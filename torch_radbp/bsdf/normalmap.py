@@ -11,6 +11,7 @@ from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.turned import TurnedKind
 from torch_radbp.domain import Domain
 from torch_radbp.plugin import BSDF, Texture, boolean, register
+from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.vec import Vec3
 
@@ -45,6 +46,10 @@ class NormalMap(BSDF):
                  use_shadowing_function: bool = True):
         super().__init__()
         self.normalmap = as_texture(self, "normalmap", normalmap)
+        if isinstance(self.normalmap, Bitmap) and self.normalmap.channels == 1:
+            which = self.normalmap.filename or "the bitmap"
+            raise ValueError(f"normalmap must have three channels, the components of the normal; {which} has one: heights "
+                             "belong into a bumpmap")
         self.nested_bsdf = nested_bsdf
         self.flip_invalid_normals = boolean("flip_invalid_normals", flip_invalid_normals)
         self.use_shadowing_function = boolean("use_shadowing_function", use_shadowing_function)

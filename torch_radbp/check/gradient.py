@@ -24,7 +24,7 @@ from torch.nn.functional import interpolate
 
 from torch_radbp.check.outcome import GradientCheck, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
-from torch_radbp.entry import entry
+from torch_radbp.entry import arguments_of, check_arguments, entry
 from torch_radbp.jvp import rendering_with_tangent
 from torch_radbp.plugin import finite, integer
 from torch_radbp.render import Renderer
@@ -69,7 +69,8 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
         AttributeError: if the scene has no such parameter; the message lists the nearest names.
         ValueError: if an argument makes no sense.
     """
-    renderer = Renderer(scene, **settings)
+    check_arguments(check_gradient, settings, arguments_of(check_gradient, Renderer.__init__))
+    renderer = Renderer(scene, **{"share_samples": True} | settings)
     parameter = scene.get_parameter(name).detach()
     spp, batches = integer("spp", spp, 1), integer("batches", batches, 1)
     if batches < FEWEST_BATCHES:

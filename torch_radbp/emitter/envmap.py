@@ -25,7 +25,7 @@ from torch_radbp.plugin import Filename, Matrix4, register
 from torch_radbp.sampling.grid import GridDistribution, grid_distribution
 from torch_radbp.sampling.sampler import fine_unit
 from torch_radbp.shape.surface import transform
-from torch_radbp.texture.bitmap import IMAGE, LUMINANCE, linear_image
+from torch_radbp.texture.bitmap import IMAGES, LUMINANCE, linear_image
 from torch_radbp.vec import TINY, Frame, Vec2, Vec3, dot
 
 LEAST_WEIGHING = 1e-7  # per steradian; keeps quotients of densities finite
@@ -120,7 +120,7 @@ def envmap_table(emitter: Envmap, like: Tensor) -> EnvmapTable:
 
     Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section 12.5.
     """
-    data = emitter.data.detach().to(like)
+    data = emitter.data.detach().to(like).expand(-1, -1, 3)
     height, width = data.shape[:2]
     half = torch.linspace(0, math.pi / 2, max(height, 2), dtype=torch.float64, device=like.device)
     edges = torch.sin(half) ** 2
@@ -156,15 +156,17 @@ def envmap_table(emitter: Envmap, like: Tensor) -> EnvmapTable:
 class Envmap(Light):
     """An infinitely distant surround: an image by latitude and longitude.
 
-    The first row lies at the local +y pole, the last at -y, and the image is interpolated between the centres of its
+    The first row lies at the local +y pole, the last at -y: where z points up, as in NeRF data sets, turn it by `to_world`.
+    The image is interpolated between the centres of its
     columns, also across the seam, as in Mitsuba (which first enlarges images of fewer than 3 rows or 2 columns; here they
     are read as they are). With a `to_world` that is not rigid, directions are normalised after the transform.
 
-    Parameters: `data` (H, W, 3) linear RGB, `scale` (), `to_world` (4, 4). Derivatives: with respect to all.
+    Parameters: `data` (H, W, 3) linear RGB or (H, W, 1) grey, `scale` (), `to_world` (4, 4). Derivatives: with respect
+    to all.
 
     Args:
         filename: EXR, HDR, PFM, PNG, JPEG, BMP or TGA. Either this or `bitmap`.
-        bitmap, data: (H, W), (H, W, 1) or (H, W, 3) linear values; both names mean the same.
+        bitmap, data: (H, W), (H, W, 1) or (H, W, 3) linear values, or bytes (uint8) in sRGB; both names mean the same.
         scale: multiplies the image.
         mis_compensation: sample only texels brighter than the average, and leave the rest to BSDF sampling (Karlik et al.
             2019).
@@ -177,6 +179,7 @@ class Envmap(Light):
         image = linear_image("an envmap", filename, {"bitmap": bitmap, "data": data})
         AMOUNT.check("data" if data is not None else "bitmap", image)
         self.filename, self.mis_compensation = filename, mis_compensation
+        self.channels = image.shape[2]
         self.freeze("data", image)
         self.freeze("scale", factor(scale))
         self.freeze("to_world", transform("to_world", to_world))
@@ -185,11 +188,14 @@ class Envmap(Light):
     bitmap = None  # resolved into `data`
 
     def domains(self) -> dict[str, Domain]:
-        return {"data": IMAGE._replace(low=0.0), "scale": FACTOR, "to_world": POSE}
+        return {"data": IMAGES[self.channels]._replace(low=0.0), "scale": FACTOR, "to_world": POSE}
 
     def texels(self) -> Tensor:
         """(H, W, 3) radiance, linear RGB, attached."""
-        return self.data * self.scale
+        return (self.data * self.scale).expand(-1, -1, 3)
+
+    def up(self) -> Tensor:
+        return self.to_world.detach()[:3, 1]
 
     def kind(self) -> EnvmapKind:
         return EnvmapKind()

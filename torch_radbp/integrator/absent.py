@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from torch_radbp.plugin import absent
 
-BOUNDARY = ("what borders of shadows and edges seen by reflection contribute to derivatives is not computed; `prb` or "
-            "`direct` renders the same image, with derivatives of the edges in view, and `Renderer` warns where they lack "
-            "the rest")
-
 for name, reason in {
-    "prb_projective": BOUNDARY,
-    "direct_projective": BOUNDARY,
     "depth": "for the distance of what is seen use an integrator of type aov with aovs=\"dd:depth\", or "
              "renderer.aovs([\"depth\"])",
     "stokes": "light has no polarisation here",

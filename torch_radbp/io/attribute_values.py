@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import types
 import typing
 from collections.abc import Callable
 from numbers import Integral, Real
@@ -13,16 +12,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.plugin import Filename, Matrix4, Plugin, Point3, Texture, no_gradient
+from torch_radbp.plugin import (
+    Filename,
+    Matrix4,
+    Point3,
+    Texture,
+    no_gradient,
+    options,
+    plugin_categories,
+    with_article,
+)
 from torch_radbp.texture.spectrum import Samples
 
 LARGEST_INTEGER = 2**31 - 1
-
-
-def options(annotation: Any) -> tuple[Any, ...]:
-    """The members of a union, or the annotation alone."""
-    is_union = typing.get_origin(annotation) in (types.UnionType, typing.Union)
-    return typing.get_args(annotation) if is_union else (annotation,)
 
 
 def is_list(annotation: Any) -> bool:
@@ -33,17 +35,6 @@ def is_list(annotation: Any) -> bool:
 def is_named(annotation: Any) -> bool:
     """True if an attribute takes several plugins by their names, dict[str, Shape]."""
     return any(typing.get_origin(option) is dict for option in options(annotation))
-
-
-def plugin_categories(annotation: Any) -> list[str]:
-    """The categories of plugins that an attribute accepts; empty if it takes plain values only."""
-    members = [(typing.get_args(option) or (option,))[-1] for option in options(annotation)]
-    return [member.category for member in members if isinstance(member, type) and issubclass(member, Plugin)]
-
-
-def with_article(noun: str) -> str:
-    """"an emitter", "a bsdf"."""
-    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def convert(name: str, value: Any, annotation: Any) -> Any:
@@ -90,7 +81,9 @@ def live(name: str, value: Tensor, members: tuple[Any, ...]) -> nn.Parameter:
 def shown(value: Any) -> str:
     """A value as messages print it, a long one by its beginning."""
     if hasattr(value, "shape") and len(value.shape) > 0:
-        kind = f" of {value.dtype}" if "complex" in str(getattr(value, "dtype", "")) else ""
+        dtype = str(getattr(value, "dtype", ""))
+        kind = f" of {value.dtype}" if "complex" in dtype or "bool" in dtype else ""
+        kind += " on the device meta, which holds no numbers" if getattr(value, "is_meta", False) else ""
         return f"{type(value).__name__} of shape {tuple(value.shape)}{kind}"
     try:
         text = repr(value)
@@ -194,6 +187,8 @@ def _matrix(name: str, value: Any) -> Tensor:
 def _tensor(name: str, value: Any) -> Tensor:
     if isinstance(value, Tensor) and value.dtype != torch.bool and not value.is_complex():
         return value
+    if isinstance(value, np.ndarray) and value.dtype == np.uint8:  # pixels as they are coded
+        return torch.tensor(value)
     return torch.from_numpy(_array(value))
 
 

@@ -6,6 +6,7 @@ Nothing here knows a plugin: types come from the registry, attributes from the c
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,18 @@ from torch_radbp.io.bitmap_object import is_bitmap_object, linear_values
 from torch_radbp.io.colour_values import colour_value, is_colour
 from torch_radbp.io.spd import read_spectrum
 from torch_radbp.io.xml_scene import XMLObject, find_file
-from torch_radbp.plugin import ABSENT, REGISTRY, Filename, Plugin, SceneError, attributes, nearest, no_gradient
+from torch_radbp.plugin import (
+    ABSENT,
+    REGISTRY,
+    Emitter,
+    Filename,
+    Plugin,
+    SceneError,
+    Sensor,
+    attributes,
+    nearest,
+    no_gradient,
+)
 from torch_radbp.scene.scene import Scene
 
 MAX_DEPTH = 100  # of objects in objects, references followed
@@ -79,6 +91,7 @@ class _Builder:
         if len(integrators) > 1:
             raise self.error((integrators[1],), root[integrators[1]], "the scene already has an integrator; keep one")
         integrator = children.pop(integrators[0]) if integrators else None
+        warn_of_poles(children)
         try:
             return Scene(children, integrator=integrator)
         except ValueError as error:
@@ -204,7 +217,7 @@ class _Builder:
                     raise self.error((*path, key), value, f"{node['type']} takes one {name}, and has one already")
                 arguments[name] = nested
             elif key not in schema:
-                message = f"{node['type']} has no attribute {key!r}; {nearest(key, schema)}"
+                message = f"{node['type']} has no attribute {key!r}; {nearest(key, schema)}{_advice(value)}"
                 raise self.error((*path, key), node, message, key)
             else:
                 arguments[key] = self.value(path, key, value, node, cls)
@@ -277,6 +290,18 @@ class _Builder:
         return SceneError(f"{self.place(path, node, key)}: {message}")
 
 
+def warn_of_poles(children: dict[str, Plugin]) -> None:
+    """Warns of an emitter whose pole is not where a data set of cameras has its sky."""
+    ups = {child.up for child in children.values() if isinstance(child, Sensor)} - {None}
+    for name, child in children.items():
+        pole = child.up() if isinstance(child, Emitter) else None
+        for up in ups if pole is not None else ():
+            if float(pole @ pole.new_tensor(up)) < 0.5 * float(pole.norm()):
+                warnings.warn(f"{name}: its pole is {shown(pole.tolist())}, but in the world of the cameras {shown(up)} "
+                              "points up; turn it, with to_world=[[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]] "
+                              "from y to z", stacklevel=5)
+
+
 def _is_object(value: Any) -> bool:
     return isinstance(value, nn.Module) or (isinstance(value, dict) and "type" in value)
 
@@ -295,6 +320,9 @@ def _with_file(message: str, cls: type[Plugin], arguments: dict[str, Any]) -> st
 def _advice(value: Any) -> str:
     """What to do about an object that Mitsuba has already made."""
     is_made = type(value).__module__.startswith("mitsuba") and hasattr(value, "class_name")
+    if is_made and hasattr(value, "vertex_positions_buffer"):
+        return ("; a mesh that Mitsuba has made is given as {\"type\": \"mesh\"} with arrays: vertex_positions of its "
+                "vertex_positions_buffer(), (V, 3), and faces of its faces_buffer(), (F, 3)")
     return "; what Mitsuba has made of a description cannot be read: give the description, a dict" if is_made else ""
 
 

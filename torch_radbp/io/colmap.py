@@ -15,6 +15,7 @@ import numpy as np
 
 from torch_radbp.entry import entry
 from torch_radbp.io.files import opened
+from torch_radbp.io.text_lines import BYTE_ORDER_MARK
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
 from torch_radbp.sensor.opencv import LARGEST, SMALLEST, Intrinsics, pose_of, sensor_of
@@ -31,7 +32,7 @@ MODELS = {  # the parameters in their order; f is both focal lengths
 
 
 @entry
-def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilter: ReconstructionFilter | None = None,
+def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
                         **attributes: Any) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a COLMAP model, by the name of their image and in the order of the file.
 
@@ -91,6 +92,7 @@ def lines_of(path: Path) -> Iterator[Line]:
     """The lines that are no comments; blank ones have no words."""
     with opened(path) as file:
         for number, text in enumerate(file, 1):
+            text = text.removeprefix(BYTE_ORDER_MARK) if number == 1 else text
             if text.lstrip().startswith(b"#"):
                 continue
             try:

@@ -3,9 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
 from typing import BinaryIO
+
+# The files that have been opened since `opened_files` was entered; None outside of it.
+_OPENED: ContextVar[set[Path] | None] = ContextVar("_OPENED", default=None)
+
+
+@contextmanager
+def opened_files() -> Iterator[set[Path]]:
+    """The absolute paths of all files that are opened in the block, as a set that grows."""
+    paths: set[Path] = set()
+    token = _OPENED.set(paths)
+    try:
+        yield paths
+    finally:
+        _OPENED.reset(token)
 
 
 @contextmanager
@@ -20,9 +36,21 @@ def opened(path: str | os.PathLike) -> Iterator[BinaryIO]:
     check_source(path)
     try:
         with open(path, "rb") as file:
+            if (paths := _OPENED.get()) is not None:
+                paths.add(Path(os.path.abspath(path)))
             yield file
     except OSError as error:
         raise type(error)(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def unknown_kind(path: str | os.PathLike, what: str, known: Iterable[str]) -> str:
+    """The message about a path whose extension is none of those `known` for `what`; or that it is no file at all."""
+    if os.path.isdir(path):
+        return f"{path}: is a folder, not a file"
+    if os.path.exists(path) and not os.path.isfile(path):
+        return f"{path}: is not an ordinary file"
+    suffix = os.path.splitext(path)[1].lower()
+    return f"{path}: unknown kind of {what} {suffix!r}; supported: {', '.join(known)}"
 
 
 def check_source(path: str | os.PathLike) -> None:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
-import OpenEXR
 import torch
 from PIL import Image
 from torch import Tensor
 
 from torch_radbp.io.atomic import replacing
-from torch_radbp.io.files import opened
+from torch_radbp.io.exr import read_exr, write_exr
+from torch_radbp.io.files import opened, unknown_kind
 from torch_radbp.io.pfm import read_pfm
 from torch_radbp.io.png import check_pixel_data
 from torch_radbp.io.radiance import read_radiance
@@ -26,7 +28,7 @@ LINEAR = ("EXR", "HDR", "PFM")
 SIGNATURES = {"EXR": b"\x76\x2f\x31\x01", "PNG": b"\x89PNG\r\n\x1a\n", "JPEG": b"\xff\xd8\xff", "BMP": b"BM",
               "HDR": b"#?", "PFM": (b"PF", b"Pf"), "TGA": b""}  # TGA has none
 MAX_PIXELS = 2**27  # 16384 x 8192
-BEAUTY_LAYERS = ("", "rgb", "rgba", "color", "colour", "beauty", "combined", "image")
+JPEG_PIXELS = 512  # that a byte of a JPEG file can stand for: 8 x 8 of them take a bit at least
 
 
 def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
@@ -51,7 +53,7 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in READABLE:
-        raise ValueError(f"{path}: unknown kind of image {suffix!r}; supported: {', '.join(READABLE)}")
+        raise ValueError(unknown_kind(path, "image", READABLE))
     kind = READABLE[suffix]
     _check_signature(path, kind)
     try:
@@ -74,7 +76,7 @@ def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Te
     Args:
         path: .exr (float32, linear) or .png (8 bits, sRGB, values cut to [0, 1]).
         image: (3, H, W) linear RGB of any floating dtype and device; one of the (B, 3, H, W) that a renderer returns. Or
-            (4, H, W), with alpha.
+            (4, H, W), with alpha, or (1, H, W), grey.
         channels: more of them by name, (H, W) each; of .exr only.
 
     Raises:
@@ -89,9 +91,9 @@ def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Te
     if not isinstance(image, Tensor) or not image.is_floating_point():
         got = image.dtype if isinstance(image, Tensor) else type(image).__name__
         raise TypeError(f"{path}: an image must be a tensor of floating point numbers, got {got}")
-    if image.ndim != 3 or image.shape[0] not in (3, 4) or image.numel() == 0:
+    if image.ndim != 3 or image.shape[0] not in (1, 3, 4) or image.numel() == 0:
         raise ValueError(f"{path}: an image must have shape (3, H, W), got {tuple(image.shape)}{_advice(image)}")
-    named = {**dict(zip("RGBA", image)), **(channels or {})}
+    named = {**dict(zip("Y" if len(image) == 1 else "RGBA", image)), **(channels or {})}
     if channels and suffix != ".exr":
         raise ValueError(f"{path}: a {suffix} has no channels for {', '.join(channels)}; write an .exr")
     for name, channel in named.items():
@@ -103,20 +105,11 @@ def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Te
         raise ValueError(f"{path}: not written, {bad} of {image[0].numel()} pixels are NaN or infinite in float32")
     with replacing(path) as temporary:
         if suffix == ".exr":
-            _write_exr(temporary, {name: channel.numpy() for name, channel in zip(named, pixels)})
+            write_exr(temporary, {name: channel.numpy() for name, channel in zip(named, pixels)})
         else:
             levels = torch.cat([linear_to_srgb(pixels[:3].clamp(0.0, 1.0)), pixels[3:].clamp(0.0, 1.0)])
-            Image.fromarray((levels * 255.0).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()).save(temporary)
-
-
-def _write_exr(path: Path, channels: dict[str, np.ndarray]) -> None:
-    """Writes float32 channels, (H, W) each."""
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, dict(channels)).write(str(path))  # a copy: it writes into the dict
-    # OpenEXR is silent if the disk is full when it closes the file.
-    written = OpenEXR.File(str(path), separate_channels=True).parts[0].channels
-    if not all(name in written and np.array_equal(written[name].pixels, values) for name, values in channels.items()):
-        raise OSError("what was written reads back differently; the disk may be full")
+            pixels = (levels * 255.0).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
+            Image.fromarray(pixels[..., 0] if len(image) == 1 else pixels).save(temporary)
 
 
 def _advice(image: Tensor) -> str:
@@ -157,30 +150,61 @@ def check_size(width: int, height: int) -> None:
         raise ValueError(f"an image may have 1 to {MAX_PIXELS} pixels, this one has {width} x {height}")
 
 
+def open_picture(source: str | os.PathLike | BinaryIO, kind: str, held: int) -> Image.Image:
+    """A picture of one of Pillow's kinds, whose pixels are not decoded yet.
+
+    Args:
+        source: the file.
+        kind: such as JPEG.
+        held: how many bytes it has.
+
+    Raises:
+        ValueError: if it is larger than what is read, or than what its bytes can hold.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # below our own limit, too
+        try:
+            picture = Image.open(source, formats=(kind,))
+        except Image.DecompressionBombError:
+            raise ValueError(f"an image may have 1 to {MAX_PIXELS} pixels, this one has more") from None
+    try:
+        check_size(*picture.size)
+        check_held(kind, *picture.size, held)
+    except ValueError:
+        picture.close()
+        raise
+    return picture
+
+
+def check_held(kind: str, width: int, height: int, held: int) -> None:
+    """Raises ValueError if a JPEG file of `held` bytes is too short for its pixels; the decoder would fill in grey."""
+    if kind == "JPEG" and width * height > JPEG_PIXELS * held:
+        raise ValueError(f"its {width} x {height} pixels cannot be in {held} bytes; is the file cut short?")
+
+
 def _read_with_pillow(path: str | os.PathLike, kind: str) -> np.ndarray:
     """(H, W, C) values in [0, 1]."""
-    with Image.open(path, formats=(kind,)) as file:
-        check_size(*file.size)
+    with open_picture(path, kind, os.path.getsize(path)) as file:
         file.verify()  # the check sums of PNG, which reading ignores
     if kind == "PNG":
         with opened(path) as file:
             check_pixel_data(file)
-    high = _decode(path)
+    high = _decode(path, kind)
     if high.dtype == np.uint16:
         return high[:, :, None] / np.float32(65535)
-    low = _decode(path, low_bytes=True)
+    low = _decode(path, kind, low_bytes=True)
     if low is not None:
         return (high * np.float32(256) + low) / np.float32(65535)
     return high / np.float32(255)
 
 
-def _decode(path: str | os.PathLike, low_bytes: bool = False) -> np.ndarray | None:
+def _decode(path: str | os.PathLike, kind: str, low_bytes: bool = False) -> np.ndarray | None:
     """(H, W) 16-bit grey, or (H, W, 1 or 3) bytes: of 16-bit colour the high ones, or the low ones if asked.
 
     Pillow keeps 8 bits of 16-bit colour, the first of each pair of bytes. Told that the pairs are little-endian, it
     keeps the second. Returns None if low bytes are asked of an image that has none.
     """
-    with Image.open(path, formats=("PNG", "JPEG", "BMP", "TGA")) as file:
+    with open_picture(path, kind, os.path.getsize(path)) as file:
         wide = bool(file.tile) and file.tile[0].args in ("RGB;16B", "RGBA;16B")
         if low_bytes and not wide:
             return None
@@ -193,41 +217,6 @@ def _decode(path: str | os.PathLike, low_bytes: bool = False) -> np.ndarray | No
     return pixels[:, :, None] if grey else pixels
 
 
-def _read_exr(path: str | os.PathLike) -> np.ndarray:
-    """(H, W, C) linear values of the layer that holds the colour."""
-    headers = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
-    for header in headers:
-        low, high = header["dataWindow"]
-        check_size(*(int(b) - int(a) + 1 for a, b in zip(low, high)))
-    parts = OpenEXR.File(str(path), separate_channels=True).parts
-    if len(parts) < len(headers):  # which it prints and leaves out
-        raise ValueError("its pixels are damaged or cut short")
-    found: dict[str, np.ndarray] = {}  # layer -> its colour, of the first part that has it
-    for channels in (part.channels for part in parts):
-        for layer in sorted({name.rpartition(".")[0] for name in channels}):
-            colour = _layer_colour(channels, f"{layer}." if layer else "")
-            if colour is not None:
-                found.setdefault(layer, colour)
-    if not found:
-        names = ", ".join(name for part in parts for name in part.channels)
-        raise ValueError(f"no colour among its channels {names}; supported: R, G, B or Y, alone or in a layer")
-    chosen = [layer for layer in found if layer.rpartition(".")[2].lower() in BEAUTY_LAYERS] or list(found)
-    if len(chosen) > 1 and "" not in chosen:
-        raise ValueError(f"several layers have colours, {', '.join(chosen)}; keep one or call it beauty")
-    return found["" if "" in chosen else chosen[0]]
-
-
-def _layer_colour(channels: dict[str, OpenEXR.Channel], prefix: str) -> np.ndarray | None:
-    """(H, W, 3) from R, G, B, or (H, W, 1) from Y, of the layer with this prefix; None if it has none."""
-    if f"{prefix}RY" in channels:  # luminance and chroma at reduced resolution
-        return None
-    for letters in ("RGB", "rgb", "Y"):
-        names = [f"{prefix}{letter}" for letter in letters]
-        if all(name in channels for name in names):
-            return np.stack([channels[name].pixels for name in names], axis=2)
-    return None
-
-
 READERS: dict[str, Callable[[str | os.PathLike], np.ndarray]] = {
-    "EXR": _read_exr, "HDR": partial(read_radiance, check_size=check_size),
-    "PFM": partial(read_pfm, check_size=check_size)}
+    kind: partial(read, check_size=check_size)
+    for kind, read in (("EXR", read_exr), ("HDR", read_radiance), ("PFM", read_pfm))}

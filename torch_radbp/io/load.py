@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 
 from torch_radbp.entry import entry
 from torch_radbp.io.build import build_scene
+from torch_radbp.io.files import unknown_kind
 from torch_radbp.io.gltf.read import read_gltf
 from torch_radbp.io.xml_scene import read_scene
 from torch_radbp.plugin import SceneError
@@ -18,11 +20,11 @@ from torch_radbp.scene.scene import Scene
 
 CPU = torch.device("cpu")
 DTYPES = (torch.float32, torch.float64)
-READERS = {".xml": lambda path, given: build_scene(read_scene(path, given)), ".glb": read_gltf, ".gltf": read_gltf}
+READERS = {".xml": lambda path, given, _: build_scene(read_scene(path, given)), ".glb": read_gltf, ".gltf": read_gltf}
 
 
 @entry
-def load(path: str | os.PathLike, **variables: Any) -> Scene:
+def load(path: str | os.PathLike, *, allow_outside: bool = False, **variables: Any) -> Scene:
     """The scene in a Mitsuba 3 XML file, or in a glTF 2.0 file.
 
     Its parameters have torch's default dtype, float32 or float64, and lie on the CPU whatever torch's default device is;
@@ -36,23 +38,25 @@ def load(path: str | os.PathLike, **variables: Any) -> Scene:
 
     Args:
         path: the .xml, .glb or .gltf file; names inside it are relative to its folder.
+        allow_outside: glTF: also read images and buffers that do not lie in the folder of the file, or below. XML files
+            name such files as they like (`../textures`), as in Mitsuba.
         **variables: XML: values for `$name` in the file, `load("scene.xml", spp=64)`; they win over <default>. glTF: what
             such a file leaves open, `resolution` (pixels of the longer side; 512), `spp` (16), `max_depth` (-1), `light`
             (radiance of a constant light, added to those of the file; 1 if it has none), `camera` (False: look at the whole
             scene from the front instead of through the file's cameras), `scene` (the number of one of several),
-            `lumens_per_watt` (1; 683 undoes what Blender's exporter multiplies lights with), `strict` (True: an error
-            instead of a warning about what cannot be read), and `allow_outside` (True: also read images and buffers that do
-            not lie in the folder of the file, or below).
+            `lumens_per_watt` (1; 683 undoes what Blender's exporter multiplies lights with), and `strict` (True: an error
+            instead of a warning about what cannot be read).
 
     Raises:
         SceneError: names the file and the place in it, and what is supported.
-        TypeError: if torch's default dtype is another.
+        TypeError: if torch's default dtype is another, or `allow_outside` is neither True nor False.
     """
+    if not isinstance(allow_outside, bool):
+        raise TypeError(f"allow_outside must be True or False, got {allow_outside!r:.60}")
     suffix = Path(path).suffix.lower()
     if suffix not in READERS:
-        raise SceneError(f"{os.fspath(path)}: unknown kind of scene {suffix!r}; supported: .xml (Mitsuba 3), .glb and .gltf "
-                         f"(glTF 2.0)")
-    return built(lambda: READERS[suffix](path, variables))
+        raise SceneError(unknown_kind(path, "scene", (".xml (Mitsuba 3)", ".glb and .gltf (glTF 2.0)")))
+    return built(lambda: READERS[suffix](path, variables, allow_outside))
 
 
 @entry
@@ -66,9 +70,9 @@ def load_dict(description: dict[str, Any], base_dir: str | os.PathLike | None = 
             Mitsuba's transforms; an object may be a plugin that is already made. An `nn.Parameter` in the place of a texel
             array, a colour, vertices, a position or a transform becomes the scene's own parameter, shared and not copied,
             with its `requires_grad`: gradients reach it. It has to be what the scene keeps: of the default dtype, of the
-            parameter's shape (a bitmap (H, W, 3)), in world space (no `to_world` beside vertices, no `radius` beside the
-            `to_world` of a sphere). One that would have to be converted, and any other tensor that requires a gradient, is
-            refused: load the scene first and hand it over by `torch.func.functional_call` or `parametrize`.
+            parameter's shape (a bitmap (H, W, 3) or (H, W, 1)), in world space (no `to_world` beside vertices, no `radius`
+            beside the `to_world` of a sphere). One that would have to be converted, and any other tensor that requires a
+            gradient, is refused: load the scene first and hand it over by `torch.func.functional_call` or `parametrize`.
         base_dir: folder of relative file names; the current one if None.
 
     Raises:
@@ -84,5 +88,6 @@ def built(build: Callable[[], Scene]) -> Scene:
     if dtype not in DTYPES:
         raise TypeError(f"scenes are float32 or float64, but torch's default dtype is {dtype}; load under "
                         f"torch.set_default_dtype(torch.float32)")
-    with CPU:
+    # Where nothing else is asked for, the context only costs: a quarter of the time of many small shapes.
+    with nullcontext() if torch.get_default_device() == CPU else CPU:
         return build().to(CPU, dtype)

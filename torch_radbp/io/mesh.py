@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torch_radbp.io.files import opened
+from torch_radbp.io.files import opened, unknown_kind
 from torch_radbp.io.mesh_arrays import MeshArrays
 from torch_radbp.io.obj import read_obj
 from torch_radbp.io.ply import read_ply
@@ -39,7 +39,7 @@ def read_mesh(path: str | os.PathLike, want_normals: bool = True, shape_index: i
     if shape_index is not None:
         suffix, which = ".serialized", (shape_index,)
     if suffix not in READERS:
-        raise ValueError(f"{path}: unknown kind of mesh {suffix!r}; supported: {', '.join(READERS)}")
+        raise ValueError(unknown_kind(path, "mesh", READERS))
     with opened(path) as file:
         mesh = READERS[suffix](file, os.fspath(path), want_normals, *which)
     if _is_degenerate(mesh):

@@ -31,15 +31,17 @@ WITHOUT_EFFECT = ("frames", "file_path", "transform_matrix", "rotation", "sharpn
 
 @entry
 def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, height: int | None = None, scale: float = 1.0,
-                      rfilter: ReconstructionFilter | None = None, **attributes: Any) -> dict[str, Calibrated]:
+                      rfilter: ReconstructionFilter | str | None = None, **attributes: Any) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a NeRF data set, by the `file_path` of their image (without "./") and in its order.
 
         scene = rb.load_dict({"type": "scene", **rb.cameras_from_nerf("lego/transforms_train.json"), ...})
 
     Read are, for all frames or for each: `camera_angle_x`, `camera_angle_y`, `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`,
     `k1`, `k2`, `k3`, `p1`, `p2`, of a fisheye `k1` to `k4`, `camera_model` (OPENCV, OPENCV_FISHEYE, PINHOLE, SIMPLE_PINHOLE)
-    or `is_fisheye`, and `transform_matrix`, camera to world with OpenGL's axes. The world is the file's. Pixels are counted
-    from the corner of the image, ours from the centre of the first pixel: cx and cy become less by 0.5.
+    or `is_fisheye`, and `transform_matrix`, camera to world with OpenGL's axes. The world is the file's, in
+    which z points up as a rule: an `envmap`, whose pole is y, is turned by `to_world=[[1, 0, 0, 0], [0, 0, -1, 0],
+    [0, 1, 0, 0], [0, 0, 0, 1]]`, and a `sunsky` has its zenith at z anyway. Pixels are counted from the corner of the image,
+    ours from the centre of the first pixel: cx and cy become less by 0.5.
 
     Args:
         path: of the .json file.
@@ -71,6 +73,7 @@ def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, heig
         given = {key: source[key] for source in (document, frame) for key in INTRINSICS if key in source}
         size = size_of(place, given, path.parent, name, (width, height))
         found[name] = sensor_of(intrinsics(place, given, size), pose(place, frame), scale, rfilter, attributes)
+        found[name].up = (0.0, 0.0, 1.0)
     unknown -= {*INTRINSICS, *WITHOUT_EFFECT}
     if unknown:
         warnings.warn(f"{path}: not read: {', '.join(sorted(unknown))}; read are {', '.join(INTRINSICS)}, file_path and "

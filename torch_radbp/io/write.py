@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+import warnings
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ from torch import Tensor, nn
 from torch_radbp.entry import entry
 from torch_radbp.io.atomic import check_target, naming
 from torch_radbp.io.attribute_values import is_list, is_named, options
+from torch_radbp.io.gltf.read import said
 from torch_radbp.io.gltf.write import gltf_files
 from torch_radbp.io.image import save_image
 from torch_radbp.io.mesh_arrays import MeshArrays
@@ -53,7 +55,7 @@ def save(scene: Scene, path: str | os.PathLike, strict: bool = False) -> None:
     Args:
         scene: as it is now; parameters that are outputs of other modules are evaluated.
         path: the .xml, .glb or .gltf file; its folder must exist.
-        strict: raise an error about what glTF cannot say, instead of a warning. XML can say everything or raises one.
+        strict: raise an error about what glTF cannot say, or what Mitsuba lacks, instead of a warning.
 
     Raises:
         SceneError: if something has no counterpart in the format (a network in the place of a texture), or is not finite.
@@ -76,6 +78,11 @@ def xml_files(scene: Scene, target: Path, strict: bool) -> list[Path]:
     writer = _Writer(scene, target.stem, target.parent)
     with torch.no_grad(), torch.device("cpu"):
         root = writer.scene_element()
+    if writer.lacking:
+        message = f"{target.name}: Mitsuba cannot read this file: {said(writer.lacking)}"
+        if strict:
+            raise SceneError(message)
+        warnings.warn(f"{message}; torch_radbp can", UserWarning, stacklevel=3)
     ElementTree.indent(root, "    ")
     target.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
     return [*writer.files, target]
@@ -93,6 +100,7 @@ class _Writer:
         self.shared = {part for part, count in owners.items() if count > 1}
         self.taken = {*self.ids.values(), *(plugin.id for plugin in plugins)}
         self.files: list[Path] = []
+        self.lacking: list[str] = []  # what Mitsuba has no counterpart of
 
     def scene_element(self) -> ElementTree.Element:
         """The whole scene."""
@@ -114,6 +122,10 @@ class _Writer:
 
     def plugin_element(self, plugin: Plugin, name: str) -> ElementTree.Element:
         """One plugin, called `name` in the scene, with the attributes that differ from their defaults."""
+        try:
+            plugin = plugin.for_mitsuba()
+        except ValueError as error:
+            self.lacking.append(f"{name}: {error}")
         if hasattr(plugin, "vertex_positions") and not _is_as_constructed(plugin):
             return self.mesh_element(plugin, name)
         if isinstance(plugin, RGB):

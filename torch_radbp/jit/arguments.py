@@ -7,6 +7,7 @@ written for it.
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -35,11 +36,12 @@ class Form:
         table: whether tensors of shape (N,) are tables.
     """
 
-    __slots__ = ("structure", "number", "table", "unpack", "types", "dtypes", "dimensions", "kinds", "lanes")
+    __slots__ = ("structure", "number", "table", "unpack", "types", "dtypes", "itemsizes", "dimensions", "kinds", "lanes")
 
     def __init__(self, argument: Any, leaves: Sequence[Tensor], structure: tuple, number: int, table: bool):
         self.structure, self.number, self.table, self.unpack = structure, number, table, unpacker(argument)
         self.types, self.dtypes = list(map(type, leaves)), [leaf.dtype for leaf in leaves]
+        self.itemsizes = [leaf.itemsize for leaf in leaves]
         self.dimensions = [leaf.dim() for leaf in leaves]
         self.kinds = [NUMBER if dimensions == 0 else TABLE if table else LANES for dimensions in self.dimensions]
         self.lanes = [place for place, kind in enumerate(self.kinds) if kind == LANES]
@@ -113,9 +115,11 @@ class Taken:
         self.form, self.leaves = parameter.take_apart(argument)
         self.device = self.checked_device(parameter)
         self.read = self.leaves  # whose memory is read
-        if not all([leaf.is_contiguous() for leaf in self.leaves]):
-            self.read = tuple([leaf.contiguous() for leaf in self.leaves])
-        self.pointers, self.sizes = [leaf.data_ptr() for leaf in self.read], [leaf.numel() for leaf in self.leaves]
+        self.pointers, self.sizes = [leaf.data_ptr() for leaf in self.leaves], [leaf.numel() for leaf in self.leaves]
+        if not all([leaf.is_contiguous() for leaf in self.leaves]) or any(
+                map(operator.mod, self.pointers, self.form.itemsizes)):
+            self.read = tuple([laid_out(leaf) for leaf in self.leaves])
+            self.pointers = [leaf.data_ptr() for leaf in self.read]
         self.lanes = self.sizes[self.form.lanes[0]] if self.form.lanes else None
         for place in self.form.lanes:
             if self.sizes[place] != self.lanes:
@@ -134,6 +138,12 @@ class Taken:
         if not same:
             raise elsewhere(parameter, device, next((leaf.device for leaf in self.leaves if leaf.device != device), device))
         return device
+
+
+def laid_out(leaf: Tensor) -> Tensor:
+    """The tensor if it is contiguous and lies at a multiple of its element's size, else a copy that does."""
+    whole = leaf.contiguous()
+    return whole if whole.data_ptr() % whole.itemsize == 0 else whole.clone()
 
 
 def unequal(parameter: Parameter, lanes: int, others: int) -> ValueError:

@@ -39,10 +39,10 @@ class Compiled:
 
     Args:
         interface: of the code.
-        code: ready to run.
+        code: ready to run; None if nothing is computed: every result is an argument as it is.
     """
 
-    def __init__(self, interface: Interface, code: Loop):
+    def __init__(self, interface: Interface, code: Loop | None):
         self.interface, self.code = interface, code
         self.inputs, _, self.dtypes, self.results, returned, self.structure = interface
         self.assemble: Callable[[list[Tensor]], Any] = assembler(returned)
@@ -52,7 +52,7 @@ class Compiled:
 
     def run(self, given: Arguments, outputs: list[int]) -> None:
         """Computes all lanes; the results go to the addresses `outputs`."""
-        if given.lanes and outputs:
+        if given.lanes and self.code is not None:
             self.code.run(given.lanes, [given.pointers[place] for place in self.inputs],
                           [given.sizes[place] for place in self.inputs], outputs)
 
@@ -91,7 +91,12 @@ def read(name: str, target: Target) -> Compiled | None:
         interface, code = pickle.loads(found)
     except UNREADABLE:
         return None
-    return Compiled(interface, target.loop(code, interface.searched))
+    return ready(interface, code, target)
+
+
+def ready(interface: Interface, code: bytes, target: Target) -> Compiled:
+    """The function of some code; without outputs there is none."""
+    return Compiled(interface, target.loop(code, interface.searched) if interface.dtypes else None)
 
 
 def write(name: str, interface: Interface, code: bytes) -> None:

@@ -1,4 +1,4 @@
-"""The processor as a target: a loop over blocks of vectors, on all of torch's threads.
+"""The processor as a target: a loop over blocks of vectors, on as many threads as torch has.
 
     void lanes(i64 first, i64 last, ptr inputs, ptr outputs)
 

@@ -3,7 +3,8 @@
 They are of vectors of W lanes or, for W = 1, of scalars. What stands around them is the target's: a loop over blocks on a
 processor (`cpu.py`), a lane for each thread on a GPU (`nvptx.py`). It defines `%i`, the first lane of the block, the
 pointers `%in0`, `%in1`, ... to the inputs and `%out0`, ... to the outputs, and `%length<k>`, the number of entries of an
-input that is searched.
+input that is searched. Every tensor lies at a multiple of its element's size (`arguments.py` sees to it), which GPUs demand:
+what may lie anywhere they read byte by byte.
 
 What is computed from numbers alone stands before the loop. No processor gathers bytes: of a table of bools the aligned words
 are read that the entries lie in. Nor does one divide vectors of integers: int32 are divided as float64, which is exact.
@@ -197,7 +198,7 @@ class Emitter:
         if value.kind == TABLE:
             return pointer
         if value.kind == NUMBER:
-            loaded = self.line(f"load {memory(value.dtype)}, ptr {pointer}, align 1")
+            loaded = self.line(f"load {memory(value.dtype)}, ptr {pointer}, align {alignment(value.dtype)}")
             if value.dtype == torch.bool:
                 loaded = self.line(f"trunc i8 {loaded} to i1")
             if self.width == 1:

@@ -36,8 +36,16 @@ def made_once(make: Callable[..., Made]) -> Callable[..., Made]:
 @functools.cache
 def host_width() -> int:
     """The number of float32 lanes in a vector of this processor: 16 with AVX-512, 8 with AVX2, 4 elsewhere."""
-    features = llvm.get_host_cpu_features()
-    return 16 if features.get("avx512f") else 8 if features.get("avx2") else 4
+    return 16 if host_features().get("avx512f") else 8 if host_features().get("avx2") else 4
+
+
+@functools.cache
+def host_features() -> llvm.FeatureMap:
+    """Instruction sets of this processor; empty where LLVM cannot tell (of some of Apple's), as its name implies them."""
+    try:
+        return llvm.get_host_cpu_features()
+    except RuntimeError:
+        return llvm.FeatureMap()
 
 
 @made_once
@@ -51,13 +59,13 @@ def initialized() -> llvm.Target:
 @functools.cache
 def host() -> str:
     """The processor that this runs on, with all that machine code for it depends on."""
-    return " ".join([llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()])
+    return " ".join([llvm.get_process_triple(), llvm.get_host_cpu_name(), host_features().flatten()])
 
 
 def target_machine() -> llvm.TargetMachine:
     """What makes machine code for this processor."""
     return initialized().create_target_machine(cpu=llvm.get_host_cpu_name(),
-                                               features=llvm.get_host_cpu_features().flatten(), opt=2)
+                                               features=host_features().flatten(), opt=2)
 
 
 def object_code(text: str) -> bytes:

@@ -6,14 +6,21 @@ Inputs, lengths of those that are searched, and outputs are parameters of the ke
 read from the device like a table: to fetch it would mean to wait for the device. Threads beyond the last lane do nothing.
 
 The instructions are those of `emit.py` for single lanes, but for functions of float64 that the C library has elsewhere:
-`lowered.py` writes them out. Not yet run on a GPU: what is known of the kernels is that NVIDIA's assembler takes them, and
-that the same text computes the same on a processor.
+`lowered.py` writes them out.
+
+Products and sums are fused by LLVM alone, where it finds this worth while. All others are marked `.rn`, which forbids
+NVIDIA's assembler to fuse them: what a kernel computes is settled by its PTX, whatever the version of the driver. On a
+processor LLVM fuses others, so that last digits differ; were nothing fused in either, all bits would be the same.
+
+Not yet run on a GPU: what is known of the kernels is that NVIDIA's assembler takes them, that the same text computes the
+same on a processor, and that an interpreter of PTX finds the same in them.
 
 Reference: NVIDIA, PTX ISA. LLVM project, User Guide for NVPTX Back-end.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from llvmlite import binding as llvm
@@ -48,6 +55,8 @@ declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 {functions}
 attributes #0 = {{ nounwind "nvvm.maxntid"="{block}" "nvvm.minctasm"="1" }}
 """
+
+FUSIBLE = re.compile(r"(?<=\s)(add|sub|mul)(?=\.f(?:32|64)\b)")  # by NVIDIA's assembler, since no rounding is named
 
 
 def kernel(name: str, parameters: Sequence[str], body: Sequence[str], functions: Sequence[str] = ()) -> str:
@@ -102,4 +111,4 @@ def ptx(text: str, architecture: str) -> str:
     options = llvm.create_pipeline_tuning_options(speed_level=2)
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
-    return machine.emit_assembly(module)
+    return FUSIBLE.sub(r"\1.rn", machine.emit_assembly(module))

@@ -70,7 +70,7 @@ class LaneFunction:
     def taken(self, **arguments) -> tuple[Taken, ...]:
         """Arguments by name, taken apart once for several calls, which get these in their places.
 
-        What is written into their tensors in between counts, unless they are not contiguous.
+        What is written into their tensors in between counts, unless these are not contiguous or not aligned.
         """
         return tuple([Taken(self.named[name], argument) for name, argument in arguments.items()])
 
@@ -89,14 +89,14 @@ class LaneFunction:
         """Writes what a call would return into `results`, and returns them.
 
         Args:
-            results: contiguous tensors in the tuples and lists that a call returns, or `room` for them. No two may
-                overlap, nor any with an argument.
+            results: contiguous tensors in the tuples and lists that a call returns, or `room` for them, each at a
+                multiple of its element's size. No two may overlap, nor any with an argument.
             first: the entry at which to begin, so that several calls fill one buffer.
             arguments: of the call.
 
         Raises:
-            ValueError: if `results` are not what the call would return, not contiguous, or too short; the rest as for a
-                call.
+            ValueError: if `results` are not what the call would return, not contiguous or aligned, or too short; the
+                rest as for a call.
         """
         compiled, given = self.prepared(arguments)
         room = results if type(results) is Taken else Taken(self.results, results)
@@ -140,17 +140,18 @@ class LaneFunction:
                 raise ValueError(f"{self.name} returns {returned} where it is to write into {found}")
             compiled.structure = structure  # the very same object, which is quickly compared
         if room.read is not room.leaves or room.device != given.device or (room.sizes and min(room.sizes) < entries):
-            leaf = next(leaf for leaf in room.leaves
-                        if leaf.numel() < entries or not leaf.is_contiguous() or leaf.device != given.device)
-            raise ValueError(f"{self.name} writes into contiguous tensors of at least {entries} entries on "
-                             f"{given.device}, got one of {len(leaf)} with stride {leaf.stride(0)} on {leaf.device}")
+            leaf = next(leaf for leaf, read in zip(room.leaves, room.read)
+                        if leaf.numel() < entries or read is not leaf or leaf.device != given.device)
+            raise ValueError(f"{self.name} writes into aligned, contiguous tensors of at least {entries} entries on "
+                             f"{given.device}, got one of {len(leaf)} with stride {leaf.stride(0)} on {leaf.device} "
+                             f"at {leaf.data_ptr():#x}")
 
     def compile(self, given: Arguments) -> Compiled | str:
         """The function for arguments of this structure: from disk, or traced and compiled now; or why it cannot be."""
         try:
             if self.target is not None:  # asked for by name, to look at what it does: always compiled
                 program, interface = self.traced(given)
-                return Compiled(interface, self.target.compile(program))
+                return Compiled(interface, self.target.compile(program) if program.outputs else None)
             target = target_of(given.device)
             name = compiled_functions.name_of(self.function, self.tables, given, target)
             found = None if name is None else compiled_functions.read(name, target)
@@ -159,10 +160,10 @@ class LaneFunction:
             program, interface = self.traced(given)
         except UnknownOperation as error:
             return str(error)
-        code = target.code(program)
+        code = target.code(program) if program.outputs else b""
         if name is not None:
             compiled_functions.write(name, interface, code)
-        return Compiled(interface, target.loop(code, program.searched))
+        return compiled_functions.ready(interface, code, target)
 
     def program(self, *arguments) -> Program:
         """What is computed for such arguments, traced now."""

@@ -1,21 +1,28 @@
-"""Runs one compiled loop on all of torch's threads.
+"""Threads of our own that share work, and sleep while there is none.
 
-torch's OpenMP threads spin for a while after each parallel operation, and a second pool of threads would compete with
-them for the cores: measured, that costs a query up to half of its speed. So the loop runs on those very threads.
-GOMP_parallel is what a compiler makes of `#pragma omp parallel`, and it is looked up in the OpenMP runtime that torch
-itself is linked to. Where that runtime does not have it (Windows, perhaps macOS) the loop runs on a pool of Python
-threads.
+After each operation torch's OpenMP threads wait for the next by spinning, for ten milliseconds and more. They take the cores
+from ours, from other processes and from each other, and an operation ends only when the last of them was given a core. So
+torch's operations stay on the thread that calls them wherever we are called (`alone_in_torch`), and what is worth sharing is
+shared here: a helper takes part once it is awake, and nobody waits for one that is not.
 """
 
+from __future__ import annotations
+
 import ctypes
-import functools
+import os
+import threading
 from array import array
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from queue import SimpleQueue
+from typing import TypeVar
 
 import torch
 
-from torch_radbp.jit.torch_internals import library_of_torch
+from torch_radbp.jit.torch_internals import operations_on_this_thread
 
+Item = TypeVar("Item")
 PART = 4096  # lanes that a thread takes at a time
 
 
@@ -29,43 +36,164 @@ class Job(ctypes.Structure):
 LoopBody = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
-@functools.cache
-def openmp_parallel():
-    """GOMP_parallel(body, argument, number of threads, flags) of torch's own OpenMP runtime, or None."""
-    # A symbol is looked up in a library and in all it depends on, hence in the runtime that torch loaded.
-    function = getattr(library_of_torch(), "GOMP_parallel", None)
-    if function is not None:
-        function.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint, ctypes.c_uint]
-        function.restype = None
-    return function
-
-
-@functools.cache
-def thread_pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="raycast")
-
-
-def run(body: int, argument: int, threads: int) -> None:
-    """Runs the C function `void body(void *argument)` on several threads at once and waits for all of them.
+class Task:
+    """Work that several threads take part in at the same time.
 
     Args:
-        body: its address. It divides the work itself, and must be right on fewer threads than asked for, too: inside of
-            another parallel region OpenMP gives one.
-        argument: the address that every thread gets.
-        threads: 1 is the calling thread alone.
+        work: called by each thread that takes part. It divides what is to be done itself, is right on any number of them,
+            and looks at `error` now and then, if it is long.
     """
-    if threads == 1:
-        LoopBody(body)(argument)
-    elif parallel := openmp_parallel():
-        parallel(body, argument, threads, 0)
-    else:
-        calls = [thread_pool(threads).submit(LoopBody(body), argument) for _ in range(threads)]
-        for call in calls:
-            call.result()
+
+    def __init__(self, work: Callable[[Task], None]) -> None:
+        self.work = work
+        self.working = 0  # threads
+        self.closed = False  # to those that have not begun
+        self.error: BaseException | None = None  # the first; the others' work is in vain
+        self.lock, self.done = threading.Lock(), threading.Lock()
+        self.done.acquire()
+
+    def take_part(self) -> None:
+        """Works until nothing is left to begin; does nothing if the task is closed."""
+        with self.lock:
+            if self.closed:
+                return
+            self.working += 1
+        try:
+            self.work(self)
+        except BaseException as error:
+            self.error = self.error or error
+        with self.lock:
+            self.working -= 1
+            if self.closed and not self.working:
+                self.done.release()
+
+    def close(self) -> None:
+        """Waits for those that take part: even if interrupted, since they write into memory of the caller's."""
+        with self.lock:
+            self.closed = True
+            waiting = self.working > 0
+        while waiting:
+            try:
+                self.done.acquire()
+                waiting = False
+            except BaseException as interruption:
+                self.error = self.error or interruption
+        self.work = None  # helpers that are still asleep hold the task
+
+
+class Team:
+    """The helpers of a process, made when they are first needed, and the tasks that they have not looked at."""
+
+    def __init__(self) -> None:
+        self.helpers, self.growing = 0, threading.Lock()
+        self.tasks: SimpleQueue[Task] = SimpleQueue()
+
+    def call(self, task: Task, helpers: int) -> None:
+        """Wakes some of the helpers for a task."""
+        while self.helpers < helpers and self.grow(helpers):
+            pass
+        for _ in range(min(helpers, self.helpers)):
+            self.tasks.put(task)
+
+    def grow(self, helpers: int) -> bool:
+        """Starts one more helper, up to a number; False if there cannot be one."""
+        with self.growing:
+            if self.helpers >= helpers:
+                return False
+            try:
+                threading.Thread(target=self.help, name=f"torch_radbp_helper_{self.helpers}", daemon=True).start()
+            except RuntimeError:  # no more threads, or the interpreter ends
+                return False
+            self.helpers += 1
+        return True
+
+    def help(self) -> None:
+        """What a helper does."""
+        with alone_in_torch(threads=1):
+            while True:
+                self.tasks.get().take_part()
+
+
+class Here(threading.local):
+    """What belongs to a thread."""
+
+    threads: int | None = None  # that work for it, itself included; None: as many as torch has
+
+
+HERE, TEAM = Here(), Team()
+
+
+def forget_helpers() -> None:
+    """Begins with a team of its own in a forked process, which has none of its parent's threads."""
+    global TEAM
+    TEAM = Team()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=forget_helpers)
+
+
+def threads() -> int:
+    """The threads that may work for this one, itself included: as many as torch has; a helper is alone."""
+    return torch.get_num_threads() if HERE.threads is None else HERE.threads
+
+
+@contextmanager
+def alone_in_torch(threads: int | None = None) -> Iterator[None]:
+    """torch's operations stay on this thread.
+
+    Args:
+        threads: that work for it meanwhile; None: as many as torch has, or as an outer context says.
+    """
+    before = HERE.threads
+    if before is not None and threads in (None, before):
+        yield
+        return
+    with operations_on_this_thread() as number:
+        HERE.threads = threads or number
+        try:
+            yield
+        finally:
+            HERE.threads = before
+
+
+def together(work: Callable[[Task], None], threads: int) -> None:
+    """Calls `work` on this thread and, as they awake, on helpers; waits for those that have begun.
+
+    Args:
+        work: see `Task`.
+        threads: at most so many; 1 is the calling thread alone.
+
+    Raises:
+        BaseException: the first that one of them raised.
+    """
+    task = Task(work)
+    try:
+        if threads > 1:
+            TEAM.call(task, threads - 1)
+        task.take_part()
+    finally:
+        task.close()
+    error, task.error = task.error, None
+    try:
+        if error is not None:
+            raise error
+    finally:
+        del error  # whose traceback holds this frame
+
+
+def until_none_is_left(items: deque[Item]) -> Iterator[Item]:
+    """The items, one by one, of which other threads take some too."""
+    while items:
+        try:
+            item = items.popleft()
+        except IndexError:
+            return
+        yield item
 
 
 def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = PART) -> None:
-    """Runs the C function at `body`, which takes parts of a `Job`, on all of torch's threads.
+    """Runs the C function at `body`, which takes parts of a `Job`, on all threads that work for this one.
 
     Args:
         body: its address.
@@ -74,4 +202,8 @@ def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = 
         part: lanes that a thread takes at a time.
     """
     job = Job(lanes, part, 0, inputs.buffer_info()[0], outputs.buffer_info()[0])
-    run(body, ctypes.addressof(job), threads=max(1, min(torch.get_num_threads(), -(-lanes // part))))
+    loop, address = LoopBody(body), ctypes.addressof(job)
+    if lanes <= part or threads() == 1:
+        loop(address)
+    else:
+        together(lambda task: loop(address), min(threads(), -(-lanes // part)))

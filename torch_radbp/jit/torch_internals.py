@@ -7,8 +7,11 @@ lists and dicts apart, and of dispatch modes, which see every basic operation, n
 from __future__ import annotations
 
 import ctypes
+import functools
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 
 import torch
 from torch import Tensor
@@ -16,8 +19,8 @@ from torch.autograd import forward_ad
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map, tree_map_only
 
-__all__ = ["TorchDispatchMode", "functions_of_torch_only", "inside_dual_level", "library_of_torch", "outside_transforms",
-           "transforms", "tree_flatten", "tree_map", "tree_map_only", "unwrapped", "without_compiler"]
+__all__ = ["TorchDispatchMode", "batched", "functions_of_torch_only", "inside_dual_level", "operations_on_this_thread",
+           "outside_transforms", "transforms", "tree_flatten", "tree_map", "tree_map_only", "unwrapped", "without_compiler"]
 
 try:
     from torch._C._functorch import get_interpreter_stack, get_unwrapped, is_functorch_wrapped_tensor
@@ -47,6 +50,14 @@ def without_compiler() -> Iterator[None]:
         set_eval_frame(compiler)
 
 
+def batched(tensor: Tensor) -> bool:
+    """True if a tensor stands for a batch of gradients (`is_grads_batched`); False where that is not known."""
+    try:
+        return "Batched" in torch._C._dispatch_key_set(tensor)
+    except AttributeError:
+        return False
+
+
 def functions_of_torch_only():
     """A context in which subclasses of tensors are taken for plain ones."""
     return torch._C.DisableTorchFunctionSubclass()
@@ -72,6 +83,71 @@ def outside_transforms(function: Callable, *arguments):
 def unwrapped(tensor: Tensor | None) -> Tensor | None:
     """The plain tensor inside of one that a transform of `torch.func` has wrapped."""
     return get_unwrapped(tensor) if tensor is not None and is_functorch_wrapped_tensor(tensor) else tensor
+
+
+@contextmanager
+def operations_on_this_thread() -> Iterator[int]:
+    """torch's operations that this thread calls stay on it; gives the number of threads that they would have had.
+
+    `torch.set_num_threads` sets a number of this thread, and one that threads begin with which ask for the first time: of
+    the user's, some might do so just then. OpenMP and MKL are told the former alone, where their functions are found.
+    """
+    number = torch.get_num_threads()  # the first time, a thread takes over the default: not later, instead of what is set
+    if number == 1:
+        yield 1
+        return
+    keep_waits_short()
+    set_openmp, set_mkl = setters_of_threads()
+    set_openmp(1)
+    of_mkl = set_mkl(1)
+    try:
+        yield number
+    finally:
+        set_openmp(number)
+        set_mkl(of_mkl)
+
+
+@functools.cache
+def setters_of_threads() -> tuple[Callable[[int], None], Callable[[int], int]]:
+    """What sets the number of threads of the calling thread in OpenMP, and in MKL, which returns what was set before."""
+    # A symbol is looked up in a library and in all it depends on, hence in the runtime that torch loaded.
+    library = library_of_torch()
+    set_openmp = getattr(library, "omp_set_num_threads", None)
+    if set_openmp is None or not is_obeyed(set_openmp):
+        return torch.set_num_threads, lambda number: 0
+    return set_openmp, getattr(library, "MKL_Set_Num_Threads_Local", lambda number: 0)
+
+
+def is_obeyed(set_openmp: Callable[[int], None]) -> bool:
+    """True if it is the runtime that torch asks."""
+    number = torch.get_num_threads()
+    set_openmp(number + 1)
+    obeyed = torch.get_num_threads() == number + 1
+    set_openmp(number)
+    return obeyed
+
+
+@functools.cache
+def keep_waits_short() -> None:
+    """OpenMP's threads soon sleep after operations outside of our calls, instead of spinning into these.
+
+    GNU's runtime lets them spin 300,000 times, but 100 times while it manages more threads than there are processors (its
+    manual, GOMP_SPINCOUNT). So one team more is made, which sleeps for good. What the environment says is not changed.
+    """
+    if not hasattr(os, "sched_getaffinity") or {"GOMP_SPINCOUNT", "OMP_WAIT_POLICY"} & set(os.environ):
+        return
+    library = library_of_torch()
+    parallel, nothing = (getattr(library, name, None) for name in ("GOMP_parallel", "omp_get_max_threads"))
+    if parallel is None:
+        return
+    team = max(2, len(os.sched_getaffinity(0)) - torch.get_num_threads() + 2)
+    body = ctypes.cast(nothing, ctypes.c_void_p)  # a function without effect
+
+    def sleep_for_good() -> None:
+        parallel(body, None, ctypes.c_uint(team), ctypes.c_uint(0))
+        Event().wait()  # with its first thread the team would end
+
+    Thread(target=sleep_for_good, name="torch_radbp_sleeper", daemon=True).start()
 
 
 def library_of_torch() -> ctypes.CDLL | None:

@@ -15,7 +15,7 @@ TABLE_BYTES = 4 << 20
 
 
 class Brute:
-    """A `RayCaster` for any device, in the dtype of the rays. Time grows with lanes times triangles; memory does not.
+    """A `RayCaster` for any device, which computes in float64. Time grows with lanes times triangles; memory does not.
 
     An edge that two triangles share gives both the same edge function with opposite sign, to the last bit, so no ray
     slips between them (Davidovic et al. 2012, "3D rasterization: a bridge between rasterization and ray casting").
@@ -54,7 +54,7 @@ class Brute:
     def _chunks(self, ray: Ray):
         """Yields (rays as (lanes, 1) columns, slice of these lanes); one empty chunk if there are no lanes."""
         o, d = (vector.detach().map(lambda component: component.reshape(-1, 1)) for vector in ray)
-        size = max(1, TABLE_BYTES // (len(self.faces) * o.x.element_size()))
+        size = max(1, TABLE_BYTES // (len(self.faces) * torch.float64.itemsize))
         for start in range(0, max(1, len(o.x)), size):
             lanes = slice(start, start + size)
             yield Ray(Vec3(*(c[lanes] for c in o)), Vec3(*(c[lanes] for c in d))), lanes
@@ -70,8 +70,8 @@ class Brute:
 
     def _crossings(self, ray: Ray) -> tuple[Tensor, Tensor, Tensor]:
         """The crossings of lines with triangles, (lanes, F): t, infinite unless that is a hit, and the weights u and v."""
-        o, d = ray
-        corners = self.vertices.to(o.x.dtype)[self.faces.long()]
+        dtype, (o, d) = ray.o.x.dtype, (vector.map(torch.Tensor.double) for vector in ray)
+        corners = self.vertices.double()[self.faces.long()]
         a, b, c = (Vec3.of(corners[:, corner]) - o for corner in range(3))
         # Six times the signed volumes of d with the edges: proportional to the weights of the opposite corners.
         of_a, of_b, of_c = dot(d, cross(c, b)), dot(d, cross(a, c)), dot(d, cross(b, a))
@@ -83,4 +83,4 @@ class Brute:
         t = dot(a * (of_a / total) + b * u + c * v, d) / dot(d, d)
         finite = torch.isfinite(sum((*o, *d), start=torch.zeros_like(o.x)))
         # NaN fails every comparison: triangles without area, edge on, and lanes without a direction.
-        return torch.where(inside & (total != 0) & (t > 0) & finite, t, torch.inf), u, v
+        return torch.where(inside & (total != 0) & (t > 0) & finite, t, torch.inf).to(dtype), u.to(dtype), v.to(dtype)

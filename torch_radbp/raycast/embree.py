@@ -1,4 +1,4 @@
-"""Ray casting on the CPU by Embree 4, called in packets from compiled loops on torch's own threads.
+"""Ray casting on the CPU by Embree 4, called in packets from compiled loops on as many threads as torch has.
 
 Of the `embreex` wheel only the shared library is used (`library.py`). Lanes go to it through the loops of `queries.py`, in
 the packets of `packets.py`, on the threads of `jit/team.py`.

@@ -1,10 +1,10 @@
 """Tests of every triangle of a mesh against a vector of rays, as LLVM's text for any width and type of numbers.
 
 The corners of the mesh are first seen along the rays: relative to the ray's origin, and sheared so that the ray runs along
-its greatest axis at x = y = 0. Each corner is moved once for all of its triangles. The edge function x0 y1 - x1 y0 is a
-difference of two rounded products: rounding can make it 0, but never turn its sign, and an edge has exactly the opposite
-value in the triangle on its other side. A triangle is hit unless two of its edge functions have opposite signs, so that no
-ray slips through an edge or a corner.
+its greatest axis at x = y = 0. Each corner is moved once for all of its triangles. The edge function x0 y1 - x1 y0 has its
+exact sign, and so the opposite one in the triangle on its other side. A triangle is hit unless two of its edge functions
+have opposite signs, so that no ray slips through an edge or a corner. Were it rounded to 0 where its products are close, a
+triangle far smaller than its distance from the ray would be hit beside it.
 
 Reference: Woop, Benthin and Wald 2013, "Watertight ray/triangle intersection".
 """

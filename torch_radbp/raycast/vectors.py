@@ -104,9 +104,19 @@ class Vectors:
         return self.add(self.mul(a[2], b[2]), self.add(self.mul(a[1], b[1]), self.mul(a[0], b[0])))
 
     def determinant(self, a: list[str], b: list[str]) -> str:
-        """a[0] b[1] - a[1] b[0], each product rounded: exactly the opposite of what b and a give."""
-        products = [self.line(f"fmul {self.numbers} {p}, {q}") for p, q in ((a[0], b[1]), (a[1], b[0]))]
-        return self.line(f"fsub {self.numbers} {products[0]}, {products[1]}")
+        """a[0] b[1] - a[1] b[0], of the right sign, and 0 only if it is: within two roundings of the result.
+
+        Reference: Jeannerod, Louvet and Muller 2013, "Further analysis of Kahan's algorithm for the accurate computation of
+        2 x 2 determinants".
+        """
+        product = self.line(f"fmul {self.numbers} {a[1]}, {b[0]}")
+        error = self.fused(self.negative(a[1]), b[0], product)
+        return self.line(f"fadd {self.numbers} {self.fused(a[0], b[1], self.negative(product))}, {error}")
+
+    def fused(self, a: str, b: str, c: str) -> str:
+        """a b + c, rounded once."""
+        arguments = ((self.numbers, name) for name in (a, b, c))
+        return self.call(f"llvm.fma.{self.suffix(self.scalar)}", self.numbers, *arguments)
 
     def div(self, a: str, b: str) -> str:
         return self.line(f"fdiv {self.numbers} {a}, {b}")

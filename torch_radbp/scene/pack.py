@@ -17,6 +17,7 @@ from torch_radbp.scene.attributes import any_differentiated, check_attributes
 from torch_radbp.scene.geometry import Columns, Numbers, placed_shape, shown_instances, triangle_table
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.light_table import Emission, kinds_of, light_table
+from torch_radbp.scene.network_check import check_networks
 from torch_radbp.scene.parameters import check_extent, check_parameters, check_places, largest_coordinate
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors
@@ -65,8 +66,8 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
         aovs: with coordinates and numbers, which quantities may be about that no image needs.
 
     Raises:
-        ValueError: if a parameter is not in its domain; the message names it.
-        TypeError: if the parameters are not of one dtype.
+        ValueError: if a parameter is not in its domain, or derivatives of a module would be wrong; the message names it.
+        TypeError: if the parameters are not of one dtype, or a module has been compiled.
     """
     kept = Kept() if kept is None else kept
     check_parameters(scene, kept)
@@ -116,6 +117,7 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
     bank = kept(bank_of, layout.radiance, twins(kept, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
     lights = light_table(kept, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
                          tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout, bank, lit_banks, light_choice)
+    check_networks(kept, (*readers, *lit), (*materials.textures, *lit_banks), dtype, device)
     return SceneTensors(triangles, materials.table, materials.textures, lights, bank, lit_banks, layout)
 
 

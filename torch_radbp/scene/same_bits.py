@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 import torch
 from torch import Tensor
 
 from torch_radbp.differentiated import primal
+from torch_radbp.jit.team import Task, threads, together, until_none_is_left
 
 PART = 16 << 20  # bytes that a thread compares at a time
 
@@ -39,18 +40,18 @@ def bits_of(tensor: Tensor) -> Tensor:
 def same_memory(a: int, b: int, length: int) -> bool:
     """True if the bytes at two addresses are equal; large ones are compared by several threads.
 
-    The C library does so at the speed of memory. `torch.equal` takes half as long again, and on a busy machine many times
-    as long, because its threads wait for each other.
+    The C library does so at the speed of memory; `torch.equal` takes half as long again.
     """
-    if length <= PART or torch.get_num_threads() == 1:
-        return not memory_difference()(a, b, length)
-    starts = range(0, length, PART)
+    starts, different = deque(range(0, length, PART)), []
 
-    def difference(start: int) -> int:
-        return memory_difference()(a + start, b + start, min(PART, length - start))
+    def compare(task: Task) -> None:
+        for start in until_none_is_left(starts):
+            if memory_difference()(a + start, b + start, min(PART, length - start)):
+                different.append(start)
+                starts.clear()
 
-    # A list of all: no thread may still read when the caller frees the memory.
-    return not any(list(thread_pool(os.getpid()).map(difference, starts)))
+    together(compare, min(threads(), len(starts)))
+    return not different
 
 
 @cache
@@ -59,9 +60,3 @@ def memory_difference() -> Callable[[int, int, int], int]:
     function = ctypes.CDLL("msvcrt" if os.name == "nt" else None).memcmp
     function.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
     return function
-
-
-@cache
-def thread_pool(process: int) -> ThreadPoolExecutor:
-    """The threads of a process that compare memory: a forked one does not inherit those of its parent."""
-    return ThreadPoolExecutor(torch.get_num_threads(), thread_name_prefix="kept")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from torch_radbp.integrator.path import Path
-from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, nearest
+from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, nearest, with_article
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
 
@@ -49,6 +50,34 @@ class Scene(nn.Module):
             raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
                              "their radiances in one")
         self.integrator.check(self.bsdfs())
+        for plugin in self.modules():
+            if isinstance(plugin, Plugin):
+                plugin.in_scene = True
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if isinstance(value, Plugin):
+            self._replace(name, value)
+        super().__setattr__(name, value)
+
+    def _replace(self, name: str, plugin: Plugin) -> None:
+        """Puts a plugin into the place of the object `name` wherever others refer to that.
+
+        Raises:
+            AttributeError: if there is no such object, and the plugin would have no effect by itself.
+            TypeError: if it is of another category.
+        """
+        old = self._modules.get(name)
+        if old is None and plugin.category in ("shape", "emitter", "sensor"):
+            return
+        if old is None:
+            raise AttributeError(f"the scene has no object {name!r}, and {with_article(plugin.category)} that no shape has "
+                                 f"would change nothing: assign it where it is to be used; {nearest(name, self._modules)}")
+        if plugin.category != old.category:
+            raise TypeError(f"{name} of the scene must be {with_article(old.category)}, got {with_article(plugin.category)}")
+        for owner in self.modules():
+            for attribute, shared in owner.shared.items() if isinstance(owner, Plugin) else ():
+                if shared is old:
+                    owner.shared[attribute] = plugin
 
     def _check_places(self) -> None:
         """Raises SceneError unless every emitter on a surface is on one."""

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from torch_radbp.domain import NUMBER, Domain
-from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register
+from torch_radbp.plugin import Film, Matrix4, Plugin, Sampler, nearest, positive, register
 from torch_radbp.sensor.distortion import BrownConrady, Distortion, KannalaBrandt
 from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera, number
+from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 FOCAL_LENGTH = NUMBER._replace(low=0.0, low_is_in=False, unit=" pixels")
@@ -20,6 +21,7 @@ BROWN_CONRADY, FISHEYE = "brown_conrady", "fisheye"
 COEFFICIENTS = {BROWN_CONRADY: BrownConrady._fields, FISHEYE: KannalaBrandt._fields}
 GRID = 17  # directions across the image, of which the bounds of a view are found
 POINTS = 33  # on a segment that are tested for being in view
+SQUARE = 1e-6  # relative difference of fx and fy of square pixels
 GRAZING = 0.05  # cosine to the axis below which a view has no pyramid around it
 
 
@@ -74,6 +76,17 @@ class CalibratedKind(CameraKind):
     def beyond_far_plane(self, lens: CalibratedLens, p: Vec3) -> Tensor:
         return self.reach(lens, p) > lens.far
 
+    def beyond_planes(self, lens: CalibratedLens, p: Vec3) -> tuple[Tensor, Tensor]:
+        offset = p - lens.origin
+        if self.fisheye:
+            squared = dot(offset, offset)
+            return squared - lens.near**2, squared - lens.far**2
+        ahead = dot(offset, lens.axes.n)
+        return ahead - lens.near, ahead - lens.far
+
+    def towards(self, lens: CalibratedLens, p: Vec3, aperture: None) -> Vec3:
+        return lens.origin - p
+
     def eye(self, lens: CalibratedLens) -> Tensor:
         origin = torch.stack(tuple(lens.origin)).double()
         return torch.cat([origin, origin.new_ones(1)])
@@ -123,7 +136,7 @@ def around(slopes: Tensor) -> tuple[Tensor, Tensor]:
 
 @register("sensor", "calibrated")
 class Calibrated(ProjectiveCamera):
-    """A camera with intrinsics and distortion as OpenCV has them; Mitsuba has no counterpart.
+    """A camera with intrinsics and distortion as OpenCV has them; Mitsuba has no counterpart of the latter.
 
     It looks along its local +z, with y up and x to the left, as the other cameras here. With x and y to the right and down,
     a direction (x, y, 1) is seen at the pixel coordinates
@@ -203,6 +216,25 @@ class Calibrated(ProjectiveCamera):
             skew=self.skew, width=matrix.new_tensor(float(self.film.width)),
             height=matrix.new_tensor(float(self.film.height)), near=matrix.new_tensor(self.near_clip),
             far=matrix.new_tensor(self.far_clip), distortion=model(*(getattr(self, name) for name in model._fields)))
+
+    def for_mitsuba(self) -> Plugin:
+        """A `perspective` with the offset of the principal point, if the pixels are square and nothing is distorted."""
+        bent = [name for name in self.optional_parameters if getattr(self, name) is not None and getattr(self, name) != 0]
+        bent += ["skew"] * bool(self.skew != 0) + ["fisheye"] * (self.distortion == FISHEYE)
+        bent += ["fx other than fy"] * (abs(float(self.fx / self.fy) - 1.0) > SQUARE)
+        if bent:
+            raise ValueError(f"its sensors have no {', '.join(bent)}")
+        width, height = self.film.width, self.film.height
+        fx, cx, cy = (float(value) for value in (self.fx, self.cx, self.cy))
+        sensor = Perspective(fov=1.0, near_clip=self.near_clip, far_clip=self.far_clip, shutter_open=self.shutter_open,
+                             shutter_close=self.shutter_close, film=self.film, sampler=self.sampler).to(self.fx.dtype)
+        values = {"to_world": self.to_world, "x_fov": math.degrees(2.0 * math.atan(width / (2.0 * fx))),
+                  "principal_point_offset_x": 0.5 - (cx + 0.5) / width,
+                  "principal_point_offset_y": 0.5 - (cy + 0.5) / height}
+        with torch.no_grad():
+            for name, value in values.items():
+                getattr(sensor, name).copy_(torch.as_tensor(value))
+        return sensor
 
     def view(self) -> str:
         if self.distortion == FISHEYE:

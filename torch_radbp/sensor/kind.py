@@ -58,6 +58,21 @@ class CameraKind(ABC):
         """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
 
     @abstractmethod
+    def beyond_planes(self, lens: Lens, p: Vec3) -> tuple[Tensor, Tensor]:
+        """How far beyond the near and the far plane world points lie, attached to both; (N,) each, of any scale.
+
+        Polynomials in p, of second degree at most.
+        """
+
+    @abstractmethod
+    def towards(self, lens: Lens, p: Vec3, aperture: Vec2 | None) -> Vec3:
+        """From world points to where they are seen from, of any length; linear in p, attached to both.
+
+        Args:
+            aperture: as of `sample_ray`.
+        """
+
+    @abstractmethod
     def eye(self, lens: Lens) -> Tensor:
         """(4,) homogeneous: the point where all rays meet, or with 0 at the end the direction towards it; detached."""
 

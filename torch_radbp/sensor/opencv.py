@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_radbp.entry import entry
 from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.plugin import ReconstructionFilter, boolean, integer, no_gradient, positive
+from torch_radbp.plugin import REGISTRY, ReconstructionFilter, boolean, integer, nearest, no_gradient, positive
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
 
 ORDER = {BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), FISHEYE: ("k1", "k2", "k3", "k4")}
@@ -38,7 +38,7 @@ class Intrinsics(NamedTuple):
 
 @entry
 def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distortion: Sequence[float] = (),
-                       fisheye: bool = False, *, scale: float = 1.0, rfilter: ReconstructionFilter | None = None,
+                       fisheye: bool = False, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
                        **attributes: Any) -> Calibrated:
     """The sensor `calibrated` of a camera as OpenCV describes it: x = K (R X + t).
 
@@ -52,7 +52,7 @@ def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distorti
         distortion: k1, k2, p1, p2[, k3[, k4, k5, k6]] or of a fisheye k1, k2, k3, k4; those given are parameters.
         fisheye: whether that is a Kannala-Brandt lens.
         scale: of the image that is rendered, 0.25 for a quarter of the width and of the height.
-        rfilter: of the film; Gaussian by default.
+        rfilter: of the film, or its name, such as "box"; Gaussian by default.
         **attributes: near_clip, far_clip and sampler of the sensor.
 
     Raises:
@@ -62,7 +62,7 @@ def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distorti
 
 
 @entry
-def cameras_from_kornia(pinhole: Any, *, scale: float = 1.0, rfilter: ReconstructionFilter | None = None,
+def cameras_from_kornia(pinhole: Any, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
                         **attributes: Any) -> list[Calibrated]:
     """The sensors `calibrated` of a `kornia.geometry.camera.PinholeCamera`, one for each of its batch.
 
@@ -124,15 +124,34 @@ def pose_of(R: Any, t: Any) -> np.ndarray:
     return pose
 
 
-def sensor_of(camera: Intrinsics, to_world: np.ndarray, scale: float, rfilter: ReconstructionFilter | None,
+def sensor_of(camera: Intrinsics, to_world: np.ndarray, scale: float, rfilter: ReconstructionFilter | str | None,
               attributes: dict[str, Any]) -> Calibrated:
     """The sensor of a calibration and a pose, its image scaled to whole pixels."""
     width, height = (max(1, round(size * positive("scale", scale))) for size in (camera.width, camera.height))
     x, y = width / camera.width, height / camera.height
+    film = HDRFilm(width=width, height=height, rfilter=filter_of(rfilter))
     return Calibrated(
         fx=camera.fx * x, fy=camera.fy * y, cx=(camera.cx + 0.5) * x - 0.5, cy=(camera.cy + 0.5) * y - 0.5,
         skew=camera.skew * x, distortion=camera.model, **camera.coefficients,
-        to_world=torch.from_numpy(to_world), film=HDRFilm(width=width, height=height, rfilter=rfilter), **attributes)
+        to_world=torch.from_numpy(to_world), film=film, **attributes)
+
+
+def filter_of(rfilter: ReconstructionFilter | str | None) -> ReconstructionFilter | None:
+    """A filter, by its name too.
+
+    Raises:
+        ValueError: on unknown names.
+        TypeError: if it is neither.
+    """
+    if rfilter is None or isinstance(rfilter, ReconstructionFilter):
+        return rfilter
+    known = REGISTRY["rfilter"]
+    if not isinstance(rfilter, str):
+        raise TypeError(f"rfilter must be a reconstruction filter or the name of one ({', '.join(sorted(known))}), got "
+                        f"{rfilter!r:.60}")
+    if rfilter not in known:
+        raise ValueError(f"rfilter {rfilter!r} is not known; {nearest(rfilter, known)}")
+    return known[rfilter]()
 
 
 def array(name: str, value: Any, shape: tuple[int, ...] | None) -> np.ndarray:

@@ -42,6 +42,13 @@ class OrthographicKind(CameraKind):
     def beyond_far_plane(self, lens: OrthographicLens, p: Vec3) -> Tensor:
         return dot(p - near_corner(lens), normalize(lens.z)) > lens.depth
 
+    def beyond_planes(self, lens: OrthographicLens, p: Vec3) -> tuple[Tensor, Tensor]:
+        ahead = dot(p - near_corner(lens), normalize(lens.z))
+        return ahead, ahead - lens.depth
+
+    def towards(self, lens: OrthographicLens, p: Vec3, aperture: None) -> Vec3:
+        return Vec3(*(component.expand_as(p.x) for component in -normalize(lens.z)))
+
     def eye(self, lens: OrthographicLens) -> Tensor:
         towards = -torch.stack(tuple(normalize(lens.z)))
         return torch.cat([towards, towards.new_zeros(1)]).double()

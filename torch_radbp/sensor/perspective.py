@@ -59,6 +59,13 @@ class PinholeKind(CameraKind):
     def beyond_far_plane(self, lens: PinholeLens, p: Vec3) -> Tensor:
         return dot(p - lens.origin, lens.axes.n) > lens.far
 
+    def beyond_planes(self, lens: PinholeLens, p: Vec3) -> tuple[Tensor, Tensor]:
+        ahead = dot(p - lens.origin, lens.axes.n)
+        return ahead - lens.near, ahead - lens.far
+
+    def towards(self, lens: PinholeLens, p: Vec3, aperture: None) -> Vec3:
+        return lens.origin - p
+
     def eye(self, lens: PinholeLens) -> Tensor:
         origin = torch.stack(tuple(lens.origin)).double()
         return torch.cat([origin, origin.new_ones(1)])

@@ -53,6 +53,13 @@ class ThinLensKind(CameraKind):
     def beyond_far_plane(self, lens: ThinLensLens, p: Vec3) -> Tensor:
         return PinholeKind().beyond_far_plane(lens.pinhole, p)
 
+    def beyond_planes(self, lens: ThinLensLens, p: Vec3) -> tuple[Tensor, Tensor]:
+        return PinholeKind().beyond_planes(lens.pinhole, p)
+
+    def towards(self, lens: ThinLensLens, p: Vec3, aperture: Vec2) -> Vec3:
+        start = lens.start(aperture)
+        return lens.pinhole.axes.to_world(Vec3(start.x, start.y, torch.zeros_like(start.x))) + lens.pinhole.origin - p
+
     def eye(self, lens: ThinLensLens) -> Tensor:
         """The middle of the lens: silhouettes are those seen from there."""
         return PinholeKind().eye(lens.pinhole)

@@ -200,7 +200,17 @@ class PLY(FileMesh):
 
 @register("shape", "mesh")
 class TensorMesh(Mesh):
-    """A mesh given as tensors, for scenes built in Python. Parameters: see `Mesh`."""
+    """A mesh given as tensors, for scenes built in Python. Parameters: see `Mesh`.
+
+    Args:
+        vertex_positions: (V, 3).
+        faces: (F, 3) integers, the corners of each triangle, counter-clockwise as seen from outside.
+        vertex_normals: (V, 3), of any length; without them the mesh is flat, unless `recompute_normals`.
+        vertex_texcoords: (V, 2) surface coordinates, which bitmaps read.
+        recompute_normals: see `Mesh`.
+        to_world: (4, 4) transform of positions and normals.
+        flip_normals, bsdf, emitter: as of all shapes.
+    """
 
     def __init__(self, *, vertex_positions: Tensor, faces: Tensor, vertex_normals: Tensor | None = None,
                  vertex_texcoords: Tensor | None = None, recompute_normals: bool = False, to_world: Matrix4 | None = None,

@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from torch_radbp.shape.marching_cubes import CORNERS, case_table, edge_starts
-from torch_radbp.vec import Vec3, dot, gather, normalize, scaled, where
+from torch_radbp.vec import Vec3, gather, max_component, normalize, scaled, where
 
 LEAST_CELLS = 60  # of the lattice, along the longest side of the grid
+ROUNDING = 16.0  # in units of the last place, of a number that would be zero without
 
 
 class Net(NamedTuple):
@@ -149,15 +150,29 @@ def cases(inside: Tensor) -> Tensor:
 
 
 def vertices(values: Tensor, net: Net) -> tuple[Cell, list[Tensor]]:
-    """Where the edges of a net are cut, and the values at the corners of the voxels there; attached to (Z, Y, X) values."""
+    """Where the edges of a net are cut, and the values at the corners of the voxels there; attached to (Z, Y, X) values.
+
+    An edge along which the interpolant is zero, up to rounding, is cut at its middle, which does not move.
+    """
     voxel = net.voxel.unbind(1)
     corners = at_corners(values, voxel)
     start = Vec3.of(net.start.to(values.dtype))
     along = [net.axis == axis for axis in range(3)]
-    low, high = (interpolant(corners, Vec3(*(torch.where(own, end, part) for own, part in zip(along, start))))
-                 for end in (0.0, 1.0))
-    cut = low / (low - high)
+    ends = [Vec3(*(torch.where(own, end, part) for own, part in zip(along, start))) for end in (0.0, 1.0)]
+    low, high = (interpolant(corners, end) for end in ends)
+    level = vanishes(low - high, sum(interpolant(magnitudes(corners), end) for end in ends))
+    cut = torch.where(level, 0.5, low / torch.where(level, 1.0, low - high))
     return Cell(voxel, Vec3(*(torch.where(own, cut, part) for own, part in zip(along, start)))), corners
+
+
+def magnitudes(values: list[Tensor]) -> list[Tensor]:
+    """The magnitudes of some values, detached."""
+    return [value.detach().abs() for value in values]
+
+
+def vanishes(difference: Tensor, size: Tensor) -> Tensor:
+    """True where the difference of two sums is zero up to rounding; `size`: the sum of the magnitudes of all terms."""
+    return difference.detach().abs() <= ROUNDING * torch.finfo(size.dtype).eps * size
 
 
 def interpolant(corners: list[Tensor], place: Vec3) -> Tensor:
@@ -180,20 +195,28 @@ def bilinear(corners: list[Tensor], place: Vec3, axis: int) -> Tensor:
 
 
 def voxel_gradient(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
-    """The gradient of the interpolant in the points' own voxels, per unit of the grid's cube; attached."""
-    found = (face_interpolants(corners, cell.place, axis) for axis in range(3))
-    return Vec3(*((high - low) * (length - 1) for (low, high), length in zip(found, reversed(values.shape))))
+    """The gradient of the interpolant in the points' own voxels, per unit of the grid's cube; attached.
+
+    Where it is zero up to rounding, it is zero, without derivative.
+    """
+    found = [face_interpolants(corners, cell.place, axis) for axis in range(3)]
+    sizes = [sum(face_interpolants(magnitudes(corners), cell.place.map(Tensor.detach), axis)) for axis in range(3)]
+    level = [vanishes(high - low, size) for (low, high), size in zip(found, sizes)]
+    slope = Vec3(*((high - low) * (length - 1) for (low, high), length in zip(found, reversed(values.shape))))
+    none = level[0] & level[1] & level[2]
+    return where(none, slope.map(torch.zeros_like), slope)
 
 
 def smooth_normal(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
     """Unit normals that are continuous across the borders of voxels; attached.
 
     The unit gradients of the eight voxels around the grid point that is nearest, each continued to the place itself, are
-    interpolated between the voxels' centres. Voxels beyond the border of the grid are left out.
+    interpolated between the voxels' centres. Voxels beyond the border of the grid are left out, and so are voxels in which
+    the gradient is zero, as where all values are the same. If the others cancel, the normal is (1, 0, 0).
 
     Reference: Hansson-Soderlund, Evans and Akenine-Moller 2022, "Ray Tracing of Signed Distance Function Grids", section 5.
     """
-    slopes, shares = [], []
+    slopes, levels, shares = [], [], []
     for axis, length in enumerate(reversed(values.shape)):
         share, own = cell.place[axis], cell.voxel[axis]
         upper = (share.detach() >= 0.5)
@@ -205,16 +228,29 @@ def smooth_normal(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
         outer = bilinear(others, cell.place, axis)
         here, next_to_it = high - low, torch.where(upper, outer - high, low - outer)
         slopes.append([torch.where(upper, *pair) * (length - 1) for pair in ((here, next_to_it), (next_to_it, here))])
+        fixed = cell.place.map(Tensor.detach)
+        sizes = *face_interpolants(magnitudes(corners), fixed, axis), bilinear(magnitudes(others), fixed, axis)
+        level = vanishes(here, sizes[0] + sizes[1])
+        next_level = vanishes(next_to_it, torch.where(upper, sizes[1], sizes[0]) + sizes[2])
+        levels.append([torch.where(upper, *pair) for pair in ((level, next_level), (next_level, level))])
         blend = torch.where(upper, share - 0.5, share + 0.5)
         shares.append(torch.where(there, blend, torch.where(upper, 0.0, 1.0)))
-    normals = [normalize(scaled(Vec3(*(slopes[axis][k >> axis & 1] for axis in range(3))))) for k in range(CORNERS)]
+    normals = []
+    for k in range(CORNERS):
+        slope, level = ([of_axis[k >> axis & 1] for axis, of_axis in enumerate(each)] for each in (slopes, levels))
+        normals.append(direction(Vec3(*slope), level[0] & level[1] & level[2]))
     for share in shares:
         normals = [Vec3(*(between(*parts, share) for parts in zip(a, b))) for a, b in zip(normals[::2], normals[1::2])]
-    return unit(normals[0])
+    return unit(normals[0], ROUNDING * torch.finfo(values.dtype).eps)
 
 
-def unit(a: Vec3) -> Vec3:
-    """The unit vector along `a`; (1, 0, 0) along a vector of length zero."""
-    a = scaled(a)
-    none = dot(a, a).detach() == 0
-    return where(none, Vec3(torch.ones_like(a.x), torch.zeros_like(a.x), torch.zeros_like(a.x)), normalize(a))
+def direction(a: Vec3, none: Tensor) -> Vec3:
+    """The unit vector along `a`; zero, without derivative, where there is none."""
+    return where(none, a.map(torch.zeros_like), normalize(scaled(a)))
+
+
+def unit(a: Vec3, least: float = 0.0) -> Vec3:
+    """The unit vector along `a`; (1, 0, 0), without derivative, if no component is larger than `least`."""
+    none = max_component(Vec3(*magnitudes(list(a)))) <= least
+    found = direction(a, none)
+    return found._replace(x=torch.where(none, 1.0, found.x))

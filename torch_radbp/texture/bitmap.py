@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.domain import Domain
-from torch_radbp.plugin import Filename, Matrix4, Texture, finite, nearest, register
+from torch_radbp.plugin import Filename, Matrix4, Plugin, Texture, finite, nearest, register
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
 from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
 from torch_radbp.texture.reader import Edges, Reader, TableReader, TexturePoint
@@ -22,17 +22,18 @@ WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest", "trilinear")
 FORMATS = ("auto", "variant", "float16", "fp16", "uint8")
 LUMINANCE = (0.212671, 0.715160, 0.072169)  # weights of linear RGB, ITU-R BT.709 with Mitsuba's digits
-IMAGE = Domain(shapes=(("H", "W", 3),))
+IMAGES = {channels: Domain(shapes=(("H", "W", channels),)) for channels in (1, 3)}
 TO_UV = Domain(shapes=((4, 4),))
 
 
 def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | None], raw: bool = False) -> Tensor:
-    """(H, W, 3) linear RGB, from a file or from an array.
+    """(H, W, 3) linear RGB or (H, W, 1) linear grey, from a file or from an array.
 
     Args:
         kind: "a bitmap", for messages.
         filename: of a kind that `read_image` reads, or None.
-        arrays: by the names of attributes that mean the same; (H, W), (H, W, 1) or (H, W, 3), at most one not None.
+        arrays: by the names of attributes that mean the same; (H, W), (H, W, 1) or (H, W, 3), at most one not None. Of bytes
+            they are coded as the pixels of an 8-bit file.
         raw: see `Bitmap`.
 
     Raises:
@@ -47,11 +48,19 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
 
         given = {"filename": read_image(filename, raw=raw)}
     (name, data), = given.items()
-    data = finite(name, data).to(torch.get_default_dtype())
+    data = decoded(data, raw) if data.dtype == torch.uint8 else finite(name, data).to(torch.get_default_dtype())
     data = data[..., None] if data.ndim == 2 else data
     if data.ndim != 3 or data.shape[2] not in (1, 3) or data.numel() == 0:
         raise ValueError(f"{name} must have shape (H, W), (H, W, 1) or (H, W, 3), got {tuple(data.shape)}")
-    return data if data.shape[2] == 3 else data.expand(-1, -1, 3).contiguous()
+    return data
+
+
+def decoded(data: Tensor, raw: bool) -> Tensor:
+    """Linear values of bytes, which are fractions of 255, coded as sRGB unless they are `raw`: as Mitsuba reads them."""
+    from torch_radbp.io.image import srgb_to_linear
+
+    fractions = data.to(torch.get_default_dtype()) / 255.0
+    return fractions if raw else srgb_to_linear(fractions)
 
 
 @dataclass(frozen=True)
@@ -138,18 +147,19 @@ def reader_of(texture: Texture) -> Reader:
 class Bitmap(Texture):
     """An image; row 0 lies at v = 0, as in Mitsuba.
 
-    Parameters: `data`, (H, W, 3) linear RGB; `to_uv`, (4, 4), unless the filter is nearest. Derivatives: with respect to
-    both.
+    Parameters: `data`, (H, W, 3) linear RGB or (H, W, 1) grey, as the file or the array has channels; `to_uv`, (4, 4),
+    unless the filter is nearest. Derivatives: with respect to both.
 
     Args:
         filename: EXR, HDR, PFM, PNG, JPEG, BMP or TGA. Either this or `data`.
-        data, bitmap: (H, W), (H, W, 1) or (H, W, 3) linear values; both names mean the same.
+        data, bitmap: (H, W), (H, W, 1) or (H, W, 3) linear values, or bytes (uint8) as in an 8-bit file; both names mean the
+            same.
         filter_type: bilinear; nearest, where `to_uv` moves nothing but edges of texels and is no parameter; or trilinear,
             which Mitsuba does not have: of materials, means over about what a pixel sees of the surface are read from a
             pyramid of coarser images (`torch_radbp.texture.pyramid`, `torch_radbp.scene.cone`), which is quiet and, where a
             texture is smaller than pixels, blurred. Emitters are read bilinear. Derivatives include that of the level.
         wrap_mode: repeat, mirror or clamp.
-        raw: do not decode sRGB when reading an 8- or 16-bit file.
+        raw: do not decode sRGB when reading an 8- or 16-bit file, or bytes.
         to_uv: transform of the surface coordinates before the lookup (its 2D affine part).
         format: auto, variant, float16 (also fp16) or uint8: how Mitsuba stores the image. Here it has the scene's dtype.
         accel: whether Mitsuba reads it by the texture units of a GPU. Of no effect here.
@@ -170,7 +180,9 @@ class Bitmap(Texture):
                 raise ValueError(f"{name} {value!r} is not known; {nearest(value, known)}")
         self.filename, self.filter_type, self.wrap_mode, self.raw = filename, filter_type, wrap_mode, raw
         self.format, self.accel = format, accel
-        self.freeze("data", linear_image("a bitmap", filename, {"data": data, "bitmap": bitmap}, raw))
+        image = linear_image("a bitmap", filename, {"data": data, "bitmap": bitmap}, raw)
+        self.channels = image.shape[2]
+        self.freeze("data", image)
         if filter_type == "nearest":
             self.register_buffer("to_uv", uv_matrix(to_uv))
         else:
@@ -179,16 +191,21 @@ class Bitmap(Texture):
     bitmap = None  # resolved into `data`
 
     def domains(self) -> dict[str, Domain]:
-        return {"data": IMAGE, "to_uv": TO_UV}
+        return {"data": IMAGES[self.channels], "to_uv": TO_UV}
 
     def reader(self) -> BitmapReader:
         """How lanes read it."""
         return PyramidReader() if self.filter_type == "trilinear" else BitmapReader()
 
+    def for_mitsuba(self) -> Plugin:
+        if self.filter_type == "trilinear":
+            raise ValueError("its bitmaps have no filter_type 'trilinear'")
+        return self
+
     def texels(self) -> Tensor:
         """(H, W, 3) linear RGB, attached."""
-        return self.data
+        return self.data.expand(-1, -1, 3)
 
     def scalars(self) -> Tensor:
         """The values as numbers, (H, W): the luminance, as in Mitsuba; attached."""
-        return (self.data * self.data.new_tensor(LUMINANCE)).sum(2)
+        return self.data[..., 0] if self.channels == 1 else (self.data * self.data.new_tensor(LUMINANCE)).sum(2)

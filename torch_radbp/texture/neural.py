@@ -17,6 +17,7 @@ from torch_radbp.texture.reader import OutsideReader
 from torch_radbp.vec import Vec2, Vec3
 
 PLACES = {"uv": 2, "position": 3}  # with the number of coordinates
+SMOOTH = "keep square roots, norms, logarithms and quotients in the module away from 0"
 OUTSIDE = "; let it end with a function onto that range, such as nn.Sigmoid()"
 
 
@@ -50,22 +51,50 @@ class ModuleFunction:
         return self.slopes(parameters, place) if self.as_slope else self.values(parameters, place)
 
     def slopes(self, parameters: Sequence[Tensor], place: Tensor) -> Tensor:
-        """(N, 3) derivatives of the first channel by the place. Args as for a call."""
+        """(N, 3) derivatives of the first channel by the place. Args as for a call.
+
+        Raises:
+            ValueError: if one is not finite, or the values do not depend on the place.
+        """
         recorded = torch.is_grad_enabled()
         with torch.enable_grad():
             step = torch.zeros_like(place).requires_grad_()  # not the place itself, which may be a dual tensor
             height = self.values(parameters, place + step)[:, 0]
-            found = torch.autograd.grad(height.sum(), step, create_graph=recorded)[0]
+            found = torch.autograd.grad(height.sum(), step, create_graph=recorded, allow_unused=True)[0] if (
+                height.requires_grad) else None
+        if found is None:
+            raise ValueError(f"the heights that the module of the texture {self.use.name!r} returns do not depend on what "
+                             f"it gets, as far as autograd can tell, so that they have no slope: compute them from the "
+                             f"place, without .detach() and torch.no_grad(), or leave the bumpmap out")
+        if not bool(torch.isfinite(found).all()):
+            bad = int((~torch.isfinite(found)).sum())
+            raise ValueError(f"the slopes of the texture {self.use.name!r}, derivatives of its module by the place, have "
+                             f"{bad} of {found.numel()} values that are NaN or infinite; {SMOOTH}")
         return torch.cat([found, found.new_zeros(len(found), 3 - found.shape[1])], 1)
 
     def values(self, parameters: Sequence[Tensor], place: Tensor) -> Tensor:
         """(N, 3) values of the module. Args as for a call."""
-        standing_in = dict(zip(map(id, self.module.parameters()), parameters))
-        values = with_parameters(self.module, standing_in, {})(place)
+        values = self.run(parameters, place)
         self.check(values, place)
         if self.as_number and values.shape[1] == 3:
             values = (values * values.new_tensor(LUMINANCE)).sum(1, keepdim=True)
         return values.expand(-1, 3)
+
+    def run(self, parameters: Sequence[Tensor], place: Tensor):
+        """What the module returns. Args as for a call.
+
+        Raises:
+            RuntimeError: naming the texture, if the module raises anything but lack of memory.
+        """
+        standing_in = dict(zip(map(id, self.module.parameters()), parameters))
+        try:
+            return with_parameters(self.module, standing_in, {})(place)
+        except torch.OutOfMemoryError:
+            raise
+        except Exception as error:
+            raise RuntimeError(f"the module of the texture {self.use.name!r} has failed on places of shape "
+                               f"{tuple(place.shape)} in {place.dtype}, which are (N, 2) with of=\"uv\" and (N, 3) with "
+                               f"of=\"position\": {type(error).__name__}: {error}") from error
 
     def check(self, values: Tensor, place: Tensor) -> None:
         """Raises as a call does."""
@@ -80,7 +109,8 @@ class ModuleFunction:
                             f"{values.dtype} on {values.device}")
         least, greatest = torch.stack(values.detach().aminmax()).tolist()
         for domain in self.use.domains:
-            domain.check_range(name, values, least, greatest, LEEWAY, OUTSIDE if abs(greatest - least) < torch.inf else "")
+            finite = abs(greatest - least) < torch.inf
+            domain.check_range(name, values, least, greatest, LEEWAY, OUTSIDE if finite else f"; {SMOOTH}")
             domain.warn(name, greatest)
 
 
@@ -139,8 +169,9 @@ class NeuralTexture(Texture):
     The module is called on the lanes that meet the material or the light, or have picked a point on the light, bounce by
     bounce, and again in the backward pass, so that its memory is bounded by the chunk. A row of what it returns must depend
     on the same row of what it gets and on nothing else: no batch statistics, and no chance, such as dropout in training
-    mode. Its buffers are not copied: leave them alone between a rendering and its backward pass. Values outside of the
-    attribute's range are an error.
+    mode. All that is to be trained must be among its parameters, and be read as such. A rendering checks both on 64 random
+    places, once for each renderer and whenever attributes of the module are replaced. Its buffers are not copied: leave them
+    alone between a rendering and its backward pass. Values outside of the attribute's range are an error.
 
     Args:
         module: from (N, 2) or (N, 3) to (N, 1) or (N, 3), of the scene's dtype; the scene's `.to()` converts it, too.
@@ -177,6 +208,9 @@ class NeuralTexture(Texture):
     def function(self) -> ModuleFunction:
         """The values as a function of the place."""
         return ModuleFunction(self.module, self.use)
+
+
+Texture.of_module = NeuralTexture
 
 
 def with_parameters(module: nn.Module, parameters: dict[int, Tensor], known: dict[int, nn.Module]) -> nn.Module:

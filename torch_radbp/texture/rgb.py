@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.domain import Domain
-from torch_radbp.plugin import Plugin, Texture, finite, register
+from torch_radbp.plugin import Plugin, Texture, finite, no_module, register
 from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.neural import NeuralTexture
 from torch_radbp.texture.spectrum import Samples, Spectrum, role_of
@@ -62,6 +62,5 @@ def as_texture(owner: Plugin, name: str, value: Texture | nn.Module | Samples | 
         filename = getattr(texture, "filename", None)
         texture.check(name if filename is None else f"{name}, read from {filename},", domain)
     elif not owner.takes_modules:
-        raise TypeError(f"{name} of {type(owner).__name__} must be a colour or a bitmap, got a {type(texture).__name__}: "
-                        f"a module can stand in the place of every texture of a material, and of a light on a surface, only")
+        raise no_module(owner, name, texture)
     return texture

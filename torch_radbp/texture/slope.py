@@ -58,6 +58,10 @@ class ModuleSlopeReader(OutsideReader):
     needs_edges: ClassVar[bool] = True
 
     @property
+    def of(self) -> str:
+        return self.reader.of
+
+    @property
     def needs_uv(self) -> bool:
         return self.reader.needs_uv
 

@@ -15,6 +15,11 @@ def bundled_recipes() -> dict[str, Path]:
     return {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
 
 
+def is_bundled(path: Path) -> bool:
+    """Returns whether a recipe comes with the package; such name files of the package's assets."""
+    return path.resolve().parent == FOLDER.resolve()
+
+
 def recipe_path(given: Path) -> Path:
     """Returns the file that an argument of the command line means: a path, or the name of a bundled recipe.
 

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from torch_radbp.training.commands.clear_errors import Debug, clear_errors
 from torch_radbp.training.commands.device import Device
+from torch_radbp.training.commands.outside import AllowOutside
 from torch_radbp.training.commands.render import chosen_sensors
 from torch_radbp.training.commands.scene_variables import Define, parse_variables
 from torch_radbp.training.progress import TimedProgress
@@ -56,6 +57,7 @@ def check(
     sensor: Annotated[list[str] | None, typer.Option(help=r"Name of a sensor; may be repeated.  \[default: all]")] = None,
     device: Device = None,
     define: Define = None,
+    allow_outside: AllowOutside = False,
     debug: Debug = False,
 ) -> None:
     """Compare a derivative with finite differences of independent samples."""
@@ -65,7 +67,7 @@ def check(
         from torch_radbp.training.device import usable_device
         from torch_radbp.training.recovery.targets import sensor_films
 
-        loaded = rb.load(scene, **parse_variables(define)).to(usable_device(device))
+        loaded = rb.load(scene, allow_outside=allow_outside, **parse_variables(define)).to(usable_device(device))
         indices = chosen_sensors(sensor, list(sensor_films(loaded)))
         moves = parse_direction(direction, tuple(loaded.get_parameter(param).shape))
         folder = Path("checks") / param if out is None else out
@@ -116,10 +118,11 @@ def parse_direction(text: str | None, shape: tuple[int, ...]):
 def write_outcome(folder: Path, result, sensors: list[str]) -> list[Path]:
     """Writes one picture per sensor and check.json into `folder`; returns the paths of the pictures."""
     from torch_radbp.io.atomic import replacing
+    from torch_radbp.io.file_names import file_name
     from torch_radbp.training.signed_picture import write_panels
 
     folder.mkdir(parents=True, exist_ok=True)
-    names = ["check.png"] if len(sensors) == 1 else [f"check_{name}.png" for name in sensors]
+    names = ["check.png"] if len(sensors) == 1 else [f"check_{file_name(name)}.png" for name in sensors]
     for number, name in enumerate(names):
         write_panels(folder / name, panels(result, number))
     figures = result.figures() | {"sensors": sensors, "direction": result.direction.tolist()}

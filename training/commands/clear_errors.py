@@ -1,6 +1,7 @@
 """Errors and warnings of a command line: one clear message each; of an error an exit code, no traceback unless asked for."""
 
 import contextlib
+import errno
 import sys
 import warnings
 from collections.abc import Iterator
@@ -58,4 +59,6 @@ def message_of(error: BaseException) -> str:
     """Returns the text of an error; that of an OSError without its number."""
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC and error.args == (errno.ENOSPC, error.strerror):
+        return f"standard output cannot be written: {error.strerror}"  # files that cannot be are named
     return str(error) or type(error).__name__

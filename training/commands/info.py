@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from torch_radbp.training.commands.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.outside import AllowOutside
 from torch_radbp.training.commands.scene_variables import Define, parse_variables
 
 EPILOG = (
@@ -22,13 +23,14 @@ EPILOG = (
 def info(
     scene: Annotated[Path, typer.Argument(help="Scene: Mitsuba 3 .xml, or glTF .glb or .gltf")],
     define: Define = None,
+    allow_outside: AllowOutside = False,
     debug: Debug = False,
 ) -> None:
     """Show shapes, emitters, sensors and parameters of a scene, and what is not supported."""
     with clear_errors(debug):
         import torch_radbp as rb
 
-        loaded = rb.load(scene, **parse_variables(define))
+        loaded = rb.load(scene, allow_outside=allow_outside, **parse_variables(define))
         console = Console()
         console.print(f"[bold]{scene}[/]", soft_wrap=True)
         for table in (_shapes(loaded), _emitters(loaded), _sensors(loaded), _integrator(loaded), _parameters(loaded)):

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from torch_radbp.training.commands.bundled import bundled_recipes, listing, recipe_path
 from torch_radbp.training.commands.clear_errors import Debug, clear_errors
+from torch_radbp.training.commands.outside import AllowOutside
 
 EPILOG = (
     "Examples:\n\n"
@@ -58,6 +59,7 @@ def optimize(
         list[str] | None,
         typer.Option("-D", "--define", metavar="KEY=VALUE", help="Set a key of the recipe, dotted: render.spp=32"),
     ] = None,
+    allow_outside: AllowOutside = False,
     show_list: Annotated[
         bool, typer.Option("--list", callback=_show_list, is_eager=True, help="List the recipes that come with the package.")
     ] = False,
@@ -79,7 +81,7 @@ def optimize(
                 f"[yellow]warning:[/] {escape(str(message))}", soft_wrap=True, highlight=False
             )
             folder_path = ranks.from_first(lambda: choose_folder(recipe, out, resume))
-            summary, report = run(recipe, overrides, folder_path, resume, console, interrupts, ranks)
+            summary, report = run(recipe, overrides, folder_path, resume, console, interrupts, ranks, allow_outside)
     if summary is None:
         return
     console.print(recovered_table(summary))

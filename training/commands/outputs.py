@@ -1,12 +1,13 @@
 """What `radbp render` writes beside an image: alpha, and quantities as channels of an EXR or as pictures."""
 
-import re
+from collections import Counter
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from torch_radbp.aov.quantity import channel_names, checked_names, plain
+from torch_radbp.io.file_names import file_name
 from torch_radbp.io.image import save_image, srgb_to_linear
 from torch_radbp.render import Renderer
 from torch_radbp.scene import Scene
@@ -18,6 +19,28 @@ COLOURS = ("albedo", "xyz")
 def outputs_of(scene: Scene, wanted: list[str] | None) -> dict[str, str]:
     """Returns the quantities to write, by the names of their outputs: those named, or else those of the scene."""
     return {name: name for name in checked_names(wanted)} if wanted else scene.integrator.outputs()
+
+
+def path_of(path: Path, name: str) -> Path:
+    """Returns where the picture of an output, or of a sensor, is written: beside `path`, with the name in it."""
+    return path.with_name(f"{path.stem}_{file_name(name)}{path.suffix}")
+
+
+def image_paths(path: Path, sensors: list[str], outputs: dict[str, str]) -> dict[str, Path]:
+    """Returns where the image of each sensor is written: at `path`, or beside it if there are several.
+
+    Raises:
+        ValueError: if the picture of an output would have the name of another picture.
+    """
+    images = {name: path if len(sensors) == 1 else path_of(path, name) for name in sensors}
+    files = list(images.values())
+    if path.suffix.lower() != ".exr":
+        files += [path_of(image, name) for image in images.values() for name in outputs]
+    file, count = Counter(files).most_common(1)[0]
+    if count > 1:
+        raise ValueError(f"{file}: {count} pictures would have this name; write an .exr, which holds all outputs of a "
+                         "sensor, or choose sensors with --sensor")
+    return images
 
 
 def save_with_outputs(path: Path, image: Tensor, renderer: Renderer, outputs: dict[str, str], seed: int, sensor: int,
@@ -43,8 +66,7 @@ def save_with_outputs(path: Path, image: Tensor, renderer: Renderer, outputs: di
     if path.suffix.lower() != ".exr":
         save_image(path, image)
         for name, quantity in outputs.items():
-            place = re.sub(r"[^A-Za-z0-9_.-]", "_", name)
-            save_image(path.with_name(f"{path.stem}_{place}{path.suffix}"), picture(quantity, found[quantity][0]))
+            save_image(path_of(path, name), picture(quantity, found[quantity][0]))
         return
     channels = {channel: values for name, quantity in outputs.items()
                 for channel, values in zip(channel_names(name, quantity), found[quantity][0])}

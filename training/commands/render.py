@@ -9,6 +9,7 @@ from rich.console import Console
 
 from torch_radbp.training.commands.clear_errors import Debug, clear_errors
 from torch_radbp.training.commands.device import Device
+from torch_radbp.training.commands.outside import AllowOutside
 from torch_radbp.training.commands.scene_variables import Define, parse_variables
 from torch_radbp.training.progress import TimedProgress
 
@@ -47,6 +48,7 @@ def render(
     ] = True,
     device: Device = None,
     define: Define = None,
+    allow_outside: AllowOutside = False,
     debug: Debug = False,
 ) -> None:
     """Render a scene to an EXR (linear) or PNG (sRGB) image."""
@@ -54,7 +56,7 @@ def render(
         import torch_radbp as rb
         from torch_radbp.io.image import WRITABLE
         from torch_radbp.settings import samples_per_pixel
-        from torch_radbp.training.commands.outputs import outputs_of, save_with_outputs
+        from torch_radbp.training.commands.outputs import image_paths, outputs_of, save_with_outputs
         from torch_radbp.training.device import usable_device
         from torch_radbp.training.recovery.passes import render_in_passes
         from torch_radbp.training.recovery.targets import sensor_films
@@ -63,16 +65,13 @@ def render(
             raise ValueError(f"{output}: the image must end in {' or '.join(WRITABLE)}, got {output.suffix!r}")
         if not output.parent.is_dir():
             raise ValueError(f"{output}: no such folder: {output.parent}")
-        loaded = rb.load(scene, **parse_variables(define)).to(usable_device(device))
+        loaded = rb.load(scene, allow_outside=allow_outside, **parse_variables(define)).to(usable_device(device))
         indices = chosen_sensors(sensor, list(sensor_films(loaded)))
         renderer = rb.Renderer(
             loaded, spp=spp, max_depth=max_depth, rr_depth=rr_depth, chunk=chunk, compile=compile
         )
         outputs = outputs_of(loaded, aov)
-        paths = {
-            name: output if len(indices) == 1 else output.with_name(f"{output.stem}_{name}{output.suffix}")
-            for name in indices
-        }
+        paths = image_paths(output, list(indices), outputs)
         samples = {name: samples_per_pixel(spp, [loaded.sensors[index]]) for name, index in indices.items()}
         console = Console(stderr=True)
         started, done = time.perf_counter(), 0

@@ -21,5 +21,7 @@ def parse_variables(definitions: list[str] | None) -> dict[str, str]:
         name, equals, value = definition.partition("=")
         if not equals or not name:
             raise ValueError(f"-D {definition!r}: expected NAME=VALUE, for instance -D resolution=64")
+        if name == "allow_outside":
+            raise ValueError(f"-D {definition!r}: pass --allow-outside instead")
         variables[name] = value
     return variables

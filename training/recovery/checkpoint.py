@@ -1,113 +1,95 @@
-"""checkpoint.pt: the state that `--resume` continues from, read without running code and checked before it is used."""
+"""checkpoint.safetensors: the state that `--resume` continues from. It holds numbers and text, and no code.
 
-import io
-import math
-import warnings
-import zipfile
+Tensors lie in the file as they are, uncompressed, so that none takes more memory than the file. What is no tensor is JSON,
+in the file's header. `continuation` checks whether a state is one of a run.
+"""
+
+import json
 from pathlib import Path
 from typing import Any
 
-import torch
+import safetensors
+import safetensors.torch
 from torch import Tensor
 
 from torch_radbp.io.atomic import replacing
 
+FILE_NAME = "checkpoint.safetensors"
+HEADER, VALUES, MOMENTS = "state", "parameters/", "moments/"
+# Beyond the tensors: names, shapes, the recipe, digests of files.
+MOST_HEADER_BYTES = 16 * 2**20
 START_ANEW = "start the run anew with another --out"
+
+State = dict[str, Any]
 
 
 class CheckpointError(ValueError):
     """A checkpoint that cannot be continued from; the message names the file."""
 
 
-def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Writes a state of tensors, numbers, strings, lists and dicts, completely or not at all."""
-    data = io.BytesIO()
-    torch.save(state, data)
-    with replacing(path) as partial:
-        partial.write_bytes(data.getbuffer())
-
-
-def load_checkpoint(path: Path) -> dict[str, Any]:
-    """Reads what `save_checkpoint` wrote; objects of any other kind are refused, never constructed.
-
-    Raises:
-        CheckpointError: empty, cut short, or something else than a checkpoint.
-    """
-    if path.stat().st_size == 0:
-        raise CheckpointError(f"{path}: the checkpoint is empty; {START_ANEW}")
-    if not zipfile.is_zipfile(path):
-        raise CheckpointError(f"{path}: the checkpoint is cut short, or is no checkpoint; {START_ANEW}")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about file formats that are refused here anyway
-            return torch.load(path, map_location="cpu", weights_only=True)
-    # Whatever it is that a damaged or hostile file provokes; torch's own advice is to load it without this protection.
-    except Exception:
-        raise CheckpointError(f"{path}: the checkpoint is damaged, or holds more than tensors and numbers; "
-                              f"it was not loaded; {START_ANEW}") from None
-
-
-def check_state(path: Path, state: Any, fresh: dict[str, Any], steps: int) -> None:
-    """Checks that a loaded state is one of this run.
+def save_checkpoint(path: Path, state: State) -> None:
+    """Writes a state, completely or not at all.
 
     Args:
-        path: where it was read, for messages.
-        state: what was read.
-        fresh: the state of the same run before its first step.
-        steps: of the recipe.
+        path: of the file.
+        state: "parameters", tensors by name; "moments", tensors by parameter and name; the rest can be said in JSON.
+    """
+    tensors = {VALUES + name: value for name, value in state["parameters"].items()}
+    for name, moments in state["moments"].items():
+        tensors |= {f"{MOMENTS}{name}/{moment}": value for moment, value in moments.items()}
+    rest = {key: value for key, value in state.items() if key not in ("parameters", "moments")}
+    # As bytes, because safetensors' own writer makes a file that only its owner may read.
+    data = safetensors.torch.save({name: value.cpu().contiguous() for name, value in tensors.items()},
+                                  {HEADER: json.dumps(rest, allow_nan=False)})
+    with replacing(path) as partial:
+        partial.write_bytes(data)
+
+
+def load_checkpoint(path: Path, tensor_bytes: int) -> State:
+    """Reads what `save_checkpoint` wrote.
+
+    Args:
+        path: of the file.
+        tensor_bytes: what the tensors of a state take at most; a larger file is not read.
 
     Raises:
-        CheckpointError: another structure, other names or shapes, or numbers that make no sense; the message names the
-            first of them.
+        CheckpointError: empty, too large, cut short, or something else than a checkpoint.
     """
-    def refuse(problem: str):
-        raise CheckpointError(f"{path}: {problem}; the checkpoint is not one of this recipe; {START_ANEW}")
-
-    problem = _difference(_without_moments(state), _without_moments(fresh), "")
-    if problem is not None:
-        refuse(problem)
-    for name in ("step", "skipped", "seconds"):
-        if state[name] < 0:
-            refuse(f"{name} is {state[name]}")
-    if state["step"] > steps:
-        raise CheckpointError(f"{path}: the run is at step {state['step']} already, beyond steps = {steps}")
-    shapes = [value.shape for value in state["parameters"].values()]
-    for index, moments in state["optimizer"]["state"].items():
-        if index not in range(len(shapes)) or not isinstance(moments, dict):
-            refuse(f"optimizer.state.{index} belongs to no parameter")
-        for name, value in moments.items():
-            if isinstance(value, Tensor) and (value.dim() and value.shape != shapes[index] or not value.isfinite().all()):
-                refuse(f"optimizer.state.{index}.{name} is not finite or not of shape {tuple(shapes[index])}")
+    size = path.stat().st_size
+    if size == 0:
+        raise CheckpointError(f"{path}: the checkpoint is empty; {START_ANEW}")
+    if size > tensor_bytes + MOST_HEADER_BYTES:
+        raise CheckpointError(f"{path}: the checkpoint has {size} bytes, and one of this recipe at most "
+                              f"{tensor_bytes + MOST_HEADER_BYTES}; it was not read; {START_ANEW}")
+    try:
+        with safetensors.safe_open(path, "pt") as file:
+            header = (file.metadata() or {}).get(HEADER)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}
+    except (safetensors.SafetensorError, OSError, ValueError, TypeError, RuntimeError):
+        raise CheckpointError(f"{path}: the checkpoint is cut short or damaged, or is no checkpoint; {START_ANEW}") from None
+    return _numbers(path, header) | _by_name(path, tensors)
 
 
-def _without_moments(state: Any) -> Any:
-    """The state without what the optimiser has gathered for each parameter, which is empty before the first step."""
-    if not isinstance(state, dict) or not isinstance(state.get("optimizer"), dict):
-        return state
-    return state | {"optimizer": {key: {} if key == "state" else value for key, value in state["optimizer"].items()}}
+def _numbers(path: Path, header: str | None) -> State:
+    """What is no tensor."""
+    try:
+        rest = json.loads(header)
+    except (TypeError, ValueError, RecursionError):
+        rest = None
+    if not isinstance(rest, dict):
+        raise CheckpointError(f"{path}: the checkpoint holds tensors, but no state of a run; {START_ANEW}")
+    return rest
 
 
-def _difference(found: Any, expected: Any, place: str) -> str | None:
-    """Says where a value differs in structure from the one expected, or is not finite; None if nowhere."""
-    where = place.removeprefix(".") or "the top level"
-    if isinstance(expected, dict):
-        if not isinstance(found, dict) or found.keys() != expected.keys():
-            names = ", ".join(map(str, found)) if isinstance(found, dict) else type(found).__name__
-            return f"{where} holds {names or 'nothing'} instead of {', '.join(map(str, expected)) or 'nothing'}"
-        pairs = [(found[key], expected[key], f"{place}.{key}") for key in expected]
-    elif isinstance(expected, (list, tuple)):
-        if not isinstance(found, (list, tuple)) or len(found) != len(expected):
-            return f"{where} is not a list of {len(expected)}"
-        pairs = [(one, other, f"{place}.{index}") for index, (one, other) in enumerate(zip(found, expected))]
-    elif isinstance(expected, Tensor):
-        if not isinstance(found, Tensor) or (found.shape, found.dtype) != (expected.shape, expected.dtype):
-            kind = f"{tuple(found.shape)} {found.dtype}" if isinstance(found, Tensor) else type(found).__name__
-            return f"{where} is {kind} instead of {tuple(expected.shape)} {expected.dtype}"
-        return None if found.isfinite().all() else f"{where} is not finite"
-    elif isinstance(expected, int) and not isinstance(expected, bool):
-        return None if type(found) is int else f"{where} is no integer"
-    elif isinstance(expected, float):
-        return None if isinstance(found, (int, float)) and math.isfinite(found) else f"{where} is no finite number"
-    else:
-        return None if isinstance(found, type(expected)) else f"{where} is a {type(found).__name__}"
-    return next((problem for pair in pairs if (problem := _difference(*pair)) is not None), None)
+def _by_name(path: Path, tensors: dict[str, Tensor]) -> State:
+    values: dict[str, Tensor] = {}
+    moments: dict[str, dict[str, Tensor]] = {}
+    for key, tensor in tensors.items():
+        if key.startswith(VALUES):
+            values[key.removeprefix(VALUES)] = tensor
+        elif key.startswith(MOMENTS) and "/" in key.removeprefix(MOMENTS):
+            name, _, moment = key.removeprefix(MOMENTS).rpartition("/")
+            moments.setdefault(name, {})[moment] = tensor
+        else:
+            raise CheckpointError(f"{path}: the tensor {key[:80]!r} belongs to no checkpoint; {START_ANEW}")
+    return {"parameters": values, "moments": moments}

@@ -1,6 +1,7 @@
 """The weighted sum of image losses that a recipe asks for.
 
-`two_buffer_l2`, which has no bias at any number of samples, is the one to start with; `torch_radbp.losses` says why.
+Every step renders two independent buffers. `two_buffer_l2`, which has no bias at any number of samples, takes them as they
+are and is the one to start with; the other losses see each with the derivative of the other. `torch_radbp.losses` says why.
 """
 
 from collections.abc import Callable
@@ -10,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.io.image import linear_to_srgb
-from torch_radbp.losses import two_buffer_l2
+from torch_radbp.losses import exchange_derivatives, two_buffer_l2
 from torch_radbp.training import recipe
 
 TONE_MAPPINGS: dict[str, Callable[[Tensor], Tensor]] = {
@@ -45,26 +46,25 @@ class Objective(nn.Module):
         self.specs = list(losses)
         self.image_losses = [None if spec.name == "two_buffer_l2" else _image_loss(spec) for spec in losses]
 
-    @property
-    def buffers_needed(self) -> int:
-        """Independent renderings wanted per step: 2 with `two_buffer_l2`, else 1."""
-        return 2 if None in self.image_losses else 1
+    def spp_of_buffer(self, spp: int) -> int:
+        """Samples per pixel of each buffer: all of an image with `two_buffer_l2`, else half of them, rounded up."""
+        return spp if None in self.image_losses else -(-spp // 2)
 
-    def forward(self, buffers: list[Tensor], target: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+    def forward(self, buffers: tuple[Tensor, Tensor], target: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Computes the weighted sum, and each unweighted term by name.
 
         Args:
-            buffers: `buffers_needed` independent renderings, each (B, 3, H, W) linear; one-image losses see their mean.
+            buffers: independent renderings, each (B, 3, H, W) linear.
             target: (B, 3, H, W) linear.
         """
-        mean = torch.stack(buffers).mean(0) if len(buffers) > 1 else buffers[0]
+        images = exchange_derivatives(*buffers)
         total, terms = 0.0, {}
         for spec, image_loss in zip(self.specs, self.image_losses):
             if image_loss is None:
                 term = two_buffer_l2(*buffers, target)
             else:
                 tone = TONE_MAPPINGS[spec.tone_mapping]
-                term = image_loss(tone(mean), tone(target))
+                term = sum(image_loss(tone(image), tone(target)) for image in images) / 2
             total = total + spec.weight * term
             terms[spec.name] = terms.get(spec.name, 0.0) + term.detach()
         return total, terms

@@ -48,17 +48,23 @@ class MetricsFile:
         with naming(self.path), self.path.open("a", encoding="utf-8", newline="") as file:
             _write(file, [row], header=is_new)
 
-    def truncate(self, step: int) -> int:
-        """Forgets the rows from `step` on; returns how many rows are left."""
+    def truncate(self, step: int) -> tuple[int, int]:
+        """Forgets the rows from `step` on, and all but the last of each step.
+
+        Returns:
+            how many rows are left, and how many were rows of a step that has a later one.
+        """
         if not self.path.exists():
-            return 0
-        rows = [row for row in self.rows() if row["step"] < step]
+            return 0, 0
+        before = [row for row in self.rows() if 0 <= row["step"] < step]
+        last = {row["step"]: row for row in before}
+        rows = [last[each] for each in sorted(last)]
         with replacing(self.path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             if rows:
                 _write(file, rows, header=True)
         if not rows:
             self.path.unlink()
-        return len(rows)
+        return len(rows), len(before) - len(rows)
 
 
 def _write(file, rows: list[dict[str, float]], header: bool) -> None:

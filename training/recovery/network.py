@@ -13,23 +13,22 @@ from torch import Tensor, nn
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.training.recipe import Network
 
-CHANNELS = 3
-
 
 class WaveNetwork(nn.Module):
-    """Linear RGB at (N, 2) places: waves of random directions and lengths, then layers with ReLU, then a sigmoid.
+    """Linear RGB or grey at (N, 2) places: waves of random directions and lengths, then layers with ReLU, then a sigmoid.
 
     Reference: Tancik et al. 2020, "Fourier Features Let Networks Learn High Frequency Functions in Low Dimensional Domains".
 
     Args:
         spec: its size and seed.
         bounds: of its values.
+        channels: 3 of colours, 1 of grey.
     """
 
-    def __init__(self, spec: Network, bounds: tuple[float, float]):
+    def __init__(self, spec: Network, bounds: tuple[float, float], channels: int = 3):
         super().__init__()
         self.bounds = bounds
-        self.sizes = [2 * spec.waves, *[spec.width] * spec.layers, CHANNELS]
+        self.sizes = [2 * spec.waves, *[spec.width] * spec.layers, channels]
         generator = torch.Generator().manual_seed(spec.seed)
         self.register_buffer("waves", spec.frequency * torch.randn(2, spec.waves, generator=generator))
         # Drawn as `nn.Linear` draws them.
@@ -38,7 +37,7 @@ class WaveNetwork(nn.Module):
         self.register_buffer("initial_weights", torch.cat(initial))
 
     def forward(self, weights: Tensor, place: Tensor) -> Tensor:
-        """(N, 3) values at (N, 2) places, attached to both."""
+        """(N, 3 or 1) values at (N, 2) places, attached to both."""
         phase = place @ self.waves
         values, used = torch.cat([phase.sin(), phase.cos()], 1), 0
         for number, (before, after) in enumerate(pairwise(self.sizes)):
@@ -50,7 +49,7 @@ class WaveNetwork(nn.Module):
 
 
 class Texels(nn.Module):
-    """Maps a vector of weights to the values of the network at the centres of the texels of a bitmap of shape (H, W, 3)."""
+    """Maps a vector of weights to the values of the network at the centres of texels, (H, W, 3 or 1)."""
 
     def __init__(self, network: WaveNetwork, shape: tuple[int, ...]):
         super().__init__()

@@ -15,15 +15,18 @@ from torch import Tensor
 import torch_radbp as rb
 from torch_radbp.adjoint.memory import parse_budget
 from torch_radbp.differentiated import differentiable
+from torch_radbp.io.files import opened_files
 from torch_radbp.training import recipe as schema
 from torch_radbp.training.device import usable_device
 from torch_radbp.training.interrupt import Interrupts
 from torch_radbp.training.ranks import ALONE, Ranks, on_this_machine
 from torch_radbp.training.recovery.checkpoint import save_checkpoint
+from torch_radbp.training.recovery.continuation import recipe_fields
 from torch_radbp.training.recovery.losses import Objective
 from torch_radbp.training.recovery.parameters import RecoveredParameter, choose_parameters
 from torch_radbp.training.recovery.run_folder import RunFolder
 from torch_radbp.training.recovery.schedule import make_scheduler
+from torch_radbp.training.recovery.sources import digests
 from torch_radbp.training.recovery.targets import read_targets, sensor_films
 
 # Steps in a row without a usable gradient after which a run gives up.
@@ -36,18 +39,21 @@ class Recovery:
     Args:
         recipe: a checked recipe.
         ranks: the processes that solve it together.
+        allow_outside: of a glTF scene, also read files outside of its folder.
 
     Raises:
         ValueError: the scene, the parameters or the targets do not fit the recipe, or this machine lacks its device.
     """
 
-    def __init__(self, recipe: schema.Recipe, ranks: Ranks = ALONE):
+    def __init__(self, recipe: schema.Recipe, ranks: Ranks = ALONE, allow_outside: bool = False):
         self.recipe, self.ranks = recipe, ranks
         device = usable_device(recipe.render.device)
-        self.scene = rb.load(recipe.scene, **recipe.variables).to(device)
-        self.targets = read_targets(recipe.targets, sensor_films(self.scene)).to(device)
+        with opened_files() as files:
+            self.scene = rb.load(recipe.scene, allow_outside=allow_outside, **recipe.variables).to(device)
+            self.targets = read_targets(recipe.targets, sensor_films(self.scene)).to(device)
+            self.parameters = choose_parameters(self.scene, recipe.parameters)
+        self.sources = digests(files, recipe.scene.parent)
         self.share = ranks.share(len(self.targets.images))
-        self.parameters = choose_parameters(self.scene, recipe.parameters)
         self.renderer = make_renderer(self.scene, recipe.render)
         # The renderer checks parameters and caster when it first renders: make it do so now, before files are written.
         call = self.renderer.prepare(seed=0, sensors=self.targets.sensors, spp=1, seed_grad=None)
@@ -61,15 +67,18 @@ class Recovery:
         self.seconds = 0.0
 
     def state_dict(self) -> dict:
-        """Returns all that the next step depends on."""
+        """Returns what the next step depends on beside the recipe, and what it was reached with."""
+        moments = self.optimizer.state_dict()["state"]
         return {
             "step": self.step,
             "skipped": self.skipped,
             "seconds": self.seconds,
             "processes": self.ranks.count,
+            "recipe": recipe_fields(self.recipe),
+            "sources": self.sources,
             "parameters": {each.name: each.raw.detach() for each in self.parameters},
-            "optimizer": self.optimizer.state_dict(),
-            "scheduler": self.scheduler.state_dict(),
+            "moments": {self.parameters[index].name: {key: value for key, value in held.items() if value is not None}
+                        for index, held in moments.items()},
         }
 
     def load_state_dict(self, state: dict) -> None:
@@ -81,8 +90,9 @@ class Recovery:
         with torch.no_grad():
             for each in self.parameters:
                 each.raw.copy_(state["parameters"][each.name])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.scheduler.load_state_dict(state["scheduler"])
+        moments = {index: state["moments"].get(each.name, {}) for index, each in enumerate(self.parameters)}
+        self.optimizer.load_state_dict(self.optimizer.state_dict() | {"state": moments})
+        self.scheduler = make_scheduler(self.optimizer, self.recipe.schedule, self.recipe.steps, self.step)
 
 
 def check_influence(parameters: list[RecoveredParameter], leaves: list[Tensor]) -> None:
@@ -106,7 +116,7 @@ def check_losses(objective: Objective, targets: Tensor) -> None:
     """Raises ValueError if the losses cannot be computed on images of this size, which a window may exceed."""
     try:
         with torch.no_grad():
-            objective([targets] * objective.buffers_needed, targets)
+            objective((targets, targets), targets)
     except (RuntimeError, ValueError) as error:
         names = ", ".join(spec.name for spec in objective.specs)
         raise ValueError(f"loss: {names} cannot be computed on targets of {targets.shape[3]} x {targets.shape[2]} pixels; "
@@ -126,6 +136,7 @@ def make_renderer(scene, spec: schema.Render) -> rb.Renderer:
         memory_budget=own_budget(spec.memory_budget, scene.device),
         compile=spec.compile,
         caster=spec.caster,
+        share_samples=True,  # two independent buffers take each other's part
     )
 
 
@@ -160,22 +171,18 @@ def make_optimizer(parameters: list[RecoveredParameter], spec: schema.AnyOptimiz
 
 
 def step_seed(seed: int, step: int, stream: int) -> int:
-    """Returns the render seed of one of a step's four streams (two buffers; two backward passes), in [0, 2^31)."""
-    return (seed * 0x9E3779B1 + 4 * step + stream) % 2**31
+    """Returns the render seed of one of a step's two buffers, in [0, 2^31)."""
+    return (seed * 0x9E3779B1 + 2 * step + stream) % 2**31
 
 
-def render_buffers(recovery: Recovery, step: int) -> list[Tensor]:
+def render_buffers(recovery: Recovery, step: int) -> tuple[Tensor, Tensor]:
     """Returns the independent renderings of this process's share of a step, each (B, 3, H, W)."""
     spec, share = recovery.recipe.render, recovery.share
     turn = step * share.count + share.number
-    return [
-        recovery.renderer(
-            seed=step_seed(spec.seed, turn, buffer),
-            sensors=[recovery.targets.sensors[view] for view in share.views],
-            seed_grad=step_seed(spec.seed, turn, 2 + buffer) if spec.decorrelate else None,
-        )
-        for buffer in range(recovery.objective.buffers_needed)
-    ]
+    sensors = [recovery.targets.sensors[view] for view in share.views]
+    spp = recovery.objective.spp_of_buffer(spec.spp)
+    one, other = (recovery.renderer(seed=step_seed(spec.seed, turn, buffer), sensors=sensors, spp=spp) for buffer in (0, 1))
+    return one, other
 
 
 def train(
@@ -227,7 +234,7 @@ def take_steps(
             row |= {"skipped": recovery.skipped, "forward_seconds": rendered - started}
             row |= {"backward_seconds": finished - rendered, "seconds": recovery.seconds}
             for parameter in recovery.parameters:
-                row |= parameter.metrics()
+                row |= parameter.columns(parameter.value)
             if recovery.ranks.is_first:
                 folder.log(row)
             if recovery.step % recipe.report.checkpoint_every == 0 and recovery.ranks.is_first:
@@ -269,7 +276,10 @@ def take_gradient(recovery: Recovery, step: int, targets: Tensor) -> tuple[Tenso
         loss.backward()
     except FloatingPointError as error:
         return loss, terms, rendered, str(error)
-    bad = [each.name for each in recovery.parameters if not _is_finite(each.raw.grad)]
+    for each in recovery.parameters:
+        if each.raw.grad is None:  # the optimiser would leave it out, and count its steps apart
+            each.raw.grad = torch.zeros_like(each.raw)
+    bad = [each.name for each in recovery.parameters if not each.raw.grad.isfinite().all()]
     return loss, terms, rendered, f"the gradient of {', '.join(bad)} is not finite" if bad else None
 
 
@@ -292,7 +302,7 @@ def together(recovery: Recovery, loss: Tensor, terms: dict[str, Tensor], trouble
     if ranks.count == 1:
         return loss, terms, trouble, False
     raws = [each.raw for each in recovery.parameters]
-    own = [torch.zeros_like(raw) if raw.grad is None or trouble else raw.grad for raw in raws]
+    own = [torch.zeros_like(raw) if trouble else raw.grad for raw in raws]
     flags = loss.detach().new_tensor([trouble is not None, pending])
     values = torch.stack([loss.detach(), *(term.detach() for term in terms.values())])
     gradients = [gradient.double() * weight for gradient in own]
@@ -302,7 +312,3 @@ def together(recovery: Recovery, loss: Tensor, terms: dict[str, Tensor], trouble
     if troubled[0] and trouble is None:
         trouble = f"in {int(troubled[0])} of {ranks.count} processes the gradient is not finite"
     return means[0], dict(zip(terms, means[1:])), trouble, bool(troubled[1])
-
-
-def _is_finite(gradient: Tensor | None) -> bool:
-    return gradient is None or bool(gradient.isfinite().all())

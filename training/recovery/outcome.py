@@ -2,7 +2,6 @@
 
 import math
 import platform
-import resource
 import statistics
 import sys
 from collections.abc import Callable
@@ -17,7 +16,12 @@ from torch_radbp.training.recovery.optimize import Recovery, step_seed
 from torch_radbp.training.recovery.parameters import RecoveredParameter
 from torch_radbp.training.recovery.passes import Estimate, render_in_passes
 from torch_radbp.training.recovery.run_folder import RunFolder
-from torch_radbp.training.recovery.verdict import ImageErrors, judge_losses
+from torch_radbp.training.recovery.verdict import ImageErrors, ParameterCurve, judge_run
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
 
 # Samples of a pass, and the noise below which more of them are not seen: 1.8 of the 255 levels of a screen.
 PASS_SPP, INVISIBLE = 32, 0.007
@@ -99,7 +103,18 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
 def _verdict(recovery: Recovery, folder: RunFolder, images: list[dict[str, Any]]) -> dict[str, Any]:
     unbiased = all(spec.name == "two_buffer_l2" for spec in recovery.recipe.loss)
     before, after = (math.sqrt(statistics.fmean(each[key] ** 2 for each in images)) for key in ("rmse_before", "rmse"))
-    return judge_losses([row["loss"] for row in folder.metrics.rows()], unbiased, ImageErrors(before, after))._asdict()
+    rows = folder.metrics.rows()
+    curves = [_parameter_curve(each, rows) for each in recovery.parameters]
+    return judge_run([row["loss"] for row in rows], unbiased, ImageErrors(before, after), curves)._asdict()
+
+
+def _parameter_curve(parameter: RecoveredParameter, rows: list[dict[str, float]]) -> ParameterCurve:
+    """What a parameter did, from its columns of metrics.csv."""
+    before = parameter.columns(parameter.before)
+    curves = {key: [value, *(row[key] for row in rows if key in row)] for key, value in before.items()}
+    distances = curves.pop(parameter.distance_column, None)
+    size = 0.0 if parameter.truth is None else parameter.truth.square().mean().sqrt().item()
+    return ParameterCurve(parameter.name, [*curves.values()], distances, size)
 
 
 def _save_after(recovery: Recovery, folder: RunFolder, index: int, after: Tensor) -> dict[str, Any]:
@@ -140,7 +155,7 @@ def _parameter_summary(parameter: RecoveredParameter) -> dict[str, Any]:
     return summary
 
 
-def _cost(recovery: Recovery, folder: RunFolder) -> dict[str, float]:
+def _cost(recovery: Recovery, folder: RunFolder) -> dict[str, float | None]:
     """Seconds and bytes; medians, because the first step may compile."""
     rows = folder.metrics.rows()
     cost = {"seconds": recovery.seconds, "peak_memory_bytes": peak_memory()}
@@ -150,9 +165,11 @@ def _cost(recovery: Recovery, folder: RunFolder) -> dict[str, float]:
     return cost
 
 
-def peak_memory() -> int:
-    """Returns the most bytes this process has held: resident, or on the GPU where torch has used one."""
+def peak_memory() -> int | None:
+    """Returns the most bytes this process has held: resident, or on the GPU where torch has used one; None: not known."""
     if torch.cuda.is_available() and torch.cuda.max_memory_allocated() > 0:
         return torch.cuda.max_memory_allocated()
+    if resource is None:
+        return None
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

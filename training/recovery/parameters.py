@@ -102,12 +102,16 @@ class RecoveredParameter:
         """Angle and distance between a pose and the true one."""
         return PoseError.between(pose, self.truth)
 
-    def metrics(self) -> dict[str, float]:
-        """Returns columns of metrics.csv: every entry of a small parameter, the mean of a large one, the error.
+    @property
+    def distance_column(self) -> str:
+        """The column of metrics.csv with the RMS difference from the truth."""
+        return f"{self.name}:rmse"
+
+    def columns(self, value: Tensor) -> dict[str, float]:
+        """Returns columns of metrics.csv at a value: every entry of a small parameter, the mean of a large one, the error.
 
         Of a pose, the motion from the initial one: rotation vector in degrees and translation.
         """
-        value = self.value
         if self.is_pose:
             columns = {f"{self.name}:{key}": entry for key, entry in self.motion(value).items()}
         elif value.dim() == 0:
@@ -117,7 +121,7 @@ class RecoveredParameter:
         else:
             columns = {f"{self.name}:mean": value.mean().item()}
         if self.truth is not None:
-            columns[f"{self.name}:rmse"] = (value - self.truth).square().mean().sqrt().item()
+            columns[self.distance_column] = (value - self.truth).square().mean().sqrt().item()
         return columns
 
     @torch.no_grad()
@@ -263,7 +267,7 @@ def _start(scene: nn.Module, parameter: RecoveredParameter) -> None:
 
 def make_texels(spec: recipe.Parameter, held: Tensor) -> Texels:
     """Returns the map from the weights of a recipe's network to the texels of a bitmap like `held`."""
-    return Texels(WaveNetwork(spec.network or recipe.Network(), spec.bounds), held.shape).to(held)
+    return Texels(WaveNetwork(spec.network or recipe.Network(), spec.bounds, held.shape[2]), held.shape).to(held)
 
 
 def replace(scene: nn.Module, old: nn.Module, new: nn.Module) -> None:

@@ -2,16 +2,16 @@
 
     recipe.toml              the recipe as used; can be run again from here
     metrics.csv              loss, its terms, learning rate, seconds and parameters of every step
-    images/SENSOR_*.png|exr  before, target, after, error
+    images/SENSOR_*.png|exr  before, target, after, error; of names see `io.file_names`
     textures/NAME_*.png      before, recovered, true, for parameters that are pictures
     parameters.safetensors   recovered values by parameter name
     scene/scene.xml          the scene with the recovered values
     tensorboard/             event files
-    checkpoint.pt            what `--resume` continues from
+    checkpoint.safetensors   what `--resume` continues from
     summary.json             result, timing and memory, for programs
     report.html              all of it on one page, for people
 
-Every file but the event files is written atomically.
+Every file but the event files is written atomically. While a process writes into the folder, it holds run.lock there.
 """
 
 import json
@@ -24,9 +24,13 @@ from torch import Tensor, nn
 
 import torch_radbp as rb
 from torch_radbp.io.atomic import replacing
+from torch_radbp.io.file_names import file_name
 from torch_radbp.io.image import save_image
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
+from torch_radbp.training.recovery import checkpoint
+from torch_radbp.training.recovery.continuation import MAY_CHANGE, recipe_changes, recipe_fields
+from torch_radbp.training.recovery.folder_lock import FolderLock
 from torch_radbp.training.recovery.metrics import MetricsFile
 
 
@@ -36,38 +40,47 @@ class RunFolder:
     def __init__(self, path: Path):
         self.path = Path(path)
         self.metrics = MetricsFile(self.path / "metrics.csv")
-        self.checkpoint = self.path / "checkpoint.pt"
+        self.checkpoint = self.path / checkpoint.FILE_NAME
         self.report = self.path / "report.html"
+        self.lock = FolderLock(self.path)
         self._events = None
 
     def start(self, recipe: Recipe) -> None:
-        """Makes the folder with the recipe as used.
+        """Makes the folder with the recipe as used, and takes its lock.
 
         Raises:
-            FileExistsError: the folder is not empty.
+            FileExistsError: the folder is not empty, or is none.
+            FolderInUseError: another process writes into it.
         """
-        if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
-            raise FileExistsError(f"{self.path} is not empty; choose another --out, or continue that run with --resume")
+        self._check_empty()
         self.path.mkdir(parents=True, exist_ok=True)
+        self.lock.acquire()
+        self._check_empty()  # again: of two that start at once, the other may have come and gone
         self.save_recipe(recipe)
+
+    def _check_empty(self) -> None:
+        if self.path.exists() and not self.path.is_dir():
+            raise FileExistsError(f"{self.path}: is no folder; --out names the folder of the run")
+        if self.path.exists() and any(each != self.lock.path for each in self.path.iterdir()):
+            raise FileExistsError(f"{self.path} is not empty; choose another --out, or continue that run with --resume")
 
     def save_recipe(self, recipe: Recipe) -> None:
         write_recipe(recipe, self.path / Recipe.FILE_NAME)
 
     def check_same_recipe(self, recipe: Recipe) -> None:
         """Raises ValueError if the run was made with a recipe that differs in more than steps and device."""
-        used, wanted = (each.model_copy(update={"steps": 1, "render": each.render.model_copy(update={"device": None})})
-                        for each in (read_recipe(self.path / Recipe.FILE_NAME), recipe))
-        changed = [key for key in Recipe.model_fields if getattr(used, key) != getattr(wanted, key)]
-        if changed:
-            raise ValueError(
-                f"{self.path} was run with another recipe: {', '.join(changed)} differ; a resumed run may only change "
-                "steps and render.device. Use the recipe.toml in that folder, or start anew with another --out"
-            )
+        used = read_recipe(self.path / Recipe.FILE_NAME, allow_outside=True)
+        changes = recipe_changes(recipe_fields(used), recipe_fields(recipe))
+        if changes:
+            raise ValueError(f"{self.path} was run with another recipe: {'; '.join(changes)}; a resumed run may only change "
+                             f"{' and '.join(MAY_CHANGE)}. Use the recipe.toml in that folder, or {checkpoint.START_ANEW}")
 
     def forget_from(self, step: int) -> None:
-        """Cuts metrics.csv back to the steps before `step`, and warns if some of them are not there."""
-        kept = self.metrics.truncate(step)
+        """Cuts metrics.csv back to one row for each step before `step`, and warns if some of them are not there or twice."""
+        kept, repeated = self.metrics.truncate(step)
+        if repeated:
+            warnings.warn(f"{self.metrics.path} held {repeated} rows of steps that it had already; the last of each is kept",
+                          stacklevel=2)
         if kept < step:
             held = f"holds {kept} of the {step} steps so far" if self.metrics.path.exists() else "is missing"
             warnings.warn(f"{self.metrics.path} {held}; curves and medians of the report lack those steps", stacklevel=2)
@@ -91,7 +104,7 @@ class RunFolder:
             self._events = None
 
     def image_path(self, sensor: str, role: str, suffix: str = ".png") -> Path:
-        return self.path / "images" / f"{sensor}_{role}{suffix}"
+        return self.path / "images" / f"{file_name(sensor)}_{role}{suffix}"
 
     def save_image(self, sensor: str, role: str, image: Tensor, png: Tensor | None = None) -> None:
         """Writes a linear (3, H, W) image as EXR and as PNG; `png` is shown instead of it where given."""
@@ -99,7 +112,7 @@ class RunFolder:
         self._write_picture(self.image_path(sensor, role), image if png is None else png)
 
     def texture_path(self, name: str, role: str) -> Path:
-        return self.path / "textures" / f"{name}_{role}.png"
+        return self.path / "textures" / f"{file_name(name)}_{role}.png"
 
     def save_texture(self, name: str, role: str, texture: Tensor) -> None:
         """Writes a texture (H, W, 1 or 3) as a picture."""

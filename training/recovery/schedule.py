@@ -23,6 +23,8 @@ def learning_rate_factor(schedule: recipe.AnySchedule, step: int, steps: int) ->
     raise TypeError(f"no schedule for {schedule!r}")
 
 
-def make_scheduler(optimizer: Optimizer, schedule: recipe.AnySchedule, steps: int) -> LambdaLR:
-    """Returns a torch scheduler that multiplies every group's own learning rate."""
-    return LambdaLR(optimizer, lambda step: learning_rate_factor(schedule, min(step, steps - 1), steps))
+def make_scheduler(optimizer: Optimizer, schedule: recipe.AnySchedule, steps: int, step: int = 0) -> LambdaLR:
+    """Returns a torch scheduler, at a step, that multiplies every group's own learning rate."""
+    for group in optimizer.param_groups:
+        group.setdefault("initial_lr", group["lr"])
+    return LambdaLR(optimizer, lambda at: learning_rate_factor(schedule, min(at, steps - 1), steps), last_epoch=step - 1)

@@ -1,4 +1,4 @@
-"""The verdict on a run: converged, still falling, rising, or nothing but noise.
+"""The verdict on a run: converged, still falling, rising, still moving, a parameter worse, or out of signal.
 
 The loss of a step is a random number. Its noise sigma is taken from the differences of neighbouring steps,
 
@@ -7,35 +7,51 @@ The loss of a step is a random number. Its noise sigma is taken from the differe
 which a trend hardly touches (von Neumann 1941). The rule, over the steps whose loss is finite:
 
 1. Fewer than 20 steps: "too short".
-2. The tail is the last third. A straight line is fitted to it; s is its slope in standard errors, and the change is what it
-   falls (or rises) over the tail. If |s| >= 4 and the change is more than 5% of all that the curve has come down (or of its
-   level, if it has not come down), it is "still falling" or "rising".
-3. Otherwise the tail is flat. The run has "converged" if it has come down to there: the first tenth of the curve lies more
-   than 4 standard errors above the tail, or else the image shows it, which is rendered with more samples than a step: its
-   RMS difference from the target has come down by a fifth or more. If neither shows anything, there is only "noise".
-
-Whether a flat tail is at the noise floor, where the loss cannot tell better parameters, is said beside it: the two-buffer
-loss is 0 there in expectation, so that its mean is compared with its standard error.
+2. The tail is the last third, its level its mean. A straight line is fitted to it; the change is what it falls (or rises)
+   over the tail. If that is at least 3 standard errors and a tenth of the tail's own level, it is "still falling" or
+   "rising"; unless it is less than a ten-thousandth of all that the curve has come down, a hundredth of it in parameters.
+   Of flat tails of 20 steps it calls 2% a trend by mistake, of those of 100 steps 0.3%.
+3. Otherwise the tail is flat as far as its noise lets see. The run has come down to there if the first tenth of the curve
+   lies more than 4 standard errors above the tail, or else if the image shows it, which is rendered with more samples than a
+   step: its RMS difference from the target has come down by a fifth or more. If neither shows anything, it "ran out of
+   signal".
+4. Of a run that has come down each parameter is looked at, over the same tail:
+   "parameter worse": its distance from the truth, where that is known, has grown by a tenth or more, and beyond its own
+   fluctuation.
+   "still moving": from the first half of the tail to the second it moves by more than twice its standard deviation within
+   these halves, which a straight line does by 3.5, and over the tail by more than a tenth of its whole way; or its distance
+   from the truth comes down so, by more than a tenth of its own level.
+   "ran out of signal": the loss is 0 within its standard error, as the two-buffer loss is in expectation where the image is
+   right, and the parameter has come less than half of its way to the truth; if that is not known, its whole way is within
+   its own fluctuation.
+5. Otherwise the run has "converged".
 
 Reference: von Neumann et al. 1941, "The mean square successive difference".
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 FEWEST_STEPS = 20
 SIGNIFICANT = 4.0  # standard errors
-NOTABLE = 0.05  # of what the curve has come down
+TREND = 3.0  # likewise, of the slope of the tail
+NOTABLE = 0.1  # of the level of the tail, the way of a parameter, its distance from the truth
+NEGLIGIBLE = 1e-4  # of what the curve has come down
 IMPROVED = 0.8  # of the error of the image before
+RESOLVED = 0.5  # of the distance from the truth before
+STEADY = 2.0  # standard deviations within the halves of a tail
+VISIBLE = 0.01  # of the size of a parameter
 
-TOO_SHORT, FALLING, RISING, NOISE, CONVERGED = "too short", "still falling", "rising", "noise", "converged"
+TOO_SHORT, FALLING, RISING, CONVERGED = "too short", "still falling", "rising", "converged"
+MOVING, WORSE, OUT_OF_SIGNAL = "still moving", "parameter worse", "ran out of signal"
 
 
 class Verdict(NamedTuple):
-    """A judgement of a loss curve.
+    """A judgement of a run.
 
     Attributes:
-        word: one of the five above.
+        word: one of the seven above.
         explanation: a sentence with the numbers behind it.
         noise: standard deviation of the loss of a single step, in the tail; None if the curve is too short.
         level: mean of the tail; None likewise.
@@ -54,48 +70,189 @@ class ImageErrors(NamedTuple):
     after: float
 
 
-def judge_losses(losses: list[float], unbiased: bool, images: ImageErrors) -> Verdict:
+class ParameterCurve(NamedTuple):
+    """What a parameter did.
+
+    Attributes:
+        name: of the parameter.
+        columns: its entries, their mean if they are many, or its motion; each before the first step, then after every one.
+        distances: RMS differences from the truth at the same times; None if it is not known.
+        size: RMS of the truth, or 0.
+    """
+
+    name: str
+    columns: list[list[float]]
+    distances: list[float] | None = None
+    size: float = 0.0
+
+
+class Fall(NamedTuple):
+    """A loss curve: where it starts, and the straight line through its tail, each with its standard error."""
+
+    start: float
+    start_error: float
+    level: float
+    level_error: float
+    change: float
+    change_error: float
+    noise: float
+
+    @property
+    def is_seen(self) -> bool:
+        """True if the tail is below the start."""
+        return self.start - self.level > SIGNIFICANT * math.hypot(self.level_error, self.start_error)
+
+    @property
+    def is_over(self) -> bool:
+        """True if the tail is flat."""
+        scale = max(abs(self.level), self.level_error)
+        slight = self.is_seen and abs(self.change) <= NEGLIGIBLE * (self.start - self.level)
+        return abs(self.change) <= max(TREND * self.change_error, NOTABLE * scale) or slight
+
+    @property
+    def is_at_zero(self) -> bool:
+        """True if the tail is 0 within its standard error."""
+        return abs(self.level) <= SIGNIFICANT * self.level_error
+
+    @property
+    def tail(self) -> str:
+        """The change over the tail in words."""
+        if self.is_at_zero:
+            return f"a change of {self.change:+.2g}, with a standard error of {self.change_error:.2g}"
+        share, error = self.change / abs(self.level), self.change_error / abs(self.level)
+        return f"a change of {share:+.0%} of its level, with a standard error of {error:.0%}"
+
+
+def judge_run(
+    losses: list[float], unbiased: bool, images: ImageErrors, parameters: Sequence[ParameterCurve] = ()
+) -> Verdict:
     """Applies the rule of the module's docstring.
 
     Args:
         losses: one for each step; NaN where a step was skipped.
         unbiased: the expected loss of the right parameters is 0, as that of the two-buffer loss.
         images: what the report's images show.
+        parameters: what the parameters did.
     """
     values = [value for value in losses if math.isfinite(value)]
     if len(values) < FEWEST_STEPS:
         return Verdict(TOO_SHORT, f"{len(values)} steps with a loss are too few to tell; {FEWEST_STEPS} are needed.")
-    tail, head = values[-max(len(values) // 3, 10):], values[: max(len(values) // 10, 2)]
-    noise, level = _noise(tail), _mean(tail)
-    error = noise / math.sqrt(len(tail))
-    change, change_error = _trend(tail, noise)
-    start = _mean(head)
-    start_error = max(_noise(head), noise) / math.sqrt(len(head))
-    drop = start - level
-    seen = drop > SIGNIFICANT * math.hypot(error, start_error)
-    scale = drop if seen else max(abs(level), noise)
-    if abs(change) > SIGNIFICANT * change_error and abs(change) > NOTABLE * scale:
-        share = f"{abs(change) / scale:.0%} of " + ("what it has come down in all" if seen else "its size")
-        way = "falls" if change < 0 else "rises"
-        return Verdict(FALLING if change < 0 else RISING,
-                       f"Over the last third of the steps the loss {way} by {abs(change):.2g}, {share}.", noise, level)
-    if not seen and images.after > IMPROVED * images.before:
-        return Verdict(NOISE, f"The loss begins at {start:.2g} and ends at {level:.2g}, no further apart than noise "
-                              f"explains ({noise:.2g} for one step), and the image has not come closer to the target: take "
-                              "more samples, or parameters that the image shows.", noise, level)
-    floor = ""
-    if unbiased:
-        at_floor = abs(level) <= SIGNIFICANT * error
-        floor = (" It is down to the noise: zero within its standard error." if at_floor else
-                 " It stays above zero: something that is not recovered differs from the target.")
-    came_down = f"The loss came down from {start:.2g} to {level:.2g}" if seen else (
+    fall = _fall(values)
+    word, explanation = _judge_fall(fall, unbiased, images, parameters)
+    return Verdict(word, explanation, fall.noise, fall.level)
+
+
+def _judge_fall(
+    fall: Fall, unbiased: bool, images: ImageErrors, parameters: Sequence[ParameterCurve]
+) -> tuple[str, str]:
+    if not fall.is_over:
+        way = "falls" if fall.change < 0 else "rises"
+        return (FALLING if fall.change < 0 else RISING,
+                f"Over the last third of the steps the loss {way}: {fall.tail}.")
+    if not fall.is_seen and images.after > IMPROVED * images.before:
+        return OUT_OF_SIGNAL, (f"The loss begins at {fall.start:.2g} and ends at {fall.level:.2g}, no further apart than "
+                               f"noise explains ({fall.noise:.2g} for one step), and the image has not come closer to the "
+                               "target: take more samples, or parameters that the image shows.")
+    found = _judge_parameters(parameters, unbiased and fall.is_at_zero)
+    if found is not None:
+        return found
+    came_down = f"The loss came down from {fall.start:.2g} to {fall.level:.2g}" if fall.is_seen else (
         f"The error of the image came down from {images.before:.2g} to {images.after:.2g} (RMS)")
-    return Verdict(CONVERGED, f"{came_down}, and the loss is flat over the last third of the steps, as far as its noise "
-                              f"lets see ({noise:.2g} for one step).{floor}", noise, level)
+    return CONVERGED, (f"{came_down}, and the loss is flat over the last third of the steps, as far as its noise lets see "
+                       f"({fall.noise:.2g} for one step): {fall.tail}.{_floor(fall, unbiased)}")
+
+
+def _floor(fall: Fall, unbiased: bool) -> str:
+    """Whether the loss could tell better parameters."""
+    if not unbiased:
+        return ""
+    if fall.is_at_zero:
+        return " It is down to the noise: zero within its standard error."
+    return " It stays above zero: something that is not recovered differs from the target."
+
+
+def _judge_parameters(parameters: Sequence[ParameterCurve], at_zero: bool) -> tuple[str, str] | None:
+    """The verdict on the parameters of a run that has come down; None if nothing is wrong with them."""
+    worse = [each for each in parameters if _is_worse(each)]
+    if worse:
+        return WORSE, (f"The loss came down, but further from the truth than before the first step: {_distances(worse)}. "
+                       "Something else explains the target as well: take more views, bounds, or fewer parameters.")
+    moving = [each.name for each in parameters if _is_moving(each)]
+    if moving:
+        return MOVING, ("The loss is flat as far as its noise lets see, but still moving: "
+                        f"{', '.join(moving)}. Take more steps, or a schedule that lowers the learning rate.")
+    lost = [each for each in parameters if at_zero and _is_lost(each)]
+    if lost:
+        return OUT_OF_SIGNAL, ("The loss is zero within its standard error and tells no better parameters, but not "
+                               f"recovered: {_distances(lost)}. Take more samples, or views that show it.")
+    return None
+
+
+def _distances(parameters: list[ParameterCurve]) -> str:
+    return ", ".join(each.name if each.distances is None else
+                     f"{each.name} (off by {each.distances[0]:.2g} before, {_mean(_end(each.distances)):.2g} now)"
+                     for each in parameters)
+
+
+def _is_worse(parameter: ParameterCurve) -> bool:
+    """True if the distance from the truth has grown."""
+    if parameter.distances is None:
+        return False
+    before, after = parameter.distances[0], _mean(_end(parameter.distances))
+    growth = after - before
+    return growth > max(NOTABLE * before, STEADY * _deviation(_end(parameter.distances)), VISIBLE * parameter.size)
+
+
+def _is_moving(parameter: ParameterCurve) -> bool:
+    """True if an entry moves steadily, and notably against the parameter's whole way, or so comes closer to the truth."""
+    way = max((abs(_mean(_end(column)) - column[0]) for column in parameter.columns), default=0.0)
+    if any(abs(_steady_change(column)) > NOTABLE * way for column in parameter.columns):
+        return True
+    if parameter.distances is None:
+        return False
+    return -_steady_change(parameter.distances) > max(NOTABLE * _mean(_end(parameter.distances)), VISIBLE * parameter.size)
+
+
+def _steady_change(values: list[float]) -> float:
+    """Change over the tail by the means of its halves; 0 if fluctuations within these explain it."""
+    tail = values[-_tail_length(len(values)) :]
+    early, late = tail[: len(tail) // 2], tail[len(tail) // 2 :]
+    step = _mean(late) - _mean(early)
+    return 2.0 * step if abs(step) > STEADY * max(_deviation(early), _deviation(late)) else 0.0
+
+
+def _is_lost(parameter: ParameterCurve) -> bool:
+    """True if the parameter has not come closer to the truth by half, or, if that is not known, has not left its start."""
+    if parameter.distances is not None:
+        return _mean(_end(parameter.distances)) > max(RESOLVED * parameter.distances[0], VISIBLE * parameter.size)
+    return all(abs(_mean(_end(column)) - column[0]) <= STEADY * _deviation(_end(column)) for column in parameter.columns)
+
+
+def _fall(values: list[float]) -> Fall:
+    tail, head = values[-_tail_length(len(values)):], values[: max(len(values) // 10, 2)]
+    noise = _noise(tail)
+    change, change_error = _trend(tail, noise)
+    return Fall(_mean(head), max(_noise(head), noise) / math.sqrt(len(head)), _mean(tail), noise / math.sqrt(len(tail)),
+                change, change_error, noise)
+
+
+def _tail_length(steps: int) -> int:
+    return max(steps // 3, 10)
+
+
+def _end(values: list[float]) -> list[float]:
+    """The second half of the tail."""
+    return values[-max(_tail_length(len(values)) // 2, 1) :]
 
 
 def _mean(values: list[float]) -> float:
     return math.fsum(values) / len(values)
+
+
+def _deviation(values: list[float]) -> float:
+    """Standard deviation."""
+    mean = _mean(values)
+    return math.sqrt(_mean([(value - mean) ** 2 for value in values]))
 
 
 def _noise(values: list[float]) -> float:

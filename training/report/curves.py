@@ -47,9 +47,16 @@ def _loss_chart(summary: dict[str, Any], steps: list[float], rows: Rows) -> str:
 
 def _distance_chart(summary: dict[str, Any], steps: list[float], rows: Rows) -> str:
     colours = curve_colours(summary["parameters"])
-    names = [name for name in colours if f"{name}:rmse" in rows[0]]
-    lines = [Line(name, colours[name], steps, [row[f"{name}:rmse"] for row in rows]) for name in names]
+    known = {each["name"]: each["rmse_before"] for each in summary["parameters"] if f"{each['name']}:rmse" in rows[0]}
+    lines = [Line(name, colours[name], *_with_start(steps, before, [row[f"{name}:rmse"] for row in rows]))
+             for name, before in known.items()]
     return line_chart("distance from the truth, RMSE (logarithmic)", lines, log=True)
+
+
+def _with_start(steps: list[float], before: float, values: list[float]) -> tuple[list[float], list[float]]:
+    """The number of steps taken, and a parameter then, from its value before the first step on if that row is there."""
+    taken = [step + 1 for step in steps]
+    return ([0, *taken], [before, *values]) if steps[0] == 0 else (taken, values)
 
 
 def running_mean(values: list[float]) -> list[float]:
@@ -69,14 +76,16 @@ def _parameter_charts(parameter: dict[str, Any], steps: list[float], rows: Rows)
         labels = [f"{channel} channel" for channel in ("red", "green", "blue")] if is_colour else [
             key.removeprefix(name) or name for key in columns]
         lines = [
-            Line(labels[index], colours[index % len(colours)], steps, [row[key] for row in rows],
+            Line(labels[index], colours[index % len(colours)],
+                 *_with_start(steps, parameter["before"][index], [row[key] for row in rows]),
                  truth[index] if truth else None)
             for index, key in enumerate(columns)
         ]  # fmt: skip
         return [line_chart(name, lines)]
     if f"{name}:rmse" in rows[0]:
         return []
-    return [line_chart(f"{name}, mean", [Line("mean", PALETTE[0], steps, [row[f"{name}:mean"] for row in rows])])]
+    line = _with_start(steps, parameter["mean_before"], [row[f"{name}:mean"] for row in rows])
+    return [line_chart(f"{name}, mean", [Line("mean", PALETTE[0], *line)])]
 
 
 def _pose_charts(parameter: dict[str, Any], steps: list[float], rows: Rows) -> list[str]:
@@ -85,7 +94,7 @@ def _pose_charts(parameter: dict[str, Any], steps: list[float], rows: Rows) -> l
     charts = []
     for keys, unit in ((COMPONENTS[:3], ", degrees"), (COMPONENTS[3:], "")):
         lines = [
-            Line(key[-2], colour, steps, [row[f"{name}:{key}"] for row in rows], goals.get(key))
+            Line(key[-2], colour, *_with_start(steps, 0.0, [row[f"{name}:{key}"] for row in rows]), goals.get(key))
             for key, colour in zip(keys, CHANNELS)
         ]
         charts.append(line_chart(f"{name}, {keys[0][:-3]} from the start{unit}", lines))

@@ -44,7 +44,7 @@ def write_report(folder: RunFolder) -> Path:
 def _headline(summary: dict[str, Any]) -> str:
     status, step, steps = summary["status"], summary["step"], summary["steps"]
     state = f"{step} steps" if status == "finished" else f"{status} at step {step} of {steps}"
-    cells = [("state", state), ("loss", summary["verdict"]["word"]), ("time", duration(summary["cost"]["seconds"]))]
+    cells = [("state", state), ("verdict", summary["verdict"]["word"]), ("time", duration(summary["cost"]["seconds"]))]
     for each in summary["parameters"]:
         if "pose_error" in each:
             cells.append((f"pose of {each['name']}", _pose_errors(each)))
@@ -113,7 +113,8 @@ def _cost(summary: dict[str, Any]) -> str:
     if "median_forward_seconds" in cost:
         rows.append(("forward pass, median", f"{cost['median_forward_seconds']:.3f} s"))
         rows.append(("backward pass, median", f"{cost['median_backward_seconds']:.3f} s"))
-    rows.append(("peak memory", f"{cost['peak_memory_bytes'] / 2**20:.0f} MiB"))
+    peak = cost["peak_memory_bytes"]
+    rows.append(("peak memory", "not known" if peak is None else f"{peak / 2**20:.0f} MiB"))
     rows.append(("device", f"{machine['device']}, {machine['threads']} threads"))
     rows.append(("software", f"torch {machine['torch']}, Python {machine['python']}"))
     cells = "".join(f"<tr><th>{name}</th><td>{html.escape(value)}</td></tr>" for name, value in rows)

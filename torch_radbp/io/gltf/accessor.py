@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import os
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -14,7 +15,9 @@ from torch_radbp.io.gltf.document import Document, Part
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-MAX_NUMBERS = 2**28  # of all accessors together, counted as often as they are read: a small file can ask for any number
+MAX_NUMBERS = 2**28  # of all accessors together, counted as often as nodes use them: a small file can ask for any number
+MAX_ZEROS = 2**20  # of all accessors without a buffer view together, which take no place in the file
+MAX_RESOURCE = 2**30  # bytes of an image's file
 
 
 class Buffers:
@@ -30,7 +33,7 @@ class Buffers:
     def __init__(self, document: Document, binary: bytes | None, folder: Path, allow_outside: bool = False):
         self.document, self.binary, self.folder, self.allow_outside = document, binary, folder, allow_outside
         self.known: dict[int, bytes] = {}
-        self.numbers = 0  # read so far
+        self.numbers = self.zeros = 0  # claimed so far
 
     def buffer(self, index: int, user: Part) -> bytes:
         """The bytes of a buffer: those inside the GLB file, of a data URI or of a file beside it."""
@@ -67,11 +70,14 @@ class Buffers:
             raise user.fail(f"the uri {uri[:80]!r} is no file name relative to the document; no other is read")
         path = self.folder / unquote(uri)
         if not self.allow_outside and not path.resolve().is_relative_to(self.folder.resolve()):
-            raise user.fail(f"the uri {uri[:80]!r} leads out of the folder of the document; if you trust it, load it with "
-                            "allow_outside=True (on the command line -D allow_outside=true)")
+            raise user.fail(f"the uri {uri[:80]!r} leads out of the folder of the document, {self.folder.resolve()}; if you "
+                            "trust it, load it with allow_outside=True (on the command line --allow-outside)")
         try:
             with opened(path) as file:
-                return file.read(length)
+                held = os.fstat(file.fileno()).st_size
+                if length < 0 and held > MAX_RESOURCE:
+                    raise user.fail(f"{path}: an image's file may have at most {MAX_RESOURCE} bytes, this one has {held}")
+                return file.read(held if length < 0 else min(length, held))
         except OSError as error:
             raise user.fail(str(error)) from error
 
@@ -102,14 +108,11 @@ class Buffers:
         if kind not in types:
             raise part.fail(f"type {kind!r} cannot be the {entry} of {user.place}, which takes {' or '.join(types)}")
         count, width = part.integer("count", low=1), TYPES[kind]
-        self.numbers += count * width
-        if self.numbers > MAX_NUMBERS:
-            raise part.fail(f"with its {count} elements the scene has more than {MAX_NUMBERS} numbers, counted as often as "
-                            "nodes use them")
+        self.claim(part, count * width)
         if part.has("bufferView"):
             found = self.elements(part, part.integer("bufferView"), count, width, dtype)
         else:
-            found = np.zeros((count, width), dtype)
+            found = self.blank(part, count, width, dtype)
         if part.has("sparse"):
             found = self.substituted(found.copy(), part.part("sparse"))
         if dtype.kind == "f":
@@ -117,6 +120,25 @@ class Buffers:
         if not part.flag("normalized"):
             return found.astype(np.int64)
         return np.maximum(found / np.float64(np.iinfo(dtype).max), -1.0)
+
+    def claim(self, part: Part, numbers: int) -> None:
+        """Counts numbers that the scene takes for a part of the document.
+
+        Raises:
+            SceneError: if these are too many.
+        """
+        self.numbers += numbers
+        if self.numbers > MAX_NUMBERS:
+            raise part.fail(f"with its {numbers} numbers the scene has more than {MAX_NUMBERS} numbers, counted as often as "
+                            "nodes use them")
+
+    def blank(self, part: Part, count: int, width: int, dtype: np.dtype) -> np.ndarray:
+        """(count, width) zeros, of an accessor without a buffer view."""
+        self.zeros += count * width
+        if self.zeros > MAX_ZEROS:
+            raise part.fail(f"it has no bufferView, so that its {count} elements are zeros that the file does not hold; of "
+                            f"such numbers a scene may have {MAX_ZEROS}")
+        return np.zeros((count, width), dtype)
 
     def elements(self, part: Part, view: int, count: int, width: int, dtype: np.dtype) -> np.ndarray:
         """(count, width) elements of a buffer view."""

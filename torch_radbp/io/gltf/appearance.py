@@ -114,6 +114,8 @@ class Appearances:
             opacity = slot(peeled.opacity, f"{name}.opacity", self.losses, as_number=True)
         base = constant(1.0) if surface.colours is not None else surface.base
         image = joined({"base_color": base, "opacity": opacity}, name, self.losses)
+        for what, values in (("base colour", base.values), ("opacity", opacity.values)):
+            self.lose_beyond(f"{name}: its {what}", values)
         if image is None:
             factor = [*base.constant.clip(0, 1).tolist(), min(1.0, max(0.0, opacity.number()))]
             is_cut = factor[3] == 0
@@ -138,6 +140,8 @@ class Appearances:
         slots = {"roughness": surface.roughness, "metallic": surface.metallic}
         image = joined(slots, name, self.losses)
         numbers = {key: min(1.0, max(0.0, each.number())) for key, each in slots.items()}
+        for key, each in slots.items():
+            self.lose_beyond(f"{name}: its {key}", each.values)
         if image is None:
             return {f"{key}Factor": number for key, number in numbers.items()}
         found, reading = image
@@ -151,6 +155,11 @@ class Appearances:
                    for channel, key in ((1, "roughness"), (2, "metallic"))}
         info = texture_info(self.out, pixels, reading, f"{name}_metallic_roughness", self.losses)
         return {**factors, "metallicRoughnessTexture": info}
+
+    def lose_beyond(self, what: str, values: np.ndarray) -> None:
+        """Notes values outside of [0, 1], where glTF ends."""
+        if values.min() < 0 or values.max() > 1:
+            self.losses.add(what, f"{values.min():.4g} to {values.max():.4g}, is cut to [0, 1]")
 
     def scalar(self, name: str, kind: str, values: Slot) -> dict[str, Any]:
         """A factor, and an image whose red channel it multiplies."""

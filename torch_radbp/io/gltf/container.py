@@ -6,13 +6,14 @@ import json
 import os
 import struct
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from torch_radbp.io.files import opened
 from torch_radbp.plugin import SceneError
 
 MAGIC, VERSION = b"glTF", 2
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
+LONGEST_JSON = 2**28  # bytes; its objects take up to 20 times as many
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
 
@@ -27,40 +28,54 @@ def read_container(path: str | os.PathLike) -> Container:
     """The JSON of a `.gltf` or `.glb` file, and the buffer that comes with it.
 
     Raises:
-        SceneError: if the file cannot be read, is damaged or cut short, or its JSON is no object.
+        SceneError: if the file cannot be read, is damaged or cut short, or its JSON is no object or too long.
     """
-    file = os.fspath(path)
+    name = os.fspath(path)
     try:
-        with opened(path) as source:
-            content = source.read()
+        with opened(path) as file:
+            begin = file.read(len(MAGIC))
+            file.seek(0)
+            if begin == MAGIC:
+                return _from_chunks(file, name)
+            if Path(path).suffix.lower() == ".glb":
+                raise SceneError(f"{name}: a GLB file begins with {MAGIC!r}, this one with {begin!r}")
+            _check_json(os.fstat(file.fileno()).st_size, name)
+            return Container(parse_json(file.read(), name), None)
     except OSError as error:
         raise SceneError(str(error)) from error
-    if content.startswith(MAGIC):
-        return _from_chunks(content, file)
-    if Path(path).suffix.lower() == ".glb":
-        raise SceneError(f"{file}: a GLB file begins with {MAGIC!r}, this one with {content[:4]!r}")
-    return Container(parse_json(content, file), None)
 
 
-def _from_chunks(content: bytes, file: str) -> Container:
+def _check_json(length: int, file: str) -> None:
+    """Raises SceneError if a document is longer than what is read."""
+    if length > LONGEST_JSON:
+        raise SceneError(f"{file}: its JSON has {length} bytes, more than {LONGEST_JSON}; keep buffers in files of their "
+                         "own")
+
+
+def _from_chunks(source: BinaryIO, file: str) -> Container:
     """The chunks of a GLB file; those of unknown kinds are skipped, as the specification asks."""
-    if len(content) < HEADER.size:
-        raise SceneError(f"{file}: cut short, a GLB file has a header of {HEADER.size} bytes, this one {len(content)}")
-    _, version, length = HEADER.unpack_from(content)
+    held = os.fstat(source.fileno()).st_size
+    if held < HEADER.size:
+        raise SceneError(f"{file}: cut short, a GLB file has a header of {HEADER.size} bytes, this one {held}")
+    _, version, length = HEADER.unpack(source.read(HEADER.size))
     if version != VERSION:
         raise SceneError(f"{file}: GLB version {version} is not supported; supported: {VERSION}")
-    if length > len(content):
-        raise SceneError(f"{file}: cut short, its header promises {length} bytes, it has {len(content)}")
+    if length > held:
+        raise SceneError(f"{file}: cut short, its header promises {length} bytes, it has {held}")
     chunks: dict[bytes, bytes] = {}
     start = HEADER.size
     while start + CHUNK.size <= length:
-        size, kind = CHUNK.unpack_from(content, start)
+        size, kind = CHUNK.unpack(source.read(CHUNK.size))
         start += CHUNK.size
         if start + size > length:
             raise SceneError(f"{file}: cut short, its chunk {kind!r} at byte {start} has {size} bytes, but the file only "
                              f"{length - start} more")
-        chunks.setdefault(kind, content[start:start + size])
+        if kind == JSON_CHUNK:
+            _check_json(size, file)
+        if kind in (JSON_CHUNK, BINARY_CHUNK) and kind not in chunks:
+            chunks[kind] = source.read(size)
         start += size
+        source.seek(start)
     if JSON_CHUNK not in chunks:
         raise SceneError(f"{file}: it has no chunk of JSON, which describes the scene")
     return Container(parse_json(chunks[JSON_CHUNK], file), chunks.get(BINARY_CHUNK))

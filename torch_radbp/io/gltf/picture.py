@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import UnidentifiedImageError
 
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.document import Document, Part
-from torch_radbp.io.image import SIGNATURES, check_size
+from torch_radbp.io.image import SIGNATURES, open_picture
 from torch_radbp.io.png import check_pixel_data
 
 KINDS = ("PNG", "JPEG")  # by their first bytes; what mimeType and file names say does not count
@@ -40,15 +40,14 @@ class Pictures:
         if kind is None:
             raise part.fail(f"an image must be PNG or JPEG, this one begins with {content[:8]!r}")
         try:
-            with Image.open(io.BytesIO(content), formats=(kind,)) as image:
-                check_size(*image.size)
+            with open_picture(io.BytesIO(content), kind, len(content)) as image:
                 self.texels += image.size[0] * image.size[1]
                 image.verify()
-            if kind == "PNG":
-                check_pixel_data(io.BytesIO(content))
             if self.texels > MAX_TEXELS:
                 raise ValueError(f"the images have more than {MAX_TEXELS} pixels together")
-            with Image.open(io.BytesIO(content), formats=(kind,)) as image:
+            if kind == "PNG":
+                check_pixel_data(io.BytesIO(content))
+            with open_picture(io.BytesIO(content), kind, len(content)) as image:
                 if image.mode.startswith("I"):  # 16 bits of grey, which `convert` would cut off
                     grey = (np.array(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
                     return np.stack([grey, grey, grey, np.full_like(grey, 255)], axis=2)

@@ -27,6 +27,31 @@ class Primitive(NamedTuple):
     colour: np.ndarray | None  # (V, 3) linear RGB
     own: dict[str, np.ndarray]  # (V, 1 or 3) attributes that begin with an underscore, by lower-case names without it
 
+    def numbers(self) -> int:
+        """How many numbers it has."""
+        arrays = (self.positions, self.faces, self.normals, self.colour, *self.uv, *self.own.values())
+        return sum(array.size for array in arrays if array is not None)
+
+
+class Primitives:
+    """The primitives of a document, read once however many nodes show them."""
+
+    def __init__(self, buffers: Buffers, losses: Losses):
+        self.buffers, self.losses = buffers, losses
+        self.known: dict[str, Primitive | None] = {}
+
+    def of(self, part: Part) -> Primitive | None:
+        """The triangles of a primitive; None of points and lines.
+
+        Raises:
+            SceneError: if it is damaged, or the scene has too many numbers with it.
+        """
+        if part.place not in self.known:
+            self.known[part.place] = read_primitive(part, self.buffers, self.losses)
+        elif self.known[part.place] is not None:
+            self.buffers.claim(part, self.known[part.place].numbers())
+        return self.known[part.place]
+
 
 def read_primitive(part: Part, buffers: Buffers, losses: Losses) -> Primitive | None:
     """The triangles of a primitive; None of points and lines, which are a loss."""

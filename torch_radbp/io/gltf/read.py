@@ -22,7 +22,7 @@ from torch_radbp.io.gltf.material import VERTEX_COLOUR, Materials
 from torch_radbp.io.gltf.names import Names
 from torch_radbp.io.gltf.nodes import Placed, placed_nodes
 from torch_radbp.io.gltf.picture import Pictures
-from torch_radbp.io.gltf.primitive import Primitive, read_primitive
+from torch_radbp.io.gltf.primitive import Primitive, Primitives
 from torch_radbp.io.gltf.texture import Textures
 from torch_radbp.plugin import Integrator, Plugin, SceneError, nearest
 from torch_radbp.scene.scene import Scene
@@ -42,7 +42,6 @@ class Options(NamedTuple):
     scene: int | None = None  # number of the scene in the file
     lumens_per_watt: float = 1.0  # see `lamp`
     strict: bool = False  # an error instead of a warning about what cannot be read
-    allow_outside: bool = False  # read files that do not lie in the folder of this one, or below
 
 
 def options(file: str, given: dict[str, Any]) -> Options:
@@ -62,7 +61,7 @@ def options(file: str, given: dict[str, Any]) -> Options:
 
 def option(file: str, name: str, value: Any) -> Any:
     """One option."""
-    if name in ("camera", "strict", "allow_outside"):
+    if name in ("camera", "strict"):
         words = {"true": True, "false": False}
         value = words.get(value, value) if isinstance(value, str) else value
         if not isinstance(value, bool):
@@ -81,31 +80,33 @@ def option(file: str, name: str, value: Any) -> Any:
     return number
 
 
-def read_gltf(path: str | os.PathLike, given: dict[str, Any]) -> Scene:
+def read_gltf(path: str | os.PathLike, given: dict[str, Any], allow_outside: bool = False) -> Scene:
     """The scene in a glTF file.
 
     Args:
         path: the .glb or .gltf file.
         given: see `Options`.
+        allow_outside: read files that do not lie in the folder of this one, or below.
 
     Raises:
         SceneError: names the file and the place in its document.
     """
     file = os.fspath(path)
     chosen = options(file, given)
-    return _Reader(file, chosen).scene()
+    return _Reader(file, chosen, allow_outside).scene()
 
 
 class _Reader:
-    def __init__(self, file: str, chosen: Options):
+    def __init__(self, file: str, chosen: Options, allow_outside: bool):
         container = read_container(file)
         self.file, self.options, self.losses = file, chosen, Losses()
         self.document = Document(file, container.document)
         check_extensions(self.document, self.losses)
-        self.buffers = Buffers(self.document, container.binary, Path(file).parent, chosen.allow_outside)
+        buffers = Buffers(self.document, container.binary, Path(file).parent, allow_outside)
+        self.primitives = Primitives(buffers, self.losses)
         self.children: dict[str, Plugin] = {}
         self.names = Names()
-        textures = Textures(self.document, Pictures(self.document, self.buffers), self.losses)
+        textures = Textures(self.document, Pictures(self.document, buffers), self.losses)
         self.materials = Materials(self.document, textures, self.losses, self.names, self.children)
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
@@ -155,7 +156,7 @@ class _Reader:
         parts = mesh.parts("primitives")
         title = place.node.text("name", "") or mesh.text("name", "") or f"mesh_{place.node.integer('mesh')}"
         for number, part in enumerate(parts):
-            primitive = read_primitive(part, self.buffers, self.losses)
+            primitive = self.primitives.of(part)
             if primitive is None:
                 continue
             if np.linalg.det(place.to_world[:3, :3]) < 0:  # which mirrors: triangles face outwards still
@@ -216,10 +217,10 @@ class _Reader:
             return
         if lights is None:
             raise place.node.fail("it refers to a light, but the document has no KHR_lights_punctual")
-        number, known = reference.integer("light"), lights.parts("lights")
+        number, known = reference.integer("light"), lights.items("lights")
         if number >= len(known):
             raise reference.fail(f"light {number} does not exist; there are {len(known)}")
-        part = known[number]
+        part = Part(self.file, f"{lights.inside('lights')}[{number}]", known[number])
         name = self.name(place.node, part, f"light_{number}")
         self.children[name] = self.checked(part, light, place.to_world, self.options.lumens_per_watt, self.losses)
 

@@ -116,6 +116,7 @@ class _Writer:
             own = attribute.removeprefix("vertex_")
             if colours is not None and attribute == colours[0]:
                 linear = np.broadcast_to(values * colours[1], (len(values), 3))
+                self.appearances.lose_beyond(f"{name}.{attribute}", linear)
                 found["COLOR_0"] = self.out.vertices(linear.clip(0.0, 1.0))
             elif attribute.startswith("vertex_") and own == own.lower() and own != "color" and own.isidentifier():
                 found[f"_{own.upper()}"] = self.out.vertices(values)

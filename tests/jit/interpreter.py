@@ -1,0 +1,199 @@
+"""A stand-in for CUDA's driver, whose device is an interpreter of PTX, if one is given; it checks every access to memory.
+
+`RADBP_PTX_INTERPRETER` names the folder of the interpreter; without it, it is looked for beside the repository. Its module
+`ptxrun` has
+
+    kernel = Kernel(text)                     PTX with one .entry, whose instructions it all knows, or it raises
+    kernel.launch(blocks, threads, words)     of each parameter a number, or a `Memory`; runs all threads
+    Memory(address, bytes, readable, writable, name)
+
+`launch` raises if a thread leaves the memory that it is given, reads or writes what it must not, or an address is no
+multiple of the size of what lies there. Registers hold rubbish before they are written.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import importlib.util
+import os
+import shutil
+import threading
+from array import array
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.addition import Addition
+from torch_radbp.jit.driver import BUFFER, END, SIZE, Driver
+from torch_radbp.jit.gpu import Gpu, KernelLoop
+from torch_radbp.jit.graph import LANES, NUMBER, TABLE, Program, Value
+from torch_radbp.jit.instructions import alignment
+
+BESIDE = Path(__file__).parents[3] / "shared" / "tools" / "ptx"
+MODULE = Path(os.environ.get("RADBP_PTX_INTERPRETER") or BESIDE, "ptxrun.py")
+
+needs_interpreter = pytest.mark.skipif(
+    not MODULE.is_file() or shutil.which("cc") is None,
+    reason="no interpreter of PTX: RADBP_PTX_INTERPRETER names the folder of one, which may need a C compiler, `cc`")
+
+
+@functools.cache
+def interpreter() -> ModuleType:
+    """The interpreter's module."""
+    given = importlib.util.spec_from_file_location("ptxrun", MODULE)
+    module = importlib.util.module_from_spec(given)
+    given.loader.exec_module(module)
+    return module
+
+
+class Allowed(threading.local):
+    """Memory that the next launch of this thread may touch, by address; None: any."""
+
+    def __init__(self) -> None:
+        self.memory: dict[int, Any] | None = None
+
+    @contextlib.contextmanager
+    def only(self, memory: Sequence) -> Iterator[None]:
+        """Inside, launches are given these pieces of memory; of those at one address the largest."""
+        pieces = sorted((piece for piece in memory if piece.size), key=lambda piece: piece.size)
+        self.memory = {piece.address: piece for piece in pieces}
+        try:
+            yield
+        finally:
+            self.memory = None
+
+    def words(self, parameters: Sequence[int]) -> list:
+        """The parameters of a launch, with memory in the place of its address."""
+        return list(parameters) if self.memory is None else [self.memory.get(word, word) for word in parameters]
+
+
+ALLOWED = Allowed()
+
+
+class StandInDriver:
+    """Stands for `cuda.bindings.driver`: a module's machine code is its PTX, which the interpreter runs.
+
+    Attributes:
+        launches: names of the kernels, with how often each was launched.
+        texts: PTX of all modules.
+    """
+
+    CUresult = SimpleNamespace(CUDA_SUCCESS=0)
+    CUjitInputType = SimpleNamespace(CU_JIT_INPUT_PTX="ptx")
+    CUjit_option = SimpleNamespace(CU_JIT_ERROR_LOG_BUFFER="log", CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES="size")
+
+    def __init__(self) -> None:
+        self.launches: Counter[str] = Counter()
+        self.texts: list[str] = []
+        self.one = threading.Lock()  # kernels run one after another
+        self.of_thread = threading.local()
+
+    @property
+    def contexts(self) -> list:
+        """Those that are current in this thread, the last on top."""
+        return self.of_thread.__dict__.setdefault("contexts", [])
+
+    def cuDeviceGet(self, number: int) -> tuple:
+        return 0, number
+
+    def cuDevicePrimaryCtxRetain(self, device: int) -> tuple:
+        return 0, f"context of {device}"
+
+    def cuCtxPushCurrent(self, context: str) -> tuple:
+        self.contexts.append(context)
+        return 0,
+
+    def cuCtxPopCurrent(self) -> tuple:
+        return 0, self.contexts.pop()
+
+    def cuLinkCreate(self, *options) -> tuple:
+        return 0, []
+
+    def cuLinkAddData(self, state: list, kind: str, code: bytes, size: int, *rest) -> tuple:
+        assert kind == "ptx" and size == len(code) and code.endswith(b"\0")
+        state.append(ctypes.create_string_buffer(code[:-1], size - 1))
+        return 0,
+
+    def cuLinkComplete(self, state: list) -> tuple:
+        return 0, ctypes.addressof(state[0]), len(state[0])
+
+    def cuLinkDestroy(self, state: list) -> tuple:
+        return 0,
+
+    def cuModuleLoadData(self, code: bytes) -> tuple:
+        self.texts.append(code.decode())
+        return 0, interpreter().Kernel(self.texts[-1])
+
+    def cuModuleGetFunction(self, module: Any, name: bytes) -> tuple:
+        assert module.name.encode() == name
+        return 0, module
+
+    def cuLaunchKernel(self, kernel: Any, *given) -> tuple:
+        blocks, one, flat, threads, *rest, extra = given
+        assert self.contexts and (one, flat, *rest[:3], rest[-1]) == (1, 1, 1, 1, 0, 0)
+        words = (ctypes.c_void_p * 5).from_address(extra)
+        assert (words[0], words[2], words[4] or 0) == (BUFFER, SIZE, END)
+        parameters = array("q", ctypes.string_at(words[1], ctypes.c_size_t.from_address(words[3]).value))
+        with self.one:
+            self.launches[kernel.name] += 1
+            kernel.launch(blocks, threads, ALLOWED.words(parameters))
+        return 0,
+
+
+class CheckedLoop:
+    """The kernel of a program, which may read its inputs and write its outputs; see `target.Loop`."""
+
+    def __init__(self, loop: KernelLoop, program: Program):
+        self.loop, self.program = loop, program
+
+    def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
+        """Runs all lanes."""
+        piece = interpreter().Memory
+        read = [piece(address, alignment(value.dtype) * entries(value, lanes, length), True, False, repr(value))
+                for value, address, length in zip(self.program.inputs, inputs, lengths)]
+        written = [piece(address, alignment(value.dtype) * lanes, False, True, f"output {value!r}")
+                   for value, address in zip(self.program.outputs, outputs)]
+        with ALLOWED.only([*read, *written]):
+            self.loop.run(lanes, inputs, lengths, outputs)
+
+
+def entries(value: Value, lanes: int, length: int) -> int:
+    """How many entries an input has; `length`: of a table."""
+    return {LANES: lanes, NUMBER: 1, TABLE: length}[value.kind]
+
+
+def piece_of(tensor: Tensor, readable: bool, writable: bool) -> Any:
+    """The memory of a tensor."""
+    return interpreter().Memory(tensor.data_ptr(), tensor.nbytes, readable, writable, str(tensor.shape))
+
+
+class CheckedGpu(Gpu):
+    """A GPU whose kernels may touch the tensors that they are for."""
+
+    def compile(self, program: Program) -> CheckedLoop:
+        return CheckedLoop(super().compile(program), program)
+
+    def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
+        with ALLOWED.only([*(piece_of(tensor, True, False) for tensor in (place, *entries)),
+                           *(piece_of(tensor, False, True) for tensor in targets)]):
+            super().put(targets, place, entries)
+
+    def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
+        read = [piece_of(tensor, True, False) for case in additions for tensor in (case.index, *case.numbers)]
+        touched = [piece_of(case.sums.touched, False, True) for case in additions]
+        totals = [piece_of(total, True, True) for case in additions for total in case.sums.totals]
+        with ALLOWED.only([*read, *touched, *totals]):
+            super().scatter_add(additions, lanes)
+
+
+def interpreted(architecture: str = "sm_90") -> CheckedGpu:
+    """A GPU in name, whose tensors lie on the processor and whose PTX is interpreted."""
+    return CheckedGpu(Driver(StandInDriver(), architecture, torch.device("cuda", 0), stream=lambda: 0))

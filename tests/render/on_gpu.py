@@ -1,0 +1,18 @@
+"""Rendering by the kernels of a GPU that is one in name."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import pytest
+
+from torch_radbp import stages
+from torch_radbp.jit.gpu import Gpu
+
+
+def render_on(device: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled renderings run on `device` during the test; it begins with nothing compiled."""
+    fused = stages.fused(device)
+    monkeypatch.setattr(import_module("torch_radbp.render"), "compiled", lambda: fused)
+    for module in ("order", "scatter"):
+        monkeypatch.setattr(import_module(f"torch_radbp.jit.{module}"), "target_of", lambda of: device)

@@ -1,0 +1,127 @@
+"""Places on edges, as a camera sees them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.function import RenderCall
+from torch_radbp.boundary.edges import Edges
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.places import (
+    CREASE,
+    SILHOUETTE,
+    Between,
+    Places,
+    camera_sample,
+    number_of_places,
+    numbers_of,
+    on_film,
+    picked,
+    window,
+)
+from torch_radbp.boundary.silhouette import is_silhouette, is_silhouette_from
+from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.view import View
+
+STEP = 1e-5  # of the length of an edge in view, by which its direction on the film is found
+
+
+class Choice(NamedTuple):
+    """The edges in a view, and how often each is picked."""
+
+    enters: Tensor  # (E,) shares of the way from a to b between which it is in view
+    leaves: Tensor
+    weight: Tensor  # (E,) not normalised; 0: not at all
+    silhouette: Tensor  # (E,) bool: it is one, from somewhere on the lens
+    length: float  # of all edges in view on the film, those that may jump less counted as less, pixels
+
+
+def places_on_edges(call: RenderCall, number: int, outline: Outline) -> Places:
+    """Places on an outline as a camera sees it, in proportion to lengths on the film."""
+    view, edges = call.views[number], outline.edges
+    vertices = outline.vertices(call.scene).stack().double()
+    choice = edges_in_view(view, outline, vertices)
+    numbers = numbers_of(view, number_of_places(choice.length, call, view), SILHOUETTE)
+    edge, share, times = picked(choice.weight, numbers.along)
+    reach, aperture = choice.leaves[edge] - choice.enters[edge], numbers.aperture
+    along = choice.enters[edge] + reach * share
+    a, b = (Vec3.of(vertices[index[edge]]) for index in (edges.a, edges.b))
+    before, at, after = (on_film(view, a + (b - a) * (along + step * reach), aperture) for step in (-STEP, 0.0, STEP))
+    # The density over `along` is 1 / (times reach); the length of the edge on the film per `along` is in `normal`.
+    scale = times / (2.0 * STEP * outline.share[edge])
+    p = a + (b - a) * along
+    silhouette = choice.silhouette[edge]
+    if aperture is not None:
+        eyes = camera_sample(call, view, at, aperture, numbers.key).ray.o.stack().double()
+        silhouette = is_silhouette_from(edges, vertices, edge, eyes)
+        scale = scale * (silhouette | (outline.crease[edge] > 0))
+    first, second = (edges.vertex[index[edge]] for index in (edges.a, edges.b))
+    nothing, normal = torch.zeros_like(along), Vec2(-(after.y - before.y) * scale, (after.x - before.x) * scale)
+    return Places(torch.where(silhouette, SILHOUETTE, CREASE), Between(first, second, second),
+                  None if outline.instance is None else outline.instance[edges.a[edge]], along, nothing, p, at,
+                  normal, surface_side(view, edges, vertices, edge, p, at, normal, aperture), nothing, numbers.key, aperture)
+
+
+def surface_side(view: View, edges: Edges, vertices: Tensor, edge: Tensor, p: Vec3, film: Vec2, normal: Vec2,
+                 aperture: Vec2 | None) -> Tensor:
+    """1 where the triangles at a silhouette lie ahead of it on the film, -1 where they lie behind; (N,).
+
+    Args:
+        edges: between `vertices`, (U, 3) float64.
+        edge: (N,) int64, which.
+        p, film, normal, aperture: of places on them.
+    """
+    order = edges.edge.argsort(stable=True)
+    count = torch.bincount(edges.edge, minlength=len(edges.a))
+    last = count.cumsum(0)[edge] - 1
+    ahead = torch.zeros_like(normal.x)
+    for corner in (last, last - count[edge] + 1):
+        inwards = Vec3.of(vertices[edges.opposite[order[corner]]]) - p
+        seen = on_film(view, p + inwards * STEP, aperture)
+        ahead += (seen.x - film.x) * normal.x + (seen.y - film.y) * normal.y
+    return torch.where(ahead >= 0.0, 1.0, -1.0)
+
+
+def edges_in_view(view: View, outline: Outline, vertices: Tensor) -> Choice:
+    """Which edges are in view, and how long they are there; `vertices` (U, 3) of the outline, float64."""
+    camera, edges = view.camera, outline.edges
+    silhouette = is_silhouette(edges, vertices, camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
+    jump = torch.where(silhouette, 1.0, outline.crease.double())
+    some, enters, leaves = clipped(view, edges, vertices, (jump > 0).nonzero().squeeze(1))
+    a, b = (Vec3.of(vertices[index[some]]) for index in (edges.a, edges.b))
+    middle = Vec2(*(torch.full_like(enters, 0.5),) * 2) if camera.kind.has_aperture else None
+    ends = [on_film(view, a + (b - a) * along, middle) for along in (enters, leaves)]
+    length = torch.hypot(ends[1].x - ends[0].x, ends[1].y - ends[0].y)
+    weight = length * jump[some]
+    every = torch.zeros(3, len(jump), dtype=torch.float64, device=vertices.device)
+    enters, leaves, weights = every.index_copy(1, some, torch.stack([enters, leaves, weight]))
+    return Choice(enters, leaves, weights, silhouette, float(weight.sum()))
+
+
+def clipped(view: View, edges: Edges, vertices: Tensor, some: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Those of some edges that are in view, (S,), and the shares of the way from a to b between which they are.
+
+    Only edges that cross the border of the view are clipped.
+
+    Args:
+        view: where also counts what the filter reaches beyond the window.
+        edges: between `vertices`, (U, 3) float64.
+        some: (E',) int64, of the edges.
+    """
+    camera, (x, y) = view.camera, window(view)
+    beyond = camera.kind.frustum(camera.lens, x, y, Vec3.of(vertices)) < 0
+    bits = 1 << torch.arange(len(beyond), device=vertices.device)
+    outside = (beyond * bits[:, None]).sum(0)  # a bit for each plane of the frustum, as Cohen and Sutherland have it
+    at_a, at_b = (outside[index[some]] for index in (edges.a, edges.b))
+    seen = (at_a & at_b) == 0
+    some, crossing = some[seen], (at_a | at_b)[seen].nonzero().squeeze(1)
+    enters = torch.zeros(len(some), dtype=torch.float64, device=vertices.device)
+    a, b = (Vec3.of(vertices[index[some[crossing]]]) for index in (edges.a, edges.b))
+    first, last = camera.kind.clipped(camera.lens, x, y, a, b)
+    leaves = torch.ones_like(enters).index_copy(0, crossing, last)
+    enters = enters.index_copy(0, crossing, first)
+    seen = enters < leaves
+    return some[seen], enters[seen], leaves[seen]

@@ -1,0 +1,31 @@
+"""Notices a loop that renders every step with the same noise."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+
+class RepeatedNoiseWarning(UserWarning):
+    """Steps of an optimisation are rendered with one seed, so that it fits their noise."""
+
+
+class NoiseWatch:
+    """Warns once, of a renderer that is called without a seed again after its parameters have changed."""
+
+    def __init__(self):
+        self.versions: dict[str, int] = {}
+
+    def look(self, parameters: Mapping[str, Tensor]) -> None:
+        """Is told of a call without a seed; `parameters`: those that derivatives are wanted of."""
+        if not parameters or not torch.is_grad_enabled():
+            return
+        versions = {name: parameter._version for name, parameter in parameters.items()}
+        if any(self.versions.get(name, version) != version for name, version in versions.items()):
+            warnings.warn("the renderer was called without a seed again after its parameters had changed: each step of such "
+                          "a loop has the same noise, which its result is then fitted to; give each its own, as in "
+                          "renderer(seed=step)", RepeatedNoiseWarning, stacklevel=6)
+        self.versions = versions

@@ -1,0 +1,205 @@
+"""Whether a state from a file is one of a run: every field of it is compared before anything is changed.
+
+What follows from the recipe, learning rates for instance, is not in the state but computed again.
+"""
+
+import copy
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_radbp.training.recipe import Recipe
+from torch_radbp.training.recovery.checkpoint import START_ANEW, CheckpointError, State
+from torch_radbp.training.recovery.parameters import RecoveredParameter
+
+COUNTS = ("step", "skipped", "processes")
+# Means of squares, of Adam and of RMSprop.
+SQUARES = ("exp_avg_sq", "square_avg")
+STEPS_TAKEN = "step"  # Adam's counter
+MAY_CHANGE = ("steps", "render.device")
+SHOWN = 200  # characters of a value in a message
+MOST_CHANGES = 4  # that a message lists
+
+
+def recipe_fields(recipe: Recipe) -> dict[str, Any]:
+    """Every key of a recipe that a resumed run may not change, dotted; paths are relative to the scene's folder."""
+    context = {"base_dir": recipe.scene.parent}
+    fields = _flat(recipe.model_dump(mode="json", exclude_none=True, context=context), "")
+    return {key: value for key, value in fields.items() if key not in MAY_CHANGE}
+
+
+def _flat(value: Any, place: str) -> dict[str, Any]:
+    if isinstance(value, dict):
+        pairs = [(f"{place}.{key}" if place else key, each) for key, each in value.items()]
+    elif isinstance(value, list) and any(isinstance(each, dict) for each in value):
+        pairs = [(f"{place}[{index}]", each) for index, each in enumerate(value)]
+    else:
+        return {place: value}
+    return {key: leaf for name, each in pairs for key, leaf in _flat(each, name).items()}
+
+
+def recipe_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What the first keys that differ between two recipes were, and what they are."""
+    keys = [key for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key)]
+    changes = [f"{key} was {_shown(before, key)} and is {_shown(now, key)}" for key in keys[:MOST_CHANGES]]
+    return changes + [f"and {len(keys) - MOST_CHANGES} more"] * (len(keys) > MOST_CHANGES)
+
+
+def _shown(fields: Mapping[str, Any], key: str) -> str:
+    text = repr(fields[key]) if key in fields else "not set"
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+
+
+def expected_moments(optimizer: torch.optim.Optimizer) -> list[dict[str, Tensor]]:
+    """What an optimiser keeps of each parameter from its first step on, on the device `meta`: shapes and dtypes."""
+    groups = [{**copy.copy(group), "params": [torch.zeros_like(raw, device="meta") for raw in group["params"]]}
+              for group in optimizer.param_groups]
+    twin = type(optimizer)(groups)
+    raws = [raw for group in twin.param_groups for raw in group["params"]]
+    for raw in raws:
+        raw.grad = torch.zeros_like(raw)
+    twin.step()
+    return [{name: value for name, value in twin.state[raw].items() if isinstance(value, Tensor)} for raw in raws]
+
+
+def state_bytes(fresh: State, moments: list[dict[str, Tensor]]) -> int:
+    """The bytes of the tensors of a run's state."""
+    tensors = [*fresh["parameters"].values(), *(value for each in moments for value in each.values())]
+    return sum(value.numel() * value.element_size() for value in tensors)
+
+
+def check_state(
+    path: Path,
+    state: State,
+    fresh: State,
+    parameters: list[RecoveredParameter],
+    moments: list[dict[str, Tensor]],
+    steps: int,
+) -> None:
+    """Checks that a loaded state is one of this run.
+
+    Args:
+        path: where it was read, for messages.
+        state: what was read.
+        fresh: the state of the same run before its first step.
+        parameters: that are recovered.
+        moments: what the optimiser keeps of each, from `expected_moments`.
+        steps: of the recipe.
+
+    Raises:
+        CheckpointError: another recipe or other files, other names, shapes or dtypes, or numbers that make no sense; the
+            message names the first of them, what was and what is.
+    """
+    try:
+        _check_fields(state, fresh)
+        _check_counts(state, steps)
+        _check_recipe(state["recipe"], fresh["recipe"])
+        _check_sources(state["sources"], fresh["sources"])
+        _check_parameters(state["parameters"], parameters)
+        _check_moments(state, [each.name for each in parameters], moments)
+    except CheckpointError as error:
+        raise CheckpointError(f"{path}: {error}") from None
+
+
+def _refuse(problem: str) -> CheckpointError:
+    return CheckpointError(f"{problem}; the checkpoint is not one of this recipe; {START_ANEW}")
+
+
+def _check_fields(state: State, fresh: State) -> None:
+    for key in fresh:
+        if key not in state:
+            raise _refuse(f"{key} is missing")
+    for key in state:
+        if key not in fresh:
+            raise _refuse(f"{str(key)[:SHOWN]!r} is no field of a checkpoint; its fields are {', '.join(fresh)}")
+
+
+def _check_counts(state: State, steps: int) -> None:
+    for key in COUNTS:
+        if type(state[key]) is not int or state[key] < (key == "processes"):
+            raise _refuse(f"{key} is {_shown(state, key)} instead of a whole number, at least {int(key == 'processes')}")
+    if state["skipped"] > state["step"]:
+        raise _refuse(f"skipped is {state['skipped']}, more than the {state['step']} steps so far")
+    seconds = state["seconds"]
+    if type(seconds) not in (int, float) or not 0 <= seconds < math.inf:
+        raise _refuse(f"seconds is {_shown(state, 'seconds')} instead of a number, at least 0")
+    if state["step"] > steps:
+        raise CheckpointError(f"the run is at step {state['step']} already, beyond steps = {steps}")
+
+
+def _check_recipe(before: Any, now: dict[str, Any]) -> None:
+    if not isinstance(before, dict):
+        raise _refuse("recipe is no table")
+    changes = recipe_changes(before, now)
+    if changes:
+        raise CheckpointError(f"the checkpoint was made with another recipe: {'; '.join(changes)}; a resumed run may only "
+                              f"change {' and '.join(MAY_CHANGE)}: set the others back, or {START_ANEW}")
+
+
+def _check_sources(before: Any, now: dict[str, str]) -> None:
+    if not isinstance(before, dict):
+        raise _refuse("sources is no table")
+    changed = [name for name in now if name in before and before[name] != now[name]]
+    if changed:
+        name = changed[0]
+        raise CheckpointError(f"the file {name} has changed since the run began: its SHA-256 was {str(before[name])[:12]} "
+                              f"and is {now[name][:12]}; put the former file back, or {START_ANEW}")
+    if before.keys() != now.keys():
+        name = min(before.keys() ^ now.keys())
+        was, is_now = ("read", "not read") if name in before else ("not read", "read")
+        raise CheckpointError(f"the file {name[:SHOWN]} was {was} when the run began and is {is_now} now; put the former "
+                              f"scene back, or {START_ANEW}")
+
+
+def _check_parameters(values: dict[str, Tensor], parameters: list[RecoveredParameter]) -> None:
+    _check_names("parameters", values, [each.name for each in parameters])
+    for each in parameters:
+        place, value = f"parameters.{each.name}", values[each.name]
+        _check_tensor(place, value, each.raw)
+        if each.spec.bounds is None or each.spec.parametrisation != "clamp":
+            continue
+        lower, upper = each.spec.bounds
+        outside = (value < lower) | (value > upper)
+        if outside.any():
+            raise _refuse(f"{place} is {value[outside].flatten()[0].item():g}, out of the bounds [{lower:g}, {upper:g}]")
+
+
+def _check_moments(state: State, names: list[str], moments: list[dict[str, Tensor]]) -> None:
+    taken = state["step"] - state["skipped"]
+    _check_names("moments", state["moments"], names if taken and any(moments) else [])
+    for name, expected in zip(names, moments if taken else []):
+        if not expected:
+            continue
+        found = state["moments"][name]
+        _check_names(f"moments.{name}", found, list(expected))
+        for moment, like in expected.items():
+            place, value = f"moments.{name}.{moment}", found[moment]
+            _check_tensor(place, value, like)
+            if moment in SQUARES and (value < 0).any():
+                raise _refuse(f"{place} is {value.min().item():g}, and a mean of squares is at least 0")
+            if moment == STEPS_TAKEN and value.item() != taken:
+                raise _refuse(f"{place} is {value.item():g} after {taken} steps that were not skipped")
+
+
+def _check_names(place: str, found: dict[str, Any], expected: list[str]) -> None:
+    for name in expected:
+        if name not in found:
+            raise _refuse(f"{place}.{name} is missing")
+    for name in found:
+        if name not in expected:
+            raise _refuse(f"{place}.{name[:SHOWN]} is there, but {place} has {', '.join(expected) or 'nothing'}")
+
+
+def _check_tensor(place: str, value: Tensor, like: Tensor) -> None:
+    if (value.shape, value.dtype) != (like.shape, like.dtype):
+        raise _refuse(f"{place} is {_kind(value)} instead of {_kind(like)}")
+    if not value.isfinite().all():
+        raise _refuse(f"{place} is not finite")
+
+
+def _kind(value: Tensor) -> str:
+    return f"{tuple(value.shape)} {str(value.dtype).removeprefix('torch.')}"
