@@ -18,6 +18,8 @@ SETTINGS = {"spp": 5, "max_depth": 4, "rr_depth": 2}
 DIVISIONS = [(61, 1), (61, 2), (97, 3), (20, 2)]  # lanes of a chunk, threads
 DIVIDED_PIXELS = [(1, 1), (2, 2), (3, 1), (4, 2)]
 ROUNDING = 1e-12
+# Where terms of the order of 1 cancel, as the slopes of a pyramid's coarsest level do, 1e-16 is left of them or more.
+LEAST_GRADIENT = 1e-4
 
 
 @pytest.fixture
@@ -45,7 +47,7 @@ def test_images_of_all_appearances_have_the_same_bits_and_gradients_agree(name, 
         _, found, parts = rendered(chunk=chunk)
         assert torch.equal(found, image), (chunk, threads)
         for parameter, gradient, wanted in zip(names, parts, gradients):
-            largest = max(1e-9, float(wanted.abs().max()))  # below, it is rounding
+            largest = max(LEAST_GRADIENT, float(wanted.abs().max()))
             assert (gradient - wanted).abs().max() <= ROUNDING * largest, (parameter, chunk, threads)
 
 
