@@ -31,6 +31,7 @@ from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.known import KnownCaster, Mesh
 from torch_radbp.scene import Scene
 from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.module_attributes import parameters_in
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
@@ -262,16 +263,18 @@ class Renderer(nn.Module):
             raise RuntimeError("a rendering cannot be traced by torch.jit.trace, since its operations depend on the paths: "
                                "trace the networks around it, or call the renderer as it is")
         check_names(self)
-        available, indices = self.scene.sensors, sensor_indices(self.scene, sensors)
+        named, indices = self.scene.named_sensors, sensor_indices(self.scene, sensors)
+        names, available = list(named), list(named.values())
         seen = [available[index] for index in indices]
+        own = parameters_in(self.scene, without=set(available).difference(seen))
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
         width, height = size_of_films(seen)
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
-        fused = self.runs_compiled()
-        parameters = {name: parameter for name, parameter in self.scene.named_parameters() if parameter.requires_grad}
+        fused = self.runs_compiled([value for _, value in own])
+        parameters = {name: value for name, value in own if value.requires_grad}
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         about = lanes_of_chunks(device, self.scene.dtype, workers, fused)
@@ -281,7 +284,7 @@ class Renderer(nn.Module):
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
                            self.adjoint if differentiating else None, record_bytes, fused))
         kept = Kept(self.kept_for_aovs if aovs else self.kept)
-        scene = pack(self.scene, kept, self.light_choice, aovs)
+        scene = pack(self.scene, kept, self.light_choice, aovs, [names[index] for index in indices])
         caster = self.caster_of(scene)
         views = [view_of(sensor, index, seeds, scene, kept) for index, sensor in zip(indices, seen)]
         if aovs:
@@ -307,11 +310,11 @@ class Renderer(nn.Module):
         chunks = plan_chunks(len(views), width * height, spp, plan.chunk, workers)
         return call._replace(adjoint=plan.adjoint, chunks=chunks, record_bytes=0.0 if plan.retrace else inf)
 
-    def runs_compiled(self) -> bool:
-        """True if a call would run fused loops: those are for the CPU and for CUDA, and autograd, backward or forward,
-        records nothing of them."""
+    def runs_compiled(self, parameters: list[Tensor]) -> bool:
+        """True if a call that depends on these parameters would run fused loops: those are for the CPU and for CUDA, and
+        autograd, backward or forward, records nothing of them."""
         return (self.compile_stages and self.scene.device.type in COMPILED and not isinstance(self.adjoint, TapeAdjoint)
-                and not has_tangents(list(self.scene.parameters())))
+                and not has_tangents(parameters))
 
     @entry
     def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None) -> MemoryPlan:

@@ -304,8 +304,8 @@ def test_what_cannot_be_compared_is_made_anew():
     assert_nothing_is_stale(renderer)
 
 
-def names_of(scene: rb.Scene) -> list[str]:
-    return [name for name, _ in scene.named_parameters()]
+def names_of(named: list[tuple[str, nn.Module]]) -> list[str]:
+    return [f"{prefix}.{name}" for prefix, module in named for name in module._parameters]
 
 
 def test_what_follows_from_attributes_is_made_again_only_when_one_is_another_object():

@@ -12,7 +12,7 @@ Nothing here is ever written into, so that graphs and other threads may hold it.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Collection, Hashable, Iterable
 from typing import Any, NamedTuple
 
 import torch
@@ -33,6 +33,7 @@ from torch_radbp.scene.module_attributes import (
     has_attributes,
     holder,
     is_constant,
+    modules_in,
     replaced,
     stands_still,
 )
@@ -77,8 +78,8 @@ class Kept:
 
     def __init__(self, last: Kept | None = None):
         self.last_copies, self.last_results = ({}, {}) if last is None else (last.copies, last.results)
-        self.last_structures: dict[Callable, Structure] = {} if last is None else last.structures
-        self.structures: dict[Callable, Structure] = {}
+        self.last_structures: dict[tuple, Structure] = {} if last is None else last.structures
+        self.structures: dict[tuple, Structure] = {}
         self.last_twins: dict[Hashable, Twin] = {} if last is None else last.twins
         self.copies: dict[Hashable, Tensor] = {}
         self.results: dict[tuple, Result] = {}
@@ -130,21 +131,25 @@ class Kept:
         self.results[result.key] = result
         self.fix(result.value)
 
-    def structure(self, make: Callable[[nn.Module], Any], root: nn.Module):
-        """`make(root)`, or what that gave before if `root` and the modules in it have the very attributes they had then.
+    def structure(self, make: Callable, root: nn.Module, name: str = "", without: Collection[nn.Module] = ()):
+        """`make(modules_in(root, name, without))`, or what that gave before if these modules have the very attributes they
+        had then.
 
         Args:
-            make: a function of a module, whose result does not depend on what tensors contain.
+            make: a function of modules and their names, whose result does not depend on what tensors contain.
             root: any module.
+            name: of `root`.
+            without: a set of modules that are left out with all that is in them.
         """
-        known = self.last_structures.get(make)
+        known = self.last_structures.get((make, name))
         if known is None or known.modules[0][0] is not root or not all(
                 has_attributes(module, attributes) for module, attributes in known.modules):
-            value, modules = make(root), list(root.modules())
+            named = modules_in(root, name, without)
+            value, modules = make(named), [module for _, module in named]
             if not all(stands_still(module) for module in modules if isinstance(module, Plugin)):
                 return value
             known = Structure(value, [(module, attributes_of(module)) for module in modules])
-        self.structures[make] = known
+        self.structures[make, name] = known
         return known.value
 
     def frozen(self, place: Hashable, tensor: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import operator
+from collections.abc import Collection
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -37,6 +38,38 @@ def is_constant(value, beside: tuple[type, ...] = ()) -> bool:
     if isinstance(value, tuple) or frozen_dataclass(type(value)):
         return all(is_constant(part, beside) for part in (value if isinstance(value, tuple) else vars(value).values()))
     return isinstance(value, (*PLAIN, float, *beside))
+
+
+def modules_in(root: nn.Module, prefix: str = "", without: Collection[nn.Module] = ()) -> list[tuple[str, nn.Module]]:
+    """A module and those in it with their names, each once and in the order of `named_modules`.
+
+    Args:
+        root: any module.
+        prefix: its name.
+        without: a set of modules that are left out with all that is in them.
+    """
+    found, met, left = [], set(), [(prefix, root)]
+    while left:
+        prefix, module = left.pop()
+        if module in met:
+            continue
+        met.add(module)
+        found.append((prefix, module))
+        dot = prefix and prefix + "."
+        left += [(dot + name, child) for name, child in reversed(module._modules.items())
+                 if child is not None and child not in without]
+    return found
+
+
+def parameters_in(root: nn.Module, without: Collection[nn.Module] = ()) -> list[tuple[str, Tensor]]:
+    """The parameters of a module with their names, each once, as `named_parameters`; args as for `modules_in`."""
+    found, met = [], set()
+    for prefix, module in modules_in(root, without=without):
+        for name, value in module._parameters.items():
+            if value is not None and id(value) not in met:
+                met.add(id(value))
+                found.append((f"{prefix}.{name}" if prefix else name, value))
+    return found
 
 
 def dicts_of(module: nn.Module) -> tuple[dict[str, Any], ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Collection, Hashable, Iterable
 from typing import Any, NamedTuple
 
 import torch
@@ -56,7 +56,8 @@ class BankBuilder:
         return any(reader_of(texture).needs_uv for texture in self.textures)
 
 
-def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None, aovs: bool = False) -> SceneTensors:
+def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None, aovs: bool = False,
+         seen: Collection[str] | None = None) -> SceneTensors:
     """The tensors of a scene, attached to its parameters.
 
     Args:
@@ -64,13 +65,14 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
         kept: what is known from the last rendering.
         light_choice: how next-event estimation picks a light; see `Renderer`.
         aovs: with coordinates and numbers, which quantities may be about that no image needs.
+        seen: the names of the sensors that are rendered, whose parameters are checked; None: all.
 
     Raises:
         ValueError: if a parameter is not in its domain, or derivatives of a module would be wrong; the message names it.
         TypeError: if the parameters are not of one dtype, or a module has been compiled.
     """
     kept = Kept() if kept is None else kept
-    check_parameters(scene, kept)
+    check_parameters(scene, kept, scene.named_sensors if seen is None else seen)
     dtype, device = scene.dtype, scene.device
     radiance = BankBuilder()
     bsdfs, shapes, emitters = list(scene.bsdfs()), scene.shapes, scene.emitters  # once: a scene may have many objects

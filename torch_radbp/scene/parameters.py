@@ -6,6 +6,8 @@ is checked: first the shapes, then the extremes.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from functools import cache
 from typing import NamedTuple
 
 import torch
@@ -15,6 +17,7 @@ from torch_radbp.differentiated import differentiated, primal
 from torch_radbp.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
 from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.module_attributes import modules_in
 from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
@@ -45,9 +48,18 @@ def held_values(scene: Scene) -> dict[str, Held]:
     The result of a parametrisation has the name of the parameter that it replaces. The values of a texture must be in the
     domains of all attributes for which it is used; a texture that computes them is evaluated.
     """
-    note_uses(scene)
-    names = {id(module): name for name, module in scene.named_modules() if isinstance(module, Plugin)}
-    plugins = [(names[id(module)], module) for module in scene.modules() if isinstance(module, Plugin)]
+    views = scene.named_sensors
+    found = held_in(modules_in(scene, without=set(views.values())))
+    for name, view in views.items():
+        found |= held_in(modules_in(view, name))
+    return found
+
+
+def held_in(named: list[tuple[str, nn.Module]]) -> dict[str, Held]:
+    """The part of `held_values` that some modules have, from `modules_in`."""
+    plugins = [(name, module) for name, module in named if isinstance(module, Plugin)]
+    names = {id(plugin): name for name, plugin in plugins}
+    note_uses(plugins)
     found: dict[str, Held] = {}
     for prefix, plugin in plugins:
         for attribute, domain in plugin.domains().items():
@@ -60,10 +72,11 @@ def held_values(scene: Scene) -> dict[str, Held]:
             if isinstance(texture, Texture):
                 hold_values(found, names, texture, domain)
     known = {id(getattr(held.owner, held.attribute)) for held in found.values() if held.attribute is not None}
-    for name, value in scene.named_parameters():
-        if id(value) not in known and value.numel():
-            path, _, attribute = name.rpartition(".")
-            found[name] = Held(scene.get_submodule(path), attribute, [Domain()])
+    for prefix, module in named:
+        for attribute, value in module._parameters.items():
+            if value is not None and id(value) not in known and value.numel():
+                known.add(id(value))
+                found[f"{prefix}.{attribute}".removeprefix(".")] = Held(module, attribute, [Domain()])
     return found
 
 
@@ -91,33 +104,38 @@ def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture,
     found[own].domains.append(domain)
 
 
-def note_uses(scene: Scene) -> None:
+def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
     """Tells textures that are no tables by what name and in which domains their values will be checked."""
-    modules, uses = list(scene.modules()), {}
-    if all(module.tabulated for module in modules if isinstance(module, Texture)):
+    if all(plugin.tabulated for _, plugin in plugins if isinstance(plugin, Texture)):
         return
-    for plugin in modules:
-        for attribute, domain in plugin.domains().items() if isinstance(plugin, Plugin) else ():
+    names, uses = {id(plugin): name for name, plugin in plugins}, {}
+    for _, plugin in plugins:
+        for attribute, domain in plugin.domains().items():
             texture = getattr(plugin, attribute, None)
             if isinstance(texture, Texture) and not texture.tabulated:
                 uses.setdefault(id(texture), (texture, []))[1].append(domain)
     for texture, domains in uses.values():
-        texture.use = Use(scene.name_of(texture), tuple(dict.fromkeys(domains)))
+        texture.use = Use(names[id(texture)], tuple(dict.fromkeys(domains)))
 
 
-def check_parameters(scene: Scene, kept: Kept) -> None:
+def check_parameters(scene: Scene, kept: Kept, seen: Collection[str]) -> None:
     """Checks the current parameters of a scene. The values of modules are checked where they are computed.
 
     Args:
         scene: as it is now.
         kept: what is known from the last rendering.
+        seen: the names of the sensors that are rendered; the others are not looked at.
 
     Raises:
         ValueError: naming the first that has a wrong shape, is not finite, is out of range, or is not a valid pose.
         TypeError: if dtypes or devices are mixed, or the dtype is not supported.
     """
     with torch.no_grad():
-        found = kept.structure(held_values, scene)
+        views = scene.named_sensors
+        found = {}
+        for name in dict.fromkeys(seen):
+            found |= kept.structure(held_in, views[name], name)
+        found |= kept.structure(held_in, scene, without=set(views.values()))
         values = {name: held.value for name, held in found.items()}
         check_types(scene, found, values)
         for name, held in found.items():
@@ -150,11 +168,18 @@ def check_names(root: nn.Module) -> None:
     Args:
         root: a renderer, or a scene.
     """
-    for prefix, module in root.named_modules():
-        stray = next((name for name, value in vars(module).items() if isinstance(value, Tensor)), None)
-        if stray is not None and type(module) in {Scene, type(root), *registered()}:
+    for prefix, module in modules_in(root):
+        attributes = vars(module)
+        if any(map(is_tensor, set(map(type, attributes.values())))) and type(module) in {Scene, type(root), *registered()}:
+            stray = next(name for name, value in attributes.items() if isinstance(value, Tensor))
             name = f"{prefix}.{stray}".removeprefix(".")
             raise AttributeError(f"there is no parameter {name!r}; {nearest(name, dict(root.named_parameters()))}")
+
+
+@cache
+def is_tensor(kind: type) -> bool:
+    """True if instances of a class are tensors."""
+    return issubclass(kind, Tensor)
 
 
 def registered() -> set[type[Plugin]]:
