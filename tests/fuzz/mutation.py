@@ -34,8 +34,7 @@ def mutate(family: str, source: random.Random, content: bytes, others: list[byte
     for _ in range(1 + min(int(source.expovariate(1.3)), 3)):
         try:
             content = source.choice(MUTATIONS[family])(source, content, others)
-        except (ElementTree.ParseError, struct.error, LookupError, ValueError, TypeError,
-                OverflowError):
+        except (ElementTree.ParseError, struct.error, LookupError, ValueError, TypeError, AttributeError, OverflowError):
             content = of_bytes(source, content, others)  # what an earlier mutation broke has no structure
     return content
 

@@ -1,7 +1,10 @@
 """The fuzzer's own tests, and a short run of it with a fixed seed."""
 
+import json
 import os
+import random
 import shutil
+import struct
 import sys
 import warnings
 from pathlib import Path
@@ -13,10 +16,12 @@ from tests.deep import deep
 from tests.fuzz.__main__ import Tally, write_mutant
 from tests.fuzz.corpus import FAMILIES, build_corpus
 from tests.fuzz.judge import check_saved, judge
+from tests.fuzz.mutation import mutate
 from tests.fuzz.worker import Worker
 from tests.io.documents import TRIANGLE_OBJ, scene_dict
 from torch_radbp.io.load import load_dict
 from torch_radbp.plugin import REGISTRY
+from torch_radbp.training.recovery.checkpoint import HEADER
 
 GREY_NORMALS = "normalmap must have three channels"  # what a picture is used for depends on its bytes
 CASES = 25  # of each family; `python -m tests.fuzz --minutes 60` is the long run
@@ -63,6 +68,13 @@ def test_mutants_are_a_function_of_seed_family_and_number(corpus):
     first = [write_mutant(corpus, "xml", 3, number).read_bytes() for number in range(5)]
     assert first == [write_mutant(corpus, "xml", 3, number).read_bytes() for number in range(5)]
     assert first != [write_mutant(corpus, "xml", 4, number).read_bytes() for number in range(5)]
+
+
+def test_what_a_mutation_has_broken_is_mutated_further():
+    text = json.dumps({"__metadata__": {HEADER: [1, 2, 3]}}).encode()  # of which the header is a text
+    broken = struct.pack("<Q", len(text)) + text
+    mutants = {mutate("checkpoint", random.Random(seed), broken, [broken]) for seed in range(20)}
+    assert len(mutants) > 10 and broken not in mutants
 
 
 @pytest.mark.parametrize("fault, kind", [
