@@ -11,7 +11,7 @@ from torch.func import functional_call
 import torch_radbp as rb
 from tests.scenes import cornell, diffuse, load, look_at, rectangle, rgb, sensor, texels
 from torch_radbp.boundary import SilhouetteWarning
-from torch_radbp.boundary.edges import cells_of, edges_of, welded
+from torch_radbp.boundary.edges import cells_of, edges_of, weld_size, welded
 from torch_radbp.io.transform import rotate, scale, translate
 
 SKY = {"type": "constant", "radiance": rgb(0.5, 0.6, 0.7)}
@@ -204,10 +204,11 @@ def test_without_gradients_there_is_no_warning_and_forward_mode_has_it_too():
 def test_vertices_in_one_place_are_one_and_a_cube_has_18_edges():
     cube = rb.load_dict({"type": "scene", "camera": sensor(2), "sky": SKY, "box": CUBE}).box
     edges = edges_of(cube.vertex_positions.detach(), cube.faces)
-    assert len(torch.unique(welded(cells_of(cube.vertex_positions.detach())))) == 8
+    size = weld_size(cube.vertex_positions.detach())
+    assert len(torch.unique(welded(cells_of(cube.vertex_positions.detach(), size)))) == 8
     assert len(edges.a) == 18 and (torch.bincount(edges.edge) == 2).all()
     noisy = cube.vertex_positions.detach() * (1 + 1e-7 * torch.randn(24, 3, generator=torch.Generator().manual_seed(0)))
-    assert len(torch.unique(welded(cells_of(noisy)))) == 8
+    assert len(torch.unique(welded(cells_of(noisy, size)))) == 8
 
 
 def glass(**attributes) -> rb.Scene:

@@ -9,6 +9,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.junctions import cut_at_vertices
+
 WELDED = 1e-5  # vertices nearer than about this share of the mesh's extent count as one
 HASH, SLOTS = 0x1E3779B97F4A7C15, 1 << 22  # the multiplier of a hash, and how many values it has
 MANY = 1 << 16  # triangles of a shape of which all are looked at
@@ -51,8 +53,8 @@ def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
 def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> Edges:
     """The edges of a mesh, or of some of its triangles.
 
-    Vertices at the same place count as one; degenerate triangles are skipped. The neighbours of the chosen triangles are
-    found without sorting the whole mesh.
+    Vertices at the same place count as one; degenerate triangles are skipped; an edge of one triangle ends at every vertex
+    that lies on it. The neighbours of the chosen triangles are found without sorting the whole mesh.
 
     Args:
         vertices: (V, 3), detached; may begin and end with vertices of other meshes.
@@ -61,7 +63,9 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
     """
     first = int(faces.min())
     faces = faces - first
-    cells = cells_of(vertices[first:first + int(faces.max()) + 1])
+    vertices = vertices[first:first + int(faces.max()) + 1]
+    size = weld_size(vertices)
+    cells = cells_of(vertices, size)
     near = torch.arange(len(faces), device=faces.device)
     if chosen is not None:
         near = touching(cells, faces, faces[chosen].flatten().long())
@@ -70,13 +74,27 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
     proper = ~(corner == corner.roll(1, 1)).any(1)
     one, two, three = corner[proper].unbind(1)
     ends = torch.stack([torch.cat([one, two, three]), torch.cat([two, three, one])])
-    keys, edge = torch.unique(ends.amin(0) * len(vertex) + ends.amax(0), return_inverse=True)
-    corners = torch.cat([3 * near[proper] + place for place in (2, 0, 1)])
-    edges = Edges(first + vertex, keys // len(vertex), keys % len(vertex), torch.cat([three, one, two]), edge, corners)
+    opposite, corners = torch.cat([three, one, two]), torch.cat([3 * near[proper] + place for place in (2, 0, 1)])
+    keys, edge = numbered(ends, len(vertex))
+    border = (torch.bincount(edge)[edge] == 1).nonzero().squeeze(1)
+    if len(border):
+        which, pieces = cut_at_vertices(vertices[vertex].double(), ends[:, border], size)
+        if len(which):
+            whole = torch.ones(len(edge), dtype=torch.bool, device=edge.device).index_fill(0, border[which], False)
+            ends = torch.cat([ends[:, whole], pieces], 1)
+            opposite, corners = (torch.cat([part[whole], part[border[which]]]) for part in (opposite, corners))
+            keys, edge = numbered(ends, len(vertex))
+    edges = Edges(first + vertex, keys // len(vertex), keys % len(vertex), opposite, edge, corners)
     if chosen is None:
         return edges
     wanted = torch.zeros(len(faces), dtype=torch.bool, device=faces.device).index_fill(0, chosen, True)
     return kept(edges, wanted[corners // 3])
+
+
+def numbered(ends: Tensor, vertices: int) -> tuple[Tensor, Tensor]:
+    """The pairs of vertices that occur at the `ends`, (2, H), of edges, (E,) int64, a * vertices + b with a < b; and (H,)
+    which of these each has."""
+    return torch.unique(ends.amin(0) * vertices + ends.amax(0), return_inverse=True)
 
 
 def kept(edges: Edges, corners: Tensor) -> Edges:
@@ -97,17 +115,20 @@ def touching(cells: tuple[Tensor, Tensor], faces: Tensor, vertices: Tensor) -> T
     return ((first & second) | (second & third) | (third & first)).nonzero().squeeze(1)
 
 
-def cells_of(vertices: Tensor) -> tuple[Tensor, Tensor]:
-    """The cells of two grids that contain the vertices, (V, 3); (V,) int64 each.
+def weld_size(vertices: Tensor) -> float:
+    """The distance below which the vertices of a mesh, (V, 3), count as one."""
+    extent = float((vertices.amax(0) - vertices.amin(0)).max())
+    # Powers of ten, because coordinates that people write are multiples of them.
+    return 10.0 ** math.floor(math.log10(extent * WELDED)) if extent > 0.0 else 1.0
+
+
+def cells_of(vertices: Tensor, size: float) -> tuple[Tensor, Tensor]:
+    """The cells, of this size, of two grids that contain the vertices, (V, 3); (V,) int64 each.
 
     One grid is shifted by half a cell against the other, so that vertices at the same place, up to rounding, share a cell
     of at least one of them.
     """
-    low = vertices.amin(0)
-    extent = float((vertices.amax(0) - low).max())
-    # Powers of ten, because coordinates that people write are multiples of them.
-    size = 10.0 ** math.floor(math.log10(extent * WELDED)) if extent > 0.0 else 1.0
-    places = (vertices.double() - low.double()) / size
+    places = (vertices.double() - vertices.amin(0).double()) / size
     cells = []
     for shift in (0.5, 1.0):
         x, y, z = torch.floor(places + shift).long().unbind(1)
