@@ -18,7 +18,7 @@ LANES = {True: 1 << 18, False: 1 << 17}  # of a chunk on the CPU if the user doe
 # On a GPU the host takes milliseconds to start a bounce of whatever size, so chunks are as large as its memory allows.
 LANES_ON_GPU = (1 << 18, 1 << 24)  # the fewest and the most of a chunk, about
 BYTES_ON_GPU = {True: 4096, False: 16384}  # of its memory for each lane of float32; compiled and eager
-RECORDS_OF_CHUNK = 200 << 20  # bytes, on the CPU if the user does not say
+RECORDS_OF_CHUNK = 112 << 20  # bytes, on the CPU if the user does not say
 LONGEST_TAIL = 20  # bounces after roulette has begun, in the mean of paths that survive as often as it lets them
 SHARE_OF_RECORDS = 1 / 8  # of all memory
 

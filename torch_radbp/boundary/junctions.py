@@ -18,8 +18,8 @@ def cut_at_vertices(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Ten
         tolerance: the distance below which a vertex lies on an edge, or at its end.
 
     Returns:
-        (P,) int64 of which edge each piece is, ascending, and (2, P) int64 its ends, in the direction of the edge; edges that
-        no vertex lies on have none.
+        (P,) int64 of which edge each piece is, ascending, and (2, P) int64 its ends, in the direction of the edge. There are
+        none of an edge that no vertex lies on.
     """
     edge, share, vertex = vertices_on(points, ends, tolerance)
     cut = edge.unique()
@@ -34,13 +34,11 @@ def cut_at_vertices(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Ten
 
 
 def vertices_on(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """The vertices of edges that lie on others of these edges: (J,) int64 which edge, the share of it before the vertex, and
-    (J,) int64 the vertex. Args as for `cut_at_vertices`."""
-    own = ends.unique()
-    places = points @ points.new_tensor(OBLIQUE)
-    places, order = places[own].sort()
-    own = own[order]
-    of_ends = (points @ points.new_tensor(OBLIQUE))[ends]
+    """The vertices of edges that lie on others of them: (J,) int64 which edge, the share of it before the vertex, and (J,)
+    int64 the vertex. Args as for `cut_at_vertices`."""
+    height, own = points @ points.new_tensor(OBLIQUE), ends.unique()
+    places, order = height[own].sort()
+    own, of_ends = own[order], height[ends]
     first = torch.searchsorted(places, of_ends.amin(0) - tolerance)
     counts = torch.searchsorted(places, of_ends.amax(0) + tolerance, right=True) - first
     block = torch.div(counts.cumsum(0) - counts, MOST_PAIRS, rounding_mode="floor")
