@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path_state import Arrival, Position, Settings
+from torch_radbp.path_state import Arrival, PathState, Position, Settings
 from torch_radbp.queues import Queue
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.sampling.sampler import depth_counter
@@ -76,6 +76,7 @@ class Integrand(NamedTuple):
     stages: Stages
     parts: dict[int | None, Part]  # by `Queue.appearance`, filled when one is first met
     clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
+    differentiated: int | None = None  # so many lanes of the chunk, the first, are of the derivative; None: all may be
 
     def with_stages(self, stages: Stages) -> Integrand:
         """The same integrand, evaluated by other functions."""
@@ -108,6 +109,10 @@ class Integrand(NamedTuple):
     def settings_at(self, depth: int) -> Settings:
         """The settings with what is special at the first bounce."""
         return self.settings._replace(hide_emitters=self.settings.hide_emitters and depth == 0)
+
+    def image_only(self, state: PathState) -> Tensor | None:
+        """Which paths are not differentiated, (N,) bool; None: all may be."""
+        return None if self.differentiated is None else state.lane >= self.differentiated
 
     def is_last(self, depth: int) -> bool:
         """True if paths end at this bounce: nothing is scattered any more."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from math import inf
 
 from torch import Tensor
 
@@ -36,6 +37,9 @@ class MemoryPlanner:
         work = self.workload(call)
         chunk = max(part.lanes for part in call.chunks)
         if budget is None:
+            if call.together:  # lanes of image and derivative, and all that is recorded
+                work = work._replace(lanes=2 * work.lanes)
+                return predict(work, 2 * chunk, call.adjoint, inf)._replace(chunk=chunk)
             return predict(work, chunk, call.adjoint, call.record_bytes)
         return plan_memory(budget, work, chunk, call.adjoint if adjoint_is_chosen else None, call.shares_samples)
 

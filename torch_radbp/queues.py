@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.order import partition
+from torch_radbp.jit.order import chosen, partition
 from torch_radbp.lookup import lookup
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
@@ -21,25 +21,47 @@ class Queue(NamedTuple):
     appearance: int | None  # of what they meet, a number of `Layout.appearances`; None: only what is emitted counts
     first: int
     last: int  # the place after its last lane
+    differentiated: int  # the place after its last lane that the backward pass differentiates; these come first
 
 
-NOTHING = Queue(None, 0, 0)  # of no lanes
+NOTHING = Queue(None, 0, 0, 0)  # of no lanes
 
 
-def queues_by(number: Tensor, appearances: int, surround: bool) -> tuple[Tensor, tuple[Queue, ...]]:
+def one_queue(appearance: int | None, flags: Tensor, image_only: Tensor | None) -> tuple[Tensor, tuple[Queue, ...]]:
+    """`Step.order` and `Step.queues` of the lanes whose flag is set, all of one appearance.
+
+    Args:
+        appearance: as in `Queue`.
+        flags: (N,) bool.
+        image_only: as in `queues_by`.
+    """
+    if image_only is None:
+        order = chosen(flags)
+        return order, (Queue(appearance, 0, len(order), len(order)),)
+    order, (differentiated, others, _) = partition(torch.where(flags, image_only.to(torch.int32), 2), 3)
+    count = differentiated + others
+    return order[:count], (Queue(appearance, 0, count, differentiated),)
+
+
+def queues_by(number: Tensor, appearances: int, surround: bool,
+              image_only: Tensor | None) -> tuple[Tensor, tuple[Queue, ...]]:
     """`Step.order` and `Step.queues`.
 
     Args:
         number: (N,) int32, the appearance that each lane meets; `appearances` where it meets none.
         appearances: how many there are.
         surround: whether lanes that meet none count.
+        image_only: (N,) bool, the lanes that the backward pass does not differentiate; None: it differentiates all.
     """
-    order, counts = partition(number, appearances + 1)
+    kinds = 1 if image_only is None else 2  # of lanes, in each queue
+    order, counts = partition(number if image_only is None else 2 * number + image_only, kinds * (appearances + 1))
     queues, first = [], 0
-    for appearance, count in enumerate(counts):
-        if count and (appearance < appearances or surround):
-            queues.append(Queue(appearance if appearance < appearances else None, first, first + count))
-            first += count
+    for appearance in range(appearances + 1):
+        differentiated, *others = counts[kinds * appearance:kinds * (appearance + 1)]
+        last = first + differentiated + sum(others)
+        if last > first and (appearance < appearances or surround):
+            queues.append(Queue(appearance if appearance < appearances else None, first, last, first + differentiated))
+            first = last
     return order[:first], tuple(queues) or (NOTHING,)
 
 

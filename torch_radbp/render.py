@@ -11,7 +11,14 @@ from torch.func import functional_call
 
 from torch_radbp.adjoint import MemoizedAdjoint, TapeAdjoint
 from torch_radbp.adjoint.chunks import fair_chunk, plan_chunks
-from torch_radbp.adjoint.cost import Request, bytes_of_records, check_cost, lanes_of_chunks, recorded_lanes
+from torch_radbp.adjoint.cost import (
+    Request,
+    bytes_of_records,
+    check_cost,
+    lanes_of_chunks,
+    recorded_lanes,
+    traced_together,
+)
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
 from torch_radbp.adjoint.function import RenderCall, render_detached, render_with_derivative
 from torch_radbp.adjoint.memory import MemoryPlan
@@ -281,6 +288,8 @@ class Renderer(nn.Module):
         if differentiating and device.type == "cpu":
             about = min(about, recorded_lanes(self.adjoint, max_depth, self.rr_depth, self.scene.dtype))
         lanes = self.chunk or fair_chunk(len(indices), width * height, spp, workers, about)
+        together = bool(differentiating) and seeds[0] != seeds[1] and traced_together(
+            self.adjoint, len(indices) * width * height * spp, max_depth, self.rr_depth, self.scene.dtype)
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
                            self.adjoint if differentiating else None, record_bytes, fused))
         kept = Kept(self.kept_for_aovs if aovs else self.kept)
@@ -303,7 +312,7 @@ class Renderer(nn.Module):
 
         chunks = plan_chunks(len(views), width * height, spp, lanes, workers)
         call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views, chunks, spp, seeds[0] == seeds[1],
-                          record_bytes, workers, following, self.scene, parameters)
+                          record_bytes, together, workers, following, self.scene, parameters)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)

@@ -20,7 +20,7 @@ from torch_radbp.jit.order import chosen, put
 from torch_radbp.lookup import lookup
 from torch_radbp.path import Vertex
 from torch_radbp.path_state import Arrival, PathState
-from torch_radbp.queues import NOTHING, Queue, queues_by
+from torch_radbp.queues import NOTHING, Queue, one_queue, queues_by
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, leaves_of
 from torch_radbp.scene.camera_hit import camera_hit
@@ -65,8 +65,8 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
-        step = Step(hit, *queued(integrand, state.ray, hit, integrand.is_last(depth)), undecided, undecided,
-                    picked_lights(integrand, state, hit, depth))
+        queues = queued(integrand, state.ray, hit, integrand.is_last(depth), integrand.image_only(state))
+        step = Step(hit, *queues, undecided, undecided, picked_lights(integrand, state, hit, depth))
         vertex, light = bounce_queues(integrand, state, depth, step, with_light)
         connects = integrand.settings.nee and not integrand.is_last(depth)
         visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
@@ -132,27 +132,27 @@ def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) 
     return LightPick(*integrand.stages.pick_light(scene, choice, arrival, integrand.at(depth)), chance)
 
 
-def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
+def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
+           image_only: Tensor | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
     """`Step.front`, `Step.order` and `Step.queues` of rays that met `hit`.
 
     Args:
         ray, hit: (N,).
         last: whether only what is emitted counts.
+        image_only: as in `queues_by`.
     """
     layout, scene = integrand.proposal.layout, integrand.part(NOTHING).proposal
     if last:
-        order = chosen(integrand.stages.shines(scene, hit))
-        return None, order, (Queue(None, 0, len(order)),)
+        return None, *one_queue(None, integrand.stages.shines(scene, hit), image_only)
     nothing = len(layout.appearances)
     if nothing == 1 and not layout.surround:
-        order = chosen(hit.prim >= 0)
-        return None, order, (Queue(0, 0, len(order)),)
+        return None, *one_queue(0, hit.prim >= 0, image_only)
     absent = hit.prim.new_full((), nothing)
     number, differs = integrand.stages.appearance_met(scene, hit, absent)
     front = None if differs is None else torch.zeros_like(differs)
     if differs is not None and len(lanes := chosen(differs)):
         put_rows((number, front), lanes, integrand.stages.side_met(scene, ray, hit, lanes))
-    return front, *queues_by(number, nothing, layout.surround is not None)
+    return front, *queues_by(number, nothing, layout.surround is not None, image_only)
 
 
 def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:

@@ -11,10 +11,12 @@ import torch
 
 import torch_radbp as rb
 from tests.adjoint.test_furnace import closed_form
+from tests.derivatives.everything import build_everything
 from tests.gradients import image_and_gradients, relative_error, z_score
 from tests.scenes import CASES, cornell, furnace, parameters
 from torch_radbp.adjoint import cost, function
-from torch_radbp.adjoint.function import record_chunk
+from torch_radbp.adjoint.cost import traced_together
+from torch_radbp.adjoint.function import record_chunk, trace_both
 from torch_radbp.differentiated import detached
 from torch_radbp.jvp import rendering_with_tangent
 from torch_radbp.record import leaves_of
@@ -138,3 +140,31 @@ def test_a_loop_without_seeds_is_told_of_its_noise():
     with pytest.warns(rb.RepeatedNoiseWarning, match=r"called without a seed again .* renderer\(seed=step\)") as told:
         renderer()
     assert told[0].filename == __file__
+
+
+@pytest.mark.parametrize("name", ["cornell", "lamps"])
+def test_one_wavefront_of_both_samples_has_the_bits_of_two(name, monkeypatch):
+    """Queues hold lanes of both; only those of the derivative are differentiated."""
+    def rendered():
+        scene = CASES[name].scene() if name in CASES else build_everything(name)
+        names = CASES[name].parameters if name in CASES else [parameter for parameter, _ in scene.named_parameters()]
+        return image_and_gradients(scene, names, compile=name not in CASES, **SETTINGS)
+
+    traced = []
+    monkeypatch.setattr(function, "trace_both", lambda *arguments: (traced.append(1), trace_both(*arguments))[1])
+    image, gradients = rendered()
+    assert len(traced) == 1
+    monkeypatch.setattr(rb.MemoizedAdjoint, "records_all", False)
+    apart, expected = rendered()
+    assert len(traced) == 1 and torch.equal(image, apart)
+    assert any(gradient.abs().max() > 0 for gradient in expected)
+    assert all(torch.equal(gradient, other) for gradient, other in zip(gradients, expected))
+
+
+def test_samples_are_traced_together_only_where_all_their_records_are_few():
+    few = traced_together(rb.MemoizedAdjoint(), 128 * 128 * 4, 8, 5, torch.float32)
+    assert few and not traced_together(rb.MemoizedAdjoint(), 256 * 256 * 4, 8, 5, torch.float32)
+    assert not traced_together(rb.MemoizedAdjoint(), 128 * 128 * 4, 128, 200, torch.float32)  # long paths
+    for replaying in (rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(keep_hits=False), rb.ReplayAdjoint(), rb.QuadraticAdjoint(),
+                      rb.TapeAdjoint()):
+        assert not traced_together(replaying, 16, 8, 5, torch.float32), replaying

@@ -73,6 +73,20 @@ def recorded_lanes(adjoint, max_depth: int, rr_depth: int, dtype: torch.dtype) -
     return RECORDS_OF_CHUNK // max(1, predict(Workload([1.0] * bounces, 1, max_depth, dtype), 1, adjoint).kept)
 
 
+def traced_together(adjoint, lanes: int, max_depth: int, rr_depth: int, dtype: torch.dtype) -> bool:
+    """True if the samples of an image and those of its derivative are so few that they are traced as one wavefront.
+
+    A wavefront of some thousand lanes takes as long as one of half as many, most of it in Python. The records of all are
+    kept until the backward pass, so they must fit what is kept of a chunk, and nothing may be taken again.
+
+    Args:
+        adjoint: the strategy.
+        lanes: of the image.
+        max_depth, rr_depth, dtype: of the rendering.
+    """
+    return adjoint.records_all and 2 * lanes <= recorded_lanes(adjoint, max_depth, rr_depth, dtype)
+
+
 def bytes_of_records(device: torch.device) -> float:
     """What the paths of an image may take of a device's memory until the backward pass, if nothing else is said."""
     return SHARE_OF_RECORDS * memory_of(device)

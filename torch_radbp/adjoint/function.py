@@ -33,7 +33,7 @@ from torch_radbp.jit.torch_internals import batched
 from torch_radbp.path import CameraSample
 from torch_radbp.path_state import PathState, start_path
 from torch_radbp.raycast import RayCaster
-from torch_radbp.record import leaves_of, with_leaves
+from torch_radbp.record import joined, leaves_of, rows_between, with_leaves
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
@@ -58,6 +58,7 @@ class RenderCall(NamedTuple):
     spp: int
     shares_samples: bool  # the backward pass differentiates the very samples of the image
     record_bytes: float  # of these that are kept for it at most; it traces the others again
+    together: bool  # samples of its own are traced beside those of the image, which takes half as many calls
     workers: int  # chunks that are traced side by side
     following: bool = False  # see `Settings.following`
     module: Scene | None = None  # whose tensors these are; gives names to errors
@@ -113,6 +114,18 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
     L = tracer(integrand_of(call, integrand, chunk), started(call, samples), recorder.visit if record else None)
     radiance = L if record and call.adjoint.keep_radiance else None
     return weighted(L, samples.weight), recorder.record(partial(start_paths, call, chunk, key), radiance, samples.weight)
+
+
+def trace_both(call: RenderCall, integrand: Integrand, chunk: Chunk) -> tuple[Vec3, PathRecord]:
+    """What `trace_chunk` gives for the samples of the image and `record_chunk` for those of the derivative, traced as one
+    wavefront."""
+    of_image, of_derivative = call.views[chunk.sensor].sample_keys
+    image, derivative = (camera_samples(call, chunk, key) for key in (of_image, of_derivative))
+    recorder = Recorder(call.adjoint, integrand.max_depth)
+    integrand = integrand_of(call, integrand, chunk)._replace(differentiated=chunk.lanes)
+    L = trace(integrand, started(call, joined([derivative, image])), recorder.visit)
+    return (weighted(rows_between(L, chunk.lanes, 2 * chunk.lanes), image.weight),
+            recorder.record(partial(start_paths, call, chunk, of_derivative), None, derivative.weight))
 
 
 def record_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey) -> PathRecord:
@@ -173,9 +186,12 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
     allowance = Allowance(call.record_bytes if record else 0)
 
     def trace_one(chunk: Chunk) -> tuple[Tensor, PathRecord | None]:
-        record = allowance.left > 0
-        L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], record, tracer)
-        return pixel_sums(chunk, L), path_record if record and allowance.covers(path_record) else None
+        if record and call.together:
+            L, path_record = trace_both(call, integrand, chunk)
+            return pixel_sums(chunk, L), path_record
+        keeping = allowance.left > 0
+        L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], keeping, tracer)
+        return pixel_sums(chunk, L), path_record if keeping and allowance.covers(path_record) else None
 
     sums, records = zip(*of_chunks(call, trace_one))
     images = assembled(call, sums)
@@ -267,7 +283,7 @@ class RenderFunction(torch.autograd.Function):
         integrand = call.make_integrand(scene)
         ctx.call = call = call._replace(scene=scene, views=views, caster=None, make_integrand=None)
         wanted = any(ctx.needs_input_grad)
-        images, records = render_images(call, integrand, record=wanted and call.shares_samples)
+        images, records = render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
         # An image that lives on keeps the hierarchy of triangles alive only if its backward pass casts rays.
         casts_again = wanted and (None in records or not call.adjoint.keep_hits)
         ctx.integrand = integrand if casts_again else integrand._replace(caster=None)

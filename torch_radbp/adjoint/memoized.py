@@ -53,6 +53,11 @@ class MemoizedAdjoint:
 
     keep_radiance = False
 
+    @property
+    def records_all(self) -> bool:
+        """True if the backward pass takes no bounce again."""
+        return self.stride == 1 and self.keep_hits
+
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         """Depths whose state the forward pass keeps after `bounces` bounces of `most` that there may be."""
         return kept_depths(bounces, self.stride, most)

@@ -32,6 +32,7 @@ class QuadraticAdjoint:
         object.__setattr__(self, "keep_hits", boolean("keep_hits", self.keep_hits))
 
     keep_radiance = False
+    records_all = False
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         """No depths: it keeps no states."""

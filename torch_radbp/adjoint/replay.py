@@ -33,6 +33,7 @@ class ReplayAdjoint:
         object.__setattr__(self, "keep_hits", boolean("keep_hits", self.keep_hits))
 
     keep_radiance = True
+    records_all = False
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         """No depths: it keeps no states."""

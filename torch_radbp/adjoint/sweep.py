@@ -115,7 +115,9 @@ class Sweep:
                      at=integrand.at(depth), settings=integrand.settings_at(depth))
         reached, *of_chunk, at, settings = same
         for queue in step.queues:
-            here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue)
+            if queue.first == queue.differentiated:
+                continue
+            here, adjoint = slice(queue.first, queue.differentiated), self.adjoint_of(queue)
             lanes = step.order[here]
             verdict = None if queue.appearance is None else Verdict(step.visible[here], step.survives[here])
             places = integrand.places(queue, arrival, lanes, depth)

@@ -28,6 +28,8 @@ class TapeAdjoint:
     recorded as it runs.
     """
 
+    records_all = False
+
 
 def render_taped(call: RenderCall) -> Tensor:
     """The images of a scene, (B, 3, H, W), with all derivatives."""

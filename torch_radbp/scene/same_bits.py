@@ -42,6 +42,8 @@ def same_memory(a: int, b: int, length: int) -> bool:
 
     The C library does so at the speed of memory; `torch.equal` takes half as long again.
     """
+    if length <= PART:
+        return not memory_difference()(a, b, length)
     starts, different = deque(range(0, length, PART)), []
 
     def compare(task: Task) -> None:
