@@ -32,10 +32,11 @@ INSTANCE = (0, 4)  # of a `Hit`, if there are any
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
 
-# Resident memory is more than what torch holds: by this factor, and by so many numbers a lane. See
-# `python -m benchmarks.memory`.
+# Resident memory is more than what torch holds. Where every operation takes memory and gives it back it is so by this
+# factor, and by so many numbers a lane; and by this factor where chunks follow each other, whose records do not fit the holes
+# that the last ones have left. See `python -m benchmarks.memory`.
 WASTE, SPARE = 1.75, 50
-COMPILED = 0.3  # of the working memory of an eager adjoint
+COMPILED = 0.3  # of the working memory of an eager adjoint, without waste
 
 # Numbers per lane that a bounce, its adjoint and autograd's tape need at least: those of diffuse surfaces.
 LEAST_BOUNCE, LEAST_ADJOINT, LEAST_TAPE = 74, 60, 32
@@ -132,10 +133,9 @@ def predict(work: Workload, chunk: int, adjoint, record_bytes: float = inf) -> M
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
     bounce, sweep, tape, outside, tables = work.working_set
-    spare = SPARE * dtype.itemsize
     if isinstance(adjoint, TapeAdjoint):
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
-        return MemoryPlan(chunk, adjoint, False, kept, int(together * (WASTE * bounce.per_lane + spare)) + work.images)
+        return MemoryPlan(chunk, adjoint, False, kept, int(together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize)) + work.images)
     depths = adjoint.kept(bounces, work.max_depth)
     per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * state
     step = size(STEP[work.by_place]) + size(INSTANCE) * work.instances
@@ -143,14 +143,15 @@ def predict(work: Workload, chunk: int, adjoint, record_bytes: float = inf) -> M
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
     held = size(RADIANCE) + size(MEMO[work.moving]) + cone * work.moving + size(CORNERS[work.triangles]) + state
     held += step * (not adjoint.keep_hits) + size(INSTANCE) * (work.instances and work.moving)
-    share = COMPILED if work.compiled else 1.0
-    swept = share * (sweep.per_lane - outside.per_lane) + outside.per_lane
-    busy = max(WASTE * (swept + held), WASTE * share * bounce.per_lane) + spare
+    share, waste, spare = (COMPILED, 1.0, 0) if work.compiled else (1.0, WASTE, SPARE * dtype.itemsize)
+    swept = share * (sweep.per_lane - outside.per_lane) + WASTE / waste * outside.per_lane
+    busy = waste * max(swept + held, share * bounce.per_lane) + spare
     working = max(together * (busy * max(fractions) + replayed) + work.workers * sweep.fixed, WASTE * tables.packing)
     working += work.workers * tables.totals
     # What is traced again is recorded chunk by chunk; and what is kept, chunk by chunk, too.
     kept = min(lanes * per_lane, max(record_bytes, together * per_lane))
-    return MemoryPlan(chunk, adjoint, kept < lanes * per_lane, int(kept), int(working) + work.images)
+    retrace = kept < lanes * per_lane
+    return MemoryPlan(chunk, adjoint, retrace, int(WASTE * kept if retrace else kept), int(working) + work.images)
 
 
 def states_kept(adjoint, bounces: int, work: Workload) -> float:
