@@ -33,8 +33,8 @@ MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivat
 CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
 
 # Resident memory is more than what torch holds. Where every operation takes memory and gives it back it is so by this
-# factor, and by so many numbers a lane; and by this factor where chunks follow each other, whose records do not fit the holes
-# that the last ones have left. See `python -m benchmarks.memory`.
+# factor, and by so many numbers a lane; and by this factor where chunks follow each other, whose records do not fit the
+# holes that the last ones have left. See `python -m benchmarks.memory`.
 WASTE, SPARE = 1.75, 50
 COMPILED = 0.3  # of the working memory of an eager adjoint, without waste
 
@@ -135,7 +135,8 @@ def predict(work: Workload, chunk: int, adjoint, record_bytes: float = inf) -> M
     bounce, sweep, tape, outside, tables = work.working_set
     if isinstance(adjoint, TapeAdjoint):
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
-        return MemoryPlan(chunk, adjoint, False, kept, int(together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize)) + work.images)
+        working = together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize)
+        return MemoryPlan(chunk, adjoint, False, kept, int(working) + work.images)
     depths = adjoint.kept(bounces, work.max_depth)
     per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * state
     step = size(STEP[work.by_place]) + size(INSTANCE) * work.instances
