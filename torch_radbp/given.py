@@ -16,8 +16,8 @@ def given_values(scene: SceneTensors, appearance: Appearance | None, places: tup
         appearance: of the lanes.
         places: one for each of these textures, attached or detached.
     """
-    return tuple(Given(Vec3.of(bank.values(place.row, place.at.stack()))) for bank, place in
-                 zip(banks_outside(scene, appearance), places))
+    banks = banks_outside(scene, appearance) if places else ()
+    return tuple(Given(Vec3.of(bank.values(place.row, place.at.stack()))) for bank, place in zip(banks, places))
 
 
 def banks_outside(scene: SceneTensors, appearance: Appearance | None) -> list:

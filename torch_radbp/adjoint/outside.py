@@ -29,6 +29,9 @@ class OutsideValues:
 
     def __init__(self, integrand: Integrand, numbered: SceneTensors, queue: Queue, places: tuple[Place, ...], moving: bool):
         self.recorded: list[tuple[Tensor, list[Tensor], list[int]]] = []  # values, wanted parameters and their numbers
+        self.given: tuple[Given, ...] = ()
+        if not places:
+            return
         appearance, given = integrand.appearance(queue), []
         numbers = banks_outside(numbered._replace(layout=integrand.scene.layout), appearance)
         for bank, own, place in zip(banks_outside(integrand.scene, appearance), numbers, places):
