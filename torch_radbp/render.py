@@ -77,7 +77,7 @@ class Renderer(nn.Module):
             where a density becomes very narrow, as roughness near 0 does.
         nee: next-event estimation with multiple importance sampling; None: what the integrator element says, which is
             True but for `direct` without samples of emitters.
-        chunk: lanes (paths) traced together; None picks.
+        chunk: lanes (paths) traced together at most; None picks.
         memory_budget: bytes, or a string such as "2GiB" or "2GB": picks chunk and, unless `adjoint` is given, the stride, so
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
         compile: fuse the functions of a bounce into loops of vector instructions, once a process for each kind of material
@@ -288,8 +288,9 @@ class Renderer(nn.Module):
         if differentiating and device.type == "cpu":
             about = min(about, recorded_lanes(self.adjoint, max_depth, self.rr_depth, self.scene.dtype))
         lanes = self.chunk or fair_chunk(len(indices), width * height, spp, workers, about)
-        together = bool(differentiating) and seeds[0] != seeds[1] and traced_together(
-            self.adjoint, len(indices) * width * height * spp, max_depth, self.rr_depth, self.scene.dtype)
+        paths = len(indices) * width * height * spp
+        together = bool(differentiating) and seeds[0] != seeds[1] and 2 * paths <= (self.chunk or inf) and traced_together(
+            self.adjoint, paths, max_depth, self.rr_depth, self.scene.dtype)
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
                            self.adjoint if differentiating else None, record_bytes, fused))
         kept = Kept(self.kept_for_aovs if aovs else self.kept)
