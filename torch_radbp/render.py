@@ -251,14 +251,14 @@ class Renderer(nn.Module):
     def look(self, call: RenderCall, sensors: SensorChoice, seed: int) -> list[Jumps] | None:
         """The edges at which the images of a call jump, view by view, if they are asked for and something moves them.
 
-        Warns of what derivatives lack.
+        Warns of what derivatives and the image lack.
         """
         seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
         sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
         instances = call.scene.triangles.instances
         rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, Kept(self.kept),
                               None if instances is None else instances.casting, PRIMARY in self.terms,
-                              UNLIMITED if self.max_depth == -1 else self.max_depth)
+                              UNLIMITED if self.max_depth == -1 else self.max_depth, call.scene)
         self.jump_watch.look(rendering)
         return self.outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
 

@@ -219,6 +219,18 @@ def test_a_second_set_of_coordinates_is_read_if_it_is_the_only_one(file, tmp_pat
     load_with_loss(file, tmp_path, r"emissiveTexture is not read: it uses TEXCOORD_0, other textures TEXCOORD_1")
 
 
+@pytest.mark.parametrize("number, lacks", [(1, "which it does not have"), (7, "of which only the first 2 are read")])
+def test_a_set_of_coordinates_that_is_not_there_is_said_once(file, tmp_path, number, lacks):
+    gold = file.add("materials", pbrMetallicRoughness={"baseColorTexture": file.texture(PIXELS) | {"texCoord": number}})
+    file.node(file.square(gold), name="sheet")
+    scene = load_with_loss(file, tmp_path, rf"meshes\[0\].primitives\[0\]: textures of its material are read at \(0, 0\) "
+                                           rf"everywhere: they use TEXCOORD_{number}, {lacks}")
+    assert scene.get_parameter("sheet.vertex_texcoords").tolist() == [[0.0, 0.0]] * 4
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rb.render(scene, spp=1)
+
+
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_normal_maps_turn_normals_as_the_specification_says(file, tmp_path, mirrored):
     """Red turns them to where u grows, green to where v falls: there the light of a lamp from that side is brighter."""

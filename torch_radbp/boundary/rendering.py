@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -16,15 +16,17 @@ from torch_radbp.differentiated import tangent_of
 from torch_radbp.plugin import BSDF, Plugin, Sensor, Texture
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
-from torch_radbp.scene.geometry import number_of_triangles
+from torch_radbp.scene.geometry import PlacedShape, number_of_triangles, placed_shape
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.material import turning_values
 from torch_radbp.scene.pack import one_sided
+from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.shape.placement import Instances, expanded
 from torch_radbp.shape.surface import Surface
 
 MOVE_SHAPES = ("to_world", "vertex_positions", "grid")
 MOST_OF_GROUP = 1 << 16  # triangles of instances of a group that are looked at
+MOST_NAMES = 8  # in a message
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class Rendering:
     instances: Instances | None  # of the scene as it is now
     primary: bool  # derivatives have what edges in view contribute
     max_depth: int  # of paths, as the renderer has it
+    tensors: SceneTensors  # of the scene as it is now, attached
 
     def materials(self) -> list[tuple[BSDF, Kind]]:
         """The materials, one for each side, and how they scatter."""
@@ -71,6 +74,12 @@ class Rendering:
     def sizes(self) -> list[int]:
         """The number of triangles of each shape; the caster has them in the order of the shapes."""
         return [number_of_triangles(self.kept, shape) for shape in self.shapes]
+
+    @cached_property
+    def placed(self) -> list[PlacedShape]:
+        """Each shape as triangles; those of groups in the frame of the group."""
+        return [placed_shape(self.kept, shape, instances is not None, self.scene.dtype)
+                for shape, instances in zip(self.shapes, self.scene.shown_by)]
 
     @cached_property
     def shape_of(self) -> Tensor:
@@ -114,6 +123,13 @@ class ShownTriangles(NamedTuple):
     vertices: Tensor  # (V, 3)
     faces: Tensor  # (T, 3) int32
     counts: list[int]  # of each shape
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names in running text: `a` and `b`; of many only the first."""
+    quoted = [f"`{name}`" for name in dict.fromkeys(names)]
+    more = len(quoted) - MOST_NAMES
+    return " and ".join(quoted if more <= 0 else [*quoted[:MOST_NAMES], f"{more} other{'s' * (more > 1)}"])
 
 
 def texture_name(scene: Scene, texture: Texture) -> str:

@@ -42,9 +42,9 @@ def hidden_sky(rendering: Rendering, receives: Tensor) -> HiddenSky:
     """
     caster, sights, vertices = rendering.caster, rendering.sights, rendering.seen.vertices
     extent = float((vertices.amax(0) - vertices.amin(0)).max())
-    o, d = (torch.cat(part) for part in zip(*map(rays_of, sights)))
+    o, d, seen = (torch.cat(part) for part in zip(*map(rays_of, sights)))
     hit = caster.intersect(ray_from(o, d))
-    met = ((hit.prim >= 0) & receives[hit.prim.clamp_min(0).long()]).nonzero().squeeze(1)
+    met = (seen & (hit.prim >= 0) & receives[hit.prim.clamp_min(0).long()]).nonzero().squeeze(1)
     p, normal = o[met] + d[met] * hit.t[met, None].double(), normals_at(rendering, hit, met)
     normal = torch.where((normal * d[met]).sum(1, keepdim=True) > 0, -normal, normal)
 
@@ -75,16 +75,18 @@ def normals_at(rendering: Rendering, hit: Hit, lanes: Tensor) -> Tensor:
     return torch.nn.functional.normalize(normal, dim=1, eps=1e-300)
 
 
-def rays_of(sight: Sight) -> tuple[Tensor, Tensor]:
-    """Rays through a grid over the image: origins and unit directions, (SIDE^2, 3) float64."""
+def rays_of(sight: Sight) -> tuple[Tensor, Tensor, Tensor]:
+    """Rays through a grid over the image: origins and unit directions, (SIDE^2, 3) float64; and (SIDE^2,) bool: there is
+    such a ray."""
     film, lens = sight.camera.film, sight.camera.lens
     share = (torch.arange(SIDE, device=film.size_x.device) + 0.5) / SIDE
     y, x = (part.flatten() for part in torch.meshgrid(share * sight.height, share * sight.width, indexing="ij"))
     position = Vec2((x + film.crop_x) / film.size_x, (y + film.crop_y) / film.size_y)
     middle = Vec2(torch.full_like(x, 0.5), torch.full_like(x, 0.5)) if sight.camera.kind.has_aperture else None
-    ray, _ = sight.camera.kind.sample_ray(lens, position, middle)
+    ray, weight = sight.camera.kind.sample_ray(lens, position, middle)
     o, d = (part.stack().double() for part in ray)
-    return o.expand_as(d), torch.nn.functional.normalize(d, dim=1)
+    seen = torch.isfinite(d).all(1) if weight is None else torch.isfinite(d).all(1) & (weight > 0)
+    return o.expand_as(d), torch.nn.functional.normalize(d, dim=1), seen
 
 
 def spread_directions(count: int, device: torch.device) -> Tensor:

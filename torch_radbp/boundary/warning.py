@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import torch
@@ -19,10 +19,13 @@ from torch import Tensor
 
 from torch_radbp.boundary.caustics import unfound_caustics
 from torch_radbp.boundary.edges import Edges, edges_of, spread
-from torch_radbp.boundary.rendering import MOVE_SHAPES, Rendering
+from torch_radbp.boundary.inward import inward_faces
+from torch_radbp.boundary.rendering import MOVE_SHAPES, Rendering, listed
 from torch_radbp.boundary.shadow import shadows_in_view
 from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
 from torch_radbp.boundary.sky import hidden_sky
+from torch_radbp.boundary.unmapped import unmapped_textures
+from torch_radbp.boundary.without_rays import views_without_rays
 from torch_radbp.plugin import Shape
 from torch_radbp.raycast.known import same
 from torch_radbp.scene.material import followed, sampling_at
@@ -30,7 +33,6 @@ from torch_radbp.scene.pack import one_sided
 
 MOVE_LIGHTS = ("to_world", "position")
 MOST_LIGHTS = 32  # that move, and that do not, whose shadows are searched
-MOST_NAMES = 8  # in a message
 FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
 CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
 
@@ -52,21 +54,28 @@ class JumpWarning(SilhouetteWarning):
 
 
 class JumpWatch:
-    """Examines every rendering for discontinuities that the derivative misses; warns once of each kind."""
+    """Examines every rendering for discontinuities that the derivative misses, and for what the image lacks; warns once of
+    each kind."""
 
     def __init__(self) -> None:
         # Those that have not warned yet.
         self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over]
         self.known: dict[object, tuple[Tensor, Edges]] = {}  # faces and edges of the meshes examined so far
         self.said: set[str] = set()
-        self.of_lights: list[Callable] = [unfound_caustics]  # looks that are due: one at the first rendering is enough
+        # Looks at the image that are due: one at the first rendering is enough.
+        self.of_images: list[Callable] = [unfound_caustics, unmapped_textures, inward_faces]
+        self.viewed: set[int] = set()  # ids of the sensors whose rays have been looked at
         self.looked_at: set[str] = set()  # the moving parameters for which shadows have been searched
 
     def look(self, rendering: Rendering) -> None:
         """Warns if the image, or the derivatives to be computed, lack something."""
-        due, self.of_lights = self.of_lights, []
+        due, self.of_images = self.of_images, []
         for look in due:
             self.say(look(rendering))
+        sensors = {id(sensor) for sensor in rendering.sensors}
+        if not sensors <= self.viewed:
+            self.say(views_without_rays(rendering, self.viewed))
+            self.viewed |= sensors
         for look in self.looks:
             warning = look(rendering)
             if warning is not None:
@@ -295,13 +304,6 @@ def some_of(lights: list[Light]) -> list[Light]:
     """At most `MOST_LIGHTS` of the lights that move and as many of the others, spread over the scene."""
     groups = [light for light in lights if light.moving], [light for light in lights if not light.moving]
     return [light for group in groups for light in group[::max(1, -(-len(group) // MOST_LIGHTS))]]
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names in running text: `a` and `b`; of many only the first."""
-    quoted = [f"`{name}`" for name in dict.fromkeys(names)]
-    more = len(quoted) - MOST_NAMES
-    return " and ".join(quoted if more <= 0 else [*quoted[:MOST_NAMES], f"{more} other{'s' * (more > 1)}"])
 
 
 def flat(vertices: Tensor) -> bool:

@@ -17,14 +17,26 @@ from torch_radbp.texture.bitmap import reader_of
 
 def attributes_read(owner: Plugin) -> Iterator[tuple[str, Domain, Texture]]:
     """The attributes that the textures of a material or an emitter read, with the domain of the values and the texture."""
-    for name, domain in owner.domains().items():
-        texture = getattr(owner, name, None)
-        if isinstance(texture, Texture):
-            for leaf in leaves(texture):
-                yield from ((attribute, domain, leaf) for attribute in reader_of(leaf).attributes)
+    for domain, texture in textures_of(owner):
+        for leaf in leaves(texture):
+            yield from ((attribute, domain, leaf) for attribute in reader_of(leaf).attributes)
+
+
+def textures_of(owner: Plugin) -> Iterator[tuple[Domain, Texture]]:
+    """The textures of a material or an emitter, those of the materials in it included, with the domains of their values."""
+    for part in with_nested(owner):
+        for name, domain in part.domains().items():
+            texture = getattr(part, name, None)
+            if isinstance(texture, Texture):
+                yield domain, texture
+
+
+def with_nested(owner: Plugin) -> Iterator[Plugin]:
+    """A material or an emitter, and the materials in it."""
+    yield owner
     for child in (*owner._modules.values(), *owner.shared.values()):
         if isinstance(child, Plugin) and not isinstance(child, Texture):
-            yield from attributes_read(child)
+            yield from with_nested(child)
 
 
 def leaves(texture: Texture) -> Iterator[Texture]:

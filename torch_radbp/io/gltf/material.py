@@ -32,7 +32,7 @@ class Look(NamedTuple):
 
     bsdf: BSDF
     radiance: Texture | None  # that it emits
-    uv_set: int  # number of the surface coordinates that its textures read
+    uv_set: int | None  # number of the surface coordinates that its textures read; None: it has none
     factor: tuple[float, float, float]  # of the colours of vertices, which are its base colour; (1, 1, 1) if they are not
 
 
@@ -84,7 +84,7 @@ class Materials:
             bsdf = self.add(f"{own}_twosided", TwoSided(brdf=[bsdf]))
         bsdf = self.masked(part, bsdf, own, alpha, image)
         radiance = self.radiance(part, sets)
-        return Look(bsdf, radiance, sets[0] if sets else 0, tuple(factor) if by_vertex else (1.0, 1.0, 1.0))
+        return Look(bsdf, radiance, sets[0] if sets else None, tuple(factor) if by_vertex else (1.0, 1.0, 1.0))
 
     def add(self, name: str, bsdf: BSDF) -> BSDF:
         self.children[self.names.free(name)] = bsdf

@@ -22,7 +22,7 @@ from torch_radbp.io.gltf.material import VERTEX_COLOUR, Materials
 from torch_radbp.io.gltf.names import Names
 from torch_radbp.io.gltf.nodes import Placed, placed_nodes
 from torch_radbp.io.gltf.picture import Pictures
-from torch_radbp.io.gltf.primitive import Primitive, Primitives
+from torch_radbp.io.gltf.primitive import SETS, Primitive, Primitives
 from torch_radbp.io.gltf.texture import Textures
 from torch_radbp.plugin import Integrator, Plugin, SceneError, nearest
 from torch_radbp.scene.scene import Scene
@@ -163,7 +163,7 @@ class _Reader:
                 primitive = primitive._replace(faces=primitive.faces[:, [0, 2, 1]])
             look = self.materials.look(part, primitive.colour is not None, self.is_mirrored(part, primitive))
             name = self.names.free(title if len(parts) == 1 else f"{title}_{number}")
-            uv = primitive.uv[look.uv_set] if look.uv_set < len(primitive.uv) else None
+            uv = self.coordinates(part, primitive, look.uv_set)
             try:
                 shape = self.shape(primitive, place.to_world, uv, look.bsdf)
                 if look.radiance is not None:
@@ -188,6 +188,16 @@ class _Reader:
         for name, values in primitive.own.items():
             shape.add_attribute(f"vertex_{name}", torch.from_numpy(values))
         return shape
+
+    def coordinates(self, part: Part, primitive: Primitive, number: int | None) -> np.ndarray | None:
+        """The surface coordinates of a primitive: the set that its textures read, or the first if it has no textures."""
+        uv = primitive.uv[number or 0] if (number or 0) < len(primitive.uv) else None
+        if uv is None and number is not None:
+            lacks = "which it does not have" if number < SETS else f"of which only the first {SETS} are read"
+            self.losses.add(part.place, "textures of its material are read at (0, 0) everywhere: they use "
+                                        f"TEXCOORD_{number}, {lacks}")
+            return np.zeros((len(primitive.positions), 2))
+        return uv
 
     def is_mirrored(self, part: Part, primitive: Primitive) -> bool:
         """True if the normal map of a primitive lies mirrored on most of its triangles.
