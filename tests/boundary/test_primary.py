@@ -3,6 +3,7 @@
 import math
 import warnings
 
+import numpy as np
 import pytest
 import torch
 from torch.func import functional_call
@@ -106,6 +107,29 @@ def test_an_outline_far_from_the_origin_gains_its_length_too(far, dtype):
     scene = load(dtype, camera=view, sky=DARK, shape={"type": "cube", "to_world": pose} | GLOW)
     grow = torch.diag(torch.tensor([0.5, 0.5, 0.5, 0.0], dtype=dtype))
     assert_close(derivative(scene, "shape.to_world", grow, spp=256), 2 * JUMP / (2 / SIZE) ** 2)
+
+
+# Of the derivative near the origin: what edges contribute in all, of which the derivative is the difference, is much larger.
+FAR_OFF = {"sphere": (GLOW, 0.05), "cube": (GLOW, 0.02), "lit cube": ({"bsdf": diffuse(0.8)}, 0.05)}
+
+
+@pytest.mark.parametrize("dtype, far", [(torch.float32, 4e3), (torch.float64, 1e4)])
+@pytest.mark.parametrize("kind", FAR_OFF)
+def test_outlines_and_creases_far_from_the_origin_are_those_near_it(kind, far, dtype):
+    """Slanted faces, of which a ray beside an edge meets one much nearer or farther than the edge itself."""
+    look, tolerance = FAR_OFF[kind]
+    weight = torch.linspace(0.0, 1.0, SIZE, dtype=dtype).expand(SIZE, SIZE)
+
+    def found(far: float) -> torch.Tensor:
+        at = np.array((-0.5, 0.8, 0.3)) * far
+        lamp = rectangle((0, 0, 0), 1.0, emitter={"type": "area", "radiance": rgb(300, 200, 100)})
+        lamp["to_world"] = translate(at) @ look_at((8, 3, 9), (0, 0, 0), (0, 1, 0))
+        pose = translate(at) @ rotate((1, 2, 0.5), 40) @ scale((0.5, 0.4, 0.3))
+        scene = load(dtype, camera=sensor(SIZE, at + (1, 2, 3), at), lamp=lamp,
+                     shape={"type": kind.split()[-1], "to_world": pose} | look)
+        return derivative(scene, "camera.to_world", along(0), weight, spp=256, max_depth=2)
+
+    assert_close(found(far), found(0.0), tolerance)
 
 
 def camera(kind: str) -> dict:

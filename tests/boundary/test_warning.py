@@ -371,3 +371,24 @@ def test_no_caustics_are_missing_where_paths_find_them_or_there_are_none():
     assert caustics(lamp=POINT, floor=FLOOR | {"bsdf": {"type": "conductor"}}) == []  # nothing shows it
     hidden = BALL | {"to_world": translate((0, 0, -3))}
     assert caustics(lamp=POINT, floor=FLOOR, ball=hidden) == []
+
+
+def far_off(far: float, name: str, dtype: torch.dtype) -> list[str]:
+    """What a renderer with all terms says of edges so far from the origin, in two calls."""
+    at = np.array((far, -0.5 * far, 0))
+    scene = load(dtype, camera=sensor(4, at + (0, 0, 3.5), at), sky=SKY, box=CUBE | {"to_world": translate(at)})
+    scene.get_parameter(name).requires_grad_()
+    renderer = rb.Renderer(scene, spp=1, max_depth=1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for seed in range(2):
+            renderer(seed=seed)
+    return [str(warning.message) for warning in caught if "origin" in str(warning.message)]
+
+
+@pytest.mark.parametrize("name", ["box.to_world", "camera.to_world", "box.bsdf.reflectance.value"])
+@pytest.mark.parametrize("dtype, far", [(torch.float32, 2e4), (torch.float64, 2e5)])
+def test_edges_so_far_from_the_origin_that_rays_miss_them_are_named(dtype, far, name):
+    assert far_off(0.1 * far, name, dtype) == []
+    found = far_off(far, name, dtype)
+    assert [f"`{name}`" in message and "1e+0" in message for message in found] == [True] * ("to_world" in name)

@@ -27,7 +27,7 @@ from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, max_compon
 from torch_radbp.view import View
 
 APART = 3e-5  # share of its distance by which places on either side of a curve lie off it, through which paths are traced
-ROUNDED = 32 * 2.0**-24  # the same as a share of the coordinates, by whose rounding in float32 rays miss the places
+ROUNDED = 8 * 2.0**-24  # the same as a share of the coordinates, by whose rounding in float32 rays miss the places
 NEIGHBOURS = 64  # successive places that share a sequence of low discrepancy
 FEWEST, LARGEST_SHARE = 256, 4  # places on the curves of a kind; and one for so many paths of the image at most
 SALT = 0x2545F491  # tells the random numbers of places from those of images
@@ -151,13 +151,16 @@ def beside(view: View, places: Places) -> tuple[Vec2, Vec2]:
     distance = torch.sqrt(dot(offset, offset))
     cone = camera_cone(camera, ray, position, places.aperture)
     # Far enough for the rounding of places in the world and of positions on the film.
-    coordinate = max_component(places.p.map(torch.abs))
-    apart = torch.maximum(torch.maximum(APART * distance, ROUNDED * coordinate) / (cone.width + cone.spread * distance),
-                          APART * film.size_x)
+    apart = torch.maximum(apart_at(places, distance) / (cone.width + cone.spread * distance), APART * film.size_x)
     scale = apart / torch.hypot(places.normal.x, places.normal.y).clamp_min(TINY)
     across = places.normal * scale
     return (Vec2(places.film.x - across.x, places.film.y - across.y),
             Vec2(places.film.x + across.x, places.film.y + across.y))
+
+
+def apart_at(places: Places, distance: Tensor) -> Tensor:
+    """How far off places on either side of a curve lie, world units; `distance` (N,) from where the rays start."""
+    return torch.maximum(APART * distance, ROUNDED * max_component(places.p.map(torch.abs)))
 
 
 def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:

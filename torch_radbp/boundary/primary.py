@@ -28,6 +28,7 @@ from torch_radbp.boundary.contour import LEVELS, level_at, places_on_contours
 from torch_radbp.boundary.edge_places import places_on_edges
 from torch_radbp.boundary.outline import Jumps
 from torch_radbp.boundary.places import (
+    APART,
     CREASE,
     FAR,
     FILM_U,
@@ -36,6 +37,7 @@ from torch_radbp.boundary.places import (
     RIM,
     SILHOUETTE,
     Places,
+    apart_at,
     beside,
     camera_sample,
 )
@@ -47,11 +49,12 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, fine_unit, random_bits
 from torch_radbp.scene.interaction import is_in_front
-from torch_radbp.vec import dot, rows
+from torch_radbp.vec import TINY, dot, rows
 from torch_radbp.wavefront import first_hit, trace
 
 NEARER = 1e-3  # share of the distance to an edge by which a surface that hides it is nearer, and one behind it farther
 GRAZING = 2e-2  # the same of a surface that turns away at a silhouette: its depth changes with the root of what it is off
+MOST = 0.5  # both at most, where coordinates are large and rays lie farther off
 BLOCK = 1 << 15  # places that are traced together
 
 Evaluate = Callable[[Integrand, PathState, Hit], tuple[Tensor, ...]]
@@ -172,10 +175,14 @@ def in_sight(integrand: Integrand, places: Places, sides: list[CameraSample], hi
     count as -1, so that one remains.
     """
     distances = [dot(places.p - side.ray.o, side.ray.d) for side in sides]
-    shown = [past(hit, distance * (1.0 - NEARER)) for hit, distance in zip(hits, distances)]
-    here = [shown[side] & ~past(hits[side], distances[side] * (1.0 + NEARER)) for side in (0, 1)]
-    turning = [past(hit, distance * (1.0 - GRAZING)) & ~past(hit, distance * (1.0 + GRAZING))
-               for hit, distance in zip(hits, distances)]
+    off = [apart_at(places, distance) / distance.clamp_min(TINY) for distance in distances]
+    near = [(NEARER * (share / APART)).clamp_max(MOST) for share in off]
+    grazing = [(GRAZING * torch.sqrt(share / APART)).clamp_max(MOST) for share in off]
+    shown = [past(hit, distance * (1.0 - share)) for hit, distance, share in zip(hits, distances, near)]
+    here = [clear & ~past(hit, distance * (1.0 + share))
+            for clear, hit, distance, share in zip(shown, hits, distances, near)]
+    turning = [past(hit, distance * (1.0 - share)) & ~past(hit, distance * (1.0 + share))
+               for hit, distance, share in zip(hits, distances, grazing)]
     kind, ahead = places.kind, places.side > 0
     ends = (kind == SILHOUETTE) | (kind == FAR)
     seen = ends & torch.where(ahead, shown[0] & turning[1], shown[1] & turning[0])

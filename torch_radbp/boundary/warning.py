@@ -34,6 +34,8 @@ from torch_radbp.scene.pack import one_sided
 MOVE_LIGHTS = ("to_world", "position")
 MOST_LIGHTS = 32  # that move, and that do not, whose shadows are searched
 FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
+# How many times as far from the origin as it is large a shape may lie: its own vertices are rounded, or those of rays.
+FARTHEST = {torch.float32: 5e3, torch.float64: 4e4}
 CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
 
 
@@ -59,13 +61,15 @@ class JumpWatch:
 
     def __init__(self) -> None:
         # Those that have not warned yet.
-        self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over]
+        self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over,
+                      self.edges_far_off]
         self.known: dict[object, tuple[Tensor, Edges]] = {}  # faces and edges of the meshes examined so far
         self.said: set[str] = set()
         # Looks at the image that are due: one at the first rendering is enough.
         self.of_images: list[Callable] = [unfound_caustics, unmapped_textures, inward_faces]
         self.viewed: set[int] = set()  # ids of the sensors whose rays have been looked at
         self.looked_at: set[str] = set()  # the moving parameters for which shadows have been searched
+        self.placed: set[str] = set()  # those of which it is known how far from the origin they move things
 
     def look(self, rendering: Rendering) -> None:
         """Warns if the image, or the derivatives to be computed, lack something."""
@@ -213,6 +217,31 @@ class JumpWatch:
                                  f"edges of shapes, where radiance is discontinuous.{instead} check_gradient measures how "
                                  f"much that matters")
 
+    def edges_far_off(self, rendering: Rendering) -> SilhouetteWarning | None:
+        """The warning that edges in view lie so far from the origin that rays miss them, or None.
+
+        Of each parameter this is looked at once, where the things are that it moves; of a camera's, the whole scene.
+        """
+        cameras = {name for sensor in rendering.sensors for name in rendering.moving(sensor)}
+        names = cameras.union(*rendering.movers)
+        if not rendering.primary or names <= self.placed:
+            return None
+        self.placed |= names
+        vertices, faces, counts = rendering.seen
+        limit, far = FARTHEST[rendering.scene.dtype], {}
+        for movers, own in zip(rendering.movers, faces.split(counts)):
+            if movers and len(own):
+                far |= dict.fromkeys(movers, times_as_far(vertices[own.flatten().long()]))
+        far |= dict.fromkeys(cameras, times_as_far(vertices))
+        far = {name: times for name, times in far.items() if times > limit}
+        if not far:
+            return None
+        return SilhouetteWarning(f"derivatives with respect to {listed(far)} have edges in view that lie up to "
+                                 f"{max(far.values()):.0e} times as far from the origin as what they belong to is large: "
+                                 f"float32, in which rays are cast whatever the scene's dtype, rounds positions so much "
+                                 f"there that what edges contribute is inaccurate or missing. Move the scene to the origin, "
+                                 f"cameras and lights included")
+
     def missing(self, rendering: Rendering) -> dict[str, int]:
         """The parameters that move silhouettes in view, each with the number of edges found; none if that is computed."""
         missing: dict[str, int] = {}
@@ -249,6 +278,12 @@ class JumpWatch:
 def number_in_view(edges: Edges, vertices: Tensor, sights: Sequence[Sight]) -> int:
     """The number of silhouettes in some views."""
     return sum(int(silhouettes_in_view(edges, vertices, sight).sum()) for sight in sights)
+
+
+def times_as_far(vertices: Tensor) -> float:
+    """How many times as far from the origin as they are apart vertices, (V, 3), lie; by their largest coordinates."""
+    low, high = vertices.aminmax(dim=0)
+    return float(torch.maximum(low.abs(), high.abs()).max() / (high - low).max().clamp_min(torch.finfo(low.dtype).tiny))
 
 
 class Light(NamedTuple):
