@@ -17,6 +17,7 @@ from torch_radbp.scene.tensors import proposal_of
 from torch_radbp.shape.surface import Surface
 
 RIM = 0.1  # share of the camera rays that meet the front of a smooth surface at most, where it is seen at grazing angles
+BLOCK = 1 << 16  # triangles that are examined together
 OPEN = 1e-3  # ratio of the sum of area-weighted normals to the area from which a surface is not closed
 
 
@@ -55,15 +56,15 @@ def is_one_sided(shape: Surface) -> bool:
 
 def has_negative_volume(placed: PlacedShape) -> bool:
     """True if a surface may enclose a volume, to which it turns its fronts; a quick look without regard to neighbours."""
-    faces, normals = placed.faces.long(), placed.surface.normals
-    if not len(faces):
-        return False
-    first, second, third = (placed.vertices.double() - placed.vertices[:1])[faces].unbind(1)
-    outwards = torch.linalg.cross(second - first, third - first)
-    if bool(outwards.sum(0).norm() > OPEN * outwards.norm(dim=1).sum()):
-        return False
-    fronts = 1.0 if normals is None else torch.sign((normals.detach()[faces].sum(1) * outwards).sum(1))
-    return bool(((first * outwards).sum(1) * fronts).sum() < 0)
+    vertices, normals = placed.vertices, placed.surface.normals
+    volume, area, outwards = 0.0, 0.0, vertices.new_zeros(3, dtype=torch.float64)
+    for faces in placed.faces.long().split(BLOCK):
+        first, second, third = (vertices[corner].double() - vertices[0] for corner in faces.unbind(1))
+        n = torch.linalg.cross(second - first, third - first)
+        fronts = 1.0 if normals is None else torch.sign((normals.detach()[faces].sum(1) * n).sum(1))
+        volume = volume + ((first * n).sum(1) * fronts).sum()
+        area, outwards = area + n.norm(dim=1).sum(), outwards + n.sum(0)
+    return bool(volume < 0) and bool(outwards.norm() < OPEN * area)
 
 
 def is_closed(placed: PlacedShape) -> bool:
