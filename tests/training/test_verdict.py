@@ -138,6 +138,19 @@ def test_the_distances_are_told_of_a_parameter_that_got_worse():
     assert "wall (off by 0.1 before, 0.4 now)" in verdict.explanation
 
 
+SLOWED = [0.02 ** (step / 119) for step in range(120)]  # the exponential schedule of recipes
+
+
+@pytest.mark.parametrize(("rest", "rates", "word"), [
+    (0.3, SLOWED, MOVING), (0.3, [], CONVERGED), (0.3, [1.0] * 120, CONVERGED), (0.0, SLOWED, CONVERGED)])
+def test_a_parameter_that_the_schedule_has_stopped_on_its_way_is_moving(rest, rates, word):
+    """It moves at a constant pace for its learning rate, in the tail by 5% of its way; unless the loss tells no better."""
+    gone = [sum(SLOWED[:step]) / sum(SLOWED) for step in range(121)]
+    losses = curve(lambda t: rest + math.exp(-20 * t), 120, noise=0.01)
+    verdict = judge_run(losses, True, CLOSER, [ParameterCurve("lamp", [[0.3 * part for part in gone]])], rates)
+    assert verdict.word == word and ("later" in verdict.explanation) == (word == MOVING)
+
+
 def test_a_biased_loss_has_no_floor_to_run_out_at():
     assert judge_run(FELL, False, CLOSER, [parameter(lambda t: 0.5, 0.01)]).word == CONVERGED
 

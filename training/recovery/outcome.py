@@ -105,7 +105,8 @@ def _verdict(recovery: Recovery, folder: RunFolder, images: list[dict[str, Any]]
     before, after = (math.sqrt(statistics.fmean(each[key] ** 2 for each in images)) for key in ("rmse_before", "rmse"))
     rows = folder.metrics.rows()
     curves = [_parameter_curve(each, rows) for each in recovery.parameters]
-    return judge_run([row["loss"] for row in rows], unbiased, ImageErrors(before, after), curves)._asdict()
+    rates = [row.get("learning_rate_factor", 1.0) for row in rows]
+    return judge_run([row["loss"] for row in rows], unbiased, ImageErrors(before, after), curves, rates)._asdict()
 
 
 def _parameter_curve(parameter: RecoveredParameter, rows: list[dict[str, float]]) -> ParameterCurve:

@@ -20,7 +20,9 @@ which a trend hardly touches (von Neumann 1941). The rule, over the steps whose 
    fluctuation.
    "still moving": from the first half of the tail to the second it moves by more than twice its standard deviation within
    these halves, which a straight line does by 3.5, and over the tail by more than a tenth of its whole way; or its distance
-   from the truth comes down so, by more than a tenth of its own level.
+   from the truth comes down so, by more than a tenth of its own level. Where the schedule has lowered the learning rate and
+   the loss is not 0 within its standard error, the tenth is less, in proportion to what is left of the rate in the tail, at
+   least 0.03: steps that are short because the schedule makes them so are no sign that a parameter has arrived.
    "ran out of signal": the loss is 0 within its standard error, as the two-buffer loss is in expectation where the image is
    right, and the parameter has come less than half of its way to the truth; if that is not known, its whole way is within
    its own fluctuation.
@@ -37,6 +39,7 @@ FEWEST_STEPS = 20
 SIGNIFICANT = 4.0  # standard errors
 TREND = 3.0  # likewise, of the slope of the tail
 NOTABLE = 0.1  # of the level of the tail, the way of a parameter, its distance from the truth
+LEAST_PACE = 0.3  # of the learning rate in the tail, by which `NOTABLE` is scaled at most
 NEGLIGIBLE = 1e-4  # of what the curve has come down
 IMPROVED = 0.8  # of the error of the image before
 RESOLVED = 0.5  # of the distance from the truth before
@@ -124,7 +127,11 @@ class Fall(NamedTuple):
 
 
 def judge_run(
-    losses: list[float], unbiased: bool, images: ImageErrors, parameters: Sequence[ParameterCurve] = ()
+    losses: list[float],
+    unbiased: bool,
+    images: ImageErrors,
+    parameters: Sequence[ParameterCurve] = (),
+    rates: Sequence[float] = (),
 ) -> Verdict:
     """Applies the rule of the module's docstring.
 
@@ -133,17 +140,18 @@ def judge_run(
         unbiased: the expected loss of the right parameters is 0, as that of the two-buffer loss.
         images: what the report's images show.
         parameters: what the parameters did.
+        rates: the learning rate of each step, relative to any other; none: it was the same throughout.
     """
     values = [value for value in losses if math.isfinite(value)]
     if len(values) < FEWEST_STEPS:
         return Verdict(TOO_SHORT, f"{len(values)} steps with a loss are too few to tell; {FEWEST_STEPS} are needed.")
     fall = _fall(values)
-    word, explanation = _judge_fall(fall, unbiased, images, parameters)
+    word, explanation = _judge_fall(fall, unbiased, images, parameters, _pace(rates))
     return Verdict(word, explanation, fall.noise, fall.level)
 
 
 def _judge_fall(
-    fall: Fall, unbiased: bool, images: ImageErrors, parameters: Sequence[ParameterCurve]
+    fall: Fall, unbiased: bool, images: ImageErrors, parameters: Sequence[ParameterCurve], pace: float
 ) -> tuple[str, str]:
     if not fall.is_over:
         way = "falls" if fall.change < 0 else "rises"
@@ -153,7 +161,7 @@ def _judge_fall(
         return OUT_OF_SIGNAL, (f"The loss begins at {fall.start:.2g} and ends at {fall.level:.2g}, no further apart than "
                                f"noise explains ({fall.noise:.2g} for one step), and the image has not come closer to the "
                                "target: take more samples, or parameters that the image shows.")
-    found = _judge_parameters(parameters, unbiased and fall.is_at_zero)
+    found = _judge_parameters(parameters, unbiased and fall.is_at_zero, pace)
     if found is not None:
         return found
     came_down = f"The loss came down from {fall.start:.2g} to {fall.level:.2g}" if fall.is_seen else (
@@ -171,16 +179,23 @@ def _floor(fall: Fall, unbiased: bool) -> str:
     return " It stays above zero: something that is not recovered differs from the target."
 
 
-def _judge_parameters(parameters: Sequence[ParameterCurve], at_zero: bool) -> tuple[str, str] | None:
-    """The verdict on the parameters of a run that has come down; None if nothing is wrong with them."""
+def _judge_parameters(parameters: Sequence[ParameterCurve], at_zero: bool, pace: float) -> tuple[str, str] | None:
+    """The verdict on the parameters of a run that has come down; None if nothing is wrong with them.
+
+    Args:
+        parameters: what they did.
+        at_zero: the loss is 0 within its standard error, as it is where they are right.
+        pace: from `_pace`.
+    """
     worse = [each for each in parameters if _is_worse(each)]
     if worse:
         return WORSE, (f"The loss came down, but further from the truth than before the first step: {_distances(worse)}. "
                        "Something else explains the target as well: take more views, bounds, or fewer parameters.")
-    moving = [each.name for each in parameters if _is_moving(each)]
+    moving = [each.name for each in parameters if _is_moving(each, 1.0 if at_zero else pace)]
     if moving:
-        return MOVING, ("The loss is flat as far as its noise lets see, but still moving: "
-                        f"{', '.join(moving)}. Take more steps, or a schedule that lowers the learning rate.")
+        instead = "a schedule that lowers the learning rate" + (" later" if pace < 1.0 else "")
+        return MOVING, ("The loss falls by little or nothing over the last third of the steps, but still moving: "
+                        f"{', '.join(moving)}. Take more steps, or {instead}.")
     lost = [each for each in parameters if at_zero and _is_lost(each)]
     if lost:
         return OUT_OF_SIGNAL, ("The loss is zero within its standard error and tells no better parameters, but not "
@@ -203,14 +218,23 @@ def _is_worse(parameter: ParameterCurve) -> bool:
     return growth > max(NOTABLE * before, STEADY * _deviation(_end(parameter.distances)), VISIBLE * parameter.size)
 
 
-def _is_moving(parameter: ParameterCurve) -> bool:
+def _pace(rates: Sequence[float]) -> float:
+    """The mean learning rate of the tail as a share of that of the whole run, from `LEAST_PACE` to 1."""
+    if not any(rates):
+        return 1.0
+    share = _mean(list(rates)[-_tail_length(len(rates)) :]) / _mean(list(rates))
+    return min(max(share, LEAST_PACE), 1.0)
+
+
+def _is_moving(parameter: ParameterCurve, pace: float) -> bool:
     """True if an entry moves steadily, and notably against the parameter's whole way, or so comes closer to the truth."""
+    notable = NOTABLE * pace
     way = max((abs(_mean(_end(column)) - column[0]) for column in parameter.columns), default=0.0)
-    if any(abs(_steady_change(column)) > NOTABLE * way for column in parameter.columns):
+    if any(abs(_steady_change(column)) > notable * way for column in parameter.columns):
         return True
     if parameter.distances is None:
         return False
-    return -_steady_change(parameter.distances) > max(NOTABLE * _mean(_end(parameter.distances)), VISIBLE * parameter.size)
+    return -_steady_change(parameter.distances) > max(notable * _mean(_end(parameter.distances)), VISIBLE * parameter.size)
 
 
 def _steady_change(values: list[float]) -> float:
