@@ -39,6 +39,11 @@ def detached(tensors):
     return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves])
 
 
+def with_derivative_of(value: Tensor, attached: Tensor) -> Tensor:
+    """A detached value with the derivative, backward and forward, of another estimate of the same."""
+    return value + (attached - primal(attached))
+
+
 def settled(value: Tensor) -> Tensor:
     """What a discrete choice is made by (of a lobe, of a light), or its probability: without derivative in every way of
     sampling.

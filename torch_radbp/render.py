@@ -26,7 +26,7 @@ from torch_radbp.adjoint.tape import render_taped
 from torch_radbp.aov.images import aov_jumps, render_aovs
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
 from torch_radbp.boundary import Jumps, JumpWatch, Outlines, Rendering, Sight, image_jumps, moves
-from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal
+from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal, with_derivative_of
 from torch_radbp.entry import arguments_of, check_arguments, entry
 from torch_radbp.integrand import Integrand
 from torch_radbp.jit.target import COMPILED
@@ -183,7 +183,7 @@ class Renderer(nn.Module):
             return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                       dict(self.named_parameters()))
         if aovs is not None:
-            return self(seed, sensors, spp, seed_grad), self.aovs(aovs, seed or 0, sensors, spp)
+            return self(seed, sensors, spp, seed_grad), self.aovs(aovs, seed, sensors, spp, seed_grad)
         call = self.prepare(seed, sensors, spp, seed_grad)
         if seed is None:
             self.noise_watch.look(call.parameters)
@@ -201,11 +201,11 @@ class Renderer(nn.Module):
         if not forward_mode and not isinstance(call.adjoint, TapeAdjoint):
             return render_with_derivative(call)
         attached = (render_taped if isinstance(call.adjoint, TapeAdjoint) else render_tangents)(call.of_derivative())
-        return attached if call.shares_samples else render_detached(call) + (attached - primal(attached))
+        return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)
 
     @entry
-    def aovs(self, names: Sequence[str] | None = None, seed: int = 0, sensors: SensorChoice = None,
-             spp: int | None = None) -> dict[str, Tensor]:
+    def aovs(self, names: Sequence[str] | None = None, seed: int | None = None, sensors: SensorChoice = None,
+             spp: int | None = None, seed_grad: int | None = None) -> dict[str, Tensor]:
         """Arbitrary output variables: images of what the camera sees first, by the very camera rays of the image.
 
         Samples are weighted by the film's filter as those of the image are; where nothing is seen, all quantities are 0.
@@ -226,7 +226,7 @@ class Renderer(nn.Module):
 
         Args:
             names: of quantities; None: what the integrator element lists (`aov`, `moment`).
-            seed, sensors, spp: as for a rendering.
+            seed, sensors, spp, seed_grad: as for a rendering; the derivative has samples of its own here, too.
 
         Returns:
             By name (B, C, H, W), row 0 at the top.
@@ -237,8 +237,8 @@ class Renderer(nn.Module):
         outputs = self.scene.integrator.outputs() if names is None else {name: name for name in checked_names(names)}
         if not outputs:
             raise ValueError("the scene's integrator lists no outputs; name some, such as renderer.aovs([\"depth\"])")
-        call = self.prepare(seed, sensors, spp, None, aovs=True)
-        outlines = self.look(call, sensors, seed)
+        call = self.prepare(seed, sensors, spp, seed_grad, aovs=True)
+        outlines = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
         quantities = tuple(dict.fromkeys(outputs.values()))
         if call.scene.layout.surround is not None and not self.hide_emitters:
             self.jump_watch.say(alpha_of_surroundings(quantities))

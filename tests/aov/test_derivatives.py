@@ -1,4 +1,4 @@
-"""Derivatives of quantities, backward and forward, against finite differences of the same samples in float64."""
+"""Derivatives of quantities, backward and forward: against finite differences of the same samples, and unbiased."""
 
 import pytest
 import torch
@@ -7,10 +7,14 @@ from torch.func import functional_call
 
 import torch_radbp as rb
 from tests.aov.scenes import NETWORK_FREE, landscape
+from tests.gradients import unwarned_renderer, z_score
 from tests.scenes import load, rectangle, sensor, texels
+from torch_radbp.jvp import with_tangents
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-SETTINGS = {"spp": 2, "max_depth": 1, "terms": ["interior"]}
+SETTINGS = {"spp": 2, "max_depth": 1, "terms": ["interior"], "share_samples": True}
+SLOPE, EXTENT = 0.5, 1000.0
+FILM = {"type": "hdrfilm", "width": 2, "height": 512, "rfilter": {"type": "box"}}
 # What has to have a derivative with respect to what; everything else has to be zero, or close to it by rounding.
 FOLLOWS = {
     "hills.vertex_positions": {"depth", "position", "uv", "geo_normal", "sh_normal", "dp_du", "dp_dv", "albedo"},
@@ -182,3 +186,55 @@ def test_gradients_in_float32_lose_nothing_when_many_lanes_read_an_entry():
     for found, wanted in zip(gradients[1], gradients[0]):
         assert torch.isfinite(wanted).all() and wanted.abs().max() > 1
         assert (found - wanted).abs().max() < 3e-7 * wanted.abs().max()
+
+
+def slope():
+    """A plane z = x / 2 seen along -z from z = 2, on pixels of width 1 beside x = 0: depth beyond the near plane 1 - z."""
+    tilt = torch.diag(torch.tensor([EXTENT, EXTENT, 1.0, 1.0], dtype=torch.float64))
+    tilt[2, 0] = EXTENT * SLOPE
+    return load(camera={"type": "orthographic", "near_clip": 1.0, "far_clip": 10.0, "film": FILM,
+                        "to_world": rb.look_at((0, 0, 2), (0, 0, 0), (0, 1, 0))},
+                plane={"type": "rectangle", "to_world": tilt.numpy()}, sky={"type": "constant"})
+
+
+def gradients_of_a_squared_depth(runs=12, **settings):
+    """By the slope, of the mean square of depth - 1, at one sample a pixel, for several seeds."""
+    scene = slope()
+    pose = scene.get_parameter("plane.to_world").requires_grad_()
+    renderer = unwarned_renderer(scene, spp=1, terms=["interior"], **settings)
+    depths = (renderer.aovs(["depth"], seed=seed)["depth"] for seed in range(runs))
+    return torch.stack([EXTENT * torch.autograd.grad(((depth - 1) ** 2).mean(), pose)[0][2, 0] for depth in depths])
+
+
+def test_the_gradient_of_a_squared_depth_is_unbiased_and_with_shared_samples_it_is_not():
+    """Of a pixel at x the mean depth is 1 - s x; over its width, x has the variance 1/12, which the noise adds."""
+    expected = torch.tensor(2 * SLOPE * 0.5**2, dtype=torch.float64)
+    assert z_score(gradients_of_a_squared_depth()[:, None], expected[None]) < 4.5  # t with 11 degrees of freedom
+    shared = gradients_of_a_squared_depth(share_samples=True)[:, None]
+    assert z_score(shared, expected[None]) > 10
+    assert z_score(shared, expected[None] + 2 * SLOPE / 12) < 4.5
+
+
+def test_the_derivative_has_the_samples_of_its_seed():
+    scene, name = landscape(size=3), "hills.to_world"
+    value = scene.get_parameter(name).detach().clone()
+    tangent = torch.randn(value.shape, dtype=value.dtype, generator=torch.Generator().manual_seed(1))
+    renderer = rb.Renderer(scene, **SETTINGS | {"share_samples": False})
+    pose = scene.get_parameter(name).requires_grad_()
+    names = ["depth", "sh_normal", "prim_index"]
+
+    def found(seed, seed_grad):
+        images = renderer.aovs(names, seed=seed, seed_grad=seed_grad)
+        return images, torch.autograd.grad(sum(images[quantity].square().sum() for quantity in names[:2]), pose)[0]
+
+    (one, first), (other, second), (_, third) = found(3, 3), found(3, 9), found(9, 9)
+    for quantity in names:  # the one is eager, the other compiled
+        torch.testing.assert_close(one[quantity], other[quantity], rtol=1e-13, atol=1e-13)
+    assert (first - second).abs().max() > 1e-3 * first.abs().max() and (third - second).abs().max() > 1e-3
+    assert not other["prim_index"].requires_grad
+    pose.requires_grad_(False)
+    forward = with_tangents(renderer, {name: tangent}, {"seed": 3, "seed_grad": 9, "aovs": names})[1]
+    for quantity in names[:2]:
+        torch.testing.assert_close(forward[quantity].image, one[quantity].detach(), rtol=1e-13, atol=1e-13)
+    inner = sum((2 * one[quantity] * forward[quantity].tangent).sum() for quantity in names[:2])
+    torch.testing.assert_close((second * tangent).sum(), inner.detach(), rtol=1e-10, atol=1e-12)

@@ -243,7 +243,7 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
                             call.views[chunk.sensor].sample_keys[0], record=False)
 
     with torch.no_grad():
-        call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
+        call = still(call)
         raise image_error(images, integrand._replace(scene=integrand.proposal, parts={}), call.module, trace_again)
 
 
@@ -384,9 +384,14 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple
     return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]
 
 
+def still(call: RenderCall) -> RenderCall:
+    """The call without derivatives."""
+    return call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
+
+
 def render_detached(call: RenderCall) -> Tensor:
     """The images without derivatives."""
-    call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
+    call = still(call)
     with torch.no_grad():
         return render_images(call, call.make_integrand(call.scene), record=False)[0]
 

@@ -19,12 +19,13 @@ from torch_radbp.adjoint.function import (
     of_chunks,
     pixel_sums,
     started,
+    still,
 )
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, TURNING, UNDIFFERENTIATED, plain
 from torch_radbp.boundary.outline import Jumps
 from torch_radbp.boundary.primary import Seen, jumps_of_views
-from torch_radbp.differentiated import detached, differentiable
+from torch_radbp.differentiated import detached, differentiable, with_derivative_of
 from torch_radbp.entry import entry
 from torch_radbp.integrand import Integrand
 from torch_radbp.lookup import summed
@@ -37,17 +38,28 @@ from torch_radbp.wavefront import first_hit
 def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
     """(B, C, H, W) images of quantities, by name.
 
-    Attached to scene and cameras, in either mode. Of a chunk only its sums are kept, and its quantities are computed again
-    in the backward pass, so that the chunk bounds the memory.
+    Attached to scene and cameras, in either mode; the derivative has samples of its own, unless the call shares them.
     """
     record = call.scene, [view.camera for view in call.views]
-    attached = has_tangents(record) or (torch.is_grad_enabled() and bool(differentiable(record)))
+    if not (has_tangents(record) or (torch.is_grad_enabled() and differentiable(record))):
+        return quantities_of(still(call), names)
+    if call.shares_samples:
+        return quantities_of(call, names, attached=True)
+    images = quantities_of(still(call), names)
+    moving = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
+    attached = quantities_of(call.of_derivative(), moving, attached=True) if moving else {}
+    return images | {name: with_derivative_of(images[name], image) for name, image in attached.items()}
+
+
+def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = False) -> dict[str, Tensor]:
+    """The images of quantities by the samples of a call.
+
+    Of a chunk only its sums are kept. Where they are attached, quantities are computed again in the backward pass, so that
+    the chunk bounds the memory.
+    """
     if attached:
         call = call._replace(stages=call.stages.eager())
-        integrand = call.make_integrand(call.scene).with_stages(call.stages)
-    else:
-        call = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
-        integrand = call.make_integrand(call.scene)
+    integrand = call.make_integrand(call.scene).with_stages(call.stages)
     quantities = tuple(dict.fromkeys(map(plain, names)))
 
     @entry
