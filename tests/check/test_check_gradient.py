@@ -6,7 +6,8 @@ from torch import nn
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
-from tests.scenes import CASES, cornell, load, rectangle, rgb, sensor, textured_lamp
+from tests.boundary.test_primary import parallel
+from tests.scenes import CASES, cornell, diffuse, load, rectangle, rgb, sensor, textured_lamp
 from torch_radbp.check import gradient as check_module
 from torch_radbp.check.gradient import checked_direction, checked_step, informative_cotangents
 from torch_radbp.check.statistics import Cotangent, Samples, compare, expected_square, tile_sums
@@ -117,20 +118,58 @@ def test_a_parameter_that_is_detached_on_its_way_is_biased():
 @pytest.mark.parametrize("name, step", [("light.to_world", 0.05), ("box.vertex_positions", 0.05), ("sensor.x_fov", 2.0)])
 def test_a_derivative_without_what_moves_is_biased_probably_by_silhouettes(name, step, monkeypatch):
     """Forward mode says zero; differences see the thing move, whatever the renderer can differentiate."""
-    right = check_module.rendering_with_tangent
-
-    def nothing(renderer, tangents, *arguments, **named):
-        image, tangent = right(renderer, {WHITE: torch.zeros(3, dtype=torch.float64)}, *arguments, **named)
-        return DualImage(image, 0 * tangent)
-
-    monkeypatch.setattr(check_module, "rendering_with_tangent", nothing)
+    monkeypatch.setattr(check_module, "rendering_with_tangent", scaled(lambda tangent: 0 * tangent))
     monkeypatch.setattr(check_module.Measurement, "backward", lambda self, number, cotangents: [0.0] * len(cotangents))
     scene = cornell(size=8)
     before = scene.get_parameter(name).clone()
-    result = rb.check_gradient(scene, name, spp=64, max_depth=2, step=step)
+    result = rb.check_gradient(scene, name, spp=32, max_depth=2, step=step, batches=8)
     assert result.verdict == "biased, probably by silhouettes", str(result)
-    assert result.comparison.difference.abs().max() > 0 and "edges that it moves" in result.explanation
+    assert result.comparison.difference.abs().max() > 0
+    assert f"The renderer leaves out a part: derivatives with respect to `{name}` lack the contribution of the borders of " \
+           "shadows" in result.explanation
     assert torch.equal(scene.get_parameter(name), before)
+
+
+def lamp(edge: float):
+    """A square that shines, seen on pixels of width 1/4 whose borders are at multiples of that."""
+    return load(camera=parallel(8), lamp=rectangle((0, 0, 0), edge, emitter={"type": "area"}))
+
+
+ALONG_X = torch.zeros(4, 4)
+ALONG_X[0, 3] = 1.0
+
+
+@pytest.mark.parametrize("edge", [0.5, 0.4901])
+@pytest.mark.parametrize("direction", [None, ALONG_X], ids=["random", "along x"])
+def test_an_edge_that_moves_over_the_border_of_pixels_is_no_silhouette_that_is_left_out(edge, direction):
+    """Where it stands on the border, or within a step from it, differences are the mean of two derivatives."""
+    result = rb.check_gradient(lamp(edge), "lamp.to_world", spp=512, max_depth=1, batches=8, direction=direction)
+    assert result.verdict in ("agrees", "too noisy") and "silhouette" not in str(result), str(result)
+    assert direction is None or result.comparison.projections[1].bend > 0 and "borders of pixels" in result.explanation
+
+
+def test_of_an_error_that_nothing_explains_silhouettes_are_not_said(monkeypatch):
+    monkeypatch.setattr(check_module, "rendering_with_tangent", scaled(lambda tangent: 0 * tangent))
+    monkeypatch.setattr(check_module.Measurement, "backward", lambda self, number, cotangents: [0.0] * len(cotangents))
+    result = rb.check_gradient(lamp(0.5), "lamp.to_world", spp=512, max_depth=1, batches=8)
+    assert result.verdict == "biased" and "does not know of anything that it leaves out" in result.explanation
+
+
+def test_terms_that_are_left_out_are_named():
+    result = rb.check_gradient(lamp(0.45), "lamp.to_world", spp=128, max_depth=1, batches=8, terms=["interior"])
+    assert result.verdict == "biased, probably by silhouettes", str(result)
+    assert "The renderer leaves out a part: terms=('interior',) leaves out 'primary'; derivatives with" in result.explanation
+
+
+@pytest.mark.parametrize("value, step, sides", [(0.0, None, "to one side"), (0.1, 0.3, "to one side"),
+                                                (0.2, 0.1, "to both sides")])
+def test_differences_do_not_leave_the_domain(value, step, sides):
+    scene = load(sensor=sensor(4, (0.5, 0.2, 2)), sky={"type": "constant"},
+                 wall=rectangle((0, 0, 0), bsdf=diffuse(value, value, value)))
+    result = rb.check_gradient(scene, "wall.bsdf.reflectance.value", spp=32, max_depth=2, step=step, batches=8,
+                               direction="ones")
+    assert result.sides == sides and result.figures()["sides"] == sides and sides in str(result)
+    assert result.verdict != "biased" and abs(result.comparison.projections[0].relative_error) < 0.03, str(result)
 
 
 def test_forward_and_backward_that_differ_are_biased(monkeypatch):
@@ -293,6 +332,8 @@ BAD = {
     "zero direction": (ValueError, WHITE, {"direction": [0, 0, 0]}, "must not be zero everywhere"),
     "word": (ValueError, WHITE, {"direction": "up"}, "'random' or 'ones' or an array"),
     "step": (ValueError, WHITE, {"step": 0.0}, "step must be greater than 0"),
+    "step out of the domain": (ValueError, WHITE, {"step": 1e7}, f"differences of '{WHITE}' by steps of 1e.07 along this "
+                               "direction leave its domain to both sides; give a smaller step .parameter .* must be"),
     "batches": (ValueError, WHITE, {"batches": 4}, "at least 8"),
     "spp": (ValueError, WHITE, {"spp": 0}, "spp must be an integer of at least 1"),
 }

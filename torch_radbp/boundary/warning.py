@@ -64,7 +64,7 @@ class JumpWatch:
         self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over,
                       self.edges_far_off]
         self.known: dict[object, tuple[Tensor, Edges]] = {}  # faces and edges of the meshes examined so far
-        self.said: set[str] = set()
+        self.said: dict[str, Warning] = {}  # by their messages
         # Looks at the image that are due: one at the first rendering is enough.
         self.of_images: list[Callable] = [unfound_caustics, unmapped_textures, inward_faces]
         self.viewed: set[int] = set()  # ids of the sensors whose rays have been looked at
@@ -89,7 +89,7 @@ class JumpWatch:
     def say(self, warning: Warning | None) -> None:
         """Warns, unless there is nothing to say or that has been said."""
         if warning is not None and str(warning) not in self.said:
-            self.said.add(str(warning))
+            self.said[str(warning)] = warning
             warnings.warn(warning, stacklevel=level_of_the_caller())
 
     def silhouettes_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:

@@ -5,34 +5,48 @@ Two estimates of the same derivative image are rendered, in R independent batche
     finite differences  D_r = (I(theta + h d; seed_r) - I(theta - h d; seed_r)) / (2 h)
     forward mode        J_r = JVP(theta, d; other seed_r)
 
-Both images of a difference share their samples, which removes most of the noise and does not change the expectation, even
-where the integrand jumps: each of the two is an unbiased image. Forward mode uses other samples, so that the two estimates
-are independent, and an error that depends on the samples cannot hide in both.
+The images of a difference share their samples, which removes most of the noise and does not change the expectation, even
+where the integrand jumps: each is an unbiased image. Forward mode uses other samples, so that the two estimates are
+independent, and an error that depends on the samples cannot hide in both. At the end of a parameter's domain the differences
+go to the side that is inside, through three images.
+
+Where an edge moves over the border between two pixels, a pixel has a kink: one derivative before it, another after it, and
+the differences are a mean of both. So if geometry moves, the second difference I(theta + h d) - 2 I(theta) + I(theta - h d)
+is looked at, too. Where it is not noise, half of it over h is how far differences to one side lie from those to both, and so
+much of an error is put down to the step.
 
 The backward pass is compared with forward mode on the same samples, where <w, J_1> = <VJP_1(w), d> must hold to rounding.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn.functional import interpolate
 
-from torch_radbp.check.outcome import GradientCheck, judge
+from torch_radbp.boundary import SilhouetteWarning
+from torch_radbp.check.outcome import BIASED, GradientCheck, Question, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.entry import arguments_of, check_arguments, entry
 from torch_radbp.jvp import rendering_with_tangent
 from torch_radbp.plugin import finite, integer
 from torch_radbp.render import Renderer
 from torch_radbp.scene import Scene
+from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.parameters import check_parameters
+from torch_radbp.settings import TERMS
 
 BATCHES = 16
 FEWEST_BATCHES = 8  # with fewer, a standard error is itself too uncertain
 RELATIVE_STEP = 0.02  # a product of 8 reflectances is a polynomial whose central difference is then 0.4% off
+FINER = 8.0  # by which a step is divided if geometry moves and nothing else explains an error
+PARTS = (1.0, 0.25, 1 / 16)  # of that, if it leaves a narrow domain
 NEXT_SEED = 0x1000193
 DIRECTIONS = ("random", "ones")
 STILL = ("value", "data", "scale")  # attributes that move nothing: textures, and factors of emitters
@@ -54,9 +68,11 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
             two named directions leave the last row of (4, 4) transforms alone.
         spp: samples per pixel of each of the two estimates, over all batches (rounded up to a multiple of `batches`).
         seed: of the random numbers; the same seed gives the same outcome.
-        step: h, to both sides, in units of `direction`. None: a step that moves the largest entry of the parameter by
-            about 2%, or by 0.02 if the parameter is zero. Where geometry moves, larger steps have less noise, but a larger
-            error of their own from the curvature of the image; halving the step reduces that error to a quarter.
+        step: h, to both sides, in units of `direction`; where that leaves the domain of the parameter, 2 h to one side.
+            None: a step that moves the largest entry of the parameter by about 2%, or by 0.02 if the parameter is zero, or
+            less if the domain is narrow; an eighth of that if geometry moves and nothing else explains an error. Where
+            geometry moves, larger steps have less noise, but a larger error of their own from the curvature of the image;
+            halving the step reduces that error to a quarter.
         sensors: indices of the sensors to render; None: all.
         batches: independent repetitions, from which standard errors are estimated; at least 8.
         progress: called with the renderings done and all renderings to do.
@@ -67,7 +83,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
 
     Raises:
         AttributeError: if the scene has no such parameter; the message lists the nearest names.
-        ValueError: if an argument makes no sense.
+        ValueError: if an argument makes no sense, or the step leaves the domain of the parameter to both sides.
     """
     check_arguments(check_gradient, settings, arguments_of(check_gradient, Renderer.__init__))
     renderer = Renderer(scene, **{"share_samples": True} | settings)
@@ -77,30 +93,63 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
         raise ValueError(f"batches must be at least {FEWEST_BATCHES}, so that standard errors can be trusted, got {batches}")
     d = checked_direction(name, parameter, direction)
     finite(f"parameter {name!r}", parameter)
-    h = checked_step(parameter, d, step)
-    measurement = Measurement(renderer, f"scene.{name}", parameter, d, h, -(-spp // batches), seed, sensors, progress,
-                              total=4 * batches + 5)
+    h, stencil = inside(scene, name, parameter, d, step)
+    moves = what_it_sets(name) not in STILL
+    measurement = Measurement(renderer, f"scene.{name}", parameter, d, h, stencil, moves, -(-spp // batches), seed, sensors,
+                              progress)
+    measurement.total = (batches + 1) * len(measurement.offsets) + 2 * batches + 3
     image, tangent = measurement.forward(batches + 1)
-    reference, _ = measurement.difference(0)
-    differences, sizes = zip(*(measurement.difference(k) for k in range(1, batches + 1)))
+    reference = measurement.difference(0).value
+    differences = [measurement.difference(k) for k in range(1, batches + 1)]
     tangents = [tangent, *(measurement.forward(k)[1] for k in range(batches + 2, 2 * batches + 1))]
-    # The rounding of two pixels makes their difference uncertain, even where there is no noise.
-    rounding = torch.finfo(image.dtype).eps * torch.stack(sizes).amax(0) / h
-    samples = Samples(torch.stack(differences), torch.stack(tangents), rounding)
+    # The rounding of the pixels makes their difference uncertain, even where there is no noise.
+    eps = torch.finfo(image.dtype).eps
+    rounding = eps * sum(map(abs, stencil.weights)) * torch.stack([found.size for found in differences]).amax(0) / h
+    samples = Samples(torch.stack([found.value for found in differences]), torch.stack(tangents), rounding,
+                      torch.stack([found.bend for found in differences]) if moves else None)
     cotangents = informative_cotangents(reference, seed)
     backward = measurement.backward(batches + 1, [cotangent.image for cotangent in cotangents])
-    comparison = compare(samples, cotangents, backward, torch.finfo(image.dtype).eps)
-    return judge(name, d, h, measurement.spp * batches, batches, seed, what_it_sets(name) not in STILL, comparison)
+    comparison = compare(samples, cotangents, backward, eps)
+    question = Question(name, d, h, stencil.words, measurement.spp * batches, batches, seed, moves, left_out(renderer))
+    result = judge(question, comparison)
+    if step is None and moves and result.verdict == BIASED:  # perhaps by the step that was chosen
+        return check_gradient(scene, name, direction=d, spp=spp, seed=seed, step=h / FINER, sensors=sensors, batches=batches,
+                              progress=progress, **settings)
+    return result
+
+
+class Stencil(NamedTuple):
+    """Three places in steps from the parameter, evenly apart, whose weighted images are a derivative times the step."""
+
+    words: str
+    offsets: tuple[int, int, int]
+    weights: tuple[float, float, float]
+
+
+BOTH_SIDES = Stencil("to both sides", (-1, 0, 1), (-0.5, 0.0, 0.5))
+STENCILS = (BOTH_SIDES, Stencil("to one side", (0, 1, 2), (-1.5, 2.0, -0.5)),
+            Stencil("to one side", (-2, -1, 0), (0.5, -2.0, 1.5)))
+
+
+class Difference(NamedTuple):
+    """What the images of one batch differ by, (B, 3, H, W) float64 each."""
+
+    value: Tensor  # the difference quotient
+    size: Tensor  # the largest magnitude of the images
+    bend: Tensor | None  # half of their second difference, over the step
 
 
 class Measurement:
     """Renderings of a scene with one of its parameters moved."""
 
-    def __init__(self, renderer: Renderer, name: str, value: Tensor, direction: Tensor, step: float, spp: int, seed: int,
-                 sensors: Sequence[int] | None, progress: Callable[[int, int], None] | None, total: int):
+    def __init__(self, renderer: Renderer, name: str, value: Tensor, direction: Tensor, step: float, stencil: Stencil,
+                 bends: bool, spp: int, seed: int, sensors: Sequence[int] | None,
+                 progress: Callable[[int, int], None] | None):
         self.renderer, self.name, self.value, self.direction, self.step = renderer, name, value, direction, step
+        self.weights, self.bends = dict(zip(stencil.offsets, stencil.weights)), bends
+        self.offsets = [offset for offset, weight in self.weights.items() if weight or bends]
         self.spp, self.seed, self.sensors = spp, seed, sensors
-        self.progress, self.done, self.total = progress, 0, total
+        self.progress, self.done, self.total = progress, 0, 0
 
     def arguments(self, number: int) -> dict:
         """The arguments of the rendering of batch `number`; different batches share no samples."""
@@ -111,14 +160,21 @@ class Measurement:
         if self.progress is not None:
             self.progress(self.done, self.total)
 
-    def difference(self, number: int) -> tuple[Tensor, Tensor]:
-        """The difference quotient of a batch, and the larger of its two images' magnitudes; (B, 3, H, W) float64 each."""
+    def difference(self, number: int) -> Difference:
+        """The differences of a batch."""
         parameters = {f"scene.{name}": value.detach() for name, value in self.renderer.scene.named_parameters()}
+        images = {}
         with torch.no_grad():
-            after, before = (functional_call(self.renderer, parameters | {self.name: self.value + h * self.direction},
-                                             kwargs=self.arguments(number)).double() for h in (self.step, -self.step))
-        self.count(2)
-        return (after - before) / (2 * self.step), torch.maximum(after.abs(), before.abs())
+            for offset in self.offsets:
+                moved = parameters | {self.name: self.value + offset * self.step * self.direction}
+                images[offset] = functional_call(self.renderer, moved, kwargs=self.arguments(number)).double()
+        self.count(len(images))
+        value = sum(self.weights[offset] * image for offset, image in images.items()) / self.step
+        bend = None
+        if self.bends:
+            before, middle, after = images.values()
+            bend = (before - 2 * middle + after) / (2 * self.step)
+        return Difference(value, torch.stack([image.abs() for image in images.values()]).amax(0), bend)
 
     def forward(self, number: int) -> tuple[Tensor, Tensor]:
         """The image of a batch in the scene's dtype, and its derivative by forward mode in float64."""
@@ -190,6 +246,55 @@ def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> fl
     if not 0 < step < float("inf"):
         raise ValueError(f"step must be greater than 0 and finite, got {step}; leave it out to have one chosen")
     return float(step)
+
+
+def inside(scene: Scene, name: str, parameter: Tensor, direction: Tensor, step: float | None) -> tuple[float, Stencil]:
+    """The step, and where from there images are taken, all of them in the domain of the parameter.
+
+    Raises:
+        ValueError: if there are no such places.
+    """
+    largest = checked_step(parameter, direction, step)
+    first = None
+    for h in [largest * part for part in (PARTS if step is None else (1.0,))]:
+        for stencil in STENCILS:
+            out = [why for offset in stencil.offsets
+                   if (why := outside(scene, name, parameter + offset * h * direction)) is not None]
+            if not out:
+                return h, stencil
+            first = first or out[0]
+    advice = "give a smaller step" if step is not None else "give another direction, which leads into it"
+    raise ValueError(f"differences of {name!r} by steps of {largest:.3g} along this direction leave its domain to both "
+                     f"sides; {advice} ({first})")
+
+
+def outside(scene: Scene, name: str, value: Tensor) -> str | None:
+    """Why a value of a parameter is not in its domain; None: it is."""
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            functional_call(DomainOf(scene), {f"scene.{name}": value})
+        except ValueError as error:
+            return str(error).partition("; ")[0]
+    return None
+
+
+class DomainOf(nn.Module):
+    """Calls the checks that a rendering of all sensors begins with."""
+
+    def __init__(self, scene: Scene):
+        super().__init__()
+        self.scene = scene
+
+    def forward(self) -> None:
+        check_parameters(self.scene, Kept(), list(self.scene.named_sensors))
+
+
+def left_out(renderer: Renderer) -> list[str]:
+    """What the derivatives of a renderer that has rendered are known to lack: by its settings, and by its warnings."""
+    found = [f"terms={tuple(renderer.terms)!r} leaves out {term!r}" for term in TERMS if term not in renderer.terms]
+    return found + [str(said).partition(". ")[0] for said in renderer.jump_watch.said.values()
+                    if isinstance(said, SilhouetteWarning)]
 
 
 def what_it_sets(name: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
@@ -17,6 +17,20 @@ DETECT = 0.05  # the relative error that must not go unnoticed
 MOST_ROUNDINGS = 1e4  # of the dtype's epsilon, between forward and backward pass: sums in another order
 
 
+class Question(NamedTuple):
+    """What is asked about a derivative, and what is known beforehand."""
+
+    name: str  # this and the next ones as in `GradientCheck`
+    direction: Tensor
+    step: float
+    sides: str
+    spp: int
+    batches: int
+    seed: int
+    moves: bool  # the parameter moves geometry, so that edges could be missing
+    left_out: list[str]  # what the renderer says that its derivatives lack
+
+
 @dataclass(frozen=True)
 class GradientCheck:
     """The derivative of an image along a direction, by finite differences and by the renderer.
@@ -24,7 +38,8 @@ class GradientCheck:
     Attributes:
         name: of the parameter.
         direction: of the parameter's shape.
-        step: h of the central differences, in units of `direction`.
+        step: h of the differences, in units of `direction`.
+        sides: "to both sides", or "to one side" at the end of the parameter's domain.
         spp: samples per pixel of each estimate.
         batches: the number of independent repetitions.
         seed: of the random numbers.
@@ -38,6 +53,7 @@ class GradientCheck:
     name: str
     direction: Tensor
     step: float
+    sides: str
     spp: int
     batches: int
     seed: int
@@ -57,12 +73,12 @@ class GradientCheck:
         projections = [projection._asdict() | {"z": projection.z, "relative_error": projection.relative_error}
                        for projection in comparison.projections]
         return {"parameter": self.name, "verdict": self.verdict, "explanation": self.explanation, "step": self.step,
-                "spp": self.spp, "batches": self.batches, "seed": self.seed, "detectable": self.detectable,
-                "not_finite": comparison.not_finite, "pixels": comparison.pixels._asdict(),
+                "sides": self.sides, "spp": self.spp, "batches": self.batches, "seed": self.seed,
+                "detectable": self.detectable, "not_finite": comparison.not_finite, "pixels": comparison.pixels._asdict(),
                 "tiles": comparison.tiles._asdict(), "projections": projections}
 
     def __str__(self) -> str:
-        lines = [f"{self.name}, step {self.step:.3g}, {self.spp} samples per pixel in {self.batches} batches",
+        lines = [f"{self.name}, step {self.step:.3g} {self.sides}, {self.spp} samples per pixel in {self.batches} batches",
                  *("  ".join(f"{cell:>16}" for cell in row) for row in self.rows())]
         lines += [f"{label}: {value}" for label, value in self.summary()]
         return "\n".join([*lines, f"{self.verdict}: {self.explanation}"])
@@ -87,33 +103,29 @@ class GradientCheck:
                 ("smallest error of the derivative that would show", f"{self.detectable:.1%}")]
 
 
-def judge(name: str, direction: Tensor, step: float, spp: int, batches: int, seed: int, moves: bool,
-          comparison: Comparison) -> GradientCheck:
+def judge(asked: Question, comparison: Comparison) -> GradientCheck:
     """The verdict on a comparison.
 
     A derivative is biased if a projection of it is off by more than 4 standard errors and by more than 1% of its scale, or
     if its tiles are off by more than chance allows and by more than 1%; the 1% is allowed for the step of the finite
-    differences. It is biased, too, if it is not finite, or if forward mode and the backward pass disagree. It is too noisy
-    if an error of 5% could have gone undetected.
-
-    Args:
-        name, direction, step, spp, batches, seed: as in `GradientCheck`.
-        moves: True if the parameter moves geometry, so that silhouettes could be missing.
-        comparison: the measurements.
+    differences, and what they bend by. It is biased, too, if it is not finite, or if forward mode and the backward pass
+    disagree. Silhouettes are named if the renderer has said that it leaves some out. It is too noisy if an error of 5% could
+    have gone undetected.
     """
     informative = comparison.projections[1]
-    detectable = MOST_Z * uncertainty(informative)
-    verdict, explanation = verdict_on(comparison, moves, detectable, spp)
-    return GradientCheck(name, direction, step, spp, batches, seed, comparison, verdict, explanation, detectable)
+    surest = min(comparison.projections if informative.bend else [informative], key=hidden)
+    verdict, explanation = verdict_on(comparison, asked, surest)
+    *question, _, _ = asked
+    return GradientCheck(*question, comparison, verdict, explanation, hidden(surest))
 
 
-def uncertainty(projection: Projection) -> float:
-    """The standard error relative to the mean of both estimates; infinite if both are zero."""
-    size = abs(projection.difference + projection.jvp) / 2
-    return projection.standard_error / size if size > 0 else math.inf
+def hidden(projection: Projection) -> float:
+    """The relative error of a derivative that noise and step would hide in a projection of it; infinite if that is zero."""
+    size = projection.size
+    return max(MOST_Z * projection.standard_error, projection.bend) / size if size > 0 else math.inf
 
 
-def verdict_on(comparison: Comparison, moves: bool, detectable: float, spp: int) -> tuple[str, str]:
+def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> tuple[str, str]:
     """The verdict, and the sentence that explains it."""
     if comparison.not_finite:
         return BIASED, f"the derivative by forward mode has {comparison.not_finite} values that are NaN or infinite"
@@ -131,12 +143,25 @@ def verdict_on(comparison: Comparison, moves: bool, detectable: float, spp: int)
         where = (f"off by {worst.relative_error:+.1%} ({worst.z:+.1f} standard errors) on {worst.name}" if worst
                  else f"off by {tiles.relative_bias:.1%} in tiles of the image, though not in sum")
         held = f"half of the squared error lies in {comparison.pixels.concentration:.1%} of the pixels"
-        if moves:
-            return SILHOUETTES, (f"{where}; {held}. The parameter moves geometry: edges that it moves in shadows or in "
-                                 f"reflections contribute too, which the renderer leaves out")
-        return BIASED, f"{where}; {held}. If the error shrinks with a smaller step, the step was too large"
+        if asked.left_out:
+            return SILHOUETTES, f"{where}; {held}. The renderer leaves out a part: {'; '.join(asked.left_out)}"
+        step = "If the error shrinks with a smaller step, the step was too large"
+        if asked.moves:
+            return BIASED, (f"{where}; {held}. The renderer does not know of anything that it leaves out; without a warning "
+                            f"it leaves out edges that are seen by reflection, surfaces that pass through each other, and "
+                            f"what jumps inside of a texture. {step}")
+        return BIASED, f"{where}; {held}. {step}"
+    detectable = hidden(surest)
+    if math.isinf(detectable):
+        return TOO_NOISY, ("the sum of both estimates is zero, so that nothing is compared; choose another direction, "
+                           "sensor, step or max_depth")
+    if detectable > DETECT and surest.bend > MOST_Z * surest.standard_error:
+        return TOO_NOISY, (f"an error below {detectable:.1%} would go undetected, since differences to one side are so far "
+                           f"off those to both, as where edges move over the borders of pixels; use a smaller step "
+                           f"(step={asked.step / 8:.2g}) and 8 times the samples (spp={8 * asked.spp}), or another "
+                           f"direction")
     if detectable > DETECT:
         more = math.ceil(min((detectable / DETECT) ** 2, 1e9))
         return TOO_NOISY, (f"an error below {detectable:.1%} would go undetected; use {more} times the samples "
-                           f"(spp={more * spp}){', or a larger step' if moves else ''}")
+                           f"(spp={more * asked.spp}){', or a larger step' if asked.moves else ''}")
     return AGREES, f"an error of {max(detectable, STEP_ERROR):.1%} of the derivative would have been detected"

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, max_pool2d
 
 from torch_radbp.sampling.running_sum import running_sum
 
@@ -21,6 +21,7 @@ FLOOR = 0.2  # a pixel's error is divided by the pixel, but by no less than this
 STEP_ERROR = 0.01  # relative error of finite differences that is put down to their step
 CALM = (31, 32)  # the share of tiles that remains without those that rare bright paths make noisy
 SHARED = 0.25  # least variance of a tile, as a share of the mean variance of the calm ones
+KINK, KINK_OF_TILE = 4.0, 2.0  # standard errors from which on a bend is none of the noise; of pixels there are many
 BRIGHTEST = 0.995  # the quantile taken for the maximum of an image, because of fireflies
 
 
@@ -30,6 +31,7 @@ class Samples(NamedTuple):
     difference: Tensor  # (R, B, 3, H, W) by finite differences
     jvp: Tensor  # (R, B, 3, H, W) by forward mode
     rounding: Tensor  # (B, 3, H, W) standard error of `difference` by rounding
+    bend: Tensor | None = None  # (R, B, 3, H, W) what differences to one side are off by on average; None: not looked at
 
 
 class Cotangent(NamedTuple):
@@ -48,16 +50,28 @@ class Projection(NamedTuple):
     standard_error: float  # of jvp - difference
     scale: float  # sum over tiles of |<w, difference>|, in which tiles do not cancel
     backward_error: float  # |<w, JVP> - <VJP(w), d>| of one batch, relative to <|w|, |JVP|>
+    bend: float = 0.0  # of jvp - difference, what is put down to the step
+
+    @property
+    def error(self) -> float:
+        """jvp - difference, beyond what is put down to the step."""
+        error = self.jvp - self.difference
+        return math.copysign(max(abs(error) - self.bend, 0.0), error)
 
     @property
     def z(self) -> float:
-        """jvp - difference in standard errors."""
-        return quotient(self.jvp - self.difference, self.standard_error)
+        """`error` in standard errors."""
+        return quotient(self.error, self.standard_error)
 
     @property
     def relative_error(self) -> float:
-        """jvp - difference relative to `scale`."""
-        return quotient(self.jvp - self.difference, self.scale)
+        """`error` relative to `scale`."""
+        return quotient(self.error, self.scale)
+
+    @property
+    def size(self) -> float:
+        """The magnitude of the mean of both estimates."""
+        return abs(self.difference + self.jvp) / 2
 
 
 class Pixels(NamedTuple):
@@ -112,6 +126,19 @@ def mean_error(difference: Tensor, jvp: Tensor, rounding: Tensor) -> Mean:
     return Mean(jvp.mean(0) - difference.mean(0), variance.sqrt())
 
 
+def bends(samples: Tensor | None, rounding: Tensor, least: float = KINK) -> Tensor:
+    """Magnitudes of the mean of (R, ...) bends where it is none of the noise, else 0; zeros like `rounding` for None."""
+    if samples is None:
+        return torch.zeros_like(rounding)
+    mean, noise = samples.mean(0).abs(), (samples.var(0) / len(samples) + rounding**2).sqrt()
+    return torch.where(mean > least * noise, mean, 0.0)
+
+
+def beyond(error: Tensor, bend: Tensor) -> Tensor:
+    """What of errors is not put down to the step."""
+    return error.sign() * (error.abs() - bend).clamp_min(0.0)
+
+
 def expected_square(samples: int) -> float:
     """The mean of z^2 if nothing is wrong: that of Student's t with the degrees of freedom of one of the estimates."""
     return (samples - 1) / (samples - 3)
@@ -128,7 +155,8 @@ def compare(samples: Samples, cotangents: list[Cotangent], backward: list[float]
     """
     broken = int((~torch.isfinite(samples.jvp)).sum())
     samples = samples._replace(jvp=samples.jvp.nan_to_num(0.0, 0.0, 0.0))
-    mean = mean_error(*samples)
+    mean = mean_error(*samples[:3])
+    mean = mean._replace(error=beyond(mean.error, bends(samples.bend, samples.rounding)))
     difference, jvp = samples.difference.mean(0), samples.jvp.mean(0)
     projections = [project(samples, cotangent, value) for cotangent, value in zip(cotangents, backward)]
     return Comparison(difference, jvp, mean.standard_error, mean.z, over_pixels(mean, difference), over_tiles(samples),
@@ -149,6 +177,8 @@ def over_tiles(samples: Samples) -> Tiles:
     rounding = tile_sums(samples.rounding.square()).sqrt()
     difference, jvp = tile_sums(samples.difference), tile_sums(samples.jvp)
     mean = mean_error(difference, jvp, rounding)
+    bend = bends(None if samples.bend is None else tile_sums(samples.bend), rounding, KINK_OF_TILE)
+    mean = mean._replace(error=beyond(mean.error, bend))
     batch, _, height, width = samples.rounding.shape
     own = mean.standard_error.square()
     noise = steadied(own.view(batch, min(TILES, height), min(TILES, width))).flatten()
@@ -191,11 +221,19 @@ def project(samples: Samples, cotangent: Cotangent, backward: float) -> Projecti
     """The two estimates projected onto a cotangent, and the error of the backward pass against forward mode."""
     w = cotangent.image
     difference, jvp = ((w * images).flatten(1).sum(1) for images in samples[:2])
-    mean = mean_error(difference, jvp, (w * samples.rounding).square().sum().sqrt())
+    rounding = (w * samples.rounding).square().sum().sqrt()
+    mean = mean_error(difference, jvp, rounding)
+    # What edges at the borders of pixels take from one pixel its neighbour gets, of the derivative as of the differences.
+    bend = (bends(samples.bend, samples.rounding) * spread_around(w)).sum() / 2
     first = samples.jvp[0]
     backward_error = quotient(abs(float(jvp[0]) - backward), float((w * first).abs().sum()))
     return Projection(cotangent.name, float(difference.mean()), float(jvp.mean()), float(mean.standard_error),
-                      float(tile_sums(w * samples.difference.mean(0)).abs().sum()), backward_error)
+                      float(tile_sums(w * samples.difference.mean(0)).abs().sum()), backward_error, float(bend))
+
+
+def spread_around(images: Tensor) -> Tensor:
+    """The range of each pixel of (B, C, H, W) images and its eight neighbours."""
+    return max_pool2d(images, 3, stride=1, padding=1) + max_pool2d(-images, 3, stride=1, padding=1)
 
 
 def quantile(values: Tensor, share: float) -> Tensor:

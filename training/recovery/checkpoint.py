@@ -1,4 +1,4 @@
-"""checkpoint.safetensors: the state that `--resume` continues from. It holds numbers and text, and no code.
+"""`checkpoint.safetensors`: the state that `--resume` continues from. It holds numbers and text, and no code.
 
 Tensors lie in the file as they are, uncompressed, so that none takes more memory than the file. What is no tensor is JSON,
 in the file's header. `continuation` checks whether a state is one of a run.

@@ -1,4 +1,4 @@
-"""metrics.csv: one line per step, appended as the run goes, cut back to the checkpoint when it is resumed."""
+"""`metrics.csv`: one line per step, appended as the run goes, cut back to the checkpoint when it is resumed."""
 
 import csv
 import io

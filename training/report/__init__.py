@@ -1,1 +1,1 @@
-"""report.html: one page about a run."""
+"""`report.html`: one page about a run."""

@@ -1,4 +1,4 @@
-"""report.html: one page that holds pictures, curves and tables of a run, and needs no network."""
+"""`report.html`: one page that holds pictures, curves and tables of a run, and needs no network."""
 
 import html
 from pathlib import Path
