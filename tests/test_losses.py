@@ -85,7 +85,7 @@ TARGETS = {
     "truth values": (IMAGE.bool(), TypeError, "got torch.bool; convert it, target.float()"),
     "bytes": (IMAGE.byte(), TypeError, "got torch.uint8; convert it, target.float()"),
     "complex": (IMAGE.cfloat(), TypeError, "got torch.complex64"),
-    "meta": (IMAGE.to("meta"), ValueError, "image_a is on cpu and target on meta; move one, target.to(image_a.device)"),
+    "meta": (IMAGE.to("meta"), TypeError, "target is on the device meta, which holds no numbers: give it on the CPU"),
     "sparse": (IMAGE.to_sparse(), TypeError, "target must be a dense tensor, got torch.sparse_coo; convert it, "
                                              "target.to_dense()"),
     "none": (None, TypeError, "got NoneType"),

@@ -69,6 +69,8 @@ def check_images(**images: Tensor) -> None:
                             f"{name}.float()")
         if image.layout != torch.strided:
             raise TypeError(f"{name} must be a dense tensor, got {image.layout}; convert it, {name}.to_dense()")
+        if image.is_meta:
+            raise TypeError(f"{name} is on the device meta, which holds no numbers: give it on the CPU")
     (first, image), *others = images.items()
     for name, other in others:
         if other.device != image.device:

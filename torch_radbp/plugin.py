@@ -329,13 +329,18 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
 
     Raises:
         ValueError: if the shape differs, a value is complex or not finite, or the copy of a tensor would lose its gradient.
+        TypeError: if it is no dense array of numbers.
     """
     if isinstance(value, Tensor) and value.requires_grad and not isinstance(value, nn.Parameter):
         raise no_gradient(name)
     if isinstance(value, nn.Parameter):
         tensor = value
     else:
-        tensor = value.detach().clone() if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")
+        tensor = value.detach().clone() if isinstance(value, Tensor) else numbers(name, value)
+    if tensor.layout != torch.strided:
+        raise TypeError(f"{name} must be a dense tensor, got {tensor.layout}: convert it with .to_dense()")
+    if tensor.dtype == torch.bool:
+        raise TypeError(f"{name} must be numbers, got {tensor.dtype}: convert it with .float()")
     if tensor.is_meta:
         raise ValueError(f"{name} is on the device meta, which holds no numbers: give it on the CPU")
     if tensor.is_complex():
@@ -349,6 +354,14 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
         raise ValueError(f"{name} must be finite, got {bad} of {tensor.numel()} values that are NaN or infinite in "
                          f"{str(torch.get_default_dtype()).removeprefix('torch.')}")
     return tensor
+
+
+def numbers(name: str, value: Any) -> Tensor:
+    """What is no tensor as one; raises TypeError naming what it is not."""
+    try:
+        return torch.as_tensor(value, device="cpu")
+    except (TypeError, ValueError, RuntimeError):
+        raise TypeError(f"{name} must be a tensor or an array of numbers, got {type(value).__name__}") from None
 
 
 def no_gradient(name: str) -> ValueError:

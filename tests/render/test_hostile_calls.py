@@ -17,6 +17,8 @@ pytestmark = pytest.mark.hostile
 NAN, INF = float("nan"), float("inf")
 NAME = "floor.bsdf.reflectance.value"
 GREY = torch.full((3,), 0.5)
+IMAGE = torch.full((3, 2, 2), 0.5)
+DENSE = "must be a dense tensor, got torch.sparse_coo: convert it with .to_dense()"
 SETTINGS = {"spp": 2, "max_depth": 3}
 
 
@@ -136,7 +138,6 @@ def test_a_stride_may_be_an_integer_of_numpy():
     assert rb.MemoizedAdjoint(np.int64(3)) == rb.MemoizedAdjoint(3)
 
 
-DENSE = "must be a dense tensor, got torch.sparse_coo: convert it with .to_dense()"
 PARAMETERS = {
     "misspelt": (lambda: replaced(GREY, "floor.bsdf.reflectance.valeu"), AttributeError,
                  "there is no parameter 'scene.floor.bsdf.reflectance.valeu'; did you mean "
@@ -276,6 +277,15 @@ TANGENTS = {
     "of nothing": ({}, ValueError, "tangents must name at least one parameter, got none"),
     "of another shape": ({NAME: GREY[:2]}, ValueError, f"the tangent of '{NAME}' must have shape (3,), got (2,)"),
     "not finite": ({NAME: NAN * GREY}, ValueError, f"the tangent of '{NAME}' must be finite"),
+    "sparse": ({NAME: GREY.to_sparse()}, TypeError, f"the tangent of '{NAME}' {DENSE}"),
+    "truth values": ({NAME: GREY > 0}, TypeError, f"the tangent of '{NAME}' must be numbers, got torch.bool: convert it"),
+    "complex": ({NAME: GREY.cfloat()}, ValueError, f"the tangent of '{NAME}' must be real numbers, got torch.complex64"),
+    "on no device": ({NAME: GREY.to("meta")}, ValueError, f"the tangent of '{NAME}' is on the device meta, which holds no"),
+    "text": ({NAME: "up"}, TypeError, f"the tangent of '{NAME}' must be a tensor or an array of numbers, got str"),
+    "none": ({NAME: None}, TypeError, f"the tangent of '{NAME}' must be a tensor or an array of numbers, got NoneType"),
+    "ragged": ({NAME: [[1, 2], [3]]}, TypeError, f"the tangent of '{NAME}' must be a tensor or an array of numbers, got li"),
+    "attached": ({NAME: (GREY.clone().requires_grad_() * 2)[:2]}, ValueError, "must have shape (3,), got (2,)"),
+    "with the prefix of the scene": ({f"scene.{NAME}": GREY}, AttributeError, f"the scene has no parameter 'scene.{NAME}'"),
     "a set": ({NAME}, TypeError, "tangents must map names of parameters to tensors, got set"),
     "a tensor": (GREY, TypeError, "tangents must map names of parameters to tensors, got Tensor"),
 }
@@ -290,6 +300,21 @@ def test_tangents(tangents, kind, message):
 CHECKS = {
     "no step": ({"step": NAN}, ValueError, "step must be greater than 0 and finite, got nan"),
     "step backwards": ({"step": -0.1}, ValueError, "step must be greater than 0 and finite, got -0.1"),
+    "step as text": ({"step": "a"}, ValueError, "step must be a number, got 'a'"),
+    "step as a vector": ({"step": [0.1, 0.2]}, ValueError, "step must be a number, got [0.1, 0.2]"),
+    "step as truth": ({"step": True}, ValueError, "step must be a number, got True"),
+    "step without end": ({"step": INF}, ValueError, "step must be greater than 0 and finite, got inf"),
+    "step beyond the domain": ({"step": 1e8}, ValueError, f"differences of '{NAME}' by steps of 1e+08 along this direction "
+                               "leave its domain to both sides; give a smaller step"),
+    "seed as text": ({"seed": "a"}, ValueError, "seed must be an integer, got 'a'"),
+    "fractional seed": ({"seed": 0.5}, ValueError, "seed must be an integer, got 0.5"),
+    "samples as text": ({"spp": "many"}, ValueError, "spp must be an integer of at least 1, got 'many'"),
+    "batches as a fraction": ({"batches": 8.5}, ValueError, "batches must be an integer of at least 1, got 8.5"),
+    "direction on no device": ({"direction": GREY.to("meta")}, ValueError, f"direction of '{NAME}' is on the device meta"),
+    "direction that is sparse": ({"direction": GREY.to_sparse()}, TypeError, f"direction of '{NAME}' {DENSE}"),
+    "direction of truth values": ({"direction": GREY > 0}, TypeError, f"direction of '{NAME}' must be numbers, got torch"),
+    "direction of no numbers": ({"direction": {}}, TypeError, f"direction of '{NAME}' must be a tensor or an array of numb"),
+    "ragged direction": ({"direction": [[1], [2, 3]]}, TypeError, f"direction of '{NAME}' must be a tensor or an array of"),
     "no direction": ({"direction": torch.zeros(3)}, ValueError, f"direction of '{NAME}' must not be zero everywhere"),
     "unknown direction": ({"direction": "up"}, ValueError, "direction must be 'random' or 'ones' or an array of shape (3,)"),
     "too few batches": ({"batches": 3}, ValueError, "batches must be at least 8"),
@@ -467,6 +492,109 @@ def test_what_torch_can_do_with_other_functions(call, kind, message):
         call(renderer())
 
 
+QUANTITIES = {
+    "no name": ({"names": []}, ValueError, "aovs must name at least one quantity, got none; known: albedo"),
+    "a word": ({"names": "depth"}, TypeError, "aovs must be a sequence of names such as [\"depth\", \"sh_normal\"], got 'd"),
+    "a number": ({"names": [3]}, TypeError, "aovs must be a sequence of names"),
+    "a misspelt name": ({"names": ["dept"]}, ValueError, "aovs: the quantity 'dept' is not known, nor is its mean square, "),
+    "the square of a square": ({"names": ["m2_m2_depth"]}, ValueError, "aovs: the quantity 'm2_m2_depth' is not known"),
+    "an empty name": ({"names": [""]}, ValueError, "aovs: the quantity '' is not known"),
+    "no list": ({}, ValueError, "the scene's integrator lists no outputs; name some"),
+    "seed as text": ({"names": ["depth"], "seed": "a"}, ValueError, "seed must be an integer, got 'a'"),
+    "seed of the derivative as text": ({"names": ["depth"], "seed_grad": "a"}, ValueError, "seed_grad must be an integer"),
+    "fractional seed of the derivative": ({"names": ["depth"], "seed_grad": 0.5}, ValueError, "seed_grad must be an intege"),
+    "no sensor": ({"names": ["depth"], "sensors": []}, ValueError, "sensors must be indices from 0 to 0, got []"),
+    "no samples": ({"names": ["depth"], "spp": 0}, ValueError, "spp must be an integer of at least 1, got 0"),
+}
+
+
+@pytest.mark.parametrize("arguments, kind, message", QUANTITIES.values(), ids=QUANTITIES)
+def test_quantities(arguments, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        renderer().aovs(**arguments)
+
+
+PICTURES = {
+    "on no device": ((IMAGE.to("meta"),), TypeError, "channel 'R' must be a dense tensor of numbers, got one on the device"),
+    "sparse": ((IMAGE.to_sparse(),), TypeError, "channel 'R' must be a dense tensor of numbers, got one of torch.sparse_co"),
+    "of truth values": ((IMAGE > 0,), TypeError, "an image must be a tensor of floating point numbers, got torch.bool"),
+    "complex": ((IMAGE.cfloat(),), TypeError, "an image must be a tensor of floating point numbers, got torch.complex64"),
+    "an array": ((IMAGE.numpy(),), TypeError, "an image must be a tensor of floating point numbers, got ndarray"),
+    "not finite": ((IMAGE * NAN,), ValueError, "not written, 4 of 4 pixels are NaN or infinite in float32"),
+    "beyond float32": ((IMAGE.double() + 1e39,), ValueError, "not written, 4 of 4 pixels are NaN or infinite in float32"),
+    "of two channels": ((IMAGE[:2],), ValueError, "an image must have shape (3, H, W), got (2, 2, 2)"),
+    "a number as channel": ((IMAGE, {"Z": 3}), TypeError, "channel 'Z' must be a dense tensor of numbers, got int"),
+    "none as channel": ((IMAGE, {"Z": None}), TypeError, "channel 'Z' must be a dense tensor of numbers, got NoneType"),
+    "a channel on no device": ((IMAGE, {"Z": IMAGE[0].to("meta")}), TypeError, "channel 'Z' must be a dense tensor of numb"),
+    "a channel of another size": ((IMAGE, {"Z": IMAGE[0, :1]}), ValueError, "channel 'Z' must have shape (2, 2), got (1, 2"),
+}
+
+
+@pytest.mark.parametrize("arguments, kind, message", PICTURES.values(), ids=PICTURES)
+def test_an_image_to_be_written(arguments, kind, message, tmp_path):
+    with pytest.raises(kind, match=re.escape(f"{tmp_path / 'a.exr'}: {message}")):
+        rb.save_image(tmp_path / "a.exr", *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def module_of(parameter: str, value) -> torch.nn.Module:
+    network = torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.Sigmoid())
+    setattr(network[0], parameter, None if value is None else torch.nn.Parameter(value))
+    return network
+
+
+def with_buffer() -> torch.nn.Module:
+    network = torch.nn.Linear(2, 3)
+    network.register_buffer("extra", torch.zeros(3, device="meta"))
+    return network
+
+
+MODULES = {
+    "without shape": (lambda: torch.nn.Sequential(torch.nn.LazyLinear(3)),
+                      "module: its 0.weight has no shape before the module has run: call it once, on torch.zeros(1, 2)"),
+    "on no device": (lambda: torch.nn.Linear(2, 3).to("meta"),
+                     "module: its weight is on the device meta, which holds no numbers: make the module on the CPU"),
+    "a bias on no device": (lambda: module_of("bias", torch.zeros(3, device="meta")), "module: its 0.bias is on the device"),
+    "a buffer on no device": (with_buffer, "module: its extra is on the device meta, which holds no numbers"),
+}
+
+
+@pytest.mark.parametrize("make, message", MODULES.values(), ids=MODULES)
+@pytest.mark.parametrize("way", ["dict", "assignment", "texture"])
+def test_modules_that_hold_no_numbers(make, message, way):
+    ours = scene() if way == "assignment" else None
+    with pytest.raises(ValueError, match=re.escape(message)):
+        if way == "dict":
+            load(floor=rectangle((0, 0, 0), bsdf={"type": "diffuse", "reflectance": make()}))
+        elif way == "assignment":
+            ours.floor.bsdf.reflectance = make()
+        else:
+            rb.NeuralTexture(make())
+
+
+WIDTHS = {
+    "too many coordinates": (torch.nn.Linear(3, 3), RuntimeError, "the module of the texture 'floor.bsdf.reflectance' has "),
+    "two channels": (torch.nn.Linear(2, 2), ValueError, "the module of the texture 'floor.bsdf.reflectance' must return sh"),
+    "images": (torch.nn.Conv2d(2, 3, 1), RuntimeError, "the module of the texture 'floor.bsdf.reflectance' has failed on p"),
+    "flat": (torch.nn.Flatten(0), ValueError, "the module of the texture 'floor.bsdf.reflectance' must return shape"),
+}
+
+
+@pytest.mark.parametrize("module, kind, message", WIDTHS.values(), ids=WIDTHS)
+def test_modules_of_wrong_width(module, kind, message):
+    ours = scene()
+    ours.floor.bsdf.reflectance = module
+    with pytest.raises(kind, match=re.escape(message)):
+        rb.render(ours, compile=False, **SETTINGS)
+
+
+def test_half_precision_in_a_description_becomes_the_scenes():
+    for half in (GREY.bfloat16(), GREY.half(), GREY.to(torch.float8_e4m3fn)):
+        floor = rectangle((0, 0, 0), bsdf={"type": "diffuse", "reflectance": {"type": "rgb", "value": half}})
+        ours = load(torch.float32, sensor=sensor(2), floor=floor, sky={"type": "constant"})
+        assert torch.equal(ours.floor.bsdf.reflectance.value, GREY)
+
+
 TRUTH = "got Tensor of shape (2, 2, 3) of torch.bool"
 NOTHING = "on the device meta, which holds no numbers"
 GIVEN = {
@@ -475,6 +603,8 @@ GIVEN = {
     "truth values as a reflectance": (torch.ones(3, dtype=torch.bool), "of shape (3,) of torch.bool"),
     "a bitmap on no device": ({"type": "bitmap", "data": torch.ones(2, 2, 3, device="meta")}, NOTHING),
     "a colour on no device": ({"type": "rgb", "value": torch.ones(3, device="meta")}, NOTHING),
+    "sparse numbers as a colour": ({"type": "rgb", "value": GREY.to_sparse()}, "torch.sparse_coo, which .to_dense() makes"),
+    "complex numbers as a colour": ({"type": "rgb", "value": GREY.cfloat()}, "of shape (3,) of torch.complex64"),
     "a parameter on no device": ({"type": "rgb", "value": torch.nn.Parameter(torch.ones(3, device="meta"))}, NOTHING),
 }
 

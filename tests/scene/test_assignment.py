@@ -68,6 +68,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.hostile
 @pytest.mark.parametrize("owner, name, make, kind, message", REFUSED.values(), ids=REFUSED)
 def test_what_cannot_stand_there_is_refused(owner, name, make, kind, message):
     ours, value = scene(), make()

@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from numbers import Real
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
@@ -40,7 +40,7 @@ from torch_radbp.render import Renderer
 from torch_radbp.scene import Scene
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.parameters import check_parameters
-from torch_radbp.settings import TERMS
+from torch_radbp.settings import TERMS, checked_seed
 
 BATCHES = 16
 FEWEST_BATCHES = 8  # with fewer, a standard error is itself too uncertain
@@ -88,6 +88,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     check_arguments(check_gradient, settings, arguments_of(check_gradient, Renderer.__init__))
     renderer = Renderer(scene, **{"share_samples": True} | settings)
     parameter = scene.get_parameter(name).detach()
+    seed = checked_seed("seed", seed)
     spp, batches = integer("spp", spp, 1), integer("batches", batches, 1)
     if batches < FEWEST_BATCHES:
         raise ValueError(f"batches must be at least {FEWEST_BATCHES}, so that standard errors can be trusted, got {batches}")
@@ -230,9 +231,8 @@ def checked_direction(name: str, parameter: Tensor, direction: Tensor | str | No
         if parameter.shape[-2:] == (4, 4):
             d[..., 3, :] = 0
         return d.to(parameter)
-    if not isinstance(direction, Tensor):
-        direction = torch.from_numpy(np.asarray(direction, dtype=np.float64))
-    d = finite(f"direction of {name!r}", direction.detach(), tuple(parameter.shape)).to(parameter)
+    direction = direction.detach() if isinstance(direction, Tensor) else direction
+    d = finite(f"direction of {name!r}", direction, tuple(parameter.shape)).to(parameter)
     if not d.any():
         raise ValueError(f"direction of {name!r} must not be zero everywhere")
     return d
@@ -243,6 +243,8 @@ def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> fl
     if step is None:
         largest = float(parameter.abs().max())
         return RELATIVE_STEP * (largest or 1.0) / float(direction.abs().max())
+    if isinstance(step, bool) or not isinstance(step, Real):
+        raise ValueError(f"step must be a number, got {step!r}; leave it out to have one chosen")
     if not 0 < step < float("inf"):
         raise ValueError(f"step must be greater than 0 and finite, got {step}; leave it out to have one chosen")
     return float(step)

@@ -24,6 +24,7 @@ from torch_radbp.plugin import (
 )
 from torch_radbp.texture.spectrum import Samples
 
+DENSE = torch.strided
 LARGEST_INTEGER = 2**31 - 1
 
 
@@ -84,6 +85,7 @@ def shown(value: Any) -> str:
         dtype = str(getattr(value, "dtype", ""))
         kind = f" of {value.dtype}" if "complex" in dtype or "bool" in dtype else ""
         kind += " on the device meta, which holds no numbers" if getattr(value, "is_meta", False) else ""
+        kind += f" of {value.layout}, which .to_dense() makes dense" if getattr(value, "layout", DENSE) != DENSE else ""
         return f"{type(value).__name__} of shape {tuple(value.shape)}{kind}"
     try:
         text = repr(value)
@@ -97,7 +99,10 @@ def _array(value: Any) -> np.ndarray:
     if isinstance(value, (str, bytes, dict)) or value is None:
         raise TypeError
     try:
-        array = np.asarray(value.detach().cpu() if isinstance(value, Tensor) else value)
+        if isinstance(value, Tensor):
+            value = value.detach().cpu()
+            value = value.double() if value.is_floating_point() else value  # numpy has no bfloat16
+        array = np.asarray(value)
         if array.dtype.kind not in "iufO":  # not of truth values, text or complex numbers
             raise TypeError
         return array.astype(np.float64)

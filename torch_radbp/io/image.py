@@ -80,7 +80,7 @@ def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Te
         channels: more of them by name, (H, W) each; of .exr only.
 
     Raises:
-        TypeError: if `image` is no tensor of floating point numbers.
+        TypeError: if `image` is no dense tensor of floating point numbers.
         ValueError: on unknown extensions, other shapes, values that are NaN or infinite, and more channels in a .png.
         FileNotFoundError: if the folder does not exist.
         OSError: names the file if it cannot be written.
@@ -97,6 +97,10 @@ def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Te
     if channels and suffix != ".exr":
         raise ValueError(f"{path}: a {suffix} has no channels for {', '.join(channels)}; write an .exr")
     for name, channel in named.items():
+        if not isinstance(channel, Tensor) or channel.is_meta or channel.layout != torch.strided:
+            got = type(channel).__name__ if not isinstance(channel, Tensor) else "one on the device meta, which holds none" \
+                if channel.is_meta else f"one of {channel.layout}, which .to_dense() makes dense"
+            raise TypeError(f"{path}: channel {name!r} must be a dense tensor of numbers, got {got}")
         if channel.shape != image[0].shape:
             raise ValueError(f"{path}: channel {name!r} must have shape {tuple(image[0].shape)}, got {tuple(channel.shape)}")
     pixels = torch.stack([channel.detach().to("cpu", torch.float32) for channel in named.values()])

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.parameter import is_lazy
 
 from torch_radbp.domain import LEEWAY, Domain
 from torch_radbp.jit.order import partition
@@ -179,7 +180,7 @@ class NeuralTexture(Texture):
 
     Raises:
         TypeError: unless `module` is an `nn.Module`, and a plain one: not the result of `torch.compile` or `torch.jit`.
-        ValueError: for an unknown `of`.
+        ValueError: for an unknown `of`, and for parameters without shape or without numbers.
     """
 
     tabulated = False
@@ -194,6 +195,7 @@ class NeuralTexture(Texture):
                                 f"torch.jit was given; the gradient of its parameters would be lost")
         if of not in PLACES:
             raise ValueError(f"of={of!r} is not known; {nearest(str(of), PLACES)}")
+        check_parameters_of(module, of)
         self.module, self.of = module, of
         self.use = Use("", ())
 
@@ -211,6 +213,17 @@ class NeuralTexture(Texture):
 
 
 Texture.of_module = NeuralTexture
+
+
+def check_parameters_of(module: nn.Module, of: str) -> None:
+    """Raises ValueError naming a parameter or a buffer of a module that holds no numbers."""
+    for name, value in (*module.named_parameters(), *module.named_buffers()):
+        if is_lazy(value):
+            raise ValueError(f"module: its {name} has no shape before the module has run: call it once, on "
+                             f"torch.zeros(1, {PLACES[of]})")
+        if value.is_meta:
+            raise ValueError(f"module: its {name} is on the device meta, which holds no numbers: make the module on the "
+                             f"CPU, or call module.to_empty(device=\"cpu\") and load its state")
 
 
 def with_parameters(module: nn.Module, parameters: dict[int, Tensor], known: dict[int, nn.Module]) -> nn.Module:
