@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import torch_radbp as rb
-from torch_radbp.plugin import REGISTRY
+from torch_radbp.plugin import REGISTRY, attributes
 
 README = Path(__file__).parents[1] / "README.md"
 CATEGORIES = {  # by the first cell of a row: ours, Mitsuba's
@@ -63,3 +63,10 @@ def test_the_loader_says_of_each_unsupported_plugin_why(category):
     for name in table()[category][2]:
         with pytest.raises(rb.SceneError, match=f"the [a-z]+ type '{name}' is not supported: [a-z].*"):
             rb.load_dict({"type": "scene", "thing": {"type": name}})
+
+
+@pytest.mark.parametrize("category, name", [("shape", "mesh"), ("emitter", "envmap")])
+def test_the_keys_of_what_is_not_as_in_mitsuba_are_listed(category, name):
+    paragraph = next(each for each in README.read_text().split("\n\n") if "takes these keys in a dict" in each)
+    listed = set(re.findall(r"`([a-z_]+)`", paragraph))
+    assert set(attributes(REGISTRY[category][name])) - {"data"} <= listed  # `data` is `bitmap` by another name
