@@ -336,7 +336,10 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
     if isinstance(value, nn.Parameter):
         tensor = value
     else:
-        tensor = value.detach().clone() if isinstance(value, Tensor) else numbers(name, value)
+        try:
+            tensor = value.detach().clone() if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")
+        except (TypeError, ValueError, RuntimeError):
+            raise TypeError(f"{name} must be a tensor or an array of numbers, got {type(value).__name__}") from None
     if tensor.layout != torch.strided:
         raise TypeError(f"{name} must be a dense tensor, got {tensor.layout}: convert it with .to_dense()")
     if tensor.dtype == torch.bool:
@@ -354,14 +357,6 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
         raise ValueError(f"{name} must be finite, got {bad} of {tensor.numel()} values that are NaN or infinite in "
                          f"{str(torch.get_default_dtype()).removeprefix('torch.')}")
     return tensor
-
-
-def numbers(name: str, value: Any) -> Tensor:
-    """What is no tensor as one; raises TypeError naming what it is not."""
-    try:
-        return torch.as_tensor(value, device="cpu")
-    except (TypeError, ValueError, RuntimeError):
-        raise TypeError(f"{name} must be a tensor or an array of numbers, got {type(value).__name__}") from None
 
 
 def no_gradient(name: str) -> ValueError:

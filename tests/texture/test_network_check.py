@@ -296,7 +296,7 @@ VALUES = {
     "in bfloat16": (lambda: Function(lambda uv: uv[:, :1].bfloat16()), TypeError, LIKE_SCENE + "torch.bfloat16 on cpu"),
     "of truth values": (lambda: Function(lambda uv: uv[:, :1] > 0.5), TypeError, LIKE_SCENE + "torch.bool on cpu"),
     "on no device": (lambda: Function(lambda uv: uv[:, :1].to("meta")), TypeError, LIKE_SCENE + "torch.float32 on meta"),
-    "of four channels": (lambda: nn.Linear(2, 4), ValueError, SHAPE + "(9, 4)"),
+    "of four channels": (lambda: nn.Linear(2, 4).requires_grad_(False), ValueError, SHAPE + "(9, 4)"),
     "without channels": (lambda: Function(lambda uv: uv[:, 0]), ValueError, SHAPE + "(9,)"),
     "a tuple": (lambda: Function(lambda uv: (uv, uv)), TypeError, MODULE + "must return a tensor, got tuple"),
     "not a number": (lambda: Function(lambda uv: (uv[:, :1] - 9).log()), ValueError, BAD),

@@ -64,6 +64,9 @@ class RenderCall(NamedTuple):
     module: Scene | None = None  # whose tensors these are; gives names to errors
     parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
 
+    def still(self) -> RenderCall:
+        """The call without derivatives."""
+        return self._replace(scene=detached(self.scene), views=[detached(view) for view in self.views])
 
     def of_derivative(self) -> RenderCall:
         """The call whose image has the samples of the derivative."""
@@ -243,7 +246,7 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
                             call.views[chunk.sensor].sample_keys[0], record=False)
 
     with torch.no_grad():
-        call = still(call)
+        call = call.still()
         raise image_error(images, integrand._replace(scene=integrand.proposal, parts={}), call.module, trace_again)
 
 
@@ -384,14 +387,9 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple
     return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]
 
 
-def still(call: RenderCall) -> RenderCall:
-    """The call without derivatives."""
-    return call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
-
-
 def render_detached(call: RenderCall) -> Tensor:
     """The images without derivatives."""
-    call = still(call)
+    call = call.still()
     with torch.no_grad():
         return render_images(call, call.make_integrand(call.scene), record=False)[0]
 

@@ -19,7 +19,6 @@ from torch_radbp.adjoint.function import (
     of_chunks,
     pixel_sums,
     started,
-    still,
 )
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, TURNING, UNDIFFERENTIATED, plain
@@ -42,10 +41,10 @@ def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
     """
     record = call.scene, [view.camera for view in call.views]
     if not (has_tangents(record) or (torch.is_grad_enabled() and differentiable(record))):
-        return quantities_of(still(call), names)
+        return quantities_of(call.still(), names)
     if call.shares_samples:
         return quantities_of(call, names, attached=True)
-    images = quantities_of(still(call), names)
+    images = quantities_of(call.still(), names)
     moving = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
     attached = quantities_of(call.of_derivative(), moving, attached=True) if moving else {}
     return images | {name: with_derivative_of(images[name], image) for name, image in attached.items()}

@@ -41,7 +41,7 @@ from torch_radbp.boundary.places import (
     beside,
     camera_sample,
 )
-from torch_radbp.differentiated import any_differentiated, detached, primal
+from torch_radbp.differentiated import any_differentiated, primal
 from torch_radbp.integrand import Integrand
 from torch_radbp.path import CameraSample
 from torch_radbp.path_state import PathState
@@ -93,7 +93,7 @@ def jumps_of_view(call: RenderCall, number: int, jumps: Jumps | None, seen: Seen
     image = torch.zeros(channels, view.height * view.width, dtype=call.scene.dtype, device=call.scene.device)
     shape = channels, view.height, view.width
     with torch.no_grad():
-        still = call._replace(scene=detached(call.scene), views=[detached(view) for view in call.views])
+        still = call.still()
         places = [] if jumps is None else places_of(still, number, jumps, any(seen.turns))
         found = strengths(still, number, joined(places), seen) if places else None
     if found is None:
