@@ -289,8 +289,9 @@ class Renderer(nn.Module):
             about = min(about, recorded_lanes(self.adjoint, max_depth, self.rr_depth, self.scene.dtype))
         lanes = self.chunk or fair_chunk(len(indices), width * height, spp, workers, about)
         paths = len(indices) * width * height * spp
-        together = bool(differentiating) and seeds[0] != seeds[1] and 2 * paths <= (self.chunk or inf) and traced_together(
-            self.adjoint, paths, max_depth, self.rr_depth, self.scene.dtype)
+        # Eager operations round the last lanes of a wavefront otherwise: an image would depend on what is differentiated.
+        together = fused and bool(differentiating) and seeds[0] != seeds[1] and 2 * paths <= (self.chunk or inf) and (
+            traced_together(self.adjoint, paths, max_depth, self.rr_depth, self.scene.dtype))
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
                            self.adjoint if differentiating else None, record_bytes, fused))
         kept = Kept(self.kept_for_aovs if aovs else self.kept)
