@@ -88,7 +88,7 @@ def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> d
     names = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
 
     def values(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
-        found = lane_values(integrand, start, tuple(dict.fromkeys(map(plain, group))))
+        found = lane_values(integrand, start, tuple(dict.fromkeys(map(plain, group))), hit)
         return tuple(channel for name in group for channel in moments(name, found[plain(name)]))
 
     found: dict[str, Tensor] = {}
@@ -113,14 +113,19 @@ def moments(name: str, values: surface.Values) -> surface.Values:
     return tuple(value * value for value in values) if name.startswith(SQUARED) else values
 
 
-def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...]) -> dict[str, surface.Values]:
-    """Quantities of camera paths by name, (N,) for each channel; attached but for those of whole paths."""
+def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...],
+                hit: Hit | None = None) -> dict[str, surface.Values]:
+    """Quantities of camera paths by name, (N,) for each channel; attached but for those of whole paths.
+
+    Args:
+        hit: of the camera rays, if it is known; hidden emitters are hit.
+    """
     fixed, fixed_start = integrand._replace(scene=integrand.proposal, parts={}), detached(start)
     found = {}
     with torch.no_grad():
         # As in Mitsuba, what hides emitters hides them in the image alone.
         seen = fixed._replace(settings=fixed.settings._replace(hide_emitters=False))
-        hit = first_hit(seen, fixed_start.ray, 0)
+        hit = first_hit(seen, fixed_start.ray, 0) if hit is None else hit
         for name in names:
             if name in OF_PATHS:
                 found[name] = path.FUNCTIONS[name](fixed, fixed_start)

@@ -37,11 +37,14 @@ from torch_radbp.boundary.places import (
     NEAR,
     RIM,
     Between,
+    Glued,
     Places,
+    depth_of,
     number_of_places,
     numbers_of,
     on_film,
     picked,
+    unknown,
     window,
 )
 from torch_radbp.record import joined
@@ -52,7 +55,11 @@ from torch_radbp.view import View
 STEP = 1e-5  # of the smaller of a triangle and its distance, by which its Jacobian is found
 PROBES = ((0.1, 0.15, 0.5), (0.3, 0.5, 0.15), (0.5, 0.5, 0.5), (0.7, 0.5, 0.85), (0.9, 0.85, 0.5))  # s, and the aperture
 ASIDE = 1e-9  # share of its distance by which a rim is moved off the edges of triangles
+ASTRIDE = 1e-4  # cosine between shading normal and line of sight at which a surface is looked at on either side of a rim
+FARTHEST_ASTRIDE = 0.05  # the same as barycentric coordinates, at most
 LEAST = 0.1  # of the mean length of curves in a triangle, that triangles count where no probe meets a curve
+LEAST_OF_LENS = 1.0  # the same where each point of a lens sees other curves, of which the probes meet few
+MOST_TRIES = 16  # places that are looked for on a lens for one that is found
 SIDES = ((0, 1), (0, 2), (1, 2))  # of triangles, by their corners
 
 Level = Callable[[View, Vec3, Vec3 | None, Vec2 | None], Tensor]
@@ -91,6 +98,7 @@ class OnFilm(NamedTuple):
     film: Vec2  # pixels
     normal: Vec2  # m, times the pace
     drift: Tensor  # -det(J), times the pace
+    uphill: Vec2  # u and v by which the level rises by one, at the fastest
 
 
 def facing(view: View, p: Vec3, n: Vec3, aperture: Vec2 | None) -> Tensor:
@@ -135,21 +143,32 @@ def places_of_level(call: RenderCall, view: View, faces: Faces, kind: int) -> Pl
     faces = rows(faces, crossing(scene, view, faces, kind).nonzero().squeeze(1))
     if not len(faces.triangle):
         return None
-    between, instance = from_apex(scene, view, faces, kind), faces.instance
+    between, apex = from_apex(scene, view, faces, kind)
+    instance = faces.instance
     probed = [probe(scene, view, between, instance, kind, s, Vec2(x, y) if aperture else None) for s, x, y in PROBES]
     inside, whole = (sum(lengths) / len(PROBES) for lengths in zip(*probed))
     length = torch.where(inside > 0.0, inside, whole)
-    length = length + LEAST * length.mean() + float(not length.any())
-    numbers = numbers_of(view, number_of_places(float(length.sum()), call, view), kind)
+    length = length + (LEAST_OF_LENS if aperture else LEAST) * length.mean() + float(not length.any())
+    count = number_of_places(float(length.sum()), call, view)
+    if aperture:
+        share = float(sum((whole > 0.0).double().mean() for _, whole in probed)) / len(PROBES)
+        count = round(count / max(share, 1.0 / MOST_TRIES))
+    numbers = numbers_of(view, count, kind)
     face, s, times = picked(length, numbers.along)
     chosen, shows = rows(between, face), None if instance is None else instance[face]
-    found = []
+    found, corners = [], positions(scene, chosen, shows)
     for place in met(net(scene, view, chosen, shows, kind, numbers.aperture), s):
         seen = on_view(scene, view, chosen, shows, kind, place, numbers.aperture)
         scale = times / faces.share[face]
+        side = torch.sign(seen.drift) * (-1.0 if kind == RIM else 1.0)
+        behind = ahead = unknown(place.u)
+        if kind == RIM:
+            reach = astride(view, seen, numbers.aperture)
+            behind, ahead = (glued(faces.triangle[face], apex[face], place.u + reach.x * side * way,
+                                   place.v + reach.y * side * way) for way in (-1.0, 1.0))
         found.append(Places(torch.full_like(face, kind), chosen, shows, place.u, place.v, seen.p, seen.film,
-                            seen.normal * scale, torch.sign(seen.drift) * (-1.0 if kind == RIM else 1.0),
-                            seen.drift * scale, numbers.key, numbers.aperture))
+                            seen.normal * scale, side, seen.drift * scale,
+                            depth_of(view, seen.p, corners, numbers.aperture), behind, ahead, numbers.key, numbers.aperture))
     both = joined(found)
     return rows(both, in_window(view, both.film, both.normal).nonzero().squeeze(1))
 
@@ -166,14 +185,15 @@ def crossing(scene: SceneTensors, view: View, faces: Faces, kind: int) -> Tensor
     return found.index_put((some,), ~outside.any(0))
 
 
-def from_apex(scene: SceneTensors, view: View, faces: Faces, kind: int) -> Between:
-    """The vertices of triangles, first one at which the sign of the level differs from that at the other two, if any."""
+def from_apex(scene: SceneTensors, view: View, faces: Faces, kind: int) -> tuple[Between, Tensor]:
+    """The vertices of triangles, first one at which the sign of the level differs from that at the other two, if any; and
+    (F,) int64 which one it is."""
     between = faces.between(scene)
     level = net(scene, view, between, faces.instance, kind, middle(view, faces.share))
     sign = torch.sign(torch.stack(level.corner, 1))
     apex = ((sign != sign.roll(1, 1)) & (sign != sign.roll(2, 1))).int().argmax(1, keepdim=True)
     vertices = torch.stack(between, 1)
-    return Between(*(vertices.gather(1, (apex + step) % 3).squeeze(1) for step in range(3)))
+    return Between(*(vertices.gather(1, (apex + step) % 3).squeeze(1) for step in range(3))), apex.squeeze(1)
 
 
 def middle(view: View, like: Tensor) -> Vec2 | None:
@@ -222,7 +242,22 @@ def on_view(scene: SceneTensors, view: View, between: Between, instance: Tensor 
     f_u, f_v = net(scene, view, between, instance, kind, aperture).gradient(place.u, place.v)
     m = Vec2(of_v.y * f_u - of_u.y * f_v, of_u.x * f_v - of_v.x * f_u)
     volume = of_u.x * of_v.y - of_v.x * of_u.y
-    return OnFilm(p, on_film(view, p, aperture), m * place.pace, -volume * place.pace)
+    steep = f_u**2 + f_v**2
+    return OnFilm(p, on_film(view, p, aperture), m * place.pace, -volume * place.pace, Vec2(f_u / steep, f_v / steep))
+
+
+def astride(view: View, seen: OnFilm, aperture: Vec2 | None) -> Vec2:
+    """How far apart from a rim, u and v, the shading normal is surely turned to the viewer; on the other side away."""
+    towards = view.camera.kind.towards(view.camera.lens, seen.p, aperture)
+    reach = seen.uphill * (ASTRIDE * torch.sqrt(dot(towards, towards)))
+    return reach * (FARTHEST_ASTRIDE / torch.hypot(reach.x, reach.y)).clamp_max(1.0)
+
+
+def glued(triangle: Tensor, apex: Tensor, u: Tensor, v: Tensor) -> Glued:
+    """Points of triangles whose barycentric coordinates u and v are those of the second and third vertex from the apex."""
+    weights = torch.stack([1.0 - u - v, u, v], 1)
+    u, v = (weights.gather(1, (vertex - apex[:, None]) % 3).squeeze(1) for vertex in (1, 2))
+    return Glued(triangle.int(), u, v)
 
 
 def probe(scene: SceneTensors, view: View, between: Between, instance: Tensor | None, kind: int, s: float,

@@ -9,13 +9,16 @@ from torch import Tensor
 
 from torch_radbp.adjoint.function import RenderCall
 from torch_radbp.boundary.edges import Edges
+from torch_radbp.boundary.faces import positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import (
     CREASE,
     SILHOUETTE,
     Between,
+    Glued,
     Places,
     camera_sample,
+    depth_of,
     number_of_places,
     numbers_of,
     on_film,
@@ -23,10 +26,11 @@ from torch_radbp.boundary.places import (
     window,
 )
 from torch_radbp.boundary.silhouette import is_silhouette, is_silhouette_from
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.vec import Vec2, Vec3, dot
 from torch_radbp.view import View
 
 STEP = 1e-5  # of the length of an edge in view, by which its direction on the film is found
+INWARDS = 1e-3  # barycentric weight of the vertex opposite an edge where a triangle is looked at
 
 
 class Choice(NamedTuple):
@@ -60,29 +64,75 @@ def places_on_edges(call: RenderCall, number: int, outline: Outline) -> Places:
         scale = scale * (silhouette | (outline.crease[edge] > 0))
     first, second = (edges.vertex[index[edge]] for index in (edges.a, edges.b))
     nothing, normal = torch.zeros_like(along), Vec2(-(after.y - before.y) * scale, (after.x - before.x) * scale)
-    return Places(torch.where(silhouette, SILHOUETTE, CREASE), Between(first, second, second),
-                  None if outline.instance is None else outline.instance[edges.a[edge]], along, nothing, p, at,
-                  normal, surface_side(view, edges, vertices, edge, p, at, normal, aperture), nothing, numbers.key, aperture)
+    instance = None if outline.instance is None else outline.instance[edges.a[edge]]
+    sheets = [sheet_at(call, number, edges, vertices, edge, corner, instance, p, at, normal, aperture)
+              for corner in corners_at(edges, edge)]
+    side = torch.where(sum(sheet.ahead for sheet in sheets) >= 0.0, 1.0, -1.0)
+    behind, ahead = in_order(sheets, silhouette, torch.bincount(edges.edge, minlength=len(edges.a))[edge] <= 2)
+    depth = torch.maximum(depth_of(view, p, [a, b], aperture), torch.maximum(*(sheet.depth for sheet in sheets)))
+    return Places(torch.where(silhouette, SILHOUETTE, CREASE), Between(first, second, second), instance, along, nothing, p,
+                  at, normal, side, nothing, depth, behind, ahead, numbers.key, aperture)
 
 
-def surface_side(view: View, edges: Edges, vertices: Tensor, edge: Tensor, p: Vec3, film: Vec2, normal: Vec2,
-                 aperture: Vec2 | None) -> Tensor:
-    """1 where the triangles at a silhouette lie ahead of it on the film, -1 where they lie behind; (N,).
+class Sheet(NamedTuple):
+    """A triangle at each of some edges, (N,)."""
 
-    Args:
-        edges: between `vertices`, (U, 3) float64.
-        edge: (N,) int64, which.
-        p, film, normal, aperture: of places on them.
-    """
+    point: Glued  # the place, next to the edge
+    ahead: Tensor  # how far it goes ahead of the edge on the film, of any scale
+    nearness: Tensor  # how fast it comes nearer to the viewer with the distance from the edge on the film, likewise
+    depth: Tensor  # how far it reaches from the place along the line of sight
+
+
+def corners_at(edges: Edges, edge: Tensor) -> tuple[Tensor, Tensor]:
+    """The corners opposite some edges, (N,) int64 which, of two of the triangles there, or twice of the one; (N,) int64."""
     order = edges.edge.argsort(stable=True)
     count = torch.bincount(edges.edge, minlength=len(edges.a))
     last = count.cumsum(0)[edge] - 1
-    ahead = torch.zeros_like(normal.x)
-    for corner in (last, last - count[edge] + 1):
-        inwards = Vec3.of(vertices[edges.opposite[order[corner]]]) - p
-        seen = on_film(view, p + inwards * STEP, aperture)
-        ahead += (seen.x - film.x) * normal.x + (seen.y - film.y) * normal.y
-    return torch.where(ahead >= 0.0, 1.0, -1.0)
+    return order[last], order[last - count[edge] + 1]
+
+
+def sheet_at(call: RenderCall, number: int, edges: Edges, vertices: Tensor, edge: Tensor, corner: Tensor,
+             instance: Tensor | None, p: Vec3, film: Vec2, normal: Vec2, aperture: Vec2 | None) -> Sheet:
+    """A triangle at each of some places on edges.
+
+    Args:
+        number: of the view.
+        edges: between `vertices`, (U, 3) float64.
+        edge: (N,) int64, which.
+        corner: (N,) int64, the triangle's corner opposite it, of those of `edges`.
+        instance, p, film, normal, aperture: of the places.
+    """
+    view = call.views[number]
+    opposite = Vec3.of(vertices[edges.opposite[corner]])
+    along, inwards = (Vec3.of(vertices[edges.b[edge]] - vertices[edges.a[edge]]), opposite - p)
+    across = inwards - along * (dot(inwards, along) / dot(along, along))
+    seen = on_film(view, p + across * STEP, aperture)
+    ahead = (seen.x - film.x) * normal.x + (seen.y - film.y) * normal.y
+    towards = view.camera.kind.towards(view.camera.lens, p, aperture)
+    triangle, place = torch.div(edges.corner[corner], 3, rounding_mode="floor"), edges.corner[corner] % 3
+    points = torch.stack([point.stack() for point in positions(
+        call.scene, Between(*(row[triangle].long() for row in call.scene.triangles.corners)), instance)], 1)
+    start, end = (Vec3.of(points[torch.arange(len(place), device=place.device), (place + step) % 3]) for step in (1, 2))
+    side = end - start
+    share = (dot(p - start, side) / dot(side, side)).clamp(0.0, 1.0)
+    # Normals at the edge itself may lie exactly across the line of sight.
+    weights = torch.stack([torch.full_like(share, INWARDS), (1.0 - share) * (1.0 - INWARDS), share * (1.0 - INWARDS)], 1)
+    u, v = (weights.gather(1, ((vertex - place) % 3)[:, None]).squeeze(1) for vertex in (1, 2))
+    return Sheet(Glued(triangle.int(), u, v), ahead, dot(across, towards) / ahead.abs(),
+                 depth_of(view, p, [opposite], aperture))
+
+
+def in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
+    """What is seen of two triangles at edges behind and ahead of these: at silhouettes, (N,) bool, the one that hides the
+    other on both sides; unknown where not `known`, (N,) bool."""
+    one, two = sheets
+    nearer, first = one.nearness >= two.nearness, one.ahead <= two.ahead
+    found = []
+    for of_crease in (first, ~first):
+        pick = torch.where(silhouette, nearer, of_crease)
+        point = Glued(*(torch.where(pick, here, there) for here, there in zip(one.point, two.point)))
+        found.append(point._replace(prim=torch.where(known, point.prim, -1)))
+    return tuple(found)
 
 
 def edges_in_view(view: View, outline: Outline, vertices: Tensor) -> Choice:

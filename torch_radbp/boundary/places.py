@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -26,7 +27,7 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, max_component, rows
 from torch_radbp.view import View
 
-APART = 3e-5  # share of its distance by which places on either side of a curve lie off it, through which paths are traced
+APART = 2e-6  # share of its distance by which places on either side of a curve lie off it, through which paths are traced
 ROUNDED = 8 * 2.0**-24  # the same as a share of the coordinates, by whose rounding in float32 rays miss the places
 NEIGHBOURS = 64  # successive places that share a sequence of low discrepancy
 FEWEST, LARGEST_SHARE = 256, 4  # places on the curves of a kind; and one for so many paths of the image at most
@@ -53,6 +54,14 @@ class Between(NamedTuple):
     third: Tensor  # of a place on an edge the second once more
 
 
+class Glued(NamedTuple):
+    """Points of triangles, (N,) each."""
+
+    prim: Tensor  # int32, as hits count; -1: it is not known which
+    u: Tensor  # barycentric weight of the second vertex; of the triangle, not of what it is glued to
+    v: Tensor  # of the third
+
+
 class Places(NamedTuple):
     """N places on curves at which an image jumps, in one view; float64 where not said otherwise, detached."""
 
@@ -66,6 +75,9 @@ class Places(NamedTuple):
     normal: Vec2  # across the curve on the film; as long as the piece of it that the place stands for, pixels
     side: Tensor  # 1 where the surface lies ahead on the film, on a rim its front; -1 where it lies behind
     drift: Tensor  # what the curve moves along its normal where its level changes by one at a fixed place; 0 on edges
+    depth: Tensor  # how far the triangles at the curve reach from the place along the line of sight, world
+    behind: Glued  # what lies right behind the curve on the film, on an outline the surface that ends there
+    ahead: Glued  # right ahead, likewise
     key: LaneKey  # of random numbers
     aperture: Vec2 | None  # as of `CameraKind.sample_ray`
 
@@ -140,6 +152,18 @@ def on_film(view: View, p: Vec3, aperture: Vec2 | None) -> Vec2:
     film = view.camera.film
     place = view.camera.kind.project(view.camera.lens, p, aperture)
     return Vec2(place.x * film.size_x - film.crop_x, place.y * film.size_y - film.crop_y)
+
+
+def unknown(like: Tensor) -> Glued:
+    """Points of which nothing is known, as many as a (N,) tensor has entries."""
+    return Glued(torch.full_like(like, -1, dtype=torch.int32), torch.zeros_like(like), torch.zeros_like(like))
+
+
+def depth_of(view: View, p: Vec3, vertices: Sequence[Vec3], aperture: Vec2 | None) -> Tensor:
+    """How far some vertices, (N,) each, lie from places p along the lines of sight through these; (N,) world."""
+    towards = view.camera.kind.towards(view.camera.lens, p, aperture)
+    away = torch.stack([dot(vertex - p, towards).abs() for vertex in vertices]).amax(0)
+    return away / torch.sqrt(dot(towards, towards))
 
 
 def beside(view: View, places: Places) -> tuple[Vec2, Vec2]:

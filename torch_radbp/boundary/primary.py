@@ -28,7 +28,6 @@ from torch_radbp.boundary.contour import LEVELS, level_at, places_on_contours
 from torch_radbp.boundary.edge_places import places_on_edges
 from torch_radbp.boundary.outline import Jumps
 from torch_radbp.boundary.places import (
-    APART,
     CREASE,
     FAR,
     FILM_U,
@@ -36,6 +35,7 @@ from torch_radbp.boundary.places import (
     NEAR,
     RIM,
     SILHOUETTE,
+    Glued,
     Places,
     apart_at,
     beside,
@@ -48,13 +48,15 @@ from torch_radbp.path_state import PathState
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, fine_unit, random_bits
-from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.vec import TINY, dot, rows
 from torch_radbp.wavefront import first_hit, trace
 
 NEARER = 1e-3  # share of the distance to an edge by which a surface that hides it is nearer, and one behind it farther
+SAME = 1e-5  # the same of surfaces that are one at a rim
+ALONG_EDGE = 1e-3  # barycentric coordinate below which a rim runs along an edge, and may lie on the hidden side of it
 GRAZING = 2e-2  # the same of a surface that turns away at a silhouette: its depth changes with the root of what it is off
-MOST = 0.5  # both at most, where coordinates are large and rays lie farther off
+USUAL = 3e-5  # share of the distance to a place, by which rays miss it, up to which this is so
+MOST = 0.5  # all at most, where coordinates are large and rays lie farther off
 BLOCK = 1 << 15  # places that are traced together
 
 Evaluate = Callable[[Integrand, PathState, Hit], tuple[Tensor, ...]]
@@ -153,48 +155,85 @@ def differences(call: RenderCall, number: int, places: Places, seen: Seen) -> tu
     """The places that nothing hides, (K,), and what is seen behind less what is seen ahead of the curve, (C, K) float64."""
     view = call.views[number]
     integrand = integrand_of(call, call.make_integrand(call.scene), call.chunks[0]._replace(sensor=number))
-    sides = [camera_sample(call, view, film, places.aperture, places.key) for film in beside(view, places)]
-    hits = [first_hit(integrand, side.ray, 0) for side in sides]
-    times = in_sight(integrand, places, sides, hits)
+    there, *sides = (camera_sample(call, view, film, places.aperture, places.key)
+                     for film in (places.film, *beside(view, places)))
+    straight, *hits = (first_hit(integrand, sample.ray, 0) for sample in (there, *sides))
+    times = in_sight(places, (there, *sides), (straight, *hits))
     shown = times.nonzero().squeeze(1)
     values = []
-    for side, hit in zip(sides, hits):
+    for side, hit, glued, own in zip(sides, hits, (places.behind, places.ahead), of_curve(places, times)):
         side = rows(side, shown)
-        found = seen.evaluate(integrand, started(call, side), rows(hit, shown))
+        hit = rows(on_curve(places, there, glued, own, hit), shown)
+        found = seen.evaluate(integrand, started(call, side), hit)
         values.append(torch.stack([value if side.weight is None else value * side.weight for value in found]).double())
     jump = (values[0] - values[1]) * times[shown]
     turns = torch.tensor(seen.turns, device=jump.device)
     return shown, jump * (turns[:, None] | (places.kind[shown] != RIM))
 
 
-def in_sight(integrand: Integrand, places: Places, sides: list[CameraSample], hits: list[Hit]) -> Tensor:
-    """(N,) 1 for places that nothing hides, by what the rays behind and ahead of them hit; 0 for others; or -1.
+def in_sight(places: Places, samples: tuple[CameraSample, ...], hits: tuple[Hit, ...]) -> Tensor:
+    """(N,) 1 for places that nothing hides, by what the rays to them, behind and ahead of them hit; 0 for others; or -1.
 
-    Where an outline turns back and forth within less than the distance between the two rays, they see a jump at all its
-    pieces, of which only one has it. Pieces that run back are known by their surface, which lies on the other side. They
-    count as -1, so that one remains.
+    A ray to a place on a curve meets a triangle there, or passes by. Where an outline turns back and forth within less than
+    rounding, it does not tell which of the pieces it meets, of which only one has a jump. Pieces that run back are known by
+    their surface, which lies on the other side. They count as -1, so that one remains.
     """
-    distances = [dot(places.p - side.ray.o, side.ray.d) for side in sides]
-    off = [apart_at(places, distance) / distance.clamp_min(TINY) for distance in distances]
-    near = [(NEARER * (share / APART)).clamp_max(MOST) for share in off]
-    grazing = [(GRAZING * torch.sqrt(share / APART)).clamp_max(MOST) for share in off]
+    distances = [dot(places.p - sample.ray.o, sample.ray.d) for sample in samples]
+    off = [(apart_at(places, distance) / (USUAL * distance.clamp_min(TINY))).clamp_min(1.0) for distance in distances]
+    near = [(NEARER * times).clamp_max(MOST) for times in off]
     shown = [past(hit, distance * (1.0 - share)) for hit, distance, share in zip(hits, distances, near)]
     here = [clear & ~past(hit, distance * (1.0 + share))
             for clear, hit, distance, share in zip(shown, hits, distances, near)]
-    turning = [past(hit, distance * (1.0 - share)) & ~past(hit, distance * (1.0 + share))
-               for hit, distance, share in zip(hits, distances, grazing)]
+    reach = [distance * (GRAZING * torch.sqrt(times)).clamp_max(MOST) + places.depth
+             for distance, times in zip(distances, off)]
+    turning = [past(hit, distance - most) & ~past(hit, distance + most)
+               for hit, distance, most in zip(hits, distances, reach)]
+    own = [is_one_of(places, hit) for hit in hits]
     kind, ahead = places.kind, places.side > 0
-    ends = (kind == SILHOUETTE) | (kind == FAR)
-    seen = ends & torch.where(ahead, shown[0] & turning[1], shown[1] & turning[0])
-    turned = ends & ~seen & torch.where(ahead, shown[1] & turning[0], shown[0] & turning[1])
-    seen |= (kind == CREASE) & here[0] & here[1] | (kind == NEAR)
-    if bool((kind == RIM).any()):
-        fronts = [is_in_front(integrand.scene, side.ray, hit) for side, hit in zip(sides, hits)]
-        # Beyond a narrow band of the other side there is none: the silhouette has the whole jump.
-        jumps = (kind == RIM) & turning[0] & turning[1] & (fronts[0] != fronts[1])
-        seen |= jumps & (fronts[1] == ahead)
-        turned |= jumps & (fronts[1] != ahead)
+    ends = ((kind == SILHOUETTE) | (kind == FAR)) & (own[0] | shown[0])
+    seen = ends & torch.where(ahead, shown[1] & turning[2], shown[2] & turning[1])
+    turned = ends & ~seen & torch.where(ahead, shown[2] & turning[1], shown[1] & turning[2])
+    seen |= (kind == CREASE) & (here[1] & here[2] | own[0]) | (kind == NEAR)
+    seen |= (kind == RIM) & rim_in_sight(places, own, hits[0], distances[0], (SAME * off[0]).clamp_max(MOST))
     return (seen.double() - turned.double()) * ((places.normal.x != 0) | (places.normal.y != 0))
+
+
+def rim_in_sight(places: Places, own: list[Tensor], hit: Hit, distance: Tensor, share: Tensor) -> Tensor:
+    """(N,) bool: nothing hides the places, if they are on rims.
+
+    Args:
+        own: of the rays to them, behind and ahead of them, whether they meet the triangle of the rim.
+        hit, distance: of the ray to them, and how far they are.
+        share: of the distance, by which surfaces that are one differ.
+    """
+    inside = torch.minimum(torch.minimum(places.u, places.v), 1.0 - places.u - places.v) > ALONG_EDGE
+    nearby, clear = own[1] | own[2], past(hit, distance * (1.0 - share))
+    return (own[0] | clear & ~past(hit, distance * (1.0 + share))) & (inside | nearby) | clear & nearby
+
+
+def is_one_of(places: Places, hit: Hit) -> Tensor:
+    """(N,) bool: a triangle at the place was hit."""
+    found = (hit.prim >= 0) & ((hit.prim == places.behind.prim) | (hit.prim == places.ahead.prim))
+    return found if places.instance is None else found & (hit.instance == places.instance)
+
+
+def of_curve(places: Places, times: Tensor) -> tuple[Tensor, Tensor]:
+    """(N,) bool each: behind and ahead of a curve lies the surface that it is on, by what `in_sight` says."""
+    both, outline = (places.kind == RIM) | (places.kind == CREASE), places.kind == SILHOUETTE
+    ahead = (places.side > 0) == (times > 0)
+    return both | outline & ~ahead, both | outline & ahead
+
+
+def on_curve(places: Places, sample: CameraSample, glued: Glued, own: Tensor, hit: Hit) -> Hit:
+    """What a ray beside a curve hits, but the place on the curve itself where it is known and on its `own` surface.
+
+    Beside it another curve may lie, or the surface may end: what jumps there is counted there.
+    """
+    own = own & (glued.prim >= 0)
+    distance = dot(places.p - sample.ray.o, sample.ray.d)
+    place = Hit(glued.prim, glued.u, glued.v, distance, places.instance)
+    return Hit(*(None if there is None else torch.where(own, here.to(there.dtype), there)
+                 for here, there in zip(place, hit)))
 
 
 def past(hit: Hit, distance: Tensor) -> Tensor:
