@@ -9,6 +9,7 @@ from torch.autograd import forward_ad
 from torch.func import functional_call
 
 import torch_radbp as rb
+from tests.boundary.test_rims import icosphere
 from tests.scenes import cornell, diffuse, load, look_at, rectangle, rgb, sensor, texels
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.boundary.edges import cells_of, edges_of, weld_size, welded
@@ -116,6 +117,11 @@ LIGHTS = {  # all of which cast a shadow of the cube `aside` into the view
     # Their middle lies inside.
     "ball.to_world": {"type": "sphere", "to_world": translate((-4.4, 0.2, 3)) @ scale((0.2, 0.2, 0.2)),
                       "emitter": {"type": "area", "radiance": rgb(9, 7, 5)}},
+    "mesh.vertex_positions": {"type": "mesh", "emitter": {"type": "area", "radiance": rgb(9, 7, 5)},
+                              "faces": icosphere(1)[1],
+                              "vertex_positions": 0.2 * icosphere(1)[0] + torch.tensor([-4.4, 0.2, 3])},
+    "projector.to_world": {"type": "projector", "to_world": look_at((-4.4, 0.2, 3), (0, 0, -1), (0, 1, 0)), "fov": 50,
+                           "irradiance": {"type": "bitmap", "data": texels(4, 4)}},
     "block.to_world": {"type": "cube", "to_world": translate((-4.4, 0.2, 3)) @ scale((0.2, 0.2, 0.2)),
                        "emitter": {"type": "area", "radiance": rgb(9, 7, 5)}}}
 
@@ -326,6 +332,10 @@ def soft_shadows(scene: rb.Scene, *names: str) -> list[str]:
 def test_what_hides_a_part_of_the_sky_is_warned_of_once_by_name(name, sky):
     message, = soft_shadows(load(camera=sensor(4), sky=sky, floor=FLOOR, plate=PLATE), name)
     assert f"`{name}`" in message and "soft" in message
+
+
+def test_what_is_hidden_of_a_sky_that_turns_stays_what_it_was():
+    assert soft_shadows(load(camera=sensor(4), sky=ENVMAP, floor=FLOOR, plate=PLATE), "sky.to_world") == []
 
 
 @pytest.mark.parametrize("shape", [CUBE, {"type": "sphere", "radius": 0.7}, rectangle((0, 0, 0), 0.5)])
