@@ -12,8 +12,9 @@ a corner A to the point Q that divides the opposite side by s meets the curve wh
 
     (1 - t)^2 F_AA + 2 t (1 - t) F_AQ + t^2 F_QQ = 0
 
-so that s picks a place, or two; the corner is one whose sign differs from the other two, if there is any, and there is
-exactly one. Along the curve db = t ds / |f_t| (-f_v, f_u), u and v the coordinates of the other corners, and on the film it
+so that s picks a place, or two, in steps that would be equal along the curve if it were straight; the corner is one whose
+sign differs from the other two, if there is any, and there is exactly one. Along the curve db = t ds / |f_t| (-f_v, f_u), u
+and v the coordinates of the other corners, and on the film it
 is seen at x(b), with the Jacobian J. With m = det(J) J^-T (f_u, f_v), a normal of the curve on the film, a change of f by df
 at a fixed place, which itself is seen to move by dx, moves the curve by
 
@@ -49,7 +50,7 @@ from torch_radbp.boundary.places import (
 )
 from torch_radbp.record import joined
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Vec2, Vec3, dot, interpolated, rows
+from torch_radbp.vec import TINY, Vec2, Vec3, dot, interpolated, rows
 from torch_radbp.view import View
 
 STEP = 1e-5  # of the smaller of a triangle and its distance, by which its Jacobian is found
@@ -88,7 +89,7 @@ class OnTriangle(NamedTuple):
 
     u: Tensor  # barycentric coordinates: of the second corner
     v: Tensor  # of the third
-    pace: Tensor  # t / |f_t|; 0 where a line does not meet the curve
+    pace: Tensor  # t / |f_t|, for each step of what s is picked by; 0 where a line does not meet the curve
 
 
 class OnFilm(NamedTuple):
@@ -211,15 +212,24 @@ def net(scene: SceneTensors, view: View, between: Between, instance: Tensor | No
     return Net(corner, tuple(2.0 * value - 0.5 * (corner[i] + corner[j]) for value, (i, j) in zip(halfway, SIDES)))
 
 
-def met(level: Net, s: Tensor) -> list[OnTriangle]:
-    """The two places, at most, where the lines from first corners to points of the opposite sides meet a curve."""
+def met(level: Net, along: Tensor) -> list[OnTriangle]:
+    """The two places, at most, where the lines from first corners to points of the opposite sides meet a curve.
+
+    Args:
+        level: of triangles.
+        along: (N,) in [0, 1], which lines: in equal steps along the curve, if the level is linear.
+    """
     (f0, f1, f2), (f01, f02, f12) = level
+    # A straight curve divides the sides at the first corner by these shares.
+    one, two = (torch.where(f0 * f < 0.0, f0 / (f0 - f), 1.0).clamp_min(TINY) for f in (f1, f2))
+    total = (1.0 - along) * one + along * two
+    s, stretch = along * two / total, one * two / total**2
     at_q, between = (1.0 - s) ** 2 * f1 + 2.0 * s * (1.0 - s) * f12 + s**2 * f2, (1.0 - s) * f01 + s * f02
     slope, bend = between - f0, f0 - 2.0 * between + at_q
     root = slope + torch.copysign(torch.sqrt(slope**2 - bend * f0), slope)  # NaN where there is no place
     found = []
     for t in (-root / bend, -f0 / root):
-        pace = t / (2.0 * (slope + bend * t)).abs()
+        pace = stretch * t / (2.0 * (slope + bend * t)).abs()
         pace = torch.where((t > 0.0) & (t < 1.0) & torch.isfinite(pace), pace, 0.0)
         t = torch.where(pace > 0.0, t, 0.5)
         found.append(OnTriangle(t * (1.0 - s), t * s, pace))

@@ -48,6 +48,7 @@ from torch_radbp.path_state import PathState
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, fine_unit, random_bits
+from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.vec import TINY, dot, rows
 from torch_radbp.wavefront import first_hit, trace
 
@@ -158,7 +159,7 @@ def differences(call: RenderCall, number: int, places: Places, seen: Seen) -> tu
     there, *sides = (camera_sample(call, view, film, places.aperture, places.key)
                      for film in (places.film, *beside(view, places)))
     straight, *hits = (first_hit(integrand, sample.ray, 0) for sample in (there, *sides))
-    times = in_sight(places, (there, *sides), (straight, *hits))
+    times = in_sight(integrand, places, (there, *sides), (straight, *hits))
     shown = times.nonzero().squeeze(1)
     values = []
     for side, hit, glued, own in zip(sides, hits, (places.behind, places.ahead), of_curve(places, times)):
@@ -171,15 +172,16 @@ def differences(call: RenderCall, number: int, places: Places, seen: Seen) -> tu
     return shown, jump * (turns[:, None] | (places.kind[shown] != RIM))
 
 
-def in_sight(places: Places, samples: tuple[CameraSample, ...], hits: tuple[Hit, ...]) -> Tensor:
+def in_sight(integrand: Integrand, places: Places, samples: tuple[CameraSample, ...], hits: tuple[Hit, ...]) -> Tensor:
     """(N,) 1 for places that nothing hides, by what the rays to them, behind and ahead of them hit; 0 for others; or -1.
 
     A ray to a place on a curve meets a triangle there, or passes by. Where an outline turns back and forth within less than
     rounding, it does not tell which of the pieces it meets, of which only one has a jump. Pieces that run back are known by
-    their surface, which lies on the other side. They count as -1, so that one remains.
+    their surface, which lies on the other side. They count as -1, so that one remains. Where coordinates are so large that
+    rays miss places by more than `USUAL`, it does not tell triangles apart either, and what rays on either side meet counts.
     """
     distances = [dot(places.p - sample.ray.o, sample.ray.d) for sample in samples]
-    off = [(apart_at(places, distance) / (USUAL * distance.clamp_min(TINY))).clamp_min(1.0) for distance in distances]
+    off = [missed(places, distance).clamp_min(1.0) for distance in distances]
     near = [(NEARER * times).clamp_max(MOST) for times in off]
     shown = [past(hit, distance * (1.0 - share)) for hit, distance, share in zip(hits, distances, near)]
     here = [clear & ~past(hit, distance * (1.0 + share))
@@ -188,27 +190,38 @@ def in_sight(places: Places, samples: tuple[CameraSample, ...], hits: tuple[Hit,
              for distance, times in zip(distances, off)]
     turning = [past(hit, distance - most) & ~past(hit, distance + most)
                for hit, distance, most in zip(hits, distances, reach)]
-    own = [is_one_of(places, hit) for hit in hits]
+    blurred = off[0] > 1.0
+    own = [is_one_of(places, hit) & ~blurred for hit in hits]
     kind, ahead = places.kind, places.side > 0
-    ends = ((kind == SILHOUETTE) | (kind == FAR)) & (own[0] | shown[0])
+    ends = ((kind == SILHOUETTE) | (kind == FAR)) & (own[0] | shown[0] | blurred)
     seen = ends & torch.where(ahead, shown[1] & turning[2], shown[2] & turning[1])
     turned = ends & ~seen & torch.where(ahead, shown[2] & turning[1], shown[1] & turning[2])
     seen |= (kind == CREASE) & (here[1] & here[2] | own[0]) | (kind == NEAR)
-    seen |= (kind == RIM) & rim_in_sight(places, own, hits[0], distances[0], (SAME * off[0]).clamp_max(MOST))
+    seen |= (kind == RIM) & ~blurred & rim_in_sight(places, own, hits[0], distances[0])
+    if bool((blurred & (kind == RIM)).any()):
+        fronts = [is_in_front(integrand.scene, sample.ray, hit) for sample, hit in zip(samples[1:], hits[1:])]
+        # Beyond a narrow band of the other side there is none: the silhouette has the whole jump.
+        jumps = blurred & (kind == RIM) & turning[1] & turning[2] & (fronts[0] != fronts[1])
+        seen |= jumps & (fronts[1] == ahead)
+        turned |= jumps & (fronts[1] != ahead)
     return (seen.double() - turned.double()) * ((places.normal.x != 0) | (places.normal.y != 0))
 
 
-def rim_in_sight(places: Places, own: list[Tensor], hit: Hit, distance: Tensor, share: Tensor) -> Tensor:
+def missed(places: Places, distance: Tensor) -> Tensor:
+    """(N,) how far off places rays lie, in units of what is usual; `distance` (N,) of the places."""
+    return apart_at(places, distance) / (USUAL * distance.clamp_min(TINY))
+
+
+def rim_in_sight(places: Places, own: list[Tensor], hit: Hit, distance: Tensor) -> Tensor:
     """(N,) bool: nothing hides the places, if they are on rims.
 
     Args:
         own: of the rays to them, behind and ahead of them, whether they meet the triangle of the rim.
         hit, distance: of the ray to them, and how far they are.
-        share: of the distance, by which surfaces that are one differ.
     """
     inside = torch.minimum(torch.minimum(places.u, places.v), 1.0 - places.u - places.v) > ALONG_EDGE
-    nearby, clear = own[1] | own[2], past(hit, distance * (1.0 - share))
-    return (own[0] | clear & ~past(hit, distance * (1.0 + share))) & (inside | nearby) | clear & nearby
+    nearby, clear = own[1] | own[2], past(hit, distance * (1.0 - SAME))
+    return (own[0] | clear & ~past(hit, distance * (1.0 + SAME))) & (inside | nearby) | clear & nearby
 
 
 def is_one_of(places: Places, hit: Hit) -> Tensor:
@@ -229,8 +242,8 @@ def on_curve(places: Places, sample: CameraSample, glued: Glued, own: Tensor, hi
 
     Beside it another curve may lie, or the surface may end: what jumps there is counted there.
     """
-    own = own & (glued.prim >= 0)
     distance = dot(places.p - sample.ray.o, sample.ray.d)
+    own = own & (glued.prim >= 0) & (missed(places, distance) <= 1.0)
     place = Hit(glued.prim, glued.u, glued.v, distance, places.instance)
     return Hit(*(None if there is None else torch.where(own, here.to(there.dtype), there)
                  for here, there in zip(place, hit)))
