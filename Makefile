@@ -32,10 +32,12 @@ test-peer: $(VENV)/.installed
 	$(PYTEST) tests/peer tests/bsdf tests/io
 	$(PYTEST) --deep tests/peer tests/bsdf
 
-# The quick tests on another version of torch, in an environment of its own: make test-torch VERSION=2.6.0
+# The quick tests on another version of torch, in an environment of its own:
+# make test-torch VERSION=2.6.0 NUMPY="numpy<2" PYTHON=python3.10
+NUMPY ?= numpy
 test-torch:
 	$(PYTHON) -m venv $(VENV)-torch-$(VERSION)
-	$(VENV)-torch-$(VERSION)/bin/python -m pip install --quiet "torch==$(VERSION)" numpy
+	$(VENV)-torch-$(VERSION)/bin/python -m pip install --quiet "torch==$(VERSION)" "$(NUMPY)"
 	$(VENV)-torch-$(VERSION)/bin/python -m pip install --quiet -e ".[test]"
 	OMP_NUM_THREADS=1 $(VENV)-torch-$(VERSION)/bin/python -m pytest -n auto --dist worksteal
 

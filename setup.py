@@ -34,6 +34,7 @@ setup(
     license="MIT",
     license_files=["LICENSE"],
     python_requires=">=3.10",
+    classifiers=[f"Programming Language :: Python :: 3.{minor}" for minor in (10, 11, 12, 13, 14)],
     packages=[*find_packages(include=["torch_radbp", "torch_radbp.*"]), TRAINING, *PARTS, ASSETS],
     # Side by side in the wheel, as in the repository: recipes name their scenes by ../../assets.
     package_dir={TRAINING: "training", ASSETS: "assets"},

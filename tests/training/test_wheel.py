@@ -52,6 +52,17 @@ def test_the_wheel_has_the_code_and_no_scripts_or_pictures_of_the_repository(ins
     assert sum(path.stat().st_size for path in (installed / "assets").rglob("*")) < 2**20
 
 
+def test_the_bounds_of_versions_are_those_that_readme_names(installed):
+    metadata = next(installed.parent.glob("torch_radbp-*.dist-info/METADATA")).read_text(encoding="utf-8").split("\n\n")[0]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    needed, = re.findall(r"It needs torch (\S+) or newer, Python (\S+) or newer and\s+numpy (\S+) or newer", readme)
+    bounds = [re.search(f"^{name}: *(?:{package})?>=(.*)$", metadata, re.M)[1]
+              for name, package in (("Requires-Dist", "torch"), ("Requires-Python", ""), ("Requires-Dist", "numpy"))]
+    assert tuple(bounds) == needed
+    pythons = re.findall(r"^Classifier: Programming Language :: Python :: (.*)$", metadata, re.M)
+    assert pythons[0] == needed[1] and f"Python {pythons[0]} to {pythons[-1]}" in " ".join(readme.split())
+
+
 def test_a_recipe_is_found_by_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert recipe_path(Path("metal_plate")) == bundled_recipes()["metal_plate"]
