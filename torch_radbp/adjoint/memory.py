@@ -32,11 +32,12 @@ INSTANCE = (0, 4)  # of a `Hit`, if there are any
 MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
 CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
 
-# Resident memory is more than what torch holds. Where every operation takes memory and gives it back it is so by this
-# factor, and by so many numbers a lane; and by this factor where chunks follow each other, whose records do not fit the
-# holes that the last ones have left. See `python -m benchmarks.memory`.
+# Resident memory is more than what torch holds: by this factor, and by so many numbers a lane. The factor counts where
+# every operation takes memory and gives it back, and where chunks follow each other, whose records do not fit the holes
+# that the last ones have left. See `python -m benchmarks.memory`.
 WASTE, SPARE = 1.75, 50
-COMPILED = 0.3  # of the working memory of an eager adjoint, without waste
+COMPILED = 0.3  # of the working memory of an eager adjoint,
+WASTE_COMPILED, SPARE_COMPILED = 1.25, 20  # and of its waste
 
 # Numbers per lane that a bounce, its adjoint and autograd's tape need at least: those of diffuse surfaces.
 LEAST_BOUNCE, LEAST_ADJOINT, LEAST_TAPE = 74, 60, 32
@@ -144,9 +145,9 @@ def predict(work: Workload, chunk: int, adjoint, record_bytes: float = inf) -> M
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
     held = size(RADIANCE) + size(MEMO[work.moving]) + cone * work.moving + size(CORNERS[work.triangles]) + state
     held += step * (not adjoint.keep_hits) + size(INSTANCE) * (work.instances and work.moving)
-    share, waste, spare = (COMPILED, 1.0, 0) if work.compiled else (1.0, WASTE, SPARE * dtype.itemsize)
+    share, waste, spare = (COMPILED, WASTE_COMPILED, SPARE_COMPILED) if work.compiled else (1.0, WASTE, SPARE)
     swept = share * (sweep.per_lane - outside.per_lane) + WASTE / waste * outside.per_lane
-    busy = waste * max(swept + held, share * bounce.per_lane) + spare
+    busy = waste * max(swept + held, share * bounce.per_lane) + spare * dtype.itemsize
     working = max(together * (busy * max(fractions) + replayed) + work.workers * sweep.fixed, WASTE * tables.packing)
     working += work.workers * tables.totals
     # What is traced again is recorded chunk by chunk; and what is kept, chunk by chunk, too.
