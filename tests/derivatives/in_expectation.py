@@ -9,8 +9,8 @@ from torch import Tensor
 
 import torch_radbp as rb
 from tests.derivatives.moving_scenes import MovingScene
-from torch_radbp.check.gradient import Measurement, informative_cotangents
-from torch_radbp.check.outcome import GradientCheck, judge
+from torch_radbp.check.gradient import BOTH_SIDES, Measurement, informative_cotangents
+from torch_radbp.check.outcome import GradientCheck, Question, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 
 
@@ -41,10 +41,10 @@ class Estimate:
             renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling, compile=effort.compile,
                                    share_samples=True)
             self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value, self.tangent, moving.step,
-                                                      effort.spp, effort.seed, None, None, total=0)
+                                                      BOTH_SIDES, False, effort.spp, effort.seed, None, None)
         self.sums: dict[str, Tensor] = {}
         self.rounding: Tensor | float = 0.0
-        reference, _ = self.plain.difference(self.new_number())
+        reference = self.plain.difference(self.new_number()).value
         self.sensors = len(reference)
         self.calls = -(-effort.batches // self.sensors)
         self.cotangents: list[Cotangent] = informative_cotangents(reference.mean(0, keepdim=True), effort.seed)
@@ -71,9 +71,10 @@ class Estimate:
     def add_round(self) -> None:
         """Renders every batch of every estimate once more."""
         self.rounds += 1
-        pairs = [self.plain.difference(self.new_number()) for _ in range(self.calls)]
-        self.add("differences", [difference for difference, _ in pairs])
-        self.rounding = self.eps * torch.cat([size for _, size in pairs]).amax(0, keepdim=True) / self.moving.step
+        found = [self.plain.difference(self.new_number()) for _ in range(self.calls)]
+        self.add("differences", [difference.value for difference in found])
+        sizes = torch.cat([difference.size for difference in found])
+        self.rounding = self.eps * sizes.amax(0, keepdim=True) / self.moving.step
         for sampling, measurement in self.measurements.items():
             numbers = [self.new_number() for _ in range(self.calls)]
             self.add(sampling, [measurement.forward(number)[1] for number in numbers])
@@ -91,6 +92,7 @@ class Estimate:
             backward = [factor * value for value in self.backward[sampling]]
             comparison = compare(samples, self.cotangents, backward, self.eps)
             batches = len(samples.jvp)
-            found[sampling] = judge(self.moving.name, self.tangent, self.moving.step, effort.spp * batches * self.rounds,
-                                    batches, effort.seed, True, comparison)
+            question = Question(self.moving.name, self.tangent, self.moving.step, BOTH_SIDES.words,
+                                effort.spp * batches * self.rounds, batches, effort.seed, True, [])
+            found[sampling] = judge(question, comparison)
         return found

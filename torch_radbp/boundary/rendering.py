@@ -75,11 +75,9 @@ class Rendering:
         """The number of triangles of each shape; the caster has them in the order of the shapes."""
         return [number_of_triangles(self.kept, shape) for shape in self.shapes]
 
-    @cached_property
-    def placed(self) -> list[PlacedShape]:
-        """Each shape as triangles; those of groups in the frame of the group."""
-        return [placed_shape(self.kept, shape, instances is not None, self.scene.dtype)
-                for shape, instances in zip(self.shapes, self.scene.shown_by)]
+    def placed(self, number: int) -> PlacedShape:
+        """A shape as triangles; in the frame of its group if it is in one."""
+        return placed_shape(self.kept, self.shapes[number], self.scene.shown_by[number] is not None, self.scene.dtype)
 
     @cached_property
     def shape_of(self) -> Tensor:

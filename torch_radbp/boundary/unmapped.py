@@ -11,10 +11,10 @@ from torch_radbp.texture.bitmap import reader_of
 def unmapped_textures(rendering: Rendering) -> SceneWarning | None:
     """The warning that textures read surface coordinates of meshes that have none, or None."""
     scene, shapes, textures = rendering.scene, [], []
-    for shape, placed in zip(rendering.shapes, rendering.placed):
+    for number, shape in enumerate(rendering.shapes):
         owners = filter(None, (shape.bsdf, shape.emitter))
         read = [texture for owner in owners for _, texture in textures_of(owner) if varies_with_uv(texture)]
-        if read and placed.surface.uv is None:
+        if read and rendering.placed(number).surface.uv is None:
             shapes.append(rendering.names[id(shape)])
             textures += (texture_name(scene, texture) for texture in read)
     if not shapes:

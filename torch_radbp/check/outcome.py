@@ -122,7 +122,12 @@ def judge(asked: Question, comparison: Comparison) -> GradientCheck:
 def hidden(projection: Projection) -> float:
     """The relative error of a derivative that noise and step would hide in a projection of it; infinite if that is zero."""
     size = projection.size
-    return max(MOST_Z * projection.standard_error, projection.bend) / size if size > 0 else math.inf
+    return max(MOST_Z * uncertainty(projection), projection.bend / size) if size > 0 else math.inf
+
+
+def uncertainty(projection: Projection) -> float:
+    """The standard error relative to the size of a projection; infinite if that is zero."""
+    return projection.standard_error / projection.size if projection.size > 0 else math.inf
 
 
 def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> tuple[str, str]:
