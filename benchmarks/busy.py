@@ -246,7 +246,7 @@ def main() -> None:
         render_as_rank(options)
         return
     console, results, failed = Console(), [], []
-    for name, resolution, spp in cases(options):
+    for name, resolution, spp in list(cases(options)):  # before `options` changes
         options.resolution, options.spp = [resolution], [spp]
         found = throughput(options) if name == TORCHRUN else in_own_process(name, resolution, spp, options)
         if found is None:

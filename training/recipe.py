@@ -28,6 +28,8 @@ from torch_radbp.training.recipe_values import (
     Whole64,
 )
 
+MOST_WEIGHTS = 1 << 24  # of a network; gradients and moments are as many each
+
 
 class Target(Table):
     """One photograph, and the sensor that took it (may be left out if the scene has one sensor)."""
@@ -62,6 +64,18 @@ class Network(Table):
     layers: Count = 2  # hidden ones
     width: Count = 64  # of these
     seed: Whole = Field(0, ge=0)  # of waves and initial weights
+
+    @property
+    def weights(self) -> int:
+        """About how many there are: the last layer has a few more."""
+        return 2 * self.waves * self.width + (self.layers - 1) * self.width**2
+
+    @model_validator(mode="after")
+    def _check_size(self):
+        if self.weights > MOST_WEIGHTS:
+            raise ValueError(f"waves = {self.waves}, layers = {self.layers} and width = {self.width} make {self.weights} "
+                             f"weights; at most {MOST_WEIGHTS} are taken: choose fewer waves or layers, or a smaller width")
+        return self
 
 
 class Parameter(Table):

@@ -68,6 +68,7 @@ OVERRIDES = {
     "variables={nope=3}": ["'nope'", "width"],
     "title=3": ["title: must be a valid string, got 3"],
     "report.spp=0": ["report.spp", "got 0"],
+    "parameters.0.network={waves=12987871, width=63}": ["make 1636475715 weights; at most 16777216", "fewer waves"],
     "parameters.0.name=''": ["parameter '' does not exist"],
     "parameters.0.name=3": ["parameters[0].name: must be a valid string"],
     "parameters.0.name='wall.to_world'": ["'wall.to_world'", "last row must be 0 0 0 1"],
