@@ -21,7 +21,7 @@ class Queue(NamedTuple):
     appearance: int | None  # of what they meet, a number of `Layout.appearances`; None: only what is emitted counts
     first: int
     last: int  # the place after its last lane
-    differentiated: int  # the place after its last lane that the backward pass differentiates; these come first
+    differentiated: int  # the place after its last lane that the backward pass differentiates; such lanes come first
 
 
 NOTHING = Queue(None, 0, 0, 0)  # of no lanes
