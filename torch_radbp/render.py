@@ -96,8 +96,8 @@ class Renderer(nn.Module):
             derivative has samples of its own, since the noise that image and derivative share biases the gradient of every
             loss that is not linear in the image. It does not where two independent images take each other's part:
             `rb.losses`. Few samples of both are traced together, in the forward pass: an image whose derivative nobody
-            will ask for is cheaper under `torch.no_grad()`. Of what the shared paths need, as much is kept until the backward pass as takes an eighth of the
-            machine's memory; the rest is traced again.
+            will ask for is cheaper under `torch.no_grad()`. Of what the shared paths need, as much is kept until the
+            backward pass as takes an eighth of the machine's memory; the rest is traced again.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, what the borders of shadows contribute and edges that are seen by reflection; a `SilhouetteWarning` says so,
