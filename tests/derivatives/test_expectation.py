@@ -58,7 +58,7 @@ QUICK = ("plane shifted", "vertices with their normals", "instance turned", "ver
          "normals under a point", "envmap seen", "plane turned under an envmap", "point light", "projector", "spot",
          "directional light", "emitter seen", "ggx glass, index", "mirror turned", "principled, roughness", "camera turned",
          "camera without perspective", "principal point x", "thinlens, aperture_radius", "calibrated, k2",
-         "cube, vertex_positions", "where walls meet", "distances")
+         "cube, vertex_positions", "where walls meet", "distances", "cylinder turned")
 STATED = [*(Row(name, 0.02, NOISY.get(name, SPP)) for name in SCENES if name not in {**COARSE, **OUTLINES}),
           *(Row(name, 0.05, spp) for name, spp in COARSE.items()),
           *(Row(name, 0.02, NOISY[name]) for name in COARSE),

@@ -112,11 +112,13 @@ def sheet_at(call: RenderCall, number: int, edges: Edges, vertices: Tensor, edge
     triangle, place = torch.div(edges.corner[corner], 3, rounding_mode="floor"), edges.corner[corner] % 3
     points = torch.stack([point.stack() for point in positions(
         call.scene, Between(*(row[triangle].long() for row in call.scene.triangles.corners)), instance)], 1)
-    start, end = (Vec3.of(points[torch.arange(len(place), device=place.device), (place + step) % 3]) for step in (1, 2))
+    lanes = torch.arange(len(place), device=place.device)
+    tip, start, end = (Vec3.of(points[lanes, (place + step) % 3]) for step in range(3))
     side = end - start
-    share = (dot(p - start, side) / dot(side, side)).clamp(0.0, 1.0)
+    of_tip, share = (dot(point - start, side) / dot(side, side) for point in (tip, p))
     # Normals at the edge itself may lie exactly across the line of sight.
-    weights = torch.stack([torch.full_like(share, INWARDS), (1.0 - share) * (1.0 - INWARDS), share * (1.0 - INWARDS)], 1)
+    share = (share - INWARDS * of_tip).clamp(0.0, 1.0 - INWARDS)
+    weights = torch.stack([torch.full_like(share, INWARDS), 1.0 - INWARDS - share, share], 1)
     u, v = (weights.gather(1, ((vertex - place) % 3)[:, None]).squeeze(1) for vertex in (1, 2))
     return Sheet(Glued(triangle.int(), u, v), ahead, dot(across, towards) / ahead.abs(),
                  depth_of(view, p, [opposite], aperture))
