@@ -24,10 +24,11 @@ import torch_radbp as rb
 from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
-from torch_radbp.adjoint.function import pixel_sums, start_paths
+from torch_radbp.path.wavefront import add_at, survivors, take_step
 from torch_radbp.record import joined
+from torch_radbp.rendering.call.pixels import pixel_sums
+from torch_radbp.rendering.call.render_call import start_paths
 from torch_radbp.vec import Vec3, masked, rows
-from torch_radbp.wavefront import add_at, survivors, take_step
 
 CHECKPOINT = "checkpoint per bounce"
 DEFAULT = "default"

@@ -20,7 +20,7 @@ from benchmarks.ptxas import Usage, assemble, find
 from tests.render.recorded import SAMPLINGS, SCENES, calls_of
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.nvptx import ptx
-from torch_radbp.stages import fused
+from torch_radbp.rendering.stages import fused
 
 ARCHITECTURES = ("sm_80", "sm_90")
 

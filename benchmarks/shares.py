@@ -44,7 +44,7 @@ from torch_radbp.boundary import JumpWatch
 from torch_radbp.jit import LaneFunction, cpu
 from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
-from torch_radbp.render import Renderer
+from torch_radbp.rendering.renderer import Renderer
 
 BACKWARD, REST = "derivative of packing", "the rest"
 TIMED = {  # part: what is timed for it; what is called inside of another part counts for the inner one

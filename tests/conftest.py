@@ -43,8 +43,8 @@ def compiled(request) -> bool:
 @pytest.fixture
 def fresh_stages(monkeypatch):
     """The stages that compiled renderings run during the test; nothing is compiled before."""
-    stages = import_module("torch_radbp.stages").compiled.__wrapped__()
-    monkeypatch.setattr(import_module("torch_radbp.render"), "compiled", lambda: stages)
+    stages = import_module("torch_radbp.rendering.stages").compiled.__wrapped__()
+    monkeypatch.setattr(import_module("torch_radbp.rendering.renderer"), "compiled", lambda: stages)
     return stages
 
 

@@ -56,7 +56,7 @@ MUTANTS = (
     Mutant("bsdf/microfacet.py", "2.276 * w.z * t", "2.376 * w.z * t", ("bsdf/test_mitsuba.py", "bsdf/test_energy.py")),
     Mutant("bsdf/blendbsdf.py", "chance = weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)",
            "chance = weight.clamp(0.0, 1.0 - LEAST_CHANCE)", ("bsdf/test_nested.py", "bsdf/test_both_orders.py")),
-    Mutant("path.py", "chosen, 1.0 / survival, survives)", "chosen, torch.rsqrt(survival), survives)",
+    Mutant("path/bounce.py", "chosen, 1.0 / survival, survives)", "chosen, torch.rsqrt(survival), survives)",
            ("adjoint/test_furnace.py", "render/test_estimators.py")),
     Mutant("scene/light_choice.py", "return element, chance * lookup(choice.pmf, element)", "return element, chance",
            ("emitter/test_light_choice.py",)),

@@ -4,6 +4,7 @@ import ast
 import importlib
 import inspect
 import pkgutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,12 +17,11 @@ TRAINING = PACKAGE.parent / "training"
 
 # Data flows down this list; a module may import from its own layer and from those above it.
 LAYERS = [
-    {"differentiated", "domain", "entry", "vec", "lookup", "losses", "noise_watch", "plugin", "pose", "record", "jit"},
+    {"differentiated", "domain", "entry", "vec", "lookup", "losses", "plugin", "pose", "record", "jit"},
     {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
-    {"raycast", "view"}, {"path_state"}, {"path", "queues"}, {"given"}, {"integrand"}, {"wavefront"}, {"adjoint"},
-    {"boundary", "aov"}, {"stages", "settings"},
-    {"planner"}, {"render"}, {"jvp"}, {"check"}, {"public"}, {"training"},
+    {"raycast"}, {"path"}, {"rendering.call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"}, {"check"}, {"public"},
+    {"training"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 # Reads and writes files for every layer: shapes, textures and emitters import it inside functions.
@@ -41,8 +41,12 @@ class Import(NamedTuple):
 def part_of(path: Path) -> str:
     if path.is_relative_to(TRAINING):
         return "training"
-    relative = path.relative_to(PACKAGE)
-    return relative.parts[0].removesuffix(".py")
+    return part(path.relative_to(PACKAGE).with_suffix("").parts)
+
+
+def part(names: Sequence[str]) -> str:
+    """The part of the package that a module belongs to, by the names below `torch_radbp`; a call has a floor of its own."""
+    return ".".join(names[:2]) if ".".join(names[:2]) in RANK else names[0]
 
 
 def imports(path: Path) -> list[Import]:
@@ -59,7 +63,7 @@ def imports(path: Path) -> list[Import]:
             assert node.level == 0, f"{path}, line {node.lineno}: relative import"
             whole = node.module == "torch_radbp"
             names = [f"{node.module}.{alias.name}" for alias in node.names] if whole else [node.module]
-        found += [Import(str(path), node.lineno, part_of(path), name.split(".")[1] if "." in name else "__init__",
+        found += [Import(str(path), node.lineno, part_of(path), part(name.split(".")[1:]) if "." in name else "__init__",
                          id(node) in local) for name in names if name.split(".")[0] == "torch_radbp"]
     return found
 

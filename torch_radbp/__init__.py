@@ -3,8 +3,8 @@
 The pipeline, in the order of data:
 
 1. `load` / `load_dict` (io/) read a Mitsuba 3 scene into a `Scene` (scene/), a tree of modules with named parameters.
-2. `Renderer` (render.py) packs it into flat tensors (scene/pack.py), attached to the parameters by plain torch.
-3. `path.py` traces bounces: L_k = E_k + F_k L_{k+1}; rays are cast by raycast/, never differentiated.
+2. `Renderer` (rendering/) packs it into flat tensors (scene/pack.py), attached to the parameters by plain torch.
+3. `path/` traces bounces: L_k = E_k + F_k L_{k+1}; rays are cast by raycast/, never differentiated.
 4. `adjoint/` walks the bounces back: one local vector-Jacobian product each, with the incident radiance in a memo.
    `adjoint/function.py` is the one `autograd.Function`; `adjoint/schedule.py` says which path states are kept.
 5. Images come out as (B, 3, H, W); autograd carries gradients on through `pack` to whatever made the parameters.
@@ -37,11 +37,6 @@ class _Package(_ModuleType):
             if error.name != f"torch_radbp.{name}":
                 raise
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}") from None
-
-    def __setattr__(self, name: str, value) -> None:
-        # Importing the module torch_radbp.render would otherwise hide the function `render`; jvp likewise.
-        if not (isinstance(value, _ModuleType) and name in ("jvp", "render")):
-            super().__setattr__(name, value)
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *self.__all__})

@@ -10,11 +10,11 @@ from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.nerf import cameras_from_nerf
 from torch_radbp.io.write import save
-from torch_radbp.jvp import jvp
-from torch_radbp.noise_watch import RepeatedNoiseWarning
 from torch_radbp.plugin import SceneError, SceneWarning
 from torch_radbp.pose import look_at, se3
-from torch_radbp.render import Renderer, render
+from torch_radbp.rendering.jvp import jvp
+from torch_radbp.rendering.noise_watch import RepeatedNoiseWarning
+from torch_radbp.rendering.renderer import Renderer, render
 from torch_radbp.scene import Scene
 from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture

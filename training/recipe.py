@@ -12,7 +12,7 @@ from pydantic import (
     model_validator,
 )
 
-from torch_radbp.adjoint.memory import parse_budget
+from torch_radbp.rendering.memory import parse_budget
 from torch_radbp.training.device import parse_device
 from torch_radbp.training.recipe_values import (
     LARGEST,

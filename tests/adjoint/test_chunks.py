@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torch_radbp.adjoint.chunks import LEAST_LANES, fair_chunk, plan_chunks
+from torch_radbp.rendering.call.chunks import LEAST_LANES, fair_chunk, plan_chunks
 
 CPU = torch.device("cpu")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from torch_radbp.adjoint.memory import parse_budget
+from torch_radbp.rendering.memory import parse_budget
 
 pytestmark = pytest.mark.hostile
 

@@ -11,8 +11,8 @@ import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.scenes import CASES
 from torch_radbp.adjoint import function
-from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.jit import team
+from torch_radbp.rendering.call.workers import in_turns
 
 ROUNDING = 1e-13  # of sums in another order, float64
 SETTINGS = {"spp": 4, "max_depth": 4, "rr_depth": 2, "chunk": 40}

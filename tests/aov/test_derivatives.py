@@ -9,7 +9,7 @@ import torch_radbp as rb
 from tests.aov.scenes import NETWORK_FREE, landscape
 from tests.gradients import unwarned_renderer, z_score
 from tests.scenes import load, rectangle, sensor, texels
-from torch_radbp.jvp import with_tangents
+from torch_radbp.rendering.jvp import with_tangents
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 2, "max_depth": 1, "terms": ["interior"], "share_samples": True}

@@ -11,7 +11,7 @@ from tests.scenes import CASES, cornell, diffuse, load, rectangle, rgb, sensor, 
 from torch_radbp.check import gradient as check_module
 from torch_radbp.check.gradient import checked_direction, checked_step, informative_cotangents
 from torch_radbp.check.statistics import Cotangent, Samples, compare, expected_square, tile_sums
-from torch_radbp.jvp import DualImage
+from torch_radbp.rendering.jvp import DualImage
 
 WHITE, SETTINGS = "white.reflectance.value", {"spp": 64, "max_depth": 4}
 SHAPE = (1, 3, 16, 16)

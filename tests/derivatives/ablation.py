@@ -14,8 +14,8 @@ from unittest.mock import patch
 import torch
 
 from torch_radbp.emitter.area import AreaKind
+from torch_radbp.rendering.stages import EAGER
 from torch_radbp.scene import departure
-from torch_radbp.stages import EAGER
 from torch_radbp.vec import Vec3
 
 WITHOUT = {"nothing": (), "the area Jacobian": ("Jacobian",), "re-attached directions": ("directions",),
@@ -40,5 +40,6 @@ def without(*parts: str) -> Iterator[None]:
                             pdf=aim.pdf.detach() if "Jacobian" in parts else aim.pdf)
 
     with (patch.object(departure, "glued_direction", poorer_direction), patch.object(AreaKind, "aim", poorer_aim),
-          patch.object(import_module("torch_radbp.render"), "compiled", lambda: EAGER)):  # compiled code knows only itself
+          patch.object(import_module("torch_radbp.rendering.renderer"), "compiled",
+                        lambda: EAGER)):  # compiled code knows only itself
         yield

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.func import functional_call
 
 import torch_radbp as rb
-from torch_radbp.adjoint.function import render_images
+from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.differentiated import detached, settled
 from torch_radbp.record import leaves_of, with_leaves
@@ -27,7 +27,7 @@ from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
 
-RENDER = import_module("torch_radbp.render")
+RENDER = import_module("torch_radbp.rendering.renderer")
 DETACH = Tensor.detach
 
 

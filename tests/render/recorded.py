@@ -12,9 +12,9 @@ import torch_radbp as rb
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import cotangent
 from tests.texture.networks import lit_room, room
-from torch_radbp.integrand import Stages
 from torch_radbp.jit.structure import flatten
-from torch_radbp.stages import EAGER
+from torch_radbp.path.integrand import Stages
+from torch_radbp.rendering.stages import EAGER
 
 NETWORKS = {"networks": room, "shining networks": lit_room}
 SCENES = (*EVERYTHING, *NETWORKS)
@@ -45,7 +45,7 @@ def build(name: str, dtype: torch.dtype = torch.float64) -> rb.Scene:
 def calls_of(name: str, sampling: str, dtype: torch.dtype = torch.float64) -> Calls:
     """The arguments of all calls of the stages while a scene of `SCENES` is rendered, differentiated and described."""
     stages, found = recording()
-    with mock.patch.object(import_module("torch_radbp.render"), "EAGER", stages), warnings.catch_warnings():
+    with mock.patch.object(import_module("torch_radbp.rendering.renderer"), "EAGER", stages), warnings.catch_warnings():
         warnings.simplefilter("ignore", rb.SilhouetteWarning)
         warnings.simplefilter("ignore", rb.JumpWarning)
         renderer = rb.Renderer(build(name, dtype), spp=2, max_depth=4, rr_depth=2, sampling=sampling, compile=False)

@@ -8,8 +8,8 @@ from tests.deep import deep, deep_but
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters
-from torch_radbp import stages
 from torch_radbp.differentiated import detached
+from torch_radbp.rendering import stages
 from torch_radbp.sampling.sampler import sample_key
 
 pytestmark = pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning")

@@ -7,7 +7,7 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import cornell, sensor
-from torch_radbp.adjoint import cost
+from torch_radbp.rendering import cost
 
 pytestmark = pytest.mark.hostile
 

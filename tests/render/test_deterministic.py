@@ -15,9 +15,9 @@ from tests.gradients import assert_informative, image_and_gradients
 from tests.jit.emulated import Emulated
 from tests.render.host import place
 from tests.scenes import CASES, cornell
-from torch_radbp import stages
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.jit.gpu import Gpu
+from torch_radbp.rendering import stages
 from torch_radbp.sampling import running_sum
 from torch_radbp.training.false_colour import error_scale, false_colour
 
@@ -40,7 +40,7 @@ def by_threads(backwards: bool, monkeypatch):
     """An image and gradients by the kernels of a GPU, whose threads run in the order of the lanes or from the last on."""
     device = Gpu(Emulated(backwards=backwards))
     with monkeypatch.context() as patch:
-        patch.setattr(import_module("torch_radbp.render"), "compiled", lambda: fused)
+        patch.setattr(import_module("torch_radbp.rendering.renderer"), "compiled", lambda: fused)
         fused = stages.fused(device)
         for module in ("order", "scatter"):
             patch.setattr(import_module(f"torch_radbp.jit.{module}"), "target_of", lambda of: device)

@@ -94,7 +94,7 @@ SITUATIONS = {
 @pytest.fixture
 def met(monkeypatch) -> list[tuple[tuple[str, int], ...]]:
     """Kind and number of lanes of the queues of every bounce for which rays are cast."""
-    found, wavefront = [], import_module("torch_radbp.wavefront")
+    found, wavefront = [], import_module("torch_radbp.path.wavefront")
     queued = wavefront.queued
 
     def watched(integrand, *arguments):

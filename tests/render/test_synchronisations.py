@@ -48,7 +48,7 @@ SCENES = {  # with the exchanges of a bounce
 
 @pytest.fixture(autouse=True)
 def no_memory_is_asked_for(monkeypatch):
-    monkeypatch.setattr("torch_radbp.adjoint.cost.memory_of", lambda device: float("inf"))
+    monkeypatch.setattr("torch_radbp.rendering.cost.memory_of", lambda device: float("inf"))
 
 
 def of_second_call(scene: rb.Scene, depth: int) -> Counter:

@@ -16,10 +16,10 @@ from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.tent import Tent
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.io.write import save
+from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.sensor.calibrated import Calibrated
 from torch_radbp.sensor.perspective import Perspective
-from torch_radbp.stages import EAGER, compiled
 from torch_radbp.vec import Vec3
 
 HALF = torch.tensor([0.5], dtype=torch.float64)

@@ -14,11 +14,11 @@ from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, translate
 from torch_radbp.io.write import save
-from torch_radbp.path import APERTURE_U, APERTURE_V
+from torch_radbp.path.bounce import APERTURE_U, APERTURE_V
+from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, lane_key, sample_key, uniform
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.sensor.thinlens import ThinLens
-from torch_radbp.stages import EAGER, compiled
 from torch_radbp.vec import Vec2
 
 HALF = torch.tensor([0.5], dtype=torch.float64)

@@ -11,8 +11,8 @@ from tests.derivatives.parts import lamp, plane
 from tests.gradients import relative_error
 from tests.scene.test_texture import reference
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
-from torch_radbp.adjoint.function import start_paths
 from torch_radbp.io.transform import scale
+from torch_radbp.rendering.call.render_call import start_paths
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
 from torch_radbp.texture import bitmap as bitmap_file

@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from torch_radbp.check import gradient as check_module
-from torch_radbp.jvp import DualImage
+from torch_radbp.rendering.jvp import DualImage
 from torch_radbp.training.false_colour import signed_colour
 from torch_radbp.training.signed_picture import Panel, write_panels
 

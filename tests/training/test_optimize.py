@@ -10,7 +10,7 @@ from rich.console import Console
 import torch_radbp as rb
 from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.io.image import save_image
-from torch_radbp.stages import EAGER
+from torch_radbp.rendering.stages import EAGER
 from torch_radbp.training.recipe import Constant, Cosine, Exponential, Step
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery import optimize
@@ -107,7 +107,7 @@ def test_a_rendering_that_is_not_finite_skips_its_step_and_says_what_it_was(wher
     step = -1
     monkeypatch.setattr(DiffuseKind, "eval_pdf", spoiled)
     # What is compiled would stay as it was when it was compiled.
-    monkeypatch.setattr(import_module("torch_radbp.render"), "compiled", lambda: EAGER)
+    monkeypatch.setattr(import_module("torch_radbp.rendering.renderer"), "compiled", lambda: EAGER)
     monkeypatch.setattr(optimize, "render_buffers", counted)
     with pytest.warns(UserWarning, match="the step is skipped") as caught:
         summary = run_quietly(folder)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from tests.training.gradient_of_ranks import gradient
-from torch_radbp.adjoint.cost import memory_of
+from torch_radbp.rendering.cost import memory_of
 from torch_radbp.training.ranks import ALONE, Ranks
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint
 from torch_radbp.training.recovery.metrics import MetricsFile

@@ -14,10 +14,10 @@ from torch import Tensor
 
 from torch_radbp.adjoint.bounce import bounce_adjoint
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.integrand import Integrand, Stages
 from torch_radbp.jit.torch_internals import tree_flatten
-from torch_radbp.path import bounce, ending, scattering
-from torch_radbp.path_state import Arrival, PathState, Position
+from torch_radbp.path.bounce import bounce, ending, scattering
+from torch_radbp.path.integrand import Integrand, Stages
+from torch_radbp.path.state import Arrival, PathState, Position
 from torch_radbp.plugin import Plugin, Texture
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors

@@ -16,12 +16,13 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from torch_radbp.adjoint.function import RenderCall, render_images
+from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.differentiated import tangent_of
 from torch_radbp.jit import torch_internals
 from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.record import leaves_of
+from torch_radbp.rendering.call.render_call import RenderCall
 
 
 def has_tangents(record) -> bool:

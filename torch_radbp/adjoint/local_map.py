@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path import cone_after, followed_by, scattering
-from torch_radbp.path_state import Arrival, Position, Settings
+from torch_radbp.path.bounce import cone_after, followed_by, scattering
+from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.departure import attached_departure

@@ -6,12 +6,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.scatter import Gradients
-from torch_radbp.given import banks_outside
-from torch_radbp.integrand import Integrand
+from torch_radbp.path.given import banks_outside
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.wavefront import Queue
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import Given, Place
 from torch_radbp.vec import Vec3
-from torch_radbp.wavefront import Queue
 
 
 class OutsideValues:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.path_state import PathState
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import add_at, bounces
 from torch_radbp.plugin import boolean
 from torch_radbp.vec import Vec3, masked, rows
-from torch_radbp.wavefront import add_at, bounces
 
 
 @dataclass(frozen=True)

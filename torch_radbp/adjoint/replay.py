@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import torch
 
 from torch_radbp.adjoint.sweep import Sweep
+from torch_radbp.path.wavefront import bounces
 from torch_radbp.plugin import boolean
 from torch_radbp.vec import Vec3, masked, rows
-from torch_radbp.wavefront import bounces
 
 
 @dataclass(frozen=True)

@@ -26,15 +26,15 @@ from torch_radbp.adjoint.bounce import empty_memo
 from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.adjoint.outside import OutsideValues
 from torch_radbp.adjoint.scatter import Contribution, Gradients
-from torch_radbp.integrand import Integrand, knowing, taken
-from torch_radbp.path_state import PathState
-from torch_radbp.queues import Queue
+from torch_radbp.path.integrand import Integrand, knowing, taken
+from torch_radbp.path.queues import Queue
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
 from torch_radbp.record import with_leaves
 from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, rows
-from torch_radbp.wavefront import Step, put_rows, survivors, take_step
 
 
 class PathRecord(NamedTuple):

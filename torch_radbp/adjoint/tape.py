@@ -7,17 +7,18 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.function import RenderCall, render_images
+from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.differentiated import detached
-from torch_radbp.given import given_values
-from torch_radbp.integrand import Integrand
-from torch_radbp.path import places_of
-from torch_radbp.path_state import PathState
+from torch_radbp.path.bounce import places_of
+from torch_radbp.path.given import given_values
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import add_at, first_hit, surviving, take_step, trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, rows_between
+from torch_radbp.rendering.call.render_call import RenderCall
 from torch_radbp.vec import Vec3, rows
-from torch_radbp.wavefront import add_at, first_hit, surviving, take_step, trace
 
 
 @dataclass(frozen=True)

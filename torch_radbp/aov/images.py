@@ -9,29 +9,22 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torch_radbp.adjoint.chunks import Chunk
 from torch_radbp.adjoint.forward_mode import has_tangents
-from torch_radbp.adjoint.function import (
-    RenderCall,
-    assembled,
-    camera_samples,
-    integrand_of,
-    of_chunks,
-    pixel_sums,
-    started,
-)
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, TURNING, UNDIFFERENTIATED, plain
 from torch_radbp.boundary.outline import Jumps
 from torch_radbp.boundary.primary import Seen, jumps_of_views
 from torch_radbp.differentiated import detached, differentiable, with_derivative_of
 from torch_radbp.entry import entry
-from torch_radbp.integrand import Integrand
 from torch_radbp.lookup import summed
-from torch_radbp.path_state import PathState
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import first_hit
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.rendering.call.chunks import Chunk
+from torch_radbp.rendering.call.pixels import assembled, pixel_sums
+from torch_radbp.rendering.call.render_call import RenderCall, camera_samples, integrand_of, of_chunks, started
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.wavefront import first_hit
 
 
 def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:

@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from torch_radbp.aov.surface import Values
-from torch_radbp.integrand import Integrand
-from torch_radbp.path_state import PathState
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import Bounce, bounces, first_hit, trace
 from torch_radbp.vec import rows
-from torch_radbp.wavefront import Bounce, bounces, first_hit, trace
 
 # Of linear sRGB primaries and white D65, as Mitsuba has them. Reference: IEC 61966-2-1.
 XYZ_OF_RGB = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))

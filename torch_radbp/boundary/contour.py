@@ -31,7 +31,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.function import RenderCall
 from torch_radbp.boundary.faces import Faces, positions, vertex_normals
 from torch_radbp.boundary.places import (
     FAR,
@@ -49,9 +48,10 @@ from torch_radbp.boundary.places import (
     window,
 )
 from torch_radbp.record import joined
+from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.rendering.call.view import View
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import TINY, Vec2, Vec3, dot, interpolated, rows
-from torch_radbp.view import View
 
 STEP = 1e-5  # of the smaller of a triangle and its distance, by which its Jacobian is found
 PROBES = ((0.1, 0.15, 0.5), (0.3, 0.5, 0.15), (0.5, 0.5, 0.5), (0.7, 0.5, 0.85), (0.9, 0.85, 0.5))  # s, and the aperture

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.function import RenderCall
 from torch_radbp.boundary.edges import Edges
 from torch_radbp.boundary.faces import positions
 from torch_radbp.boundary.outline import Outline
@@ -26,8 +25,9 @@ from torch_radbp.boundary.places import (
     window,
 )
 from torch_radbp.boundary.silhouette import is_silhouette, is_silhouette_from
+from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.rendering.call.view import View
 from torch_radbp.vec import Vec2, Vec3, dot
-from torch_radbp.view import View
 
 STEP = 1e-5  # of the length of an edge in view, by which its direction on the film is found
 INWARDS = 1e-3  # barycentric weight of the vertex opposite an edge where a triangle is looked at

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.function import RenderCall
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.faces import joined as joined_faces
@@ -22,6 +21,7 @@ from torch_radbp.boundary.places import Placed
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.differentiated import detached
 from torch_radbp.raycast.known import same
+from torch_radbp.rendering.call.render_call import RenderCall
 from torch_radbp.scene.placement import shown
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.function import RenderCall
-from torch_radbp.path import APERTURE_U, APERTURE_V, CameraSample
+from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
+from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.rendering.call.view import View
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
@@ -25,7 +26,6 @@ from torch_radbp.scene.cone import camera_cone
 from torch_radbp.scene.placement import shown
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, max_component, rows
-from torch_radbp.view import View
 
 APART = 2e-6  # share of its distance by which places on either side of a curve lie off it, through which paths are traced
 ROUNDED = 8 * 2.0**-24  # the same as a share of the coordinates, by whose rounding in float32 rays miss the places

@@ -22,8 +22,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.function import RenderCall, integrand_of, started
-from torch_radbp.adjoint.workers import in_turns
 from torch_radbp.boundary.contour import LEVELS, level_at, places_on_contours
 from torch_radbp.boundary.edge_places import places_on_edges
 from torch_radbp.boundary.outline import Jumps
@@ -42,15 +40,17 @@ from torch_radbp.boundary.places import (
     camera_sample,
 )
 from torch_radbp.differentiated import any_differentiated, primal
-from torch_radbp.integrand import Integrand
-from torch_radbp.path import CameraSample
-from torch_radbp.path_state import PathState
+from torch_radbp.path.bounce import CameraSample
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import first_hit, trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined
+from torch_radbp.rendering.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.rendering.call.workers import in_turns
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, fine_unit, random_bits
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.vec import TINY, dot, rows
-from torch_radbp.wavefront import first_hit, trace
 
 NEARER = 1e-3  # share of the distance to an edge by which a surface that hides it is nearer, and one behind it farther
 SAME = 1e-5  # the same of surfaces that are one at a rim

@@ -34,13 +34,13 @@ from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.check.outcome import BIASED, GradientCheck, Question, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.entry import arguments_of, check_arguments, entry
-from torch_radbp.jvp import rendering_with_tangent
 from torch_radbp.plugin import finite, integer
-from torch_radbp.render import Renderer
+from torch_radbp.rendering.jvp import rendering_with_tangent
+from torch_radbp.rendering.renderer import Renderer
+from torch_radbp.rendering.settings import TERMS, checked_seed
 from torch_radbp.scene import Scene
 from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.parameters import check_parameters
-from torch_radbp.settings import TERMS, checked_seed
 
 BATCHES = 16
 FEWEST_BATCHES = 8  # with fewer, a standard error is itself too uncertain

@@ -19,11 +19,11 @@ from torch_radbp.adjoint.outside import OutsideValues
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.adjoint.tape import trace_attached
-from torch_radbp.integrand import Integrand
 from torch_radbp.jit.torch_internals import TorchDispatchMode, tree_flatten, tree_map_only
-from torch_radbp.path_state import Arrival, PathState
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import Arrival, PathState
+from torch_radbp.path.wavefront import Step, take_step
 from torch_radbp.vec import Vec3
-from torch_radbp.wavefront import Step, take_step
 
 LANES = (1024, 3072)  # of the two measurements
 

@@ -8,13 +8,13 @@ from math import inf
 from torch import Tensor
 
 from torch_radbp.adjoint import TapeAdjoint
-from torch_radbp.adjoint.function import RenderCall, pilot_paths
-from torch_radbp.adjoint.memory import MemoryPlan, Workload, plan_memory, predict, reaching
-from torch_radbp.adjoint.working_set import WorkingSet, measured, tables_of
 from torch_radbp.differentiated import any_differentiated, detached, differentiable
-from torch_radbp.integrand import Integrand
 from torch_radbp.jit.torch_internals import tree_flatten
-from torch_radbp.stages import EAGER
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.rendering.call.render_call import RenderCall, pilot_paths
+from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching
+from torch_radbp.rendering.stages import EAGER
+from torch_radbp.rendering.working_set import WorkingSet, measured, tables_of
 
 PILOT_LANES = 4096  # paths that predict the memory of a call
 IMAGE_COPIES = 4  # the sums of its chunks, the image, its gradient and what the loss makes of both

@@ -10,8 +10,25 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from torch_radbp.adjoint import MemoizedAdjoint, TapeAdjoint
-from torch_radbp.adjoint.chunks import fair_chunk, plan_chunks
-from torch_radbp.adjoint.cost import (
+from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
+from torch_radbp.adjoint.function import render_with_derivative
+from torch_radbp.adjoint.images import render_detached
+from torch_radbp.adjoint.tape import render_taped
+from torch_radbp.aov.images import aov_jumps, render_aovs
+from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
+from torch_radbp.boundary import Jumps, JumpWatch, Outlines, Rendering, Sight, image_jumps, moves
+from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal, with_derivative_of
+from torch_radbp.entry import arguments_of, check_arguments, entry
+from torch_radbp.jit.target import COMPILED
+from torch_radbp.jit.team import threads
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import Settings
+from torch_radbp.raycast import RayCaster, make_caster
+from torch_radbp.raycast.known import KnownCaster, Mesh
+from torch_radbp.rendering.call.chunks import fair_chunk, plan_chunks
+from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.rendering.call.view import view_of
+from torch_radbp.rendering.cost import (
     Request,
     bytes_of_records,
     check_cost,
@@ -19,30 +36,10 @@ from torch_radbp.adjoint.cost import (
     recorded_lanes,
     traced_together,
 )
-from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
-from torch_radbp.adjoint.function import RenderCall, render_detached, render_with_derivative
-from torch_radbp.adjoint.memory import MemoryPlan
-from torch_radbp.adjoint.tape import render_taped
-from torch_radbp.aov.images import aov_jumps, render_aovs
-from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
-from torch_radbp.boundary import Jumps, JumpWatch, Outlines, Rendering, Sight, image_jumps, moves
-from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal, with_derivative_of
-from torch_radbp.entry import arguments_of, check_arguments, entry
-from torch_radbp.integrand import Integrand
-from torch_radbp.jit.target import COMPILED
-from torch_radbp.jit.team import threads
-from torch_radbp.noise_watch import NoiseWatch
-from torch_radbp.path_state import Settings
-from torch_radbp.planner import MemoryPlanner
-from torch_radbp.raycast import RayCaster, make_caster
-from torch_radbp.raycast.known import KnownCaster, Mesh
-from torch_radbp.scene import Scene
-from torch_radbp.scene.kept import Kept
-from torch_radbp.scene.module_attributes import parameters_in
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.parameters import check_names
-from torch_radbp.scene.tensors import SceneTensors, proposal_of
-from torch_radbp.settings import (
+from torch_radbp.rendering.memory import MemoryPlan
+from torch_radbp.rendering.noise_watch import NoiseWatch
+from torch_radbp.rendering.planner import MemoryPlanner
+from torch_radbp.rendering.settings import (
     INTERIOR,
     PRIMARY,
     TERMS,
@@ -54,8 +51,13 @@ from torch_radbp.settings import (
     sensor_indices,
     size_of_films,
 )
-from torch_radbp.stages import EAGER, compiled
-from torch_radbp.view import view_of
+from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.scene import Scene
+from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.module_attributes import parameters_in
+from torch_radbp.scene.pack import pack
+from torch_radbp.scene.parameters import check_names
+from torch_radbp.scene.tensors import SceneTensors, proposal_of
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 

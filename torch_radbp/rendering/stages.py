@@ -13,16 +13,16 @@ from copy import copy
 from torch_radbp.adjoint.bounce import bounce_adjoint
 from torch_radbp.aov.material import material_value
 from torch_radbp.aov.surface import surface_values
-from torch_radbp.integrand import Stages
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.target import Target
-from torch_radbp.path import bounce, chance_of_light, ending, pick_light, places, sample_camera
-from torch_radbp.queues import appearance_met, shines, side_met
+from torch_radbp.path.bounce import bounce, chance_of_light, ending, pick_light, places, sample_camera
+from torch_radbp.path.integrand import Stages
+from torch_radbp.path.queues import appearance_met, shines, side_met
+from torch_radbp.path.wavefront import brightened
 from torch_radbp.record import leaves_of
 from torch_radbp.vec import rows
-from torch_radbp.wavefront import brightened
 
 EAGER = Stages(sample_camera, bounce, ending, bounce_adjoint, places, pick_light, chance_of_light, appearance_met, side_met,
                shines, rows, brightened, surface_values, material_value)

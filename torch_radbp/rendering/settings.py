@@ -8,9 +8,9 @@ import numpy as np
 from torch import nn
 
 from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
-from torch_radbp.adjoint.memory import parse_budget
 from torch_radbp.integrator.settings import depths
 from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
+from torch_radbp.rendering.memory import parse_budget
 from torch_radbp.scene import Scene
 from torch_radbp.scene.light_choice import CHOICES
 

@@ -13,7 +13,7 @@ from torch.func import functional_call
 from torch_radbp.entry import arguments_of, check_arguments, entry
 from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.plugin import finite
-from torch_radbp.render import Renderer
+from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.scene import Scene
 
 

@@ -17,10 +17,10 @@ import torch
 
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.tape import TapeAdjoint
-from torch_radbp.adjoint.working_set import Growth, WorkingSet
-from torch_radbp.integrand import Integrand
-from torch_radbp.path_state import PathState
-from torch_radbp.wavefront import trace
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import trace
+from torch_radbp.rendering.working_set import Growth, WorkingSet
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
 STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, density, vantage; key, lane, whether followed

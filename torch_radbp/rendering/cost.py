@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 
-from torch_radbp.adjoint.memory import LEAST_BOUNCE, Workload, predict, size_of
+from torch_radbp.rendering.memory import LEAST_BOUNCE, Workload, predict, size_of
 
 MOST_NUMBERED = 2**31 - 1  # pixels of an image, samples of a pixel: int32 counts them
 MOST_PATHS = 10**12  # a day at 10 million paths a second, hours on the fastest devices of today

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path_state import Arrival, PathState, Position, Settings
-from torch_radbp.queues import Queue
+from torch_radbp.path.queues import Queue
+from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.sampling.sampler import depth_counter
 from torch_radbp.scene.appearance import Appearance
@@ -95,7 +95,7 @@ class Integrand(NamedTuple):
         return self.parts[queue.appearance]
 
     def places(self, queue: Queue, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
-        """The places of the values to be given to a queue; see `path.places`."""
+        """The places of the values to be given to a queue; see `path.bounce.places`."""
         appearance = self.appearance(queue)
         if not self.scene.layout.lit and (appearance is None or not appearance.outside):
             return ()

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.lookup import lookup
-from torch_radbp.path_state import Arrival, PathState, Position, Settings
+from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,

@@ -21,7 +21,7 @@ def given_values(scene: SceneTensors, appearance: Appearance | None, places: tup
 
 
 def banks_outside(scene: SceneTensors, appearance: Appearance | None) -> list:
-    """The banks of the textures that are read outside, in the order of `path.places_of`.
+    """The banks of the textures that are read outside, in the order of `path.bounce.places_of`.
 
     `scene` may be any record of a scene's structure.
     """

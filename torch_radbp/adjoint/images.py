@@ -1,0 +1,67 @@
+"""The images of a call, chunk by chunk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.finite import (
+    Finding,
+    checked_stages,
+    finite,
+    image_error,
+)
+from torch_radbp.adjoint.record import Allowance, trace_both, trace_chunk
+from torch_radbp.adjoint.sweep import PathRecord
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.wavefront import trace
+from torch_radbp.rendering.call.chunks import Chunk
+from torch_radbp.rendering.call.pixels import assembled, pixel_sums
+from torch_radbp.rendering.call.render_call import (
+    RenderCall,
+    of_chunks,
+)
+
+
+def render_images(call: RenderCall, integrand: Integrand, record: bool,
+                  tracer: Callable = trace) -> tuple[Tensor, list[PathRecord | None]]:
+    """(B, 3, H, W) linear RGB, and the records of those chunks of which one is wanted and kept; None of the others."""
+    allowance = Allowance(call.record_bytes if record else 0)
+
+    def trace_one(chunk: Chunk) -> tuple[Tensor, PathRecord | None]:
+        if record and call.together:
+            L, path_record = trace_both(call, integrand, chunk)
+            return pixel_sums(chunk, L), path_record
+        keeping = allowance.left > 0
+        L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], keeping, tracer)
+        return pixel_sums(chunk, L), path_record if keeping and allowance.covers(path_record) else None
+
+    sums, records = zip(*of_chunks(call, trace_one))
+    images = assembled(call, sums)
+    check_images(call, integrand, images.detach())
+    return images, list(records)
+
+
+def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None:
+    """Raises NonFiniteError if a pixel is NaN or infinite."""
+    if finite([images]):
+        return
+
+    def trace_again(integrand: Integrand, finding: Finding) -> None:
+        for chunk in call.chunks:
+            if finding.depth is None:
+                trace_chunk(call, integrand.with_stages(checked_stages(integrand.stages, finding)), chunk,
+                            call.views[chunk.sensor].sample_keys[0], record=False)
+
+    with torch.no_grad():
+        call = call.still()
+        raise image_error(images, integrand._replace(scene=integrand.proposal, parts={}), call.module, trace_again)
+
+
+def render_detached(call: RenderCall) -> Tensor:
+    """The images without derivatives."""
+    call = call.still()
+    with torch.no_grad():
+        return render_images(call, call.make_integrand(call.scene), record=False)[0]

@@ -1,0 +1,94 @@
+"""One call of a renderer: all that is needed to trace its paths, and the camera paths of its chunks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from torch_radbp.differentiated import detached
+from torch_radbp.path.bounce import CameraSample
+from torch_radbp.path.integrand import Integrand, Stages
+from torch_radbp.path.state import PathState, start_path
+from torch_radbp.raycast import RayCaster
+from torch_radbp.rendering.call.chunks import Chunk
+from torch_radbp.rendering.call.view import View
+from torch_radbp.rendering.call.workers import in_turns
+from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene import Scene
+from torch_radbp.scene.tensors import SceneTensors
+
+Result = TypeVar("Result")
+
+
+class RenderCall(NamedTuple):
+    """All that one rendering needs beside the scene's leaves."""
+
+    scene: SceneTensors
+    caster: RayCaster | None  # of its triangles; as the next one, None where the integrand is made
+    make_integrand: Callable[[SceneTensors], Integrand] | None
+    stages: Stages
+    adjoint: object  # the strategy
+    views: list[View]
+    chunks: list[Chunk]
+    spp: int
+    shares_samples: bool  # the backward pass differentiates the very samples of the image
+    record_bytes: float  # of these that are kept for it at most; it traces the others again
+    together: bool  # samples of its own are traced beside those of the image, which takes half as many calls
+    workers: int  # chunks that are traced side by side
+    following: bool = False  # see `Settings.following`
+    module: Scene | None = None  # whose tensors these are; gives names to errors
+    parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
+
+    def still(self) -> RenderCall:
+        """The call without derivatives."""
+        return self._replace(scene=detached(self.scene), views=[detached(view) for view in self.views])
+
+    def of_derivative(self) -> RenderCall:
+        """The call whose image has the samples of the derivative."""
+        return self._replace(views=[view._replace(sample_keys=view.sample_keys[1:] * 2) for view in self.views])
+
+
+def started(call: RenderCall, sample: CameraSample) -> PathState:
+    """The paths that begin with camera rays."""
+    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone)
+
+
+def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
+    """The camera paths of a chunk, pixel by pixel."""
+    return started(call, camera_samples(call, chunk, key))
+
+
+def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> CameraSample:
+    """The rays of a chunk's lanes; see `sample_camera`."""
+    device = call.scene.device
+    pixel = chunk.pixels.index(device).repeat_interleave(chunk.samples)
+    sample = torch.arange(chunk.samples, dtype=torch.int32, device=device) + chunk.first_sample
+    view = call.views[chunk.sensor]
+    width = torch.full((), view.width, dtype=torch.int32, device=device)
+    return call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key,
+                                     call.scene.layout.traces_cones)
+
+
+def pilot_paths(call: RenderCall, lanes: int) -> PathState:
+    """Some camera paths of the first sensor, spread over its image."""
+    view, device = call.views[0], call.scene.device
+    pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
+    sample = torch.arange(lanes, dtype=torch.int32, device=device)
+    width = torch.full((), view.width, dtype=torch.int32, device=device)
+    return started(call, call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0],
+                                                   call.scene.layout.traces_cones))
+
+
+def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:
+    """The integrand as the camera of a chunk sees it."""
+    view = call.views[chunk.sensor]
+    return integrand._replace(clipping=view.camera if view.clips else None)
+
+
+def of_chunks(call: RenderCall, work: Callable[[Chunk], Result]) -> list[Result]:
+    """`work` on every chunk, side by side; the results in the order of the chunks."""
+    shares = in_turns(len(call.chunks), call.workers, lambda share: [work(call.chunks[index]) for index in share])
+    return [shares[index % len(shares)][index // len(shares)] for index in range(len(call.chunks))]
