@@ -89,5 +89,5 @@ def built(build: Callable[[], Scene]) -> Scene:
         raise TypeError(f"scenes are float32 or float64, but torch's default dtype is {dtype}; load under "
                         f"torch.set_default_dtype(torch.float32)")
     # Where nothing else is asked for, the context only costs: a quarter of the time of many small shapes.
-    with nullcontext() if torch.get_default_device() == CPU else CPU:
+    with nullcontext() if torch.empty(0).device == CPU else CPU:
         return build().to(CPU, dtype)

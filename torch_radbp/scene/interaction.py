@@ -166,8 +166,7 @@ def clearance_at(scene: SceneTensors, hit, corners: Corners) -> Tensor:
     instances = scene.triangles.instances
     if instances is None:
         return lookup(scene.triangles.clearance, hit.prim.clamp_min(0))
-    own = ROUNDINGS * 2.0**-24 * power_of_two_above(largest_coordinate(corners))
-    return torch.maximum(own, lookup(instances.clearance, hit.instance))
+    return torch.maximum(clearance(corners), lookup(instances.clearance, hit.instance))
 
 
 def clearance(corners: Corners) -> Tensor:
@@ -184,8 +183,7 @@ def clearance(corners: Corners) -> Tensor:
 
     Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section 6.8.6.
     """
-    _, exponent = torch.frexp(largest_coordinate(corners))
-    return torch.ldexp(torch.full_like(corners[0].x, ROUNDINGS * 2.0**-24), exponent)
+    return ROUNDINGS * 2.0**-24 * power_of_two_above(largest_coordinate(corners))
 
 
 def corner_rows(scene: SceneTensors, hit) -> tuple[Tensor, Tensor, Tensor]:
