@@ -43,7 +43,7 @@ def render_tangents(call: RenderCall) -> Tensor:
     with torch.no_grad():
         eager = call.stages.eager()
         return render_images(call._replace(stages=eager), call.make_integrand(call.scene).with_stages(eager), record=False,
-                             tracer=trace_attached)[0]
+                             tracer=trace_attached).pixels
 
 
 def inside_transforms() -> bool:

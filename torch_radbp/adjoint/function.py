@@ -26,7 +26,7 @@ from torch_radbp.entry import entry
 from torch_radbp.jit.torch_internals import batched
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.pixels import lane_adjoint, weighted
+from torch_radbp.rendering.call.pixels import asked_of_pixels, filters_of, lane_adjoint, weighted
 from torch_radbp.rendering.call.render_call import (
     RenderCall,
     integrand_of,
@@ -68,7 +68,8 @@ class RenderFunction(torch.autograd.Function):
         integrand = call.make_integrand(scene)
         ctx.call = call = call._replace(scene=scene, views=views, caster=None, make_integrand=None)
         wanted = any(ctx.needs_input_grad)
-        images, records = render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
+        images, filters, records = render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
+        ctx.filters = filters if call.shares_samples else None
         # An image that lives on keeps the hierarchy of triangles alive only if its backward pass casts rays.
         casts_again = wanted and (None in records or not call.adjoint.keep_hits)
         ctx.integrand = integrand if casts_again else integrand._replace(caster=None)
@@ -93,6 +94,8 @@ class RenderFunction(torch.autograd.Function):
         leaves = [leaf for leaf, want in zip(leaves_of(call.scene), wanted) if want]
         cameras = [leaf for view, wants in zip(call.views, wanted_of_cameras)
                    for leaf, want in zip(leaves_of(view.camera), wants) if want]
+        filters = ctx.filters if call.shares_samples else filters_of(call, 1)
+        pixels = asked_of_pixels(call, grad_images, filters)
         first = [len(leaves) + sum(map(sum, wanted_of_cameras[:sensor])) for sensor in range(len(call.views))]
 
         def swept(index: int, gradients: Gradients, make_sweep: Callable = Sweep) -> Sweep:
@@ -100,8 +103,8 @@ class RenderFunction(torch.autograd.Function):
             key, record = call.views[chunk.sensor].sample_keys[1], records[index]
             if record is None:
                 record = record_chunk(call, integrand, chunk, key)
-            sweep = make_sweep(integrand_of(call, integrand, chunk), record,
-                               weighted(lane_adjoint(call, chunk, grad_images), record.weight), wanted, gradients)
+            adj_L = weighted(lane_adjoint(call, chunk, key, pixels[chunk.sensor]), record.weight)
+            sweep = make_sweep(integrand_of(call, integrand, chunk), record, adj_L, wanted, gradients)
             call.adjoint.backward(sweep)
             return sweep
 

@@ -18,30 +18,24 @@ from torch_radbp.adjoint.sweep import PathRecord
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
 from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.pixels import assembled, pixel_sums
-from torch_radbp.rendering.call.render_call import (
-    RenderCall,
-    of_chunks,
-)
+from torch_radbp.rendering.call.pixels import Images, developed
+from torch_radbp.rendering.call.render_call import RenderCall
 
 
-def render_images(call: RenderCall, integrand: Integrand, record: bool,
-                  tracer: Callable = trace) -> tuple[Tensor, list[PathRecord | None]]:
-    """(B, 3, H, W) linear RGB, and the records of those chunks of which one is wanted and kept; None of the others."""
+def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> Images:
+    """Linear RGB, and the records of those chunks of which one is wanted and kept; None of the others."""
     allowance = Allowance(call.record_bytes if record else 0)
 
     def trace_one(chunk: Chunk) -> tuple[Tensor, PathRecord | None]:
         if record and call.together:
-            L, path_record = trace_both(call, integrand, chunk)
-            return pixel_sums(chunk, L), path_record
+            return trace_both(call, integrand, chunk)
         keeping = allowance.left > 0
-        L, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], keeping, tracer)
-        return pixel_sums(chunk, L), path_record if keeping and allowance.covers(path_record) else None
+        sums, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], keeping, tracer)
+        return sums, path_record if keeping and allowance.covers(path_record) else None
 
-    sums, records = zip(*of_chunks(call, trace_one))
-    images = assembled(call, sums)
-    check_images(call, integrand, images.detach())
-    return images, list(records)
+    images = developed(call, trace_one)
+    check_images(call, integrand, images.pixels.detach())
+    return images
 
 
 def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None:
@@ -64,4 +58,4 @@ def render_detached(call: RenderCall) -> Tensor:
     """The images without derivatives."""
     call = call.still()
     with torch.no_grad():
-        return render_images(call, call.make_integrand(call.scene), record=False)[0]
+        return render_images(call, call.make_integrand(call.scene), record=False).pixels

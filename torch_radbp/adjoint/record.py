@@ -14,7 +14,7 @@ from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, trace, walk
 from torch_radbp.record import joined, leaves_of, rows_between
 from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.pixels import weighted
+from torch_radbp.rendering.call.pixels import deposit, weighted
 from torch_radbp.rendering.call.render_call import (
     RenderCall,
     camera_samples,
@@ -27,15 +27,16 @@ from torch_radbp.vec import Vec3
 
 
 def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey, record: bool,
-                tracer: Callable = trace) -> tuple[Vec3, PathRecord]:
-    """What counts of each lane's radiance, and what the backward pass will need of it."""
+                tracer: Callable = trace) -> tuple[Tensor, PathRecord]:
+    """What the lanes count in pixels, as of `deposit`, and what the backward pass will need of them."""
     samples, recorder = camera_samples(call, chunk, key), Recorder(call.adjoint, integrand.max_depth)
     L = tracer(integrand_of(call, integrand, chunk), started(call, samples), recorder.visit if record else None)
     radiance = L if record and call.adjoint.keep_radiance else None
-    return weighted(L, samples.weight), recorder.record(partial(start_paths, call, chunk, key), radiance, samples.weight)
+    return (deposit(call, chunk, weighted(L, samples.weight), samples.place),
+            recorder.record(partial(start_paths, call, chunk, key), radiance, samples.weight))
 
 
-def trace_both(call: RenderCall, integrand: Integrand, chunk: Chunk) -> tuple[Vec3, PathRecord]:
+def trace_both(call: RenderCall, integrand: Integrand, chunk: Chunk) -> tuple[Tensor, PathRecord]:
     """What `trace_chunk` gives for the samples of the image and `record_chunk` for those of the derivative, traced as one
     wavefront."""
     of_image, of_derivative = call.views[chunk.sensor].sample_keys
@@ -43,7 +44,8 @@ def trace_both(call: RenderCall, integrand: Integrand, chunk: Chunk) -> tuple[Ve
     recorder = Recorder(call.adjoint, integrand.max_depth)
     integrand = integrand_of(call, integrand, chunk)._replace(differentiated=chunk.lanes)
     L = trace(integrand, started(call, joined([derivative, image])), recorder.visit)
-    return (weighted(rows_between(L, chunk.lanes, 2 * chunk.lanes), image.weight),
+    radiance = weighted(rows_between(L, chunk.lanes, 2 * chunk.lanes), image.weight)
+    return (deposit(call, chunk, radiance, image.place),
             recorder.record(partial(start_paths, call, chunk, of_derivative), None, derivative.weight))
 
 

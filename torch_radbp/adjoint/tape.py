@@ -34,7 +34,7 @@ class TapeAdjoint:
 
 def render_taped(call: RenderCall) -> Tensor:
     """The images of a scene, (B, 3, H, W), with all derivatives."""
-    return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached)[0]
+    return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).pixels
 
 
 def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:

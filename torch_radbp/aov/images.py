@@ -22,8 +22,8 @@ from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import first_hit
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.pixels import assembled, pixel_sums
-from torch_radbp.rendering.call.render_call import RenderCall, camera_samples, integrand_of, of_chunks, started
+from torch_radbp.rendering.call.pixels import deposit, developed
+from torch_radbp.rendering.call.render_call import RenderCall, camera_samples, integrand_of, started
 from torch_radbp.scene.tensors import SceneTensors
 
 
@@ -55,17 +55,18 @@ def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = Fal
     quantities = tuple(dict.fromkeys(map(plain, names)))
 
     @entry
-    def sums(chunk: Chunk) -> Tensor:
+    def sums(chunk: Chunk) -> tuple[Tensor, None]:
         samples = camera_samples(call, chunk, call.views[chunk.sensor].sample_keys[0])
         start, weight = started(call, samples), samples.weight
         values = lane_values(integrand_of(call, integrand, chunk), start, quantities)
         channels = [channel for name in names for channel in moments(name, values[plain(name)])]
-        return pixel_sums(chunk, channels if weight is None else [channel * weight for channel in channels])
+        return deposit(call, chunk, channels if weight is None else [channel * weight for channel in channels],
+                       samples.place), None
 
-    def sums_kept(chunk: Chunk) -> Tensor:
+    def sums_kept(chunk: Chunk) -> tuple[Tensor, None]:
         return checkpoint(sums, chunk, use_reentrant=False, preserve_rng_state=False) if attached else sums(chunk)
 
-    images = assembled(call, of_chunks(call, sums_kept))
+    images = developed(call, sums_kept).pixels
     counts = [len(QUANTITIES[plain(name)]) for name in names]
     return dict(zip(names, (image.contiguous() for image in images.split(counts, 1))))
 

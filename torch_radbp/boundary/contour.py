@@ -289,7 +289,7 @@ def probe(scene: SceneTensors, view: View, between: Between, instance: Tensor | 
 
 def in_window(view: View, film: Vec2, normal: Vec2) -> Tensor:
     """True for places in view that stand for a piece of a curve; (N,) bool."""
-    reach = view.camera.film.filter.quantiles.abs().max()
+    reach = view.camera.film.kernel.radius
     inside = [(place >= -reach) & (place <= pixels + reach) for place, pixels in zip(film, (view.width, view.height))]
     length = torch.hypot(normal.x, normal.y)
     return inside[0] & inside[1] & torch.isfinite(length) & (length > 0.0)

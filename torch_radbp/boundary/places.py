@@ -32,7 +32,7 @@ ROUNDED = 8 * 2.0**-24  # the same as a share of the coordinates, by whose round
 NEIGHBOURS = 64  # successive places that share a sequence of low discrepancy
 FEWEST, LARGEST_SHARE = 256, 4  # places on the curves of a kind; and one for so many paths of the image at most
 SALT = 0x2545F491  # tells the random numbers of places from those of images
-ALONG, FILM_U, FILM_V = 0, 1, 2  # random numbers of a place beside those of the aperture
+ALONG = 0  # the random number of a place beside those of the aperture
 APERTURE_COUNTER = 0x1B873593
 
 # What a place lies on: edges that are silhouettes and edges that are creases, and the curves inside of triangles at which
@@ -142,7 +142,7 @@ def picked(weight: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def window(view: View) -> tuple[Tensor, Tensor]:
     """The borders of a view and of what the filter reaches beyond it: left and right, upper and lower, (2,) positions."""
     film = view.camera.film
-    reach = film.filter.quantiles.abs().max()
+    reach = film.kernel.radius
     return tuple(torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
                  for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
 
@@ -197,4 +197,4 @@ def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | Non
     ray, weight = camera.kind.sample_ray(camera.lens, position, aperture)
     ray = Ray(*(part.map(torch.Tensor.contiguous) for part in ray))
     cone = camera_cone(camera, ray, position, aperture) if call.scene.layout.traces_cones else None
-    return CameraSample(ray, key, weight, cone)
+    return CameraSample(ray, key, weight, cone, None)

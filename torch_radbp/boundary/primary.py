@@ -28,8 +28,6 @@ from torch_radbp.boundary.outline import Jumps
 from torch_radbp.boundary.places import (
     CREASE,
     FAR,
-    FILM_U,
-    FILM_V,
     NEAR,
     RIM,
     SILHOUETTE,
@@ -48,7 +46,6 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined
 from torch_radbp.rendering.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.rendering.call.workers import in_turns
-from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, fine_unit, random_bits
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.vec import TINY, dot, rows
 
@@ -101,8 +98,9 @@ def jumps_of_view(call: RenderCall, number: int, jumps: Jumps | None, seen: Seen
         found = strengths(still, number, joined(places), seen) if places else None
     if found is None:
         return image.view(shape)
-    places, pixel, strength = found
-    return image.index_add(1, pixel, (strength * motion(call, number, places)).to(image.dtype)).view(shape)
+    places, pixel, counts, strength = found
+    amount = (strength * motion(call, number, places))[:, :, None] * counts
+    return image.index_add(1, pixel.flatten(), amount.flatten(1).to(image.dtype)).view(shape)
 
 
 def places_of(call: RenderCall, number: int, jumps: Jumps, rims: bool) -> list[Places]:
@@ -125,18 +123,15 @@ def motion(call: RenderCall, number: int, places: Places) -> Tensor:
     return swept
 
 
-def strengths(call: RenderCall, number: int, places: Places, seen: Seen) -> tuple[Places, Tensor, Tensor] | None:
+def strengths(call: RenderCall, number: int, places: Places, seen: Seen) -> tuple[Places, Tensor, Tensor, Tensor] | None:
     """What the places of which the camera sees the jump add to pixels, for each pixel that the curve moves along its normal.
 
     Returns:
-        These K places, their pixels, (K,), row-major, and (C, K) the differences of what is seen behind and ahead of the
-        curve, times what the place counts in the pixel; None: no place counts.
+        These K places; the pixels around each, row-major, and what it counts in them, (K, P); and (C, K) the differences of
+        what is seen behind and ahead of the curve; None: no place counts.
     """
-    view = call.views[number]
-    numbers = bounce_key(places.key, CAMERA_COUNTER)
-    u, v = (fine_unit(random_bits(numbers, dimension)) for dimension in (FILM_U, FILM_V))
-    column, row, counts = view.camera.film.receiver(places.film, u, v)
-    counted = (counts != 0).nonzero().squeeze(1)
+    pixel, counts = call.views[number].camera.film.around(places.film)
+    counted = (counts != 0).any(1).nonzero().squeeze(1)
     if not len(counted):
         return None
     blocks = counted.split(min(BLOCK, -(-len(counted) // call.workers)))
@@ -149,7 +144,7 @@ def strengths(call: RenderCall, number: int, places: Places, seen: Seen) -> tupl
     kept = torch.cat([block[own] for block, (own, _) in zip(blocks, parts)])
     if not len(kept):
         return None
-    return rows(places, kept), (row * view.width + column)[kept], torch.cat([jump for _, jump in parts], 1) * counts[kept]
+    return rows(places, kept), pixel[kept], counts[kept], torch.cat([jump for _, jump in parts], 1)
 
 
 def differences(call: RenderCall, number: int, places: Places, seen: Seen) -> tuple[Tensor, Tensor]:

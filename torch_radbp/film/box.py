@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
-from torch_radbp.film.filter import Filter
+from torch_radbp.film.filter import Filter, Kernel
 from torch_radbp.plugin import positive, register
 
 
@@ -17,5 +16,5 @@ class Box(Filter):
         super().__init__()
         self.radius = positive("radius", radius)
 
-    def evaluate(self, x: Tensor) -> Tensor:
-        return torch.ones_like(x)
+    def kernel(self) -> Kernel:
+        return Kernel(torch.ones_like, (), self.radius)

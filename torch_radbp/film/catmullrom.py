@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from torch import Tensor
-
-from torch_radbp.film.filter import Filter
+from torch_radbp.film.filter import Filter, Kernel
 from torch_radbp.film.mitchell import cubic
 from torch_radbp.plugin import register
 
@@ -17,5 +15,5 @@ class CatmullRom(Filter):
         super().__init__()
         self.radius = 2.0
 
-    def evaluate(self, x: Tensor) -> Tensor:
-        return cubic(x, 0.0, 0.5)
+    def kernel(self) -> Kernel:
+        return Kernel(cubic, (0.0, 0.5), self.radius)

@@ -1,108 +1,78 @@
 """The base of reconstruction filters.
 
-Filters are importance-sampled: the offset of a sample from its pixel's centre is drawn from the filter's magnitude, so that
-a pixel is the mean of its samples (Ernst et al. 2006, "Filter Importance Sampling"). Where the filter is negative, samples
-count with a negative sign, and all the more, so that the mean weight is 1.
+A sample counts in every pixel around it by the filter at its distance from the pixel's centre. A pixel is the sum of what
+the samples around it count there, divided by the sum of the filter's values.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from torch_radbp.plugin import ReconstructionFilter
 
-TABLE_SIZE = 4097  # linear interpolation widens the tails: the variance of a Gaussian grows by 0.1%
+STEPS = 1024  # for each pixel of width, by which integrals of filters are found
 
 
-class FilterPart(NamedTuple):
-    """What the columns (or rows) of pixels of a window sample of a filter; (size,) each."""
+@dataclass(frozen=True)
+class Kernel:
+    """A filter as a hashable value, for functions of lanes."""
 
-    start: Tensor  # the cumulative magnitude at which the part begins
-    length: Tensor  # the share of the magnitude in it
-    weight: Tensor | None  # of a sample where the filter is positive, so that the mean is 1; None: 1
+    function: Callable[..., Tensor]  # of distances from the centre, and of `numbers`
+    numbers: tuple[float, ...]
+    radius: float  # pixels; beyond it is 0
 
+    @property
+    def reach(self) -> int:
+        """How many pixels away from its own one a sample counts."""
+        return math.ceil(self.radius - 0.5)
 
-class FilterTable(NamedTuple):
-    """A filter as it is sampled; float64, on the CPU."""
+    def __call__(self, x: Tensor) -> Tensor:
+        """The filter at distances `x` from the centre, in pixels, not normalised."""
+        return torch.where(x.abs() <= self.radius, self.function(x, *self.numbers), 0.0)
 
-    quantiles: Tensor  # (TABLE_SIZE,) offsets in pixels at equally spaced values of the cumulative magnitude
-    signs: Tensor | None  # (TABLE_SIZE - 1,) between them, integral of the filter over that of its magnitude; None: all 1
+    def around(self, u: Tensor) -> list[Tensor]:
+        """What samples count in the pixels around them, from `reach` before their own to `reach` behind it.
 
-    def at(self, offset: Tensor) -> Tensor:
-        """The cumulative magnitude at offsets in pixels, in [0, 1]."""
-        right = torch.searchsorted(self.quantiles, offset).clamp(1, TABLE_SIZE - 1)
-        step = self.quantiles[right] - self.quantiles[right - 1]
-        fraction = (offset - self.quantiles[right - 1]) / torch.where(step > 0, step, 1.0)
-        return ((right - 1 + fraction) / (TABLE_SIZE - 1)).clamp(0, 1)
+        Args:
+            u: (N,) where in its pixel each lies, in [0, 1).
+        """
+        return [self(u - (0.5 + offset)) for offset in range(-self.reach, self.reach + 1)]
 
-    def density(self, offset: Tensor) -> Tensor:
-        """The filter at offsets in pixels, such that the integral of its magnitude is 1; with its sign."""
-        right = torch.searchsorted(self.quantiles, offset).clamp(1, TABLE_SIZE - 1)
-        step = self.quantiles[right] - self.quantiles[right - 1]
-        inside = (offset >= self.quantiles[0]) & (offset < self.quantiles[-1]) & (step > 0)
-        density = inside / (torch.where(step > 0, step, 1.0) * (TABLE_SIZE - 1))
-        return density if self.signs is None else density * self.signs[right - 1]
+    def inside(self, size: int, border: int) -> Tensor:
+        """(size,) float64, on the CPU: the integral of the filter of each column (or row) of pixels over where samples lie.
 
-    def signed(self, start: Tensor, length: Tensor) -> Tensor:
-        """The integral of the filter between values of its cumulative magnitude."""
-        if self.signs is None:
-            return length
-        cumulative = torch.cat([self.signs.new_zeros(1), self.signs.cumsum(0)]) / (TABLE_SIZE - 1)
+        Args:
+            size: of the window, pixels.
+            border: pixels beyond the window on either side in which there are samples, too.
 
-        def until(u: Tensor) -> Tensor:
-            position = u * (TABLE_SIZE - 1)
-            left = position.long().clamp(0, TABLE_SIZE - 2)
-            return torch.lerp(cumulative[left], cumulative[left + 1], position - left)
-
-        return until(start + length) - until(start)
-
-    def whole(self, size: int) -> FilterPart:
-        """All of the filter, for each of `size` columns (or rows) of pixels."""
-        one = torch.ones(size, dtype=torch.float64, device="cpu")
-        return self.part(torch.zeros_like(one), one)
-
-    def inside(self, size: int) -> FilterPart:
-        """The part of the filter inside a window, for each of the window's `size` columns (or rows) of pixels."""
-        centre = torch.arange(size, dtype=torch.float64, device="cpu") + 0.5
-        start = self.at(-centre)
-        return self.part(start, self.at(size - centre) - start)
-
-    def part(self, start: Tensor, length: Tensor) -> FilterPart:
-        """The part from `start` on with its weight."""
-        weight = None if self.signs is None else length / self.signed(start, length)
-        return FilterPart(start, length, weight)
+        Raises:
+            ValueError: if the integral of the whole filter is not greater than zero.
+        """
+        edges = torch.linspace(0, 2 * self.reach + 1, (2 * self.reach + 1) * STEPS + 1, dtype=torch.float64, device="cpu")
+        x = 0.5 * (edges[1:] + edges[:-1]) - (self.reach + 0.5)
+        of_pixels = self(x).view(-1, STEPS).mean(1)
+        if not of_pixels.sum() > 0:
+            raise ValueError(f"the integral of a reconstruction filter must be greater than 0, and that of "
+                             f"{self.function.__name__} with {self.numbers} is {float(of_pixels.sum()):.3g}")
+        window = torch.ones(size + 2 * border, dtype=torch.float64, device="cpu")
+        return torch.nn.functional.conv1d(window[None, None], of_pixels[None, None], padding=self.reach)[0, 0][
+            border:border + size]
 
 
 class Filter(ReconstructionFilter):
     """A separable filter."""
 
-    radius: float
+    radius: float  # where it ends, pixels from the centre
+
+    def kernel(self) -> Kernel:
+        """Its values."""
+        raise TypeError(f"{type(self).__name__} does not define its values")
 
     def evaluate(self, x: Tensor) -> Tensor:
         """The filter at distances `x` from the centre, in pixels, not normalised."""
-        raise TypeError(f"{type(self).__name__} does not define its values")
-
-    def table(self) -> FilterTable:
-        """What is sampled.
-
-        Raises:
-            ValueError: if the integral of the filter is not greater than zero.
-        """
-        x = torch.linspace(-self.radius, self.radius, 4 * TABLE_SIZE + 1, dtype=torch.float64, device="cpu")
-        values = self.evaluate(0.5 * (x[1:] + x[:-1]))
-        cumulative = torch.cat([x.new_zeros(1), values.abs().cumsum(0)])
-        wanted = torch.linspace(0, 1, TABLE_SIZE, dtype=torch.float64, device="cpu") * cumulative[-1]
-        right = torch.searchsorted(cumulative, wanted).clamp(1, len(x) - 1)
-        low, high = cumulative[right - 1], cumulative[right]
-        fraction = (wanted - low) / torch.where(high > low, high - low, 1.0)
-        quantiles = x[right - 1] + fraction * (x[right] - x[right - 1])
-        if (values >= 0).all():
-            return FilterTable(quantiles, None)
-        if not values.sum() > 0:
-            raise ValueError(f"the filter {self.type} must have an integral greater than 0; these parameters make it less")
-        signed = torch.cat([x.new_zeros(1), values.cumsum(0)])
-        signed = torch.lerp(signed[right - 1], signed[right], fraction)
-        return FilterTable(quantiles, signed.diff() / cumulative[-1] * (TABLE_SIZE - 1))
+        return self.kernel()(x)

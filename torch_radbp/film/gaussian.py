@@ -7,8 +7,10 @@ import math
 import torch
 from torch import Tensor
 
-from torch_radbp.film.filter import Filter
+from torch_radbp.film.filter import Filter, Kernel
 from torch_radbp.plugin import positive, register
+
+CUT = 4.0  # standard deviations
 
 
 @register("rfilter", "gaussian")
@@ -18,8 +20,12 @@ class Gaussian(Filter):
     def __init__(self, *, stddev: float = 0.5):
         super().__init__()
         self.stddev = positive("stddev", stddev)
-        self.radius = 4 * self.stddev
+        self.radius = CUT * self.stddev
 
-    def evaluate(self, x: Tensor) -> Tensor:
-        edge = math.exp(-(self.radius**2) / (2 * self.stddev**2))
-        return (torch.exp(-(x**2) / (2 * self.stddev**2)) - edge).clamp_min(0.0)
+    def kernel(self) -> Kernel:
+        return Kernel(gaussian, (self.stddev,), self.radius)
+
+
+def gaussian(x: Tensor, stddev: float) -> Tensor:
+    """A Gaussian that has been lowered."""
+    return (torch.exp(-(x * x) * (0.5 / stddev**2)) - math.exp(-0.5 * CUT**2)).clamp_min(0.0)

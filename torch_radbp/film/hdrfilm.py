@@ -50,11 +50,18 @@ class HDRFilm(Film):
         self.component_format, self.file_format, self.banner = component_format, file_format, boolean("banner", banner)
         self.rfilter = Gaussian() if rfilter is None else rfilter
 
+    def border(self) -> int:
+        """How many pixels around the window have samples, too, on each side."""
+        return self.rfilter.kernel().reach if self.sample_border else 0
+
+    def sampled(self) -> tuple[int, int]:
+        """Columns and rows of the pixels that have samples."""
+        return self.crop_width + 2 * self.border(), self.crop_height + 2 * self.border()
+
     def tensors(self, like: Tensor) -> FilmTensors:
-        """What decides the places of samples; `like` gives dtype and device."""
+        """What decides the places of samples and what they count; `like` gives dtype and device."""
         numbers = self.width, self.height, self.crop_offset_x, self.crop_offset_y
-        table = self.rfilter.table()
-        part = table.whole if self.sample_border else table.inside
-        records = table, part(self.crop_width), part(self.crop_height)
-        return FilmTensors(*(like.new_tensor(float(number)) for number in numbers), *(
-            type(record)(*(None if column is None else column.to(like) for column in record)) for record in records))
+        kernel = self.rfilter.kernel()
+        border = self.border()
+        inside = (kernel.inside(size, border).to(like) for size in (self.crop_width, self.crop_height))
+        return FilmTensors(*(like.new_tensor(float(number)) for number in numbers), kernel, border, *inside)

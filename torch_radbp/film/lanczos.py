@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
-from torch_radbp.film.filter import Filter
+from torch_radbp.film.filter import Filter, Kernel
 from torch_radbp.plugin import integer, register
 
 
@@ -22,5 +24,16 @@ class Lanczos(Filter):
         self.lobes = integer("lobes", lobes, 1)
         self.radius = float(self.lobes)
 
-    def evaluate(self, x: Tensor) -> Tensor:
-        return torch.where(x.abs() < self.radius, torch.sinc(x) * torch.sinc(x / self.lobes), 0.0)
+    def kernel(self) -> Kernel:
+        return Kernel(windowed_sinc, (self.radius,), self.radius)
+
+
+def windowed_sinc(x: Tensor, lobes: float) -> Tensor:
+    """The product of two sinc functions, one of them `lobes` times as wide."""
+    return sinc(x) * sinc(x / lobes)
+
+
+def sinc(x: Tensor) -> Tensor:
+    """sin(pi x) / (pi x)."""
+    angle = math.pi * x
+    return torch.where(x == 0, 1.0, torch.sin(angle) / torch.where(x == 0, 1.0, angle))

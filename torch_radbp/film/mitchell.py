@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torch_radbp.film.filter import Filter
+from torch_radbp.film.filter import Filter, Kernel
 from torch_radbp.plugin import register
 
 
@@ -28,8 +28,8 @@ class Mitchell(Filter):
         if not (math.isfinite(self.B) and math.isfinite(self.C)):
             raise ValueError(f"B and C must be finite, got {B} and {C}")
 
-    def evaluate(self, x: Tensor) -> Tensor:
-        return cubic(x, self.B, self.C)
+    def kernel(self) -> Kernel:
+        return Kernel(cubic, (self.B, self.C), self.radius)
 
 
 def cubic(x: Tensor, b: float, c: float) -> Tensor:

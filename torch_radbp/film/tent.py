@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torch_radbp.film.filter import Filter
+from torch_radbp.film.filter import Filter, Kernel
 from torch_radbp.plugin import positive, register
 
 
@@ -16,5 +16,10 @@ class Tent(Filter):
         super().__init__()
         self.radius = positive("radius", radius)
 
-    def evaluate(self, x: Tensor) -> Tensor:
-        return (1.0 - x.abs() / self.radius).clamp_min(0.0)
+    def kernel(self) -> Kernel:
+        return Kernel(tent, (self.radius,), self.radius)
+
+
+def tent(x: Tensor, radius: float) -> Tensor:
+    """Falls linearly."""
+    return (1.0 - x.abs() / radius).clamp_min(0.0)

@@ -68,8 +68,9 @@ class CameraSample(NamedTuple):
 
     ray: Ray
     key: LaneKey  # of random numbers
-    weight: Tensor | None  # in the pixel; None: all are 1
+    weight: Tensor | None  # what counts of their radiance; None: all of it
     cone: Cone | None  # around the ray; None if not asked for
+    place: Vec2 | None  # in the pixel, in [0, 1); None: they are of no pixel
 
 
 class Scattering(NamedTuple):
@@ -106,8 +107,8 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor, 
 
     Args:
         camera: the sensor.
-        width: () int32, of the crop window, pixels.
-        pixel, sample: (N,) int32, row-major pixel of the crop window and number of the sample in it.
+        width: () int32, of the pixels that have samples.
+        pixel, sample: (N,) int32, row-major number of the pixel and number of the sample in it.
         key: of the call.
         cones: whether textures ask for them.
     """
@@ -115,13 +116,23 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor, 
     camera_key = bounce_key(lane, CAMERA_COUNTER)
     row = torch.div(pixel, width, rounding_mode="floor")
     column = pixel - row * width
-    u, v = (uniform(camera_key, dimension, camera.dtype) for dimension in (FILM_U, FILM_V))
+    place = place_in_pixel(camera_key, camera.dtype)
     aperture = None
     if camera.kind.has_aperture:
         aperture = Vec2(*(uniform(camera_key, dimension, camera.dtype) for dimension in (APERTURE_U, APERTURE_V)))
-    ray, weight = camera.sample_ray(column, row, u, v, aperture)
-    cone = camera_cone(camera, ray, camera.film.position(column, row, u, v), aperture) if cones else None
-    return CameraSample(ray, lane, weight, cone)
+    ray, weight = camera.sample_ray(column, row, place, aperture)
+    cone = camera_cone(camera, ray, camera.film.position(column, row, place), aperture) if cones else None
+    return CameraSample(ray, lane, weight, cone, place)
+
+
+def film_place(like: Tensor, pixel: Tensor, sample: Tensor, key: SampleKey) -> Vec2:
+    """Where in its pixel each sample lies, as `sample_camera` has it; args as there, `like` has the dtype."""
+    return place_in_pixel(bounce_key(lane_key(key, pixel, sample), CAMERA_COUNTER), like.dtype)
+
+
+def place_in_pixel(key: BounceKey, dtype: torch.dtype) -> Vec2:
+    """(N,) in [0, 1)."""
+    return Vec2(*(uniform(key, dimension, dtype) for dimension in (FILM_U, FILM_V)))
 
 
 def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, settings: Settings) -> tuple[Place, ...]:

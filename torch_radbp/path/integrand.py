@@ -26,6 +26,9 @@ class Stages(NamedTuple):
     """The functions that run once for each chunk, or for each bounce: in plain torch, or compiled."""
 
     sample_camera: Callable
+    film_place: Callable
+    deposited: Callable
+    asked: Callable
     bounce: Callable
     ending: Callable
     bounce_adjoint: Callable

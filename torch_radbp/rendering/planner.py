@@ -47,7 +47,7 @@ class MemoryPlanner:
         """What a call has to compute, and what each bounce of it needs."""
         scene = detached(call.scene)
         integrand = call.make_integrand(scene).with_stages(EAGER)
-        lanes = len(call.views) * call.spp * call.views[0].width * call.views[0].height
+        lanes = call.spp * sum(view.grid.columns * view.grid.rows for view in call.views)
         image_bytes = 3 * (lanes // call.spp) * scene.dtype.itemsize
         moving = integrand.settings.moving
         triangles = (moving and integrand.settings.sampling != "attached"

@@ -280,6 +280,7 @@ class Renderer(nn.Module):
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
         width, height = size_of_films(seen)
+        grids = [sensor.film.sampled() for sensor in seen]
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
         max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
@@ -290,8 +291,8 @@ class Renderer(nn.Module):
         about = lanes_of_chunks(device, self.scene.dtype, workers, fused)
         if differentiating and device.type == "cpu":
             about = min(about, recorded_lanes(self.adjoint, max_depth, self.rr_depth, self.scene.dtype))
-        lanes = self.chunk or fair_chunk(len(indices), width * height, spp, workers, about)
-        paths = len(indices) * width * height * spp
+        lanes = self.chunk or fair_chunk(grids, spp, workers, about)
+        paths = spp * sum(columns * rows for columns, rows in grids)
         # Eager operations round the last lanes of a wavefront otherwise: an image would depend on what is differentiated.
         together = fused and bool(differentiating) and seeds[0] != seeds[1] and 2 * paths <= (self.chunk or inf) and (
             traced_together(self.adjoint, paths, max_depth, self.rr_depth, self.scene.dtype))
@@ -315,13 +316,13 @@ class Renderer(nn.Module):
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return Integrand(tensors, proposal_of(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
 
-        chunks = plan_chunks(len(views), width * height, spp, lanes, workers)
+        chunks = plan_chunks(grids, spp, lanes, workers)
         call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views, chunks, spp, seeds[0] == seeds[1],
                           record_bytes, together, workers, following, self.scene, parameters)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)
-        chunks = plan_chunks(len(views), width * height, spp, plan.chunk, workers)
+        chunks = plan_chunks(grids, spp, plan.chunk, workers)
         return call._replace(adjoint=plan.adjoint, chunks=chunks, record_bytes=0.0 if plan.retrace else inf)
 
     def runs_compiled(self, parameters: list[Tensor]) -> bool:

@@ -13,27 +13,28 @@ from copy import copy
 from torch_radbp.adjoint.bounce import bounce_adjoint
 from torch_radbp.aov.material import material_value
 from torch_radbp.aov.surface import surface_values
+from torch_radbp.film.splat import asked, deposited
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.target import Target
-from torch_radbp.path.bounce import bounce, chance_of_light, ending, pick_light, places, sample_camera
+from torch_radbp.path.bounce import bounce, chance_of_light, ending, film_place, pick_light, places, sample_camera
 from torch_radbp.path.integrand import Stages
 from torch_radbp.path.queues import appearance_met, shines, side_met
 from torch_radbp.path.wavefront import brightened
 from torch_radbp.record import leaves_of
 from torch_radbp.vec import rows
 
-EAGER = Stages(sample_camera, bounce, ending, bounce_adjoint, places, pick_light, chance_of_light, appearance_met, side_met,
-               shines, rows, brightened, surface_values, material_value)
+EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, bounce_adjoint, places, pick_light,
+               chance_of_light, appearance_met, side_met, shines, rows, brightened, surface_values, material_value)
 
 
 PATH = "scene", "proposal", "arrival"
 TABLES = Stages(  # of each stage the arguments that are read at indices
-    sample_camera=("camera",), bounce=PATH, ending=PATH, bounce_adjoint=("scene", "arrival", "adj_L", "memo"),
-    places=("scene", "arrival"), pick_light=("scene", "choice"), chance_of_light=("scene", "choice", "arrival"),
-    appearance_met=("scene",), side_met=("scene", "ray", "hit"), shines=("scene",), rows=("record",),
-    brightened=("L", "beta"), surface_values=("scene",), material_value=("scene",))
+    sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels",), bounce=PATH, ending=PATH,
+    bounce_adjoint=("scene", "arrival", "adj_L", "memo"), places=("scene", "arrival"), pick_light=("scene", "choice"),
+    chance_of_light=("scene", "choice", "arrival"), appearance_met=("scene",), side_met=("scene", "ray", "hit"),
+    shines=("scene",), rows=("record",), brightened=("L", "beta"), surface_values=("scene",), material_value=("scene",))
 
 
 def fused(target: Target | None = None) -> Stages:

@@ -117,23 +117,21 @@ class Camera(NamedTuple):
 
     @property
     def dtype(self) -> torch.dtype:
-        return self.film.filter.quantiles.dtype
+        return self.film.size_x.dtype
 
-    def sample_ray(self, column: Tensor, row: Tensor, u: Tensor, v: Tensor,
+    def sample_ray(self, column: Tensor, row: Tensor, place: Vec2,
                    aperture: Vec2 | None = None) -> tuple[Ray, Tensor | None]:
-        """Rays through pixels of the crop window, offset by the reconstruction filter, and their weights in the pixel.
+        """Rays through points of pixels, and what counts of their radiance.
 
         Args:
-            column, row: (N,) of the pixels.
-            u, v: (N,) uniform numbers.
-            aperture: (N,) more uniform numbers if the kind has an aperture, else None.
+            column, row: (N,) of the pixels; see `FilmTensors.position`.
+            place: (N,) in them, in [0, 1).
+            aperture: (N,) uniform numbers if the kind has an aperture, else None.
 
         Returns:
             The rays, attached to the lens; and their weights, (N,) detached, or None if all are 1.
         """
-        ray, seen = self.kind.sample_ray(self.lens, self.film.position(column, row, u, v), aperture)
-        weight = self.film.weight(column, row, u, v)
-        return ray, weight if seen is None else seen if weight is None else seen * weight
+        return self.kind.sample_ray(self.lens, self.film.position(column, row, place), aperture)
 
     def beyond_far_plane(self, p: Vec3) -> Tensor:
         """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""

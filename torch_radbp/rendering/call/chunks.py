@@ -1,91 +1,107 @@
 """Chunks: the blocks of lanes that are traced together, and how they are dealt out to workers.
 
 Which part of an image is dear is not known before: the sky costs one bounce, a mesh below it six. So chunks do not each take
-a part of the image, but all take runs of neighbouring pixels in turn: workers finish together, and what one chunk needs,
-all need.
+a part of the image, but all take rows of pixels in turn: workers finish together, and what one chunk needs, all need. Large
+images are rendered in bands, one after the other, so that only the sums of a few rows wait for those of their neighbours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-RUN = 16  # pixels: their rays are coherent, and a row of an image has many such runs
+from torch_radbp.film.splat import TOGETHER
+
 LEAST_LANES = 1 << 15  # of a chunk if the user does not say: below, a second one costs more in Python than it gains
+BAND = 1 << 18  # pixels of a band, about
 
 
-class Pixels(NamedTuple):
-    """Some pixels of a sensor: runs of neighbours in row-major order."""
+class Rows(NamedTuple):
+    """Some rows of pixels of a sensor."""
 
     first: int
     count: int
-    run: int  # pixels side by side
-    apart: int  # pixels from the start of one run to that of the next
+    apart: int  # from one to the next
+    columns: int  # pixels of each
 
-    def index(self, device: torch.device) -> Tensor:
-        """(count,) int32, their row-major numbers."""
-        place = torch.arange(self.count, dtype=torch.int32, device=device)
-        return place + torch.div(place, self.run, rounding_mode="floor") * (self.apart - self.run) + self.first
+    def numbers(self, device: torch.device, columns: int | None = None) -> Tensor:
+        """(count * columns,) int32, the numbers of the pixels, row-major in an image of so many columns or more."""
+        row = (torch.arange(self.count, dtype=torch.int32, device=device) * self.apart + self.first)[:, None]
+        column = torch.arange(self.columns, dtype=torch.int32, device=device)
+        return (row * (columns or self.columns) + column).flatten()
 
 
 class Chunk(NamedTuple):
-    """A block of lanes that is traced together: some samples of some pixels of one sensor."""
+    """A block of lanes that is traced together: some samples of some rows of pixels of one sensor."""
 
     sensor: int  # row of the output batch
-    pixels: Pixels
+    rows: Rows
     first_sample: int
     samples: int
+    band: range  # of rows that are put together at once
+    group: int  # of bands that are rendered side by side
 
     @property
     def lanes(self) -> int:
-        return self.pixels.count * self.samples
+        return self.rows.count * self.rows.columns * self.samples
 
 
-def plan_chunks(sensors: int, pixels: int, spp: int, lanes: int, workers: int) -> list[Chunk]:
-    """Blocks that cover all pixels and samples: whole pixels if they fit, else so many samples of one as `sums_in_pairs`
-    sums alike in blocks and at once. Successive blocks of a sensor share their pixels as fairly as possible.
+def plan_chunks(grids: Sequence[tuple[int, int]], spp: int, lanes: int, workers: int) -> list[Chunk]:
+    """Blocks that cover all pixels and samples: whole rows, with all samples if they fit, else one row with so many samples
+    as `sums_in_pairs` sums alike in blocks and at once. Successive blocks share the rows of a band as fairly as possible.
 
     Args:
-        sensors: of the call.
-        pixels: of each.
+        grids: columns and rows of pixels that have samples, of each sensor.
         spp: samples of a pixel.
-        lanes: the most of a block.
+        lanes: the most of a block, but for the samples of a row that the film takes at once.
         workers: that the blocks are dealt out to in turn.
     """
-    samples = spp if spp <= lanes else 1 << lanes.bit_length() - 1
-    return [Chunk(sensor, some, first_sample, min(samples, spp - first_sample))
-            for sensor in range(sensors)
-            for some in dealt_out(pixels, max(1, lanes // samples), workers)
-            for first_sample in range(0, spp, samples)]
+    found, group, pixels = [], 0, 0
+    for sensor, (columns, rows) in enumerate(grids):
+        samples = spp if columns * spp <= lanes else min(spp, max(TOGETHER, 1 << max(1, lanes // columns).bit_length() - 1))
+        most = max(1, lanes // (columns * samples)) if samples == spp else 1
+        for band in bands(columns, rows, most * workers):
+            size = len(band) * columns
+            if pixels and pixels + size > BAND:
+                group, pixels = group + 1, 0
+            pixels += size
+            found += [Chunk(sensor, Rows(band.start + first, count, apart, columns), first_sample,
+                            min(samples, spp - first_sample), band, group)
+                      for first, count, apart in dealt_out(len(band), most, workers)
+                      for first_sample in range(0, spp, samples)]
+    return found
 
 
-def dealt_out(pixels: int, most: int, workers: int) -> Iterator[Pixels]:
-    """All pixels of a sensor, dealt out run by run to chunks, so that each is like the whole image.
+def bands(columns: int, rows: int, least: int) -> Iterator[range]:
+    """The rows of an image in bands of about `BAND` pixels, but of `least` rows at least."""
+    count = max(1, min(round(rows * columns / BAND), rows // least))
+    borders = [rows * number // count for number in range(count + 1)]
+    return (range(*pair) for pair in zip(borders, borders[1:]))
+
+
+def dealt_out(rows: int, most: int, workers: int) -> Iterator[tuple[int, int, int]]:
+    """The rows of a band, dealt out one by one to chunks, so that each is like the whole: first, number and distance.
 
     Args:
-        pixels: how many there are.
+        rows: how many there are.
         most: of a chunk.
-        workers: that are to get as many chunks each, if there are pixels for so many.
+        workers: that are to get as many chunks each, if there are rows for so many.
     """
-    run = min(RUN, most)
-    most -= most % run
-    workers = min(workers, -(-pixels // most))
-    chunks = workers * -(-pixels // (most * workers))
-    rounds, rest = divmod(pixels, run * chunks)
-    for number in range(chunks):
-        count = rounds * run + min(run, max(0, rest - number * run))
-        if count:
-            yield Pixels(number * run, count, run, run * chunks)
+    workers = min(workers, -(-rows // most))
+    chunks = workers * -(-rows // (most * workers))
+    for number in range(min(chunks, rows)):
+        yield number, -(-(rows - number) // chunks), chunks
 
 
-def fair_chunk(sensors: int, pixels: int, spp: int, workers: int, about: int) -> int:
+def fair_chunk(grids: Sequence[tuple[int, int]], spp: int, workers: int, about: int) -> int:
     """The lanes of chunks of about a wanted size, such that all workers get as many; args as for `plan_chunks`."""
-    lanes = pixels * spp
+    columns, rows = max(grids)
+    lanes = columns * rows * spp
     chunks = max(1, round(lanes / about))  # of a sensor
-    while sensors * chunks % workers and lanes >= (chunks + 1) * LEAST_LANES:
+    while len(grids) * chunks % workers and lanes >= (chunks + 1) * LEAST_LANES:
         chunks += 1
-    chunk = -(-lanes // chunks)
-    return chunk if chunk < spp else -(-chunk // (RUN * spp)) * RUN * spp  # whole runs
+    chunk, row = -(-lanes // chunks), columns * spp
+    return chunk if chunk < row else -(-chunk // row) * row

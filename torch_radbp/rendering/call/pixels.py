@@ -2,52 +2,98 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from itertools import groupby
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
+from torch_radbp.film.develop import Development, Grid, across, row_sums
+from torch_radbp.film.splat import Block, offset_sums, sums_in_pairs
 from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.render_call import (
-    RenderCall,
-)
-from torch_radbp.vec import Vec3
+from torch_radbp.rendering.call.render_call import RenderCall, film_places, of_chunks
+from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.vec import Vec2, Vec3
+
+Result = TypeVar("Result")
 
 
-def pixel_sums(chunk: Chunk, values: Iterable[Tensor]) -> Tensor:
-    """(C, pixels) the sums over the lanes of each pixel of a chunk, of each of C values."""
-    return sums_in_pairs(torch.stack([value.reshape(chunk.pixels.count, chunk.samples) for value in values]))
+class Images(NamedTuple):
+    """Developed images."""
+
+    pixels: Tensor  # (B, C, H, W)
+    filters: Tensor  # (B, H, W) the sums of the reconstruction filter over the samples around pixels
+    results: list  # what else was found of each chunk
 
 
-def sums_in_pairs(terms: Tensor) -> Tensor:
-    """Sums over the last dimension: of neighbours, of neighbouring pairs, of pairs of pairs, ...
+def deposit(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], place: Vec2) -> Tensor:
+    """What the lanes of a chunk count in the pixels around them; `developed` takes it.
 
-    So that images do not depend on chunks: the same blocks are summed in the same order in all of them.
+    Args:
+        values: C of (N,), of the lanes.
+        place: (N,) of the lanes in their pixels.
     """
-    while terms.shape[-1] > 1:
-        even, odd = terms[..., ::2], terms[..., 1::2]
-        both = odd.shape[-1]
-        terms = even + odd if both == even.shape[-1] else torch.cat([even[..., :both] + odd, even[..., both:]], -1)
-    return terms.squeeze(-1)
+    grid, block, stage = call.views[chunk.sensor].grid, Block(place, chunk.samples, call.spp), call.stages.deposited
+    if chunk.samples == call.spp:
+        return row_sums(stage, grid, tuple(values), block)
+    return offset_sums(stage, grid.kernel, tuple(values), block)  # moved once all samples of the row are there
 
 
-def assembled(call: RenderCall, sums: Sequence[Tensor]) -> Tensor:
-    """(B, C, H, W) the images whose chunks have these sums, (C, pixels) each."""
-    view, channels = call.views[0], len(sums[0])
-    images = [torch.zeros(channels, view.height * view.width, dtype=call.scene.dtype, device=call.scene.device)
-              for _ in call.views]
-    for (sensor, pixels), parts in groupby(zip(call.chunks, sums), lambda part: part[0][:2]):
-        total = sums_in_pairs(torch.stack([own for _, own in parts], -1))
-        images[sensor].index_copy_(1, pixels.index(total.device).long(), total / call.spp)
+def developed(call: RenderCall, work: Callable[[Chunk], tuple[Tensor, Result]]) -> Images:
+    """The images of C values of lanes: means of the samples around each pixel, weighted by the reconstruction filter.
+
+    Args:
+        work: gives of each chunk what `deposit` does, and anything else.
+    """
+    developments, results = [Development(view.grid) for view in call.views], []
+    for _, members in groupby(call.chunks, lambda chunk: chunk.group):
+        chunks = list(members)
+        found = of_chunks(call, chunks, work)
+        results += [result for _, result in found]
+        sums = zip(chunks, (own for own, _ in found))
+        for (sensor, band), parts in groupby(sums, lambda part: (part[0].sensor, part[0].band)):
+            developments[sensor].add(put_together(call.views[sensor].grid, band, list(parts)))
+    pixels, filters = zip(*(development.image() for development in developments))
     # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
-    return torch.stack([image.reshape(channels, view.height, view.width) for image in images])
+    return Images(torch.stack(pixels), torch.stack(filters), results)
 
 
-def lane_adjoint(call: RenderCall, chunk: Chunk, grad_images: Tensor) -> Vec3:
-    """Derivative of the loss with respect to what counts of L_1 of each lane: a pixel is the mean of its samples."""
-    gradient = grad_images[chunk.sensor].reshape(3, -1).index_select(1, chunk.pixels.index(grad_images.device)) / call.spp
-    return Vec3(*(channel.repeat_interleave(chunk.samples) for channel in gradient))
+def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
+    """(R, 1 + C, n, columns) of the n rows of a band, from what its chunks count."""
+    total = None
+    for rows, own in groupby(parts, lambda part: part[0].rows):
+        found = [sums for _, sums in own]
+        one = found[0] if len(found) == 1 else across(grid, sums_in_pairs(torch.stack(found, 3), 3))
+        if total is None:
+            if rows.count == len(band):
+                return one
+            total = one.new_empty(*one.shape[:2], len(band), grid.columns)
+        total[:, :, rows.first - band.start::rows.apart] = one
+    return total
+
+
+def filters_of(call: RenderCall, which: int) -> Tensor:
+    """(B, H, W) as in `Images`, of the samples of the image (0) or of its derivative (1)."""
+    def work(chunk: Chunk) -> tuple[Tensor, None]:
+        return deposit(call, chunk, (), film_places(call, chunk, call.views[chunk.sensor].sample_keys[which])), None
+
+    return developed(call, work).filters
+
+
+def asked_of_pixels(call: RenderCall, grad_images: Tensor, filters: Tensor) -> list[Vec3]:
+    """For each view the derivative of the loss by what samples add to the sums of pixels; tables for `lane_adjoint`."""
+    gradient = grad_images / torch.where(filters == 0, 1.0, filters)[:, None]
+    return [Vec3(*(channel.flatten() for channel in view.grid.padded(own))) for view, own in zip(call.views, gradient)]
+
+
+def lane_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, pixels: Vec3) -> Vec3:
+    """Derivative of the loss with respect to what counts of L_1 of each lane; `pixels`: of `asked_of_pixels`."""
+    grid = call.views[chunk.sensor].grid
+    width = grid.columns + 2 * grid.kernel.reach
+    first = chunk.rows.numbers(call.scene.device, width).repeat_interleave(chunk.samples)
+    down, across = (torch.full((), entries, dtype=torch.int32, device=first.device) for entries in (width, 1))
+    return Vec3(*call.stages.asked(grid.kernel, tuple(pixels), film_places(call, chunk, key), first, down, across))
 
 
 def weighted(L: Vec3, weight: Tensor | None) -> Vec3:

@@ -19,6 +19,7 @@ from torch_radbp.rendering.call.workers import in_turns
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import Vec2
 
 Result = TypeVar("Result")
 
@@ -63,21 +64,29 @@ def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
 
 def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> CameraSample:
     """The rays of a chunk's lanes; see `sample_camera`."""
-    device = call.scene.device
-    pixel = chunk.pixels.index(device).repeat_interleave(chunk.samples)
-    sample = torch.arange(chunk.samples, dtype=torch.int32, device=device) + chunk.first_sample
     view = call.views[chunk.sensor]
-    width = torch.full((), view.width, dtype=torch.int32, device=device)
-    return call.stages.sample_camera(view.camera, width, pixel, sample.repeat(chunk.pixels.count), key,
-                                     call.scene.layout.traces_cones)
+    width = torch.full((), view.grid.columns, dtype=torch.int32, device=call.scene.device)
+    return call.stages.sample_camera(view.camera, width, *numbers_of(call, chunk), key, call.scene.layout.traces_cones)
+
+
+def film_places(call: RenderCall, chunk: Chunk, key: SampleKey) -> Vec2:
+    """Where in their pixels a chunk's lanes lie, (N,) in [0, 1)."""
+    return call.stages.film_place(call.views[chunk.sensor].camera.film.size_x, *numbers_of(call, chunk), key)
+
+
+def numbers_of(call: RenderCall, chunk: Chunk) -> tuple[Tensor, Tensor]:
+    """The pixels of a chunk's lanes, pixel by pixel, and the numbers of their samples; (N,) int32."""
+    pixel = chunk.rows.numbers(call.scene.device)
+    sample = torch.arange(chunk.samples, dtype=torch.int32, device=pixel.device) + chunk.first_sample
+    return pixel.repeat_interleave(chunk.samples), sample.repeat(len(pixel))
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     """Some camera paths of the first sensor, spread over its image."""
-    view, device = call.views[0], call.scene.device
-    pixel = torch.linspace(0, view.width * view.height - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
+    view, grid, device = call.views[0], call.views[0].grid, call.scene.device
+    pixel = torch.linspace(0, grid.columns * grid.rows - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
-    width = torch.full((), view.width, dtype=torch.int32, device=device)
+    width = torch.full((), grid.columns, dtype=torch.int32, device=device)
     return started(call, call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0],
                                                    call.scene.layout.traces_cones))
 
@@ -88,7 +97,7 @@ def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integr
     return integrand._replace(clipping=view.camera if view.clips else None)
 
 
-def of_chunks(call: RenderCall, work: Callable[[Chunk], Result]) -> list[Result]:
-    """`work` on every chunk, side by side; the results in the order of the chunks."""
-    shares = in_turns(len(call.chunks), call.workers, lambda share: [work(call.chunks[index]) for index in share])
-    return [shares[index % len(shares)][index // len(shares)] for index in range(len(call.chunks))]
+def of_chunks(call: RenderCall, chunks: list[Chunk], work: Callable[[Chunk], Result]) -> list[Result]:
+    """`work` on some chunks, side by side; the results in their order."""
+    shares = in_turns(len(chunks), call.workers, lambda share: [work(chunks[index]) for index in share])
+    return [shares[index % len(shares)][index // len(shares)] for index in range(len(chunks))]

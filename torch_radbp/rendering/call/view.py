@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 
 from torch_radbp.differentiated import detached
+from torch_radbp.film.develop import Grid
 from torch_radbp.plugin import Sensor
 from torch_radbp.sampling.sampler import SampleKey, sample_key
 from torch_radbp.scene.kept import Kept
@@ -24,6 +25,12 @@ class View(NamedTuple):
     height: int
     sample_keys: tuple[SampleKey, SampleKey]  # of the forward pass, and of the backward pass
     clips: bool  # whether something lies beyond the far plane
+
+    @property
+    def grid(self) -> Grid:
+        """The pixels that have samples."""
+        film = self.camera.film
+        return Grid(film.kernel, self.width + 2 * film.border, self.height + 2 * film.border, film.border)
 
 
 def view_of(sensor: Sensor, index: int, seeds: tuple[int, int], scene: SceneTensors, kept: Kept) -> View:

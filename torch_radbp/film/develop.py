@@ -1,0 +1,94 @@
+"""From what samples count in the pixels around them to images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.film.filter import Kernel
+from torch_radbp.film.splat import PIECE, TOGETHER, Block, offset_sums
+from torch_radbp.vec import Vec2
+
+
+class Grid(NamedTuple):
+    """The pixels that have samples: those of the window, and of a border around it."""
+
+    kernel: Kernel
+    columns: int
+    rows: int
+    border: int
+
+    def cropped(self, image: Tensor) -> Tensor:
+        """(..., rows, columns) without the border."""
+        return image[..., self.border:self.rows - self.border, self.border:self.columns - self.border]
+
+    def padded(self, image: Tensor) -> Tensor:
+        """(..., H, W) of the window with zeros around it, up to wherever a sample counts."""
+        return torch.nn.functional.pad(image, (self.border + self.kernel.reach,) * 4)
+
+
+def row_sums(stage: Callable, grid: Grid, values: tuple[Tensor, ...], block: Block) -> Tensor:
+    """(R, 1 + C, n, columns): what the samples of n rows of pixels count in the rows around each, from above on.
+
+    Args:
+        stage: see `offset_sums`; so is `values`, of all pixels of these rows, row by row.
+        grid: of the film.
+        block: of the samples.
+    """
+    (place, samples, spp), rows = block, len(block.place.x) // (block.samples * grid.columns)
+    most = max(1, PIECE * min(samples, TOGETHER) // (samples * grid.columns))
+    pieces = []
+    for first in range(0, rows, most):
+        lanes = slice(first * grid.columns * samples, (first + most) * grid.columns * samples)
+        own = Block(Vec2(*(part[lanes] for part in place)), samples, spp)
+        pieces.append(across(grid, offset_sums(stage, grid.kernel, tuple(value[lanes] for value in values), own)))
+    return torch.cat(pieces, 2)
+
+
+def across(grid: Grid, sums: Tensor) -> Tensor:
+    """(R, 1 + C, n, columns) from (R, R, 1 + C, n columns) sums by offset, moved to the columns in which they count."""
+    reach, columns = grid.kernel.reach, grid.columns
+    sums = sums.unflatten(-1, (-1, columns))
+    total = torch.zeros_like(sums[:, 0])
+    for offset in range(-reach, reach + 1):
+        first, last = max(0, offset), min(columns, columns + offset)
+        total[..., first:last] += sums[:, offset + reach, :, :, first - offset:last - offset]
+    return total
+
+
+class Development:
+    """Puts the rows of an image together, from above on, as what counts in them is known.
+
+    Whatever comes at once, every pixel is the same sum in the same order.
+    """
+
+    def __init__(self, grid: Grid):
+        self.grid, self.done, self.known = grid, 0, 0
+        self.waiting: Tensor | None = None  # (R, 1 + C, n, columns) of the last rows, which count in some to come
+        self.finished: list[Tensor] = []
+
+    def add(self, sums: Tensor) -> None:
+        """Takes the next rows, as of `row_sums`."""
+        reach, rows = self.grid.kernel.reach, self.grid.rows
+        sums = sums if self.waiting is None else torch.cat([self.waiting, sums], 2)
+        start = self.known - (0 if self.waiting is None else self.waiting.shape[2])  # the row of its first
+        self.known = start + sums.shape[2]
+        last = rows if self.known == rows else max(self.done, self.known - reach)
+        total = torch.zeros_like(sums[0, :, :1]).repeat(1, last - self.done, 1)
+        for offset in range(-reach, reach + 1):
+            first, end = max(self.done, offset), min(last, rows + offset)
+            if first < end:
+                total[:, first - self.done:end - self.done] += sums[offset + reach][
+                    :, first - offset - start:end - offset - start]
+        self.finished.append(total)
+        self.done = last
+        self.waiting = sums[:, :, max(0, last - reach - start):]
+
+    def image(self) -> tuple[Tensor, Tensor]:
+        """(C, H, W), and (H, W) the sums of the filter by which it has been divided."""
+        total = self.grid.cropped(torch.cat(self.finished, 1))
+        filters = total[0].detach()
+        return total[1:] / torch.where(filters == 0, 1.0, filters), filters
