@@ -26,8 +26,9 @@ from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
 from torch_radbp.path.wavefront import add_at, survivors, take_step
 from torch_radbp.record import joined
-from torch_radbp.rendering.call.pixels import pixel_sums
-from torch_radbp.rendering.call.render_call import start_paths
+from torch_radbp.rendering.call.chunks import Chunk
+from torch_radbp.rendering.call.pixels import deposit, developed
+from torch_radbp.rendering.call.render_call import film_places, start_paths
 from torch_radbp.vec import Vec3, masked, rows
 
 CHECKPOINT = "checkpoint per bounce"
@@ -51,7 +52,6 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
     """The image by plain autograd that keeps the path state at every bounce and computes the rest again."""
     call = renderer.prepare(seed, None, renderer.spp, None)
     integrand, view = call.make_integrand(call.scene), call.views[0]
-    images = [torch.zeros(3, view.height * view.width)]
 
     def one_bounce(state, depth):
         vertex, light, step = take_step(integrand, state, depth)
@@ -59,15 +59,16 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
         found = found if light is None else joined([found, light])
         return rows(state.lane, step.order), rows(state.beta, step.order) * found, survivors(integrand, vertex.next, step)
 
-    for chunk in call.chunks:
+    def deposited(chunk: Chunk) -> tuple[torch.Tensor, None]:
         state, depth = start_paths(call, chunk, view.sample_keys[0]), 0
         L = Vec3.buffer(state.beta.x)
         while depth < integrand.max_depth and len(state.lane):
             lane, found, state = checkpoint(one_bounce, state, depth, use_reentrant=False)
             add_at(L, lane, found)
             depth += 1
-        images[0][:, chunk.pixels.index(L.x.device).long()] += pixel_sums(chunk, L) / call.spp
-    return images[0].reshape(1, 3, view.height, view.width)
+        return deposit(call, chunk, L, film_places(call, chunk, view.sample_keys[0])), None
+
+    return developed(call._replace(workers=1), deposited).pixels
 
 
 def one_pass(renderer: rb.Renderer, name: str, adj_image: torch.Tensor, seed: int) -> float:

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from benchmarks.ptxas import Usage, assemble, find
-from tests.render.recorded import SAMPLINGS, SCENES, calls_of
+from tests.rendering.recorded import SAMPLINGS, SCENES, calls_of
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.nvptx import ptx
 from torch_radbp.rendering.stages import fused

@@ -8,7 +8,7 @@ from torch.utils._pytree import tree_map_only
 
 import torch_radbp as rb
 from tests.scenes import cornell, parameters
-from torch_radbp.adjoint import function
+from torch_radbp.adjoint import record
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.path.state import Arrival
 from torch_radbp.path.wavefront import bounces, survivors, take_step
@@ -53,16 +53,16 @@ def test_the_derivative_is_that_of_the_recorded_survivors():
 def test_nothing_of_a_chunk_is_held_once_it_is_added_to_the_image(monkeypatch):
     """But for what the backward pass needs: without a gradient, that is nothing."""
     alive, most = weakref.WeakSet(), []
-    pixel_sums = function.pixel_sums
+    deposit = record.deposit
 
-    def watched(chunk, L):
+    def watched(call, chunk, L, place):
         alive.add(L.x)
         most.append(len(alive))
-        return pixel_sums(chunk, L)
+        return deposit(call, chunk, L, place)
 
-    monkeypatch.setattr(function, "pixel_sums", watched)
+    monkeypatch.setattr(record, "deposit", watched)
     scene = cornell()
     parameters(scene, ["white.reflectance.value"])
     image = rb.Renderer(scene, **SETTINGS, chunk=16, adjoint=rb.MemoizedAdjoint())(seed=1)
-    assert image.requires_grad and len(most) == 16
+    assert image.requires_grad and len(most) == 8
     assert max(most) <= torch.get_num_threads()

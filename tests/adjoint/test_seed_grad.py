@@ -14,7 +14,7 @@ from tests.adjoint.test_furnace import closed_form
 from tests.derivatives.everything import build_everything
 from tests.gradients import image_and_gradients, relative_error, z_score
 from tests.scenes import CASES, cornell, furnace, parameters
-from torch_radbp.adjoint import function
+from torch_radbp.adjoint import function, images
 from torch_radbp.adjoint.record import record_chunk, trace_both
 from torch_radbp.differentiated import detached
 from torch_radbp.record import leaves_of
@@ -152,7 +152,7 @@ def test_one_wavefront_of_both_samples_has_the_bits_of_two(name, monkeypatch):
         return image_and_gradients(scene, names, compile=True, **SETTINGS)
 
     traced = []
-    monkeypatch.setattr(function, "trace_both", lambda *arguments: (traced.append(1), trace_both(*arguments))[1])
+    monkeypatch.setattr(images, "trace_both", lambda *arguments: (traced.append(1), trace_both(*arguments))[1])
     image, gradients = rendered()
     assert len(traced) == 1
     monkeypatch.setattr(rb.MemoizedAdjoint, "records_all", False)

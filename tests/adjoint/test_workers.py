@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Iterable
+from types import ModuleType
 
 import pytest
 import torch
@@ -10,7 +11,7 @@ import torch
 import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.scenes import CASES
-from torch_radbp.adjoint import function
+from torch_radbp.adjoint import function, images
 from torch_radbp.jit import team
 from torch_radbp.rendering.call.workers import in_turns
 
@@ -92,8 +93,8 @@ def test_image_and_gradients_do_not_depend_on_the_number_of_threads(name, adjoin
     """Both passes run on workers too; sums in another order differ by rounding."""
     case, seen, torch_threads = CASES[name], {"trace_chunk": set(), "lane_adjoint": set()}, [1]
 
-    def watch(called: str) -> None:
-        original = getattr(function, called)
+    def watch(module: ModuleType, called: str) -> None:
+        original = getattr(module, called)
 
         def watched(*arguments, **keywords):
             seen[called].add(threading.current_thread().name)
@@ -101,10 +102,10 @@ def test_image_and_gradients_do_not_depend_on_the_number_of_threads(name, adjoin
                 time.sleep(0.001)
             return original(*arguments, **keywords)
 
-        monkeypatch.setattr(function, called, watched)
+        monkeypatch.setattr(module, called, watched)
 
-    for called in seen:
-        watch(called)
+    watch(images, "trace_chunk")
+    watch(function, "lane_adjoint")
 
     def results():
         return image_and_gradients(case.scene(), case.parameters, adjoint=adjoint, share_samples=True, **SETTINGS)

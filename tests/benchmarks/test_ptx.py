@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.ptx import ARCHITECTURES, counts, kernels
 from benchmarks.ptxas import Rejected, assemble, find
-from tests.render.recorded import SAMPLINGS, SCENES
+from tests.rendering.recorded import SAMPLINGS, SCENES
 
 pytestmark = pytest.mark.skipif(find() is None, reason="no ptxas: the wheel nvidia-cuda-nvcc-cu12 is not installed")
 

@@ -1,23 +1,18 @@
-"""Filters with negative lobes: samples are drawn from the magnitude and count with the sign; the mean weight is 1."""
+"""Filters with negative lobes: samples count with a negative sign in pixels around them."""
 
 import math
 
 import pytest
 import torch
-from scipy import integrate
 
 import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, load, rectangle, rgb, sensor
 from torch_radbp.film.catmullrom import CatmullRom
-from torch_radbp.film.filter import TABLE_SIZE
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.lanczos import Lanczos
 from torch_radbp.film.mitchell import Mitchell
-from torch_radbp.film.position import quantile
 
-FILTERS = {"mitchell": Mitchell(), "sharp mitchell": Mitchell(B=0.1, C=0.7), "catmullrom": CatmullRom(),
-           "lanczos": Lanczos(), "two lobes": Lanczos(lobes=2)}
 PLACES = [0.0, 0.3, 0.7, 1.2, 1.7, 2.5]
 
 
@@ -41,53 +36,6 @@ def test_the_default_of_lanczos_at_some_places_by_hand():
     torch.testing.assert_close(Lanczos().evaluate(x), torch.tensor(expected).double(), rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize("filter", FILTERS.values(), ids=FILTERS)
-def test_the_samples_have_the_moments_of_the_filter(filter):
-    """Of any function g the mean of weight times g is the integral of filter times g: here of powers and of a cosine."""
-    def integral(g):
-        lobes = [float(x) for x in range(-int(filter.radius) + 1, int(filter.radius))]
-        return integrate.quad(lambda x: float(filter.evaluate(torch.tensor(x, dtype=torch.float64))) * g(x), -filter.radius,
-                              filter.radius, points=lobes, limit=200)[0]
-
-    film = HDRFilm(width=9, height=9, sample_border=True, rfilter=filter).tensors(torch.zeros((), dtype=torch.float64))
-    u = (torch.arange(1 << 16, dtype=torch.float64) + 0.5) / (1 << 16)
-    column = torch.full((1 << 16,), 4, dtype=torch.int32)
-    middle = torch.full_like(u, 0.5)
-    weight = film.weight(column, column, u, middle)
-    weight = weight / weight.mean()
-    x = quantile(film.filter.quantiles, u)
-    total = integral(lambda x: 1.0)
-    assert (weight < 0).any()
-    for g in (lambda x: x, lambda x: x * x, lambda x: x**3, lambda x: torch.cos(torch.as_tensor(3 * x))):
-        assert float((weight * g(x)).mean()) == pytest.approx(integral(g) / total, abs=2e-3)
-
-
-@pytest.mark.parametrize("border", [False, True])
-@pytest.mark.parametrize("filter", FILTERS.values(), ids=FILTERS)
-def test_the_mean_weight_of_every_pixel_is_one(filter, border):
-    film = HDRFilm(width=5, height=3, sample_border=border, rfilter=filter).tensors(torch.zeros((), dtype=torch.float64))
-    numbers = (torch.arange(4096, dtype=torch.float64) + 0.5) / 4096
-    middle = torch.full_like(numbers, 0.5)
-    for column, row in ((0, 0), (4, 1), (2, 2)):
-        where = [torch.full(numbers.shape, place, dtype=torch.int32) for place in (column, row)]
-        # A product of a function of u and one of v.
-        across, down, both = (film.weight(*where, u, v).mean()
-                              for u, v in ((numbers, middle), (middle, numbers), (middle, middle)))
-        assert float(across * down / both) == pytest.approx(1, abs=2e-3)
-        position = film.position(*where, numbers, numbers.flip(0))
-        if not border:
-            assert 0 <= position.x.min() and position.x.max() <= 1 and 0 <= position.y.min() and position.y.max() <= 1
-
-
-def test_signs_are_those_of_the_filter():
-    table = Lanczos().table()
-    assert table.signs.shape == (TABLE_SIZE - 1,) and table.signs.abs().max() <= 1 + 1e-9
-    middle = 0.5 * (table.quantiles[1:] + table.quantiles[:-1])
-    whole = table.signs.abs() > 1 - 1e-6
-    assert whole.float().mean() > 0.99
-    assert torch.equal(torch.sign(Lanczos().evaluate(middle))[whole], torch.sign(table.signs)[whole])
-
-
 @pytest.mark.parametrize("name", ["mitchell", "catmullrom", "lanczos"])
 def test_a_constant_is_constant_and_an_edge_rings(name):
     """Across a straight edge a pixel's value is the integral of the filter up to the edge: beyond 0 and 1, too."""
@@ -102,8 +50,10 @@ def test_a_constant_is_constant_and_an_edge_rings(name):
     values = filter.evaluate(x)
     expected = torch.tensor([float(values[x <= edge - column - 0.5].sum() / values.sum()) for column in range(size)])
     assert expected.max() > 1.002 and expected.min() < -0.001
-    assert (image - expected).abs().max() < 0.04  # 5 standard errors of 4096 signed samples, each at most 1.5
-    assert (image - expected).abs().mean() < 0.012
+    assert (image - expected).abs().max() < 0.01
+    assert (image - expected).abs().mean() < 0.002
+    away = torch.arange(size).add(0.5).sub(edge).abs() > filter.radius + 0.5
+    assert away.any() and (image - (expected > 0.5).float())[away].abs().max() < 1e-5
 
 
 @pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(), rb.MemoizedAdjoint(2, keep_hits=False), rb.ReplayAdjoint(),

@@ -20,7 +20,7 @@ from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.sensor.calibrated import Calibrated
 from torch_radbp.sensor.perspective import Perspective
-from torch_radbp.vec import Vec3
+from torch_radbp.vec import Vec2, Vec3
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
 GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}
@@ -35,7 +35,7 @@ def camera(width=24, height=16, **attributes) -> Calibrated:
 def direction(sensor, column: int, row: int) -> torch.Tensor:
     """(3,) the direction that the centre of a pixel sees."""
     column, row = torch.tensor([[column], [row]], dtype=torch.int32)
-    ray, _ = sensor.tensors().sample_ray(column, row, HALF, HALF)
+    ray, _ = sensor.tensors().sample_ray(column, row, Vec2(HALF, HALF))
     return ray.d.stack()[0].detach()
 
 
@@ -82,7 +82,7 @@ def test_compiled_rays_are_the_eager_ones(coefficients):
     numbers = torch.arange(256, dtype=torch.int32)
     arguments = (detached(sensor.tensors()), torch.tensor(16, dtype=torch.int32), numbers, numbers % 7,
                  sample_key(3, 0, True, numbers.device), True)
-    (expected, _, weight, cone), (found, _, counts, fused) = (
+    (expected, _, weight, cone, _), (found, _, counts, fused, _) = (
         stages.sample_camera(*arguments) for stages in (EAGER, compiled()))
     assert torch.equal(weight, counts) and weight.min() == weight.max() == 1
     for part, wanted in zip((*found.o, *found.d, *fused), (*expected.o, *expected.d, *cone)):

@@ -13,6 +13,7 @@ from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.sensor.orthographic import Orthographic
+from torch_radbp.vec import Vec2
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
 POSE = translate((1, 2, 3)) @ rotate((0, 1, 0), 30) @ scale((2, 3, 4))
@@ -27,7 +28,7 @@ def camera(width=16, height=8, crop=None, **attributes) -> Orthographic:
 def ray(sensor: Orthographic, column: float, row: float) -> tuple[torch.Tensor, torch.Tensor]:
     """(origin, direction) of the ray through the centre of a pixel, (3,) each."""
     column, row = torch.tensor([[column], [row]], dtype=torch.int32)
-    found, _ = sensor.tensors().sample_ray(column, row, HALF, HALF)
+    found, _ = sensor.tensors().sample_ray(column, row, Vec2(HALF, HALF))
     return found.o.stack()[0].detach(), found.d.stack()[0].detach()
 
 

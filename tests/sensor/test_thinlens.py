@@ -35,7 +35,7 @@ def ray(sensor, column: int, row: int, aperture: tuple[float, float]) -> tuple[t
     """(origin, direction) of the ray from a place on the lens to the centre of a pixel, (3,) each."""
     column, row = torch.tensor([[column], [row]], dtype=torch.int32)
     place = None if isinstance(sensor, Perspective) else Vec2(*(torch.full_like(HALF, number) for number in aperture))
-    found, _ = sensor.tensors().sample_ray(column, row, HALF, HALF, place)
+    found, _ = sensor.tensors().sample_ray(column, row, Vec2(HALF, HALF), place)
     return found.o.stack()[0].detach(), found.d.stack()[0].detach()
 
 
@@ -81,7 +81,7 @@ def test_rays_start_all_over_the_lens():
     generator = torch.Generator().manual_seed(1)
     u, v = torch.rand(2, 20000, generator=generator, dtype=torch.float64)
     zero = torch.zeros(20000, dtype=torch.int32)
-    o = sensor.tensors().sample_ray(zero, zero, u, v, Vec2(u, v))[0].o
+    o = sensor.tensors().sample_ray(zero, zero, Vec2(u, v), Vec2(u, v))[0].o
     radius = torch.hypot(o.x, o.y).detach() / 0.4
     assert radius.max() <= 1 + 1e-6 and float(o.z.abs().max()) < 1e-8
     assert float(radius.mean()) == pytest.approx(2 / 3, abs=0.01)

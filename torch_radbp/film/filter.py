@@ -49,16 +49,10 @@ class Kernel:
         Args:
             size: of the window, pixels.
             border: pixels beyond the window on either side in which there are samples, too.
-
-        Raises:
-            ValueError: if the integral of the whole filter is not greater than zero.
         """
         edges = torch.linspace(0, 2 * self.reach + 1, (2 * self.reach + 1) * STEPS + 1, dtype=torch.float64, device="cpu")
         x = 0.5 * (edges[1:] + edges[:-1]) - (self.reach + 0.5)
         of_pixels = self(x).view(-1, STEPS).mean(1)
-        if not of_pixels.sum() > 0:
-            raise ValueError(f"the integral of a reconstruction filter must be greater than 0, and that of "
-                             f"{self.function.__name__} with {self.numbers} is {float(of_pixels.sum()):.3g}")
         window = torch.ones(size + 2 * border, dtype=torch.float64, device="cpu")
         return torch.nn.functional.conv1d(window[None, None], of_pixels[None, None], padding=self.reach)[0, 0][
             border:border + size]

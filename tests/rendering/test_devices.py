@@ -18,7 +18,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import torch_radbp as rb
 from benchmarks.ptx import Listing
 from tests.deep import deep_but
-from tests.render.recorded import SAMPLINGS, SCENES, build, calls_of
+from tests.rendering.recorded import SAMPLINGS, SCENES, build, calls_of
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.nvptx import ptx
 from torch_radbp.record import leaves_of, with_leaves

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.render.foreign_threads import TASKS
+from tests.rendering.foreign_threads import TASKS
 
 HERE = Path(__file__).parents[2]
 DIFFERENTIATED_BY_AUTOGRAD = ("tape", "aovs")  # by operations that begin and end outside of our calls
@@ -22,8 +22,8 @@ pytestmark = pytest.mark.skipif(not TASKS.exists(), reason="threads are counted 
 def found() -> dict:
     """What `foreign_threads` prints, in a process with default settings."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("OMP_", "GOMP_", "MKL_"))}
-    done = subprocess.run([sys.executable, "-m", "tests.render.foreign_threads"], capture_output=True, text=True, cwd=HERE,
-                          env=environment, timeout=900)
+    done = subprocess.run([sys.executable, "-m", "tests.rendering.foreign_threads"], capture_output=True, text=True,
+                          cwd=HERE, env=environment, timeout=900)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

@@ -11,7 +11,7 @@ import torch_radbp as rb
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.jit.emulated import Emulated
-from tests.render.on_gpu import render_on
+from tests.rendering.on_gpu import render_on
 from tests.scenes import CASES, cornell
 from torch_radbp.jit.gpu import Gpu
 

@@ -15,7 +15,7 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import cotangent
-from tests.render.host import exchanges
+from tests.rendering.host import exchanges
 from tests.texture.networks import room
 from torch_radbp.adjoint.function import RenderFunction
 

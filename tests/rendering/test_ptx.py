@@ -14,8 +14,8 @@ from torch import Tensor
 
 from tests.gradients import image_and_gradients, relative_error
 from tests.jit.interpreter import CheckedGpu, CheckedLoop, interpreted, needs_interpreter
-from tests.render.on_gpu import render_on
-from tests.render.recorded import SCENES, build
+from tests.rendering.on_gpu import render_on
+from tests.rendering.recorded import SCENES, build
 from tests.scenes import CASES, cornell
 from torch_radbp.jit import instructions
 from torch_radbp.jit.cpu import Cpu, CpuLoop

@@ -12,6 +12,7 @@ from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.sensor.perspective import Perspective
+from torch_radbp.vec import Vec2
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
 
@@ -25,7 +26,7 @@ def camera(width=24, height=16, crop=None, **attributes):
 def ray(sensor, column, row, u=HALF, v=HALF):
     """(origin, direction) of one ray, each (3,)."""
     column, row = torch.tensor([[column], [row]], dtype=torch.int32)
-    found, _ = sensor.tensors().sample_ray(column, row, u, v)
+    found, _ = sensor.tensors().sample_ray(column, row, Vec2(u, v))
     return found.o.stack()[0].detach(), found.d.stack()[0].detach()
 
 

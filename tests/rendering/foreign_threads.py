@@ -1,4 +1,4 @@
-"""What threads that are not ours do while a scene is rendered: ``python -m tests.render.foreign_threads`` prints it as JSON.
+"""What threads that are not ours do meanwhile: ``python -m tests.rendering.foreign_threads`` prints it as JSON.
 
 For each kind of rendering, forward and backward: threads that it started, and nanoseconds that all which are not
 ours computed, during the rendering and after it. And the nanoseconds that they spun after operations of torch's, before the

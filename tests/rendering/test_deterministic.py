@@ -13,7 +13,7 @@ import torch_radbp as rb
 from tests.derivatives.everything import build_everything
 from tests.gradients import assert_informative, image_and_gradients
 from tests.jit.emulated import Emulated
-from tests.render.host import place
+from tests.rendering.host import place
 from tests.scenes import CASES, cornell
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.jit.gpu import Gpu
