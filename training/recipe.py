@@ -29,6 +29,7 @@ from torch_radbp.training.recipe_values import (
 )
 
 MOST_WEIGHTS = 1 << 24  # of a network; gradients and moments are as many each
+WIDEST = 1 << 12  # waves of a network, or width: each place where it is read has so many values
 
 
 class Target(Table):
@@ -72,6 +73,9 @@ class Network(Table):
 
     @model_validator(mode="after")
     def _check_size(self):
+        if max(self.waves, self.width) > WIDEST:
+            raise ValueError(f"waves = {self.waves} and width = {self.width}: at most {WIDEST} each are taken, since every "
+                             f"place has so many values")
         if self.weights > MOST_WEIGHTS:
             raise ValueError(f"waves = {self.waves}, layers = {self.layers} and width = {self.width} make {self.weights} "
                              f"weights; at most {MOST_WEIGHTS} are taken: choose fewer waves or layers, or a smaller width")

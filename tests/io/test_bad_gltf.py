@@ -8,6 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
+import torch
 
 import torch_radbp as rb
 from tests.io.gltf_files import SQUARE, GltfFile, set_to
@@ -223,3 +224,20 @@ def test_deep_trees_of_nodes_are_walked_without_recursion(tmp_path):
     file.document["scenes"][0]["nodes"] = [child]
     with pytest.warns(rb.GltfWarning, match="no light"):
         assert len(rb.load(file.save(tmp_path / "asset.glb")).shapes) == 1
+
+
+def test_a_scene_far_from_the_origin_gets_a_camera_that_sees_it(tmp_path):
+    """As large as numbers are rounded there."""
+    file = square()
+    set_to("nodes", 0, "translation", to=[0, 0, 2.0**31])(file)
+    with pytest.warns(rb.GltfWarning, match="no camera"):
+        scene = rb.load(file.save(tmp_path / "asset.glb"))
+    camera = scene.sensors[0]
+    assert torch.isfinite(camera.to_world).all() and camera.to_world[2, 3] > 2.0**31
+
+
+def test_a_normal_map_beyond_what_is_finite_is_refused(tmp_path):
+    file = square()
+    file.document["materials"][0]["normalTexture"] = file.document["materials"][0]["pbrMetallicRoughness"][
+        "baseColorTexture"] | {"scale": 2**53}
+    refused(tmp_path, file.save(tmp_path / "good.glb").read_bytes(), "scale must be in [-100000, 100000], got")

@@ -26,6 +26,7 @@ from torch_radbp.sensor.orthographic import Orthographic
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.sensor.sampler import LowDiscrepancy
 
+LEAST_RADIUS = 1e-4  # of a scene that a camera is made for, over its distance from the origin, where numbers are rounded
 NEAREST = 1e-6  # near plane of an orthographic camera over its far plane: it may be 0 there and not here
 FAR = 1e4  # where glTF has no far plane, unless the scene is larger
 FIELD_OF_VIEW = 40.0  # degrees, of a camera that the file does not have
@@ -112,7 +113,8 @@ def film(aspect: float, resolution: int | None, pixels: tuple[int, ...]) -> HDRF
 
 def overview(low: np.ndarray, high: np.ndarray, resolution: int | None, spp: int) -> Perspective:
     """A camera that sees a box from the front, a little from the right and from above."""
-    middle, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1e-9)
+    middle = 0.5 * (low + high)
+    radius = max(0.5 * float(np.linalg.norm(high - low)), 1e-9, LEAST_RADIUS * float(np.abs(middle).max()))
     away = np.asarray(VIEWPOINT) / np.linalg.norm(VIEWPOINT)
     distance = 1.05 * radius / math.sin(math.radians(FIELD_OF_VIEW / 2))
     return Perspective(to_world=look_at((middle + distance * away).tolist(), middle.tolist(), [0, 1, 0]), fov=FIELD_OF_VIEW,

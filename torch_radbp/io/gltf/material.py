@@ -24,6 +24,7 @@ from torch_radbp.plugin import BSDF, Plugin, Texture
 from torch_radbp.texture.mesh_attribute import MeshAttribute
 from torch_radbp.texture.rgb import RGB
 
+STRONGEST = 1e5  # scale of a normal map, at most
 VERTEX_COLOUR = "vertex_color"
 
 
@@ -117,7 +118,7 @@ class Materials:
         image = self.textures.image(part, part, "normalTexture", sets)
         if image is None:
             return bsdf
-        strength = part.part("normalTexture").number("scale", 1.0)
+        strength = part.part("normalTexture").number("scale", 1.0, low=-STRONGEST, high=STRONGEST)
         factors = torch.tensor([strength, -strength if mirrored else strength, 1.0], dtype=torch.float64)
         normals = torch.from_numpy(image.texels[:, :, :3] / 127.5 - 1.0) * factors
         return self.add(f"{name}_normalmap", NormalMap(normalmap=image.bitmap(0.5 * normals + 0.5), nested_bsdf=bsdf))
