@@ -68,7 +68,20 @@ class Ours:
             for parameter in self.parameters.values():
                 parameter.mul_(change(seed))
         self.renderer.scene.zero_grad()
-        return timed(lambda: self.rendering(seed), lambda image: (image * self.cotangent).sum().backward(), self.settle)
+
+        def forward() -> Tensor:
+            self.image_of_pass = self.rendering(seed)
+            return self.image_of_pass
+
+        return timed(forward, lambda image: (image * self.cotangent).sum().backward(), self.settle)
+
+    def pixels(self) -> np.ndarray:
+        """The image of the last pass."""
+        return self.image_of_pass.detach().cpu().numpy()
+
+    def gradients_found(self) -> dict[str, np.ndarray]:
+        """Those of the last pass by parameter."""
+        return {name: parameter.grad.cpu().numpy().copy() for name, parameter in self.parameters.items()}
 
     def rendering(self, seed: int) -> Tensor:
         """The images, attached to the parameters."""
@@ -151,6 +164,7 @@ class Mitsuba:
             image = self.mi.render(self.scene, self.parameters, integrator=self.integrator, spp=self.spp, seed=2 * seed,
                                    seed_grad=2 * seed + 1)
             dr.eval(image)
+            self.image_of_pass = image
             return image
 
         def backward(image) -> None:
@@ -159,6 +173,14 @@ class Mitsuba:
             dr.eval(self.gradients)
 
         return timed(forward, backward, dr.sync_thread)
+
+    def pixels(self) -> np.ndarray:
+        """The image of the last pass."""
+        return np.array(self.image_of_pass)
+
+    def gradients_found(self) -> dict[str, np.ndarray]:
+        """Those of the last pass by parameter."""
+        return {name: np.array(gradient) for name, gradient in self.gradients.items()}
 
     def gradient_sums(self) -> dict[str, float]:
         """The sum of the gradient's entries, for each parameter."""

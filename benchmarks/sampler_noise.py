@@ -1,4 +1,4 @@
-"""How much noise the default sampler saves: ``python -m benchmarks.noise``.
+"""How much noise the default sampler saves: ``python -m benchmarks.sampler_noise``.
 
 Cornell box, 32 x 32, depth 4: images and gradients of the colours of the walls and the lamp by independent seeds, with
 independent samples and with points of low discrepancy. The table has the ratio of their standard deviations, median over

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,6 +44,23 @@ class BenchmarkScene(NamedTuple):
         """A renderer of the scene, loaded anew; `settings`: further ones of `rb.Renderer`."""
         _, spp, max_depth = self.setting
         return rb.Renderer(self.load(), spp=spp, max_depth=max_depth, rr_depth=NO_ROULETTE, compile=compiled, **settings)
+
+
+def with_filter(scene: BenchmarkScene, rfilter: str, folder: Path) -> BenchmarkScene:
+    """The same scene, whose films have another reconstruction filter; one of `assets/` is written to `folder`."""
+    if isinstance(scene.source, Path):
+        text = scene.source.read_text(encoding="utf-8")
+        changed = re.sub(r'(<rfilter type=")\w+(")', rf"\g<1>{rfilter}\g<2>", text)
+        inside = scene.source.is_relative_to(folder)
+        path = (scene.source.parent if inside else folder) / f"{scene.source.stem}_{rfilter}.xml"
+        path.write_text(changed, encoding="utf-8")
+        return scene._replace(source=path)
+
+    def replaced(part):
+        return {key: {"type": rfilter} if key == "rfilter" else replaced(value) for key, value in part.items()
+                } if isinstance(part, dict) else part
+
+    return scene._replace(source=replaced(scene.source))
 
 
 def cotangent(resolution: int) -> np.ndarray:

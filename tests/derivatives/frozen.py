@@ -19,8 +19,8 @@ from torch import Tensor
 from torch.func import functional_call
 
 import torch_radbp as rb
+from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_images
-from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.differentiated import detached, settled
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.scene.kept import Kept

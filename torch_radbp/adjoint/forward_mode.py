@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_images
-from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.differentiated import tangent_of
 from torch_radbp.jit import torch_internals
 from torch_radbp.jit.torch_internals import tree_map

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torch_radbp.adjoint.schedule import ADJOINT, ADVANCE, DROP, KEEP, LOAD, backward_plan, kept_depths
+from torch_radbp.adjoint.strategy import Strategy
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.plugin import boolean, integer
 
@@ -13,7 +14,7 @@ STRIDES = ("sqrt", "log")
 
 
 @dataclass(frozen=True)
-class MemoizedAdjoint:
+class MemoizedAdjoint(Strategy):
     """Walks back over the bounces with the incident radiance of each in a memo; exact for every stride.
 
     With N bounces:
@@ -51,25 +52,17 @@ class MemoizedAdjoint:
                 raise ValueError(f"stride must be an integer of at least 1, {' or '.join(map(repr, STRIDES))}, "
                                  f"got {self.stride!r}") from error
 
-    keep_radiance = False
-
     @property
     def records_all(self) -> bool:
         """True if the backward pass takes no bounce again."""
         return self.stride == 1 and self.keep_hits
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
-        """Depths whose state the forward pass keeps after `bounces` bounces of `most` that there may be."""
+        """Those of the schedule."""
         return kept_depths(bounces, self.stride, most)
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """States of a camera path that `backward` holds at once beside those kept.
-
-        Args:
-            reaching: for each bounce, the share of the camera paths that reach it.
-            kept: depths whose states the forward pass has kept.
-            moving: whether rays carry derivatives.
-        """
+        """States held at once."""
         held = most = 0.0
         for action in backward_plan(len(reaching), kept, self.stride):
             if action.depth not in kept:

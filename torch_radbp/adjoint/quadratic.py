@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from torch_radbp.adjoint.strategy import Strategy
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import add_at, bounces
@@ -15,7 +16,7 @@ from torch_radbp.vec import Vec3, masked, rows
 
 
 @dataclass(frozen=True)
-class QuadraticAdjoint:
+class QuadraticAdjoint(Strategy):
     """Keeps no radiance and computes L_{k+1} anew for each bounce: N^2 / 2 forward steps. To compare with.
 
     The states of a path are on the stack of the recursion while it is differentiated, chunk by chunk.
@@ -31,15 +32,12 @@ class QuadraticAdjoint:
     def __post_init__(self):
         object.__setattr__(self, "keep_hits", boolean("keep_hits", self.keep_hits))
 
-    keep_radiance = False
-    records_all = False
-
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         """No depths: it keeps no states."""
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """As in `MemoizedAdjoint`."""
+        """States held at once."""
         return sum(reaching) + 2 * max(reaching)  # the stack, and a bounce and the next below it
 
     def backward(self, sweep: Sweep) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
+from torch_radbp.adjoint.strategy import Strategy
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path.wavefront import bounces
 from torch_radbp.plugin import boolean
@@ -14,7 +15,7 @@ from torch_radbp.vec import Vec3, masked, rows
 
 
 @dataclass(frozen=True)
-class ReplayAdjoint:
+class ReplayAdjoint(Strategy):
     """Keeps only L_1 and recovers L_{k+1} = (L_k - E_k) / F_k on the way down. To compare with.
 
     Wrong where F_k is 0: at a reflectance of exactly 0 the incident radiance cannot be recovered, and the derivative that
@@ -33,14 +34,13 @@ class ReplayAdjoint:
         object.__setattr__(self, "keep_hits", boolean("keep_hits", self.keep_hits))
 
     keep_radiance = True
-    records_all = False
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         """No depths: it keeps no states."""
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """As in `MemoizedAdjoint`."""
+        """States held at once."""
         return sum(reaching) if moving else 4 * max(reaching)  # of a bounce and the next; its terms are as much again
 
     def backward(self, sweep: Sweep) -> None:

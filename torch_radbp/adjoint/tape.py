@@ -2,87 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.images import render_images
-from torch_radbp.adjoint.local_map import Verdict, local_map
-from torch_radbp.differentiated import detached
-from torch_radbp.path.bounce import places_of
-from torch_radbp.path.given import given_values
-from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import add_at, first_hit, surviving, take_step, trace
-from torch_radbp.raycast.protocol import Hit
-from torch_radbp.record import joined, rows_between
+from torch_radbp.adjoint.attached import trace_attached
+from torch_radbp.adjoint.images import render_detached, render_images
+from torch_radbp.adjoint.strategy import Strategy
+from torch_radbp.adjoint.sweep import Sweep
+from torch_radbp.differentiated import with_derivative_of
 from torch_radbp.rendering.call.render_call import RenderCall
-from torch_radbp.vec import Vec3, rows
 
 
 @dataclass(frozen=True)
-class TapeAdjoint:
+class TapeAdjoint(Strategy):
     """Lets autograd record every operation of the forward pass: the oracle of the tests.
 
     Memory grows with everything that is computed. Takes no part in the one `autograd.Function`; the loop over bounces is
     recorded as it runs.
     """
 
-    records_all = False
+    taped = True
 
+    def image(self, call: RenderCall) -> Tensor:
+        """The images of a scene, (B, 3, H, W), with all derivatives."""
+        attached = self.dual_image(call.of_derivative())
+        return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)
 
-def render_taped(call: RenderCall) -> Tensor:
-    """The images of a scene, (B, 3, H, W), with all derivatives."""
-    return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).pixels
+    def dual_image(self, call: RenderCall) -> Tensor:
+        """The images by the samples of the call, with all derivatives of either mode."""
+        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).pixels
 
+    def kept(self, bounces: int, most: int) -> tuple[int, ...]:
+        """No depths: autograd keeps what it needs."""
+        return ()
 
-def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
-    """`trace` with all derivatives, in reverse mode (recorded) or in forward mode (of dual tensors).
+    def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
+        """None."""
+        return 0.0
 
-    Where rays carry derivatives, each bounce is taken twice: once detached, to find out what the next ray meets, and then
-    attached to that.
-    """
-    if not integrand.settings.moving:
-        return trace(integrand, state, visit)
-    fixed = integrand._replace(scene=integrand.proposal, parts={})
-    L, depth = Vec3.buffer(state.beta.x.detach()), 0
-    hit = first_hit(fixed, detached(state).ray, depth)
-    while depth < integrand.max_depth and len(state.lane):
-        vertex, _, step = take_step(fixed, detached(state), depth, hit=hit, with_light=False)
-        alive, last = surviving(step), integrand.is_last(depth)
-        hit = None if last else fixed.caster.intersect(rows(vertex.next.ray, alive))
-        following = spread(hit, alive, vertex.shadow_distance)
-        arrival, verdict = rows(step.arrival(state), step.order), Verdict(step.visible, step.survives)
-        ahead = []
-        for queue in step.queues:
-            here = rows_between(arrival, queue.first, queue.last)
-            decided, there = (None if queue.appearance is None else rows_between(record, queue.first, queue.last)
-                              for record in (verdict, following))
-            then = here.state
-            part = integrand.part(queue)
-            settings = integrand.settings_at(depth)
-            at = integrand.at(depth)
-            given = given_values(integrand.scene, integrand.appearance(queue),
-                                 places_of(part.scene, part.proposal, here, at, settings))
-            local = local_map(part.scene, part.proposal, here, decided, there, at, settings, given)
-            add_at(L, then.lane, then.beta * local.E)
-            ahead.append(then if local.ray is None else
-                         PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane,
-                                   rows_between(vertex.next.vantage, queue.first, queue.last), local.followed, local.cone))
-        state, depth = rows(joined(ahead), alive), depth + 1
-    return L
-
-
-def spread(hit: Hit | None, alive: Tensor, like: Tensor) -> Hit | None:
-    """The hits of the lanes `alive`, among misses of all others.
-
-    Args:
-        like: (M,) of all lanes, floating point.
-    """
-    if hit is None:
-        return None
-    zero = torch.zeros_like(like)
-    nothing = torch.zeros_like(like, dtype=hit.prim.dtype)
-    miss = Hit(nothing - 1, zero, zero, zero, None if hit.instance is None else nothing)
-    return Hit(*(None if new is None else old.index_copy(0, alive.long(), new) for old, new in zip(miss, hit)))
+    def backward(self, sweep: Sweep) -> None:
+        """Is not called: autograd walks back over what it has recorded."""
+        raise TypeError("autograd differentiates what it has recorded; there is nothing to sweep")

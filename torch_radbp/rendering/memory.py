@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
-from torch_radbp.adjoint.tape import TapeAdjoint
+from torch_radbp.adjoint.strategy import Strategy
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import trace
@@ -52,7 +52,7 @@ class MemoryPlan(NamedTuple):
     """A choice of chunk and strategy, with the bytes that it is predicted to need at its peak."""
 
     chunk: int  # lanes
-    adjoint: object
+    adjoint: Strategy
     retrace: bool  # the backward pass traces paths anew, all or those of which nothing is kept between the passes
     kept: int  # bytes between forward and backward pass
     working: int  # bytes on top of that while a chunk is processed
@@ -114,7 +114,7 @@ class Workload(NamedTuple):
         return WorkingSet(*least)
 
 
-def predict(work: Workload, chunk: int, adjoint, record_bytes: float = inf) -> MemoryPlan:
+def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float = inf) -> MemoryPlan:
     """Bytes that a forward and backward pass will need.
 
     Args:
@@ -134,7 +134,7 @@ def predict(work: Workload, chunk: int, adjoint, record_bytes: float = inf) -> M
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
     bounce, sweep, tape, outside, tables = work.working_set
-    if isinstance(adjoint, TapeAdjoint):
+    if adjoint.taped:
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
         working = together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize)
         return MemoryPlan(chunk, adjoint, False, kept, int(working) + work.images)
@@ -162,7 +162,7 @@ def states_kept(adjoint, bounces: int, work: Workload) -> float:
     return sum(work.fractions[depth] for depth in depths if depth > 0 or len(depths) == bounces)
 
 
-def candidates(chunk: int, adjoint, shares_samples: bool) -> Iterator[tuple[int, object, float]]:
+def candidates(chunk: int, adjoint: Strategy | None, shares_samples: bool) -> Iterator[tuple[int, Strategy, float]]:
     """Chunk, strategy and how much to keep between the passes, from the fastest to the most frugal.
 
     Smaller chunks cost little, replayed bounces more, and tracing all paths again most.
@@ -170,7 +170,7 @@ def candidates(chunk: int, adjoint, shares_samples: bool) -> Iterator[tuple[int,
     strategies = [MemoizedAdjoint(stride) for stride in (1, 2, 4, 8, "sqrt", "log")] if adjoint is None else [adjoint]
     for record_bytes in (inf, 0.0) if shares_samples else (0.0,):
         for strategy in strategies:
-            if record_bytes == 0 and shares_samples and isinstance(strategy, TapeAdjoint):
+            if record_bytes == 0 and shares_samples and strategy.taped:
                 continue
             lanes = chunk
             while lanes >= SMALLEST_CHUNK:
@@ -184,7 +184,8 @@ def size_of(count: float) -> str:
     return f"{count / UNITS[unit]:.3g} {unit}"
 
 
-def plan_memory(budget: int, work: Workload, chunk: int, adjoint=None, shares_samples: bool = True) -> MemoryPlan:
+def plan_memory(budget: int, work: Workload, chunk: int, adjoint: Strategy | None = None,
+                shares_samples: bool = True) -> MemoryPlan:
     """The fastest chunk and strategy that fit `budget` bytes.
 
     Args:

@@ -7,7 +7,6 @@ from math import inf
 
 from torch import Tensor
 
-from torch_radbp.adjoint import TapeAdjoint
 from torch_radbp.differentiated import any_differentiated, detached, differentiable
 from torch_radbp.jit.torch_internals import tree_flatten
 from torch_radbp.path.integrand import Integrand
@@ -66,7 +65,7 @@ class MemoryPlanner:
             triangles: the memo of the backward pass has the adjoints of triangles.
         """
         wanted = tuple(isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
-        taped = isinstance(call.adjoint, TapeAdjoint)
+        taped = call.adjoint.taped
         case = (call.scene.layout, call.scene.dtype, integrand.settings, integrand.max_depth, wanted, triangles, taped)
         if case not in self.working_sets:
             attached = call.make_integrand(call.scene).with_stages(EAGER) if taped else None

@@ -9,11 +9,9 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 
-from torch_radbp.adjoint import MemoizedAdjoint, TapeAdjoint
-from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms, render_tangents
-from torch_radbp.adjoint.function import render_with_derivative
+from torch_radbp.adjoint import MemoizedAdjoint
+from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms
 from torch_radbp.adjoint.images import render_detached
-from torch_radbp.adjoint.tape import render_taped
 from torch_radbp.aov.images import aov_jumps, render_aovs
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
 from torch_radbp.boundary import Jumps, JumpWatch, Outlines, Rendering, Sight, image_jumps, moves
@@ -79,7 +77,7 @@ class Renderer(nn.Module):
             where a density becomes very narrow, as roughness near 0 does.
         nee: next-event estimation with multiple importance sampling; None: what the integrator element says, which is
             True but for `direct` without samples of emitters.
-        chunk: lanes (paths) traced together at most; None picks.
+        chunk: lanes (paths) traced together at most, but for a row of pixels with 8 samples; None picks.
         memory_budget: bytes, or a string such as "2GiB" or "2GB": picks chunk and, unless `adjoint` is given, the stride, so
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
         compile: fuse the functions of a bounce into loops of vector instructions, once a process for each kind of material
@@ -201,9 +199,9 @@ class Renderer(nn.Module):
         forward_mode = has_tangents(record)
         if not forward_mode and not (torch.is_grad_enabled() and differentiable(record)):
             return render_detached(call)
-        if not forward_mode and not isinstance(call.adjoint, TapeAdjoint):
-            return render_with_derivative(call)
-        attached = (render_taped if isinstance(call.adjoint, TapeAdjoint) else render_tangents)(call.of_derivative())
+        if not forward_mode:
+            return call.adjoint.image(call)
+        attached = call.adjoint.dual_image(call.of_derivative())
         return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)
 
     @entry
@@ -328,7 +326,7 @@ class Renderer(nn.Module):
     def runs_compiled(self, parameters: list[Tensor]) -> bool:
         """True if a call that depends on these parameters would run fused loops: those are for the CPU and for CUDA, and
         autograd, backward or forward, records nothing of them."""
-        return (self.compile_stages and self.scene.device.type in COMPILED and not isinstance(self.adjoint, TapeAdjoint)
+        return (self.compile_stages and self.scene.device.type in COMPILED and not self.adjoint.taped
                 and not has_tangents(parameters))
 
     @entry

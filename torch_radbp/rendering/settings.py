@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from torch import nn
 
-from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
+from torch_radbp.adjoint.strategy import Strategy
 from torch_radbp.integrator.settings import depths
 from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
 from torch_radbp.rendering.memory import parse_budget
@@ -20,7 +20,6 @@ INTERIOR, PRIMARY = "interior", "primary"
 TERMS = (INTERIOR, PRIMARY)  # of derivatives
 SAMPLINGS = ("hybrid", "detached", "attached")
 OF_DERIVATIVE = 0x3F84D5B5B5470917  # what the seed of a derivative differs by: digits of pi, so far from any counter
-STRATEGIES = (MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint)
 
 
 def checked_scene(scene: Scene) -> Scene:
@@ -52,8 +51,9 @@ def check_settings(renderer: nn.Module) -> None:
     renderer.share_samples = boolean("share_samples", renderer.share_samples)
     renderer.chunk = None if renderer.chunk is None else integer("chunk", renderer.chunk, 1)
     renderer.memory_budget = None if renderer.memory_budget is None else parse_budget(renderer.memory_budget)
-    if not isinstance(renderer.adjoint, STRATEGIES):
-        raise TypeError(f"adjoint must be one of {', '.join(s.__name__ for s in STRATEGIES)}, got {renderer.adjoint!r}")
+    if not isinstance(renderer.adjoint, Strategy):
+        known = ", ".join(sorted(strategy.__name__ for strategy in Strategy.__subclasses__()))
+        raise TypeError(f"adjoint must be one of {known}, got {renderer.adjoint!r}")
     if renderer.light_choice not in (None, *CHOICES):
         raise ValueError(f"light_choice={renderer.light_choice!r} is not known; "
                          f"{nearest(str(renderer.light_choice), CHOICES)}")

@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
+from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.outside import OutsideValues
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
-from torch_radbp.adjoint.tape import trace_attached
 from torch_radbp.jit.torch_internals import TorchDispatchMode, tree_flatten, tree_map_only
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Arrival, PathState

@@ -1,0 +1,106 @@
+"""Noise beside Mitsuba's, and noise together with time: ``python -m benchmarks.noise`` (needs mitsuba==3.9.1 and LLVM).
+
+This renderer and Mitsuba (``prb`` in ``llvm_ad_rgb``) take turns within one process, forward and backward, each round with
+new samples, on the scenes of `versus_mitsuba` with the filter of your choice. Image and derivative have samples of their own
+on both sides, as is the default. Printed are ours over Mitsuba's: the variance of the image, mean over pixels; of the
+gradient of each parameter, sum over its entries; the time of a pass forward and backward, median; and *equal noise*, which
+is variance times time: what an answer of a given noise costs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from rich.progress import track
+
+from benchmarks.peers import Mitsuba, Ours
+from benchmarks.scenes import SCENES
+from benchmarks.scenes.description import with_filter
+
+FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
+PIXELS, WARM_UP = "image", 2
+
+
+class Spread:
+    """The variance of arrays that come one after the other. Reference: Welford 1962."""
+
+    def __init__(self) -> None:
+        self.count, self.mean, self.squares = 0, 0.0, 0.0
+
+    def add(self, value: np.ndarray) -> None:
+        self.count += 1
+        off = value.astype(np.float64) - self.mean
+        self.mean = self.mean + off / self.count
+        self.squares = self.squares + off * (value - self.mean)
+
+    @property
+    def variance(self) -> float:
+        """The mean over entries."""
+        return float(np.mean(self.squares)) / (self.count - 1)
+
+
+def measure(options: argparse.Namespace) -> dict:
+    """Ratios of one scene, in this process."""
+    make, setting = SCENES[options.only]
+    resolution, spp = options.resolution[0], options.spp[0]
+    with tempfile.TemporaryDirectory() as folder:
+        scene = make(Path(folder), setting._replace(resolution=resolution, spp=spp))
+        scene = with_filter(scene, options.filter, Path(folder))
+        peers = {"ours": Ours(scene, compiled=True), "theirs": Mitsuba(scene)}
+    spreads: dict[str, dict[str, Spread]] = {name: {} for name in peers}
+    times: dict[str, list[float]] = {name: [] for name in peers}
+    for seed in track(range(-WARM_UP, options.rounds), f"{options.only}, {resolution} x {resolution}, {spp}",
+                      transient=True):
+        for name, peer in peers.items():
+            took = peer.run(seed + WARM_UP).both
+            if seed >= 0:
+                times[name].append(took)
+                for what, value in ({PIXELS: peer.pixels()} | peer.gradients_found()).items():
+                    spreads[name].setdefault(what, Spread()).add(value)
+    ours, theirs = (spreads[name] for name in ("ours", "theirs"))
+    variances = {what: ours[what].variance / max(theirs[what].variance, 1e-300) for what in ours}
+    return {"variances": variances, "time": statistics.median(times["ours"]) / statistics.median(times["theirs"])}
+
+
+def row(name: str, resolution: int, spp: int, found: dict) -> str:
+    variances, time = dict(found["variances"]), found["time"]
+    image = variances.pop(PIXELS)
+    worst = max(variances, key=variances.get)
+    return (f"| {name} | {resolution} x {resolution}, {spp} | {image:.2f} | {statistics.median(variances.values()):.2f} | "
+            f"{variances[worst]:.2f} `{worst}` | {time:.2f} | {image * time:.2f} | {variances[worst] * time:.2f} |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", choices=SCENES, nargs="+", default=list(SCENES))
+    parser.add_argument("--resolution", type=int, nargs="+", default=[128], help="pixels a side")
+    parser.add_argument("--spp", type=int, nargs="+", default=[4, 16], help="samples a pixel")
+    parser.add_argument("--filter", choices=FILTERS, default="gaussian", help="what both reconstruct the image with")
+    parser.add_argument("--rounds", type=int, default=16)
+    parser.add_argument("--only", choices=SCENES, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.only:
+        print(json.dumps(measure(options)))
+        return
+    print(f"Ours over Mitsuba's, filter {options.filter}, {options.rounds} rounds.\n\n"
+          "| scene | size, samples | variance of the image | of gradients, median | worst | time | equal noise, image | "
+          "gradient, worst |\n|---|---|---|---|---|---|---|---|", flush=True)
+    for name in options.scene:
+        for resolution in options.resolution:
+            for spp in options.spp:
+                command = [sys.executable, "-m", "benchmarks.noise", "--only", name, "--resolution", str(resolution),
+                           "--spp", str(spp), "--filter", options.filter, "--rounds", str(options.rounds)]
+                done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+                print(row(name, resolution, spp, json.loads(done.stdout.splitlines()[-1])) if done.returncode == 0
+                      else f"| {name} | failed |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,29 @@
+"""What `benchmarks.noise` counts, without Mitsuba."""
+
+import numpy as np
+import pytest
+
+from benchmarks.noise import Spread, row
+from benchmarks.scenes import QUICK, SCENES
+from benchmarks.scenes.description import with_filter
+
+
+def test_the_spread_of_arrays_is_their_variance():
+    values, spread = np.random.default_rng(3).normal(5.0, 2.0, (9, 4, 3)), Spread()
+    for value in values:
+        spread.add(value)
+    assert spread.variance == pytest.approx(values.var(0, ddof=1).mean(), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["cornell-box", "metal-mesh"])
+def test_a_scene_gets_another_filter_and_nothing_else(name, tmp_path):
+    scene = SCENES[name].make(tmp_path, QUICK)
+    assert scene.load().sensors[0].film.rfilter.type == "box"
+    changed = with_filter(scene, "mitchell", tmp_path).load()
+    assert changed.sensors[0].film.rfilter.type == "mitchell"
+    assert [name for name, _ in changed.named_parameters()] == [name for name, _ in scene.load().named_parameters()]
+
+
+def test_a_row_names_the_noisiest_gradient():
+    found = {"variances": {"image": 0.5, "red": 0.8, "green": 1.2, "blue": 0.9}, "time": 0.5}
+    assert row("box", 64, 4, found) == "| box | 64 x 64, 4 | 0.50 | 0.90 | 1.20 `green` | 0.50 | 0.25 | 0.60 |"
