@@ -36,7 +36,7 @@ MUTANTS = (
            ("adjoint/test_furnace.py",)),
     Mutant("adjoint/bounce.py", "adj_L = rows(adj_L, state.lane) * state.beta", "adj_L = rows(adj_L, state.lane)",
            ("adjoint/test_furnace.py",)),
-    Mutant("scene/departure.py", "element = dot(cross(e1, e2), aim).abs() / squared",
+    Mutant("scene/outgoing_ray.py", "element = dot(cross(e1, e2), aim).abs() / squared",
            "element = dot(cross(e1, e2), aim).abs() / squared.detach()",
            ("derivatives/test_ablation.py", "derivatives/test_expectation.py")),
     Mutant("boundary/primary.py", "+ (seen.y - primal(seen.y))", "- (seen.y - primal(seen.y))", ("boundary",)),

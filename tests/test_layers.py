@@ -17,7 +17,7 @@ TRAINING = PACKAGE.parent / "training"
 
 # Data flows down this list; a module may import from its own layer and from those above it.
 LAYERS = [
-    {"differentiated", "domain", "entry", "vec", "lookup", "losses", "plugin", "pose", "record", "jit"},
+    {"differentiated", "domain", "public_call", "vec", "lookup", "losses", "plugin", "pose", "record", "jit"},
     {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
     {"raycast"}, {"path"}, {"rendering.call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"}, {"check"}, {"public"},

@@ -103,10 +103,10 @@ def test_a_call_stays_within_its_budget(name):
     assert allocated(renderer) < free // 2
 
 
-def test_the_working_set_is_measured_once_for_each_kind_of_call():
+def test_the_memory_of_a_bounce_is_measured_once_for_each_kind_of_call():
     renderer = prepared("colours of a diffuse room", memory_budget="64MiB")
     renderer(), renderer(seed=2)
-    assert len(renderer.planner.working_sets) == 1
+    assert len(renderer.planner.measured) == 1
     renderer.scene.get_parameter("box.vertex_positions").requires_grad_()
     renderer()
-    assert len(renderer.planner.working_sets) == 2
+    assert len(renderer.planner.measured) == 2

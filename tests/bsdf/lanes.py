@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
 from torch_radbp.plugin import BSDF, REGISTRY
 from torch_radbp.vec import Vec3
 
@@ -75,7 +75,7 @@ def direction(z: float, phi: float, count: int, dtype=torch.float64) -> Vec3:
 class Sampled(NamedTuple):
     """What a vertex samples."""
 
-    choice: Choice
+    choice: LobeChoice
     wo: Vec3
 
 
@@ -85,7 +85,7 @@ def sampled(kind: Kind, values: Values, wi: Vec3, random: Numbers) -> Sampled:
     return Sampled(choice, kind.sample(values, wi, choice, random.u, random.v))
 
 
-def choices(kind: Kind, values: Values, wi: Vec3, random: Numbers) -> list[Choice]:
+def choices(kind: Kind, values: Values, wi: Vec3, random: Numbers) -> list[LobeChoice]:
     """Each choice that there is on some lane, with its probability there, which may be zero; in order of the number."""
     found, last = [], torch.zeros_like(random.choice)
     while (open_ := last < 1 - 1e-9).any():

@@ -19,7 +19,7 @@ import torch
 
 from tests.bsdf.lanes import KINDS, MATERIALS, ROUGH, choices, material, numbers, values_of
 from tests.deep import deep_but_every
-from torch_radbp.bsdf.kind import Choice, Kind, Values
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
 from torch_radbp.vec import Vec3, where
 
 COUNT = 60_000
@@ -78,7 +78,7 @@ class Estimate(NamedTuple):
     alive: torch.Tensor  # 0 or 1
 
 
-def estimate(at: Setting, choice: Choice, wo: Vec3, fixed_lobes: bool = False) -> Estimate:
+def estimate(at: Setting, choice: LobeChoice, wo: Vec3, fixed_lobes: bool = False) -> Estimate:
     """The terms of F at a sampled direction; of a delta lobe both are weights, whose density moves with the direction."""
     value, pdf = at.kind.eval_pdf(at.values, at.wi, wo, fixed_lobes)
     value = value.y

@@ -10,7 +10,7 @@ import torch_radbp as rb
 from tests.bsdf.lanes import MATERIALS, directions, material, values_of
 from tests.scenes import load, rectangle, rgb, sensor
 from torch_radbp.bsdf.bumpmap import BumpMapKind
-from torch_radbp.scene.growth import growth
+from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.texture.slope import along_surface
 from torch_radbp.vec import ShadingFrame, Vec2, Vec3, cross, dot, normalize
 
@@ -114,7 +114,7 @@ def test_the_gradient_of_heights_is_that_of_blinn():
     blinn = normalize(cross(lifted_u, lifted_v))
     blinn = blinn * torch.sign(dot(blinn, own))
     frame = ShadingFrame(n, dp_du)
-    edges = type("Edges", (), {"growth": growth(frame, n, own, e1, e2)})
+    edges = type("Edges", (), {"barycentric_gradients": barycentric_gradients(frame, n, own, e1, e2)})
     found = along_surface(Vec2(*(slope.x * d.x + slope.y * d.y for d in (d1, d2))), edges)
     one = torch.ones_like(found.x)
     value = Vec3(one, one, one)

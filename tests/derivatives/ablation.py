@@ -1,6 +1,6 @@
 """The renderer with parts of the derivative of glued vertices taken out, to show what they are for.
 
-`scene/departure.py` and light sampling let directions follow the points at both ends ("directions"), and multiply by the
+`scene/outgoing_ray.py` and light sampling let directions follow the points at both ends ("directions"), and multiply by the
 change of the element of solid angle ("Jacobian"). Worchel et al. 2025, arXiv 2504.05750, say what is wrong without.
 """
 
@@ -15,7 +15,7 @@ import torch
 
 from torch_radbp.emitter.area import AreaKind
 from torch_radbp.rendering.stages import EAGER
-from torch_radbp.scene import departure
+from torch_radbp.scene import outgoing_ray
 from torch_radbp.vec import Vec3
 
 WITHOUT = {"nothing": (), "the area Jacobian": ("Jacobian",), "re-attached directions": ("directions",),
@@ -27,7 +27,7 @@ SCENES = ("wall behind the camera", "plane before a wall", "plane under a soft l
 @contextmanager
 def without(*parts: str) -> Iterator[None]:
     """Within it, derivatives lack `parts`: "Jacobian", "directions"."""
-    glued_direction, aim_at_area = departure.glued_direction, AreaKind.aim
+    glued_direction, aim_at_area = outgoing_ray.glued_direction, AreaKind.aim
 
     def poorer_direction(there, o, d, hit, glued):
         direction, change = glued_direction(there, o, d, hit, glued)
@@ -39,7 +39,7 @@ def without(*parts: str) -> Iterator[None]:
         return aim._replace(d=Vec3(*aim.d).detach() if "directions" in parts else aim.d,
                             pdf=aim.pdf.detach() if "Jacobian" in parts else aim.pdf)
 
-    with (patch.object(departure, "glued_direction", poorer_direction), patch.object(AreaKind, "aim", poorer_aim),
+    with (patch.object(outgoing_ray, "glued_direction", poorer_direction), patch.object(AreaKind, "aim", poorer_aim),
           patch.object(import_module("torch_radbp.rendering.renderer"), "compiled",
                         lambda: EAGER)):  # compiled code knows only itself
         yield

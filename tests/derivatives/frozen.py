@@ -23,8 +23,8 @@ from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.differentiated import detached, settled
 from torch_radbp.record import leaves_of, with_leaves
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
 
 RENDER = import_module("torch_radbp.rendering.renderer")
@@ -143,7 +143,7 @@ class Rendering:
 
     def forget(self) -> None:
         """Every rendering packs all anew, so that it detaches the same in the same order as the first one."""
-        self.renderer.kept = Kept()
+        self.renderer.kept = PackCache()
 
     def parameters(self, values: list[Tensor]) -> dict[str, Tensor]:
         return {f"scene.{name}": value for name, value in zip(self.names, values)}

@@ -14,12 +14,12 @@ from torch.func import functional_call, jvp
 from tests.emitter.lights import FLOOR, cast, detached, light_numbers
 from tests.scenes import load, sensor
 from torch_radbp.plugin import BSDF
-from torch_radbp.scene.growth import growth
+from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.light import emitted, emitted_by_surround, sample_light
 from torch_radbp.scene.pack import pack
 from torch_radbp.texture.bitmap import reader_of
-from torch_radbp.texture.reader import Edges, TexturePoint
+from torch_radbp.texture.reader import TexturePoint, TriangleEdges
 from torch_radbp.vec import Ray, ShadingFrame, Vec2, Vec3
 
 from .derivative_subjects import PLACES, WI, WO, Subject, objects, tangent
@@ -35,8 +35,8 @@ def axis(*components: float) -> Vec3:
 def flat_surface() -> TexturePoint:
     """The places on the plane through x and y, on which u runs along x and v along y."""
     edges, normal = (axis(1, 0, 0), axis(0, 1, 0)), axis(0, 0, 1)
-    grown = growth(ShadingFrame(normal, edges[0]), normal, normal, *edges)
-    return TexturePoint(Vec2.of(AT.uv), {}, Edges(edges, tuple(Vec2(edge.x, edge.y) for edge in edges), {}, grown))
+    grown = barycentric_gradients(ShadingFrame(normal, edges[0]), normal, normal, *edges)
+    return TexturePoint(Vec2.of(AT.uv), {}, TriangleEdges(edges, tuple(Vec2(edge.x, edge.y) for edge in edges), {}, grown))
 
 
 class Material(nn.Module):

@@ -18,8 +18,8 @@ from tests.scenes import load, rectangle, rgb, sensor, texels
 from torch_radbp.emitter import envmap
 from torch_radbp.plugin import Texture
 from torch_radbp.scene import geometry, light_table
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.same_bits import PART, same_bits
 from torch_radbp.shape.mesh import Mesh
 
@@ -200,32 +200,32 @@ def taken_over(new, old) -> bool:
 
 
 def test_tables_are_the_same_objects_until_something_changes():
-    scene, kept = scene_of(), Kept()
+    scene, kept = scene_of(), PackCache()
     first = pack(scene, kept)
-    second = pack(scene, kept := Kept(kept.close()))
+    second = pack(scene, kept := PackCache(kept.close()))
     for table in ("triangles", "lights", "textures", "radiance"):
         assert taken_over(getattr(second, table), getattr(first, table)), table
     scene.get_parameter("hills.bsdf.reflectance.data").data[0, 0] = 0.5
-    third = pack(scene, kept := Kept(kept.close()))
+    third = pack(scene, kept := PackCache(kept.close()))
     assert taken_over((third.triangles, third.lights, third.radiance), (first.triangles, first.lights, first.radiance))
     assert not taken_over(third.textures, first.textures)
     scene.get_parameter("hills.vertex_positions").data[0, 0] += 0.5
-    fourth = pack(scene, Kept(kept.close()))
+    fourth = pack(scene, PackCache(kept.close()))
     assert not taken_over(fourth.triangles.vertices.p, first.triangles.vertices.p)
     assert taken_over((fourth.triangles.corners, fourth.textures), (first.triangles.corners, third.textures))
 
 
 def test_of_attached_geometry_what_is_detached_is_made_again_only_if_it_moves():
-    scene, kept = scene_of(), Kept()
+    scene, kept = scene_of(), PackCache()
     positions = scene.get_parameter("hills.vertex_positions").requires_grad_()
     first = pack(scene, kept)
-    second = pack(scene, kept := Kept(kept.close()))
+    second = pack(scene, kept := PackCache(kept.close()))
     assert second.triangles.vertices.p is not first.triangles.vertices.p and second.triangles.vertices.p.x.requires_grad
     assert second.triangles.n is first.triangles.n and second.triangles.corners is first.triangles.corners
     assert not second.triangles.n.x.requires_grad
     with torch.no_grad():
         positions.mul_(0.9)
-    third = pack(scene, Kept(kept.close())).triangles
+    third = pack(scene, PackCache(kept.close())).triangles
     assert third.n is not first.triangles.n and third.corners is first.triangles.corners
 
 
@@ -309,12 +309,12 @@ def names_of(named: list[tuple[str, nn.Module]]) -> list[str]:
 
 
 def test_what_follows_from_attributes_is_made_again_only_when_one_is_another_object():
-    scene, kept = scene_of(), Kept()
+    scene, kept = scene_of(), PackCache()
 
     def taken_over_after(change=lambda: None) -> bool:
         nonlocal kept
         before = kept.structure(names_of, scene)
-        kept = Kept(kept.close())
+        kept = PackCache(kept.close())
         change()
         return kept.structure(names_of, scene) is before
 
@@ -329,13 +329,13 @@ def test_what_follows_from_attributes_is_made_again_only_when_one_is_another_obj
 
 
 def test_twins_are_the_same_objects_until_something_in_them_changes():
-    scene, kept = scene_of(), Kept()
+    scene, kept = scene_of(), PackCache()
     camera = scene.camera
 
     def taken_over_after(change=lambda: None) -> bool:
         nonlocal kept
         before = kept.twin("camera", camera)
-        kept = Kept(kept.close())
+        kept = PackCache(kept.close())
         change()
         return kept.twin("camera", camera) is before
 
@@ -357,7 +357,7 @@ def test_a_result_is_taken_over_only_for_arguments_that_stand_still():
         made.append(arguments)
         return torch.ones(2)
 
-    live, kept = torch.zeros(2), Kept()
+    live, kept = torch.zeros(2), PackCache()
     for arguments in ((1,), (True,), (1.0,), (0.0,), (-0.0,), ("a", (1, 2)), (torch.float32,)):
         assert kept(make, *arguments) is kept(make, *arguments)
     assert len(made) == 7
@@ -365,10 +365,10 @@ def test_a_result_is_taken_over_only_for_arguments_that_stand_still():
         assert kept(make, *arguments) is not kept(make, *arguments)
     frozen = kept.frozen("place", live)
     first = kept(make, frozen)
-    following = Kept(kept.close())
+    following = PackCache(kept.close())
     assert following.frozen("place", live.clone()) is frozen and following(make, frozen) is first
     live.data[1] = 1.0
-    changed = Kept(following.close())
+    changed = PackCache(following.close())
     assert changed.frozen("place", live) is not frozen and changed(make, changed.frozen("place", live)) is not first
 
 

@@ -14,8 +14,8 @@ from tests.shape.surfaces import TEXTURED, meets, of_point
 from torch_radbp.domain import Domain
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.io.write import save
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.shapegroup import ShapeGroup
 
@@ -182,14 +182,14 @@ def test_what_has_not_changed_is_neither_packed_nor_built_again():
     with torch.no_grad():
         renderer(seed=0)
         before, kept = renderer.last_caster, renderer.kept
-        tables = pack(scene, Kept(kept)).triangles
-        again = pack(scene, Kept(kept)).triangles
+        tables = pack(scene, PackCache(kept)).triangles
+        again = pack(scene, PackCache(kept)).triangles
         assert again.vertices is tables.vertices and again.instances is tables.instances
         renderer(seed=0)
         assert renderer.last_caster is before
         scene.instance_1.to_world[0, 3] += 0.5
         renderer(seed=0)
-    after, moved = renderer.last_caster, pack(scene, Kept(renderer.kept)).triangles
+    after, moved = renderer.last_caster, pack(scene, PackCache(renderer.kept)).triangles
     assert after is not before and after.groups[0].tree is before.groups[0].tree
     assert moved.vertices is tables.vertices and moved.n is tables.n
     shift = moved.instances.origin.x - tables.instances.origin.x

@@ -10,8 +10,8 @@ from tests.scenes import load, sensor
 from tests.shape.surfaces import meets
 from torch_radbp.io.transform import scale
 from torch_radbp.scene import geometry
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.shape import sdfgrid, zero_set
 from torch_radbp.shape.marching_cubes import case_table, faces, fan, loops
 from torch_radbp.shape.zero_set import vertices, zero_net
@@ -171,10 +171,10 @@ def test_triangles_are_found_again_only_if_the_grid_has_changed(monkeypatch):
     calls, plain = [], sdfgrid.zero_net
     monkeypatch.setattr(sdfgrid, "zero_net", lambda *arguments: calls.append(1) or plain(*arguments))
     scene.shape.grid.requires_grad_()
-    kept = Kept()
+    kept = PackCache()
     for expected in (1, 1):
         pack(scene, kept)
-        kept = Kept(kept.close())
+        kept = PackCache(kept.close())
         assert len(calls) == expected
     scene.shape.grid.data[2, 2, 2] -= 0.01
     assert pack(scene, kept).triangles.vertices.p.x.requires_grad and len(calls) == 2

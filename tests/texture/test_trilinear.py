@@ -13,8 +13,8 @@ from tests.scene.test_texture import reference
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
 from torch_radbp.io.transform import scale
 from torch_radbp.rendering.call.render_call import start_paths
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.texture import bitmap as bitmap_file
 from torch_radbp.texture.bitmap import Bitmap, pyramid_bank
 from torch_radbp.texture.pyramid import halved, pyramid, sample_pyramid
@@ -203,15 +203,15 @@ def test_lamps_are_read_bilinear():
 def test_a_pyramid_is_built_again_only_if_its_texels_have_changed(monkeypatch):
     built = []
     monkeypatch.setattr(bitmap_file, "pyramid", lambda data: built.append(1) or pyramid(data))
-    scene, kept = floor_scene(image(texels(5, 6))), Kept()
+    scene, kept = floor_scene(image(texels(5, 6))), PackCache()
     scene.floor.bsdf.reflectance.data.requires_grad_(False)
     for _ in range(3):
-        kept = Kept(kept)
+        kept = PackCache(kept)
         pack(scene, kept)
         kept.close()
     assert len(built) == 1
     scene.floor.bsdf.reflectance.data.mul_(0.5)
-    pack(scene, Kept(kept))
+    pack(scene, PackCache(kept))
     assert len(built) == 2
 
 

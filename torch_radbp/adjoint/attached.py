@@ -8,9 +8,9 @@ from torch import Tensor
 from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.differentiated import detached
 from torch_radbp.path.bounce import places_of
-from torch_radbp.path.given import given_values
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
+from torch_radbp.path.texture_networks import given_values
 from torch_radbp.path.wavefront import add_at, first_hit, surviving, take_step, trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, rows_between

@@ -22,8 +22,8 @@ from torch_radbp.adjoint.record import record_chunk
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.differentiated import detached, differentiable
-from torch_radbp.entry import entry
 from torch_radbp.jit.torch_internals import batched
+from torch_radbp.public_call import public_call
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.rendering.call.chunks import Chunk
 from torch_radbp.rendering.call.pixels import asked_of_pixels, filters_of, lane_adjoint, weighted
@@ -82,7 +82,7 @@ class RenderFunction(torch.autograd.Function):
     @staticmethod
     @first_derivatives_only
     @torch.autograd.function.once_differentiable
-    @entry
+    @public_call
     def backward(ctx, grad_images: Tensor):
         call, integrand = ctx.call, ctx.integrand
         check_shapes(call.parameters, ctx.shapes)

@@ -11,8 +11,8 @@ from torch_radbp.path.bounce import cone_after, followed_by, scattering
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.cone import Cone
-from torch_radbp.scene.departure import attached_departure
 from torch_radbp.scene.interaction import Corners
+from torch_radbp.scene.outgoing_ray import attached_outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import Given
 from torch_radbp.vec import Ray, Vec3, masked
@@ -54,6 +54,6 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     E = local.Le + masked(verdict.visible, local.Ld)
     if not settings.moving:
         return LocalMap(E, masked(verdict.survives, local.sample.weight * local.thinning), None, None)
-    weight, ray = attached_departure(scene, local.material, local.si, local.sample, following, settings.sampling, there)
+    weight, ray = attached_outgoing_ray(scene, local.material, local.si, local.sample, following, settings.sampling, there)
     return LocalMap(E, masked(verdict.survives, weight * local.thinning), ray, local.sample.pdf,
                     followed_by(local.material, arrival.state, settings), cone_after(arrival.state, local))

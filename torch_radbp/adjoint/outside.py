@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.scatter import Gradients
-from torch_radbp.path.given import banks_outside
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.texture_networks import banks_outside
 from torch_radbp.path.wavefront import Queue
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import Given, Place

@@ -15,11 +15,11 @@ from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, TURNING, UND
 from torch_radbp.boundary.outline import Jumps
 from torch_radbp.boundary.primary import Seen, jumps_of_views
 from torch_radbp.differentiated import detached, differentiable, with_derivative_of
-from torch_radbp.entry import entry
 from torch_radbp.lookup import summed
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import first_hit
+from torch_radbp.public_call import public_call
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.call.chunks import Chunk
 from torch_radbp.rendering.call.pixels import deposit, developed
@@ -54,7 +54,7 @@ def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = Fal
     integrand = call.make_integrand(call.scene).with_stages(call.stages)
     quantities = tuple(dict.fromkeys(map(plain, names)))
 
-    @entry
+    @public_call
     def sums(chunk: Chunk) -> tuple[Tensor, None]:
         samples = camera_samples(call, chunk, call.views[chunk.sensor].sample_keys[0])
         start, weight = started(call, samples), samples.weight

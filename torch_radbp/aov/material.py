@@ -6,9 +6,9 @@ from torch_radbp.aov.surface import Values
 from torch_radbp.differentiated import detached
 from torch_radbp.lookup import lookup, summed
 from torch_radbp.path.bounce import surface_met
-from torch_radbp.path.given import given_values
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Arrival, PathState, Settings
+from torch_radbp.path.texture_networks import given_values
 from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.material import material_at, material_places

@@ -26,7 +26,7 @@ from torch_radbp.vec import Frame, Ray, Vec2, Vec3, attached, dot, interpolated,
 Values = tuple[Tensor, ...]  # (N,) one for each channel
 
 
-class Sight(NamedTuple):
+class SeenPoint(NamedTuple):
     """The point where a camera ray meets a triangle, (N,) each; of no meaning where it meets none."""
 
     scene: SceneTensors
@@ -43,7 +43,7 @@ class Sight(NamedTuple):
         return at_corners(self.scene.triangles.vertices.uv, corner_rows(self.scene, self.hit))
 
 
-def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> Sight:
+def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> SeenPoint:
     """The point where a ray meets a triangle.
 
     Args:
@@ -60,15 +60,15 @@ def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> Sight:
     p = p0 + e1 * hit.u + e2 * hit.v
     if moving:
         t, n = attached(t, dot(p - ray.o, ray.d)), attached(n, unit_normal_shown(scene, hit, e1, e2))
-    return Sight(scene, hit, e1, e2, p, n, t)
+    return SeenPoint(scene, hit, e1, e2, p, n, t)
 
 
-def coordinates(seen: Sight) -> Values:
+def coordinates(seen: SeenPoint) -> Values:
     """Surface coordinates u and v."""
     return tuple(interpolated(seen.uv, seen.hit.u, seen.hit.v))
 
 
-def tangents(seen: Sight) -> tuple[Vec3, Vec3]:
+def tangents(seen: SeenPoint) -> tuple[Vec3, Vec3]:
     """The derivatives of the position by u and by v on the triangle; where the coordinates do not span it, any orthonormal
     pair across the normal."""
     uv0, uv1, uv2 = seen.uv
@@ -81,7 +81,7 @@ def tangents(seen: Sight) -> tuple[Vec3, Vec3]:
             where(spanned, (seen.e2 * d1.x - seen.e1 * d2.x) * scale, other.t))
 
 
-def number(seen: Sight, which: int) -> Values:
+def number(seen: SeenPoint, which: int) -> Values:
     """A number of the triangle, floating point: 0 the triangle's in its shape, 1 the shape's."""
     triangles = seen.scene.triangles
     found = lookup(triangles.numbers[which], seen.hit.prim.clamp_min(0))

@@ -3,8 +3,8 @@
 from torch_radbp.boundary.outline import Jumps, Outlines
 from torch_radbp.boundary.primary import image_jumps, moves
 from torch_radbp.boundary.rendering import Rendering
-from torch_radbp.boundary.silhouette import Sight
+from torch_radbp.boundary.silhouette import CameraSight
 from torch_radbp.boundary.warning import JumpWarning, JumpWatch, SilhouetteWarning
 
-__all__ = ["JumpWarning", "JumpWatch", "Jumps", "Outlines", "Rendering", "Sight", "SilhouetteWarning", "image_jumps",
+__all__ = ["JumpWarning", "JumpWatch", "Jumps", "Outlines", "Rendering", "CameraSight", "SilhouetteWarning", "image_jumps",
            "moves"]

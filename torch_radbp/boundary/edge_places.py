@@ -33,7 +33,7 @@ STEP = 1e-5  # of the length of an edge in view, by which its direction on the f
 INWARDS = 1e-3  # barycentric weight of the vertex opposite an edge where a triangle is looked at
 
 
-class Choice(NamedTuple):
+class EdgesInView(NamedTuple):
     """The edges in a view, and how often each is picked."""
 
     enters: Tensor  # (E,) shares of the way from a to b between which it is in view
@@ -137,7 +137,7 @@ def in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Gl
     return tuple(found)
 
 
-def edges_in_view(view: View, outline: Outline, vertices: Tensor) -> Choice:
+def edges_in_view(view: View, outline: Outline, vertices: Tensor) -> EdgesInView:
     """Which edges are in view, and how long they are there; `vertices` (U, 3) of the outline, float64."""
     camera, edges = view.camera, outline.edges
     silhouette = is_silhouette(edges, vertices, camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
@@ -150,7 +150,7 @@ def edges_in_view(view: View, outline: Outline, vertices: Tensor) -> Choice:
     weight = length * jump[some]
     every = torch.zeros(3, len(jump), dtype=torch.float64, device=vertices.device)
     enters, leaves, weights = every.index_copy(1, some, torch.stack([enters, leaves, weight]))
-    return Choice(enters, leaves, weights, silhouette, float(weight.sum()))
+    return EdgesInView(enters, leaves, weights, silhouette, float(weight.sum()))
 
 
 def clipped(view: View, edges: Edges, vertices: Tensor, some: Tensor) -> tuple[Tensor, Tensor, Tensor]:

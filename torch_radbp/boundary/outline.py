@@ -20,7 +20,7 @@ from torch_radbp.boundary.faces import joined as joined_faces
 from torch_radbp.boundary.places import Placed
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.differentiated import detached
-from torch_radbp.raycast.known import same
+from torch_radbp.raycast.caster_cache import same
 from torch_radbp.rendering.call.render_call import RenderCall
 from torch_radbp.scene.placement import shown
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
@@ -62,7 +62,7 @@ class Jumps(NamedTuple):
     faces: Faces | None  # triangles inside of which it may
 
 
-class Mesh(NamedTuple):
+class OutlinedMesh(NamedTuple):
     """The edges of some triangles, and what else about them does not change while these do not move."""
 
     corners: tuple[Tensor, Tensor, Tensor]  # of all triangles of the scene
@@ -90,7 +90,7 @@ class Outlines:
     """Finds outlines, and remembers the edges of meshes whose triangles have not changed."""
 
     def __init__(self) -> None:
-        self.known: dict[object, Mesh] = {}
+        self.known: dict[object, OutlinedMesh] = {}
 
     def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
         """Where each view of a call may jump: at all shapes where the camera moves, at those that move where it does not.
@@ -164,7 +164,7 @@ class Outlines:
         return Outline(shown, (chosen + 1).to(torch.int32).repeat_interleave(len(edges.vertex)), jumps,
                        torch.full_like(jumps, part))
 
-    def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Mesh | None:
+    def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> OutlinedMesh | None:
         """The edges of some shapes, found anew only if triangles of the scene have changed; None: there are none."""
         known = self.known.get(shapes)
         tables, reads = (*triangles.corners, triangles.smooth), tuple(
@@ -177,7 +177,7 @@ class Outlines:
             return None
         edges = edges_of(triangles.vertices.p.stack(), torch.stack(triangles.corners, 1)[chosen])
         edges = edges._replace(corner=3 * chosen[torch.div(edges.corner, 3, rounding_mode="floor")] + edges.corner % 3)
-        found = self.known[shapes] = Mesh(triangles.corners, triangles.smooth, reads, edges,
+        found = self.known[shapes] = OutlinedMesh(triangles.corners, triangles.smooth, reads, edges,
                                          creases(edges, triangles, shape))
         return found
 

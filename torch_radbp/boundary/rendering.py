@@ -10,16 +10,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.silhouette import Sight
+from torch_radbp.boundary.silhouette import CameraSight
 from torch_radbp.bsdf.kind import Kind
 from torch_radbp.differentiated import tangent_of
 from torch_radbp.plugin import BSDF, Plugin, Sensor, Texture
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
 from torch_radbp.scene.geometry import PlacedShape, number_of_triangles, placed_shape
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.material import turning_values
 from torch_radbp.scene.pack import one_sided
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.shape.placement import Instances, expanded
 from torch_radbp.shape.surface import Surface
@@ -35,10 +35,10 @@ class Rendering:
 
     scene: Scene  # with the parameters of this rendering
     sensors: Sequence[Sensor]
-    sights: Sequence[Sight]  # one for each sensor
+    sights: Sequence[CameraSight]  # one for each sensor
     caster: RayCaster  # of the scene as it is now
     sampling: str  # "detached", "hybrid" or "attached"
-    kept: Kept  # of this rendering
+    kept: PackCache  # of this rendering
     instances: Instances | None  # of the scene as it is now
     primary: bool  # derivatives have what edges in view contribute
     max_depth: int  # of paths, as the renderer has it

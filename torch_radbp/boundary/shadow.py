@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges
-from torch_radbp.boundary.silhouette import Sight, crosses_view, is_silhouette
+from torch_radbp.boundary.silhouette import CameraSight, crosses_view, is_silhouette
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.vec import Ray, Vec3
 
@@ -28,7 +28,7 @@ class Shadows(NamedTuple):
 
 
 def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Tensor, axis: Tensor,
-                    sights: Sequence[Sight], own: Tensor | None = None) -> Shadows:
+                    sights: Sequence[CameraSight], own: Tensor | None = None) -> Shadows:
     """The shadows that a light casts into some views. A shadow hidden behind a surface counts as seen.
 
     Args:

@@ -17,7 +17,7 @@ NEITHER = math.inf  # in place of a side: no edge of this triangle is a silhouet
 MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a surface may end exactly there
 
 
-class Sight(NamedTuple):
+class CameraSight(NamedTuple):
     """The view of one sensor."""
 
     camera: Camera  # detached
@@ -25,7 +25,7 @@ class Sight(NamedTuple):
     height: int
 
 
-def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
+def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: CameraSight) -> Tensor:
     """The edges at which the image is discontinuous, unless something hides them.
 
     Args:
@@ -138,7 +138,7 @@ def on_one_side(side: Tensor, edge: Tensor, count: int) -> Tensor:
     return (total.abs() == seen) & (seen > 0) & torch.isfinite(seen)
 
 
-def crosses_view(edges: Edges, vertices: Tensor, sight: Sight) -> Tensor:
+def crosses_view(edges: Edges, vertices: Tensor, sight: CameraSight) -> Tensor:
     """True if part of an edge is in the camera's view; (E,) bool.
 
     Args:

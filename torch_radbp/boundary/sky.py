@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.rendering import Rendering, ShownTriangles
 from torch_radbp.boundary.shadow import APART, ray_from
-from torch_radbp.boundary.silhouette import Sight
+from torch_radbp.boundary.silhouette import CameraSight
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.vec import Vec2
 
@@ -75,7 +75,7 @@ def normals_at(rendering: Rendering, hit: Hit, lanes: Tensor) -> Tensor:
     return torch.nn.functional.normalize(normal, dim=1, eps=1e-300)
 
 
-def rays_of(sight: Sight) -> tuple[Tensor, Tensor, Tensor]:
+def rays_of(sight: CameraSight) -> tuple[Tensor, Tensor, Tensor]:
     """Rays through a grid over the image: origins and unit directions, (SIDE^2, 3) float64; and (SIDE^2,) bool: there is
     such a ray."""
     film, lens = sight.camera.film, sight.camera.lens

@@ -22,12 +22,12 @@ from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.boundary.inward import inward_faces
 from torch_radbp.boundary.rendering import MOVE_SHAPES, Rendering, listed
 from torch_radbp.boundary.shadow import shadows_in_view
-from torch_radbp.boundary.silhouette import Sight, silhouettes_in_view
+from torch_radbp.boundary.silhouette import CameraSight, silhouettes_in_view
 from torch_radbp.boundary.sky import hidden_sky
 from torch_radbp.boundary.unmapped import unmapped_textures
 from torch_radbp.boundary.without_rays import views_without_rays
 from torch_radbp.plugin import Shape
-from torch_radbp.raycast.known import same
+from torch_radbp.raycast.caster_cache import same
 from torch_radbp.scene.material import followed, sampling_at
 from torch_radbp.scene.pack import one_sided
 
@@ -133,7 +133,7 @@ class JumpWatch:
                                  f"they fall.{soft} A loss that depends on where shadows lie has a biased gradient; "
                                  f"check_gradient measures by how much")
 
-    def borders_of_shadows(self, rendering: Rendering, lights: list[Light], cameras: list[list[str]]) -> set[str]:
+    def borders_of_shadows(self, rendering: Rendering, lights: list[ShadowingLight], cameras: list[list[str]]) -> set[str]:
         """The parameters that move borders of shadows in view, of lights with a position or a direction.
 
         Args:
@@ -275,7 +275,7 @@ class JumpWatch:
         return known[1]
 
 
-def number_in_view(edges: Edges, vertices: Tensor, sights: Sequence[Sight]) -> int:
+def number_in_view(edges: Edges, vertices: Tensor, sights: Sequence[CameraSight]) -> int:
     """The number of silhouettes in some views."""
     return sum(int(silhouettes_in_view(edges, vertices, sight).sum()) for sight in sights)
 
@@ -286,7 +286,7 @@ def times_as_far(vertices: Tensor) -> float:
     return float(torch.maximum(low.abs(), high.abs()).max() / (high - low).max().clamp_min(torch.finfo(low.dtype).tiny))
 
 
-class Light(NamedTuple):
+class ShadowingLight(NamedTuple):
     """A light that casts shadows with a border."""
 
     place: Tensor  # (4,) homogeneous: the position, or middle, of the light; or with 0 at the end the direction towards it
@@ -295,13 +295,13 @@ class Light(NamedTuple):
     moving: list[str]  # the parameters that move it, of those with derivatives
 
 
-def lights_of(rendering: Rendering) -> Iterator[Light]:
+def lights_of(rendering: Rendering) -> Iterator[ShadowingLight]:
     """All lights with a position or a direction."""
     scene, caster = rendering.scene, rendering.caster
     for emitter in scene.emitters:
         source = emitter.source()
         if source is not None:
-            yield Light(*source, None, rendering.moving(emitter, MOVE_LIGHTS))
+            yield ShadowingLight(*source, None, rendering.moving(emitter, MOVE_LIGHTS))
     for shape, faces in zip(rendering.shapes, caster.faces.split(rendering.sizes)):
         if shape.emitter is not None:
             first, second, third = caster.vertices[faces.long()].unbind(1)
@@ -309,7 +309,7 @@ def lights_of(rendering: Rendering) -> Iterator[Light]:
             middle = ((first + second + third) / 3.0).mean(0)
             # The normals of a closed surface add up to zero, but for rounding.
             axis = normals.sum(0) * float(normals.sum(0).norm() > CLOSED * normals.norm(dim=1).sum())
-            yield Light(*shape.emitter.kind().source(middle, axis), shape, rendering.moving(shape, MOVE_SHAPES))
+            yield ShadowingLight(*shape.emitter.kind().source(middle, axis), shape, rendering.moving(shape, MOVE_SHAPES))
 
 
 def scattering(rendering: Rendering) -> Tensor:
@@ -335,7 +335,7 @@ def soft_shadows(rendering: Rendering, cameras: list[list[str]]) -> set[str]:
             *(name for view in found.view.unique().tolist() for name in cameras[view])}
 
 
-def some_of(lights: list[Light]) -> list[Light]:
+def some_of(lights: list[ShadowingLight]) -> list[ShadowingLight]:
     """At most `MOST_LIGHTS` of the lights that move and as many of the others, spread over the scene."""
     groups = [light for light in lights if light.moving], [light for light in lights if not light.moving]
     return [light for group in groups for light in group[::max(1, -(-len(group) // MOST_LIGHTS))]]

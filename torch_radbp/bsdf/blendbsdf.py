@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values, chance_of_lobe, either, on_horizon_unless
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, chance_of_lobe, either, on_horizon_unless
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.differentiated import differentiated
 from torch_radbp.domain import FRACTION, Domain
@@ -109,7 +109,7 @@ class BlendKind(Kind):
         second, second_pdf = self.second.eval_pdf(of_second, wi, wo, fixed_lobes)
         return first * (1.0 - weight) + second * weight, first_pdf * (1.0 - chance) + second_pdf * chance
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
         chance = self.chance_of_second(values[0].x.detach())
         rest = (((choice - chance) / positive_or_one(1.0 - chance)).clamp(0.0, LARGEST_NUMBER),
                 (choice / positive_or_one(chance)).clamp_max(LARGEST_NUMBER))
@@ -118,26 +118,26 @@ class BlendKind(Kind):
         picked = choice < chance
         probability = torch.where(picked, chance * second.probability, (1.0 - chance) * first.probability)
         delta = torch.where(picked, second.is_delta(self.second), first.is_delta(self.first))
-        return Choice(picked.to(chance.dtype), probability, delta, (first, second))
+        return LobeChoice(picked.to(chance.dtype), probability, delta, (first, second))
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         first, second = (own_sample(kind, part, wi, own, u, v)
                          for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
         return where(choice.lobe > 0, second, first)
 
-    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor | None:
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
         first, second = (kind.chance_by_direction(part, wi, wo, own)
                          for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
         return either(choice.lobe > 0, second, first)
 
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         weight, none = values[0].x, Vec3.full(wi.z, 0.0)
         first, second = (kind.specular(part, wi, own) if kind.delta else none
                          for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
         return where(choice.lobe > 0, second * weight, first * (1.0 - weight))
 
 
-def own_sample(kind: Kind, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+def own_sample(kind: Kind, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
     """The sample of one kind of several; on the horizon if it cannot be used, or another kind would take it for its own."""
     wo = kind.sample(values, wi, choice, u, v)
     if not kind.smooth:

@@ -20,7 +20,7 @@ LIMIT = 1e6  # of heights and of their scale: the squares of slopes are finite i
 
 @dataclass(frozen=True)
 class BumpMapKind(TurnedKind):
-    """Values: the slope of the heights along the surface (see `torch_radbp.scene.growth`), their scale (a scalar), those of
+    """Values: the slope of the heights along the surface (see `barycentric_gradients.py`), their scale (a scalar), those of
     the nested kind.
     """
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
-from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, reflects
+from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values, reflects
 from torch_radbp.domain import AMOUNT, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.texture.rgb import as_texture
@@ -23,10 +23,10 @@ class ConductorKind(DeltaKind):
     def slots(self) -> int:
         return 3
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         return Vec3(-wi.x, -wi.y, wi.z)
 
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         eta, k, reflectance = values
         return reflectance * conductor_reflectance(wi.z.abs(), eta, k) * reflects(wi, wi)
 

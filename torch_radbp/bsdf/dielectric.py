@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
-from torch_radbp.bsdf.kind import Choice, DeltaKind, Values, side_of
+from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values, side_of
 from torch_radbp.bsdf.number import OwnNumber
 from torch_radbp.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
@@ -24,15 +24,15 @@ def relative_index(eta: Tensor, side: Tensor) -> Tensor:
     return outside * eta + (1.0 - outside) / eta
 
 
-def blend(choice: Choice, reflected: Tensor, transmitted: Tensor) -> Tensor:
+def blend(choice: LobeChoice, reflected: Tensor, transmitted: Tensor) -> Tensor:
     """The value of the chosen lobe: that of reflection or that of transmission."""
     return reflected + choice.lobe * (transmitted - reflected)
 
 
-def decide(reflectance: Tensor, choice: Tensor) -> Choice:
+def decide(reflectance: Tensor, choice: Tensor) -> LobeChoice:
     """Chooses reflection with the probability `reflectance`, which is detached."""
     transmits = (choice >= reflectance).to(reflectance.dtype)
-    return Choice(transmits, torch.where(choice >= reflectance, 1.0 - reflectance, reflectance))
+    return LobeChoice(transmits, torch.where(choice >= reflectance, 1.0 - reflectance, reflectance))
 
 
 @dataclass(frozen=True)
@@ -54,18 +54,18 @@ class DielectricKind(DeltaKind):
     def slots(self) -> int:
         return 3
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
         wi, eta = wi.detach(), values[0].x.detach()
         return decide(dielectric_reflectance(wi.z.abs(), relative_index(eta, side_of(wi)))[0], choice)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         side = side_of(wi)
         eta = relative_index(values[0].x, side)
         _, cos_t = dielectric_reflectance(wi.z.abs(), eta)
         along = -blend(choice, torch.ones_like(eta), 1.0 / eta)
         return Vec3(wi.x * along, wi.y * along, blend(choice, wi.z, -side * cos_t))
 
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         eta = relative_index(values[0].x, side_of(wi))
         reflectance, _ = dielectric_reflectance(wi.z.abs(), eta)
         transmittance = (1.0 - reflectance) / (eta * eta)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
 from torch_radbp.domain import REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
@@ -29,7 +29,7 @@ class DiffuseKind(Kind):
         pdf = cosine_hemisphere_pdf(wo) * (wi.z > 0).to(wi.z.dtype)
         return values[0] * pdf, pdf
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         return square_to_cosine_hemisphere(u, v)
 
 

@@ -42,13 +42,13 @@ SMALLEST_LEVEL = 1e-12  # squared length of a direction's horizontal part
 Values = tuple[Vec3, ...]
 
 
-class Choice(NamedTuple):
+class LobeChoice(NamedTuple):
     """The lobe that was picked; detached."""
 
     lobe: Tensor  # (N,) its number, floating point; of glass 0 reflects and 1 transmits
     probability: Tensor  # (N,) with which it is picked
     delta: Tensor | None = None  # (N,) bool: it is a delta lobe; None: the kind has no other, or none at all
-    parts: tuple[Choice, ...] = ()  # the choices of the kinds that this one holds
+    parts: tuple[LobeChoice, ...] = ()  # the choices of the kinds that this one holds
 
     def is_delta(self, kind: Kind) -> Tensor:
         """(N,) bool: a delta lobe was picked; `kind` is the one that picked it."""
@@ -116,17 +116,17 @@ class Kind(ABC):
         return self.eval_pdf(values, wi, wo)[1]
 
     @abstractmethod
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         """A unit vector wo of the chosen lobe, attached. `eval` and `pdf` are zero where it cannot be used."""
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> LobeChoice:
         """The lobe, decided by the random number `choice`; `sample` will get the same u and v. Detached.
 
         `choice` may be None where the kind is not `discrete`.
         """
-        return Choice(torch.zeros_like(wi.z), torch.ones_like(wi.z))
+        return LobeChoice(torch.zeros_like(wi.z), torch.ones_like(wi.z))
 
-    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor | None:
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
         """The probability of the chosen lobe as a function of the directions, to which it is attached; up to a factor.
 
         None if it does not vary with wo, or where that makes no difference because the lobe overlaps with no other. `values`
@@ -134,7 +134,7 @@ class Kind(ABC):
         """
         return None
 
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         """Weight of the chosen delta lobe, not divided by the choice's probability; attached. Else finite, and not used."""
         raise TypeError(f"{type(self).__name__} has no delta lobe: use eval")
 
@@ -161,11 +161,11 @@ class DeltaKind(Kind):
         return Vec3.full(wi.z, 0.0), torch.zeros_like(wi.z)
 
     @abstractmethod
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         """Weight of the chosen lobe, not divided by the choice's probability; attached."""
 
 
-def choice_among(probabilities: Sequence[Tensor | float], choice: Tensor) -> Choice:
+def choice_among(probabilities: Sequence[Tensor | float], choice: Tensor) -> LobeChoice:
     """The smooth lobe that a random number picks: number k with the k-th of some probabilities.
 
     Args:
@@ -176,7 +176,7 @@ def choice_among(probabilities: Sequence[Tensor | float], choice: Tensor) -> Cho
     for probability in probabilities[:-1]:
         end = end + probability
         lobe = lobe + (choice >= end).to(choice.dtype)
-    return Choice(lobe, sum((lobe == k).to(choice.dtype) * probability for k, probability in enumerate(probabilities)))
+    return LobeChoice(lobe, sum((lobe == k).to(choice.dtype) * probability for k, probability in enumerate(probabilities)))
 
 
 def on_horizon_unless(usable: Tensor, w: Vec3) -> Vec3:

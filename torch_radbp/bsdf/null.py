@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, DeltaKind, Values
+from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.vec import Vec3
 
@@ -22,10 +22,10 @@ class NullKind(DeltaKind):
     def slots(self) -> int:
         return 0
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         return -wi
 
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         return Vec3.full(wi.z, 1.0)
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
-from torch_radbp.bsdf.kind import Choice, Kind, Values, chance_of_lobe, reflects
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, chance_of_lobe, reflects
 from torch_radbp.bsdf.number import OwnNumber
 from torch_radbp.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, boolean, register
@@ -65,10 +65,10 @@ def share(reflectance: Vec3) -> Tensor:
     return ((reflectance.x + reflectance.y + reflectance.z) * (1.0 / 3.0)).clamp_min(LEAST_SHARE)
 
 
-def coat_or_base(chance: Tensor, number: Tensor) -> Choice:
+def coat_or_base(chance: Tensor, number: Tensor) -> LobeChoice:
     """Chooses lobe 0, the coat, with the probability `chance`, else lobe 1, the base."""
     coat = number < chance
-    return Choice((~coat).to(chance.dtype), torch.where(coat, chance, 1.0 - chance))
+    return LobeChoice((~coat).to(chance.dtype), torch.where(coat, chance, 1.0 - chance))
 
 
 @dataclass(frozen=True)
@@ -102,15 +102,15 @@ class PlasticKind(Kind):
         scale = density * passes_in * (1.0 - reflected) / (eta.x * eta.x)
         return base * scale, density * (1.0 - chance_of_lobe(chance, fixed_lobes))
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
         chance, _ = self.chance(tuple(value.detach() for value in values), wi.detach())
         picked = coat_or_base(chance, choice)
         return picked._replace(delta=picked.lobe == 0)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         return where(choice.delta, Vec3(-wi.x, -wi.y, wi.z), square_to_cosine_hemisphere(u, v))
 
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         eta, _, reflectance = values
         reflected, _ = dielectric_reflectance(wi.z.abs(), eta.x)
         return reflectance * (reflected * reflects(wi, wi))

@@ -41,7 +41,7 @@ from torch_radbp.bsdf.dielectric import relative_index
 from torch_radbp.bsdf.features import FeaturedKind, Number
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import (
-    Choice,
+    LobeChoice,
     Values,
     above,
     choice_among,
@@ -217,7 +217,7 @@ class PrincipledKind(FeaturedKind):
             pdf = pdf + chances.clearcoat * of_coat * at.m.z / at.cos_o.clamp_min(LEAST_CHANCE)
         return value, pdf
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
         values = tuple(value.detach() for value in values)
         w, side, eta = self.seen(values, wi.detach())
         chances = self.chances(values, 0.5 + 0.5 * side)
@@ -227,7 +227,7 @@ class PrincipledKind(FeaturedKind):
             refracts = chances.main * chances.refracting * (1.0 - dielectric_reflectance(dot(w, m), eta)[0])
         return choice_among((chances.diffuse, chances.clearcoat, refracts, chances.main - refracts), choice)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         w, side, eta = self.seen(values, wi)
         m = self.facets(values).sample_visible(w, u, v)
         cos_i = dot(w, m)
@@ -244,7 +244,7 @@ class PrincipledKind(FeaturedKind):
         refracted = (choice.lobe == REFRACTION).to(wo.z.dtype)
         return on_horizon_unless(wo.z * (1.0 - 2.0 * refracted) > 0, wo) * side
 
-    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor | None:
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
         if not self.transmits:
             return None
         at = self.microfacet(values, wi, wo)

@@ -35,7 +35,7 @@ from torch_radbp.bsdf.burley import (
 )
 from torch_radbp.bsdf.features import FeaturedKind, Number, features_of
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Values, above, choice_among, on_horizon_unless, side_of, values_for_choice
+from torch_radbp.bsdf.kind import LobeChoice, Values, above, choice_among, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import GGX, half_vector
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.domain import FRACTION, LARGEST_AMOUNT, REFLECTANCE, Domain
@@ -133,10 +133,10 @@ class PrincipledThinKind(FeaturedKind):
         grazing, straight = schlick_weight(cosine, eta), tint_of(values[0]) * normal_reflectance(eta)
         return straight.map(lambda c: mixed(plain, mixed(c, 1.0, grazing), tint))
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
         return choice_among(self.chances(values_for_choice(values)), choice)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         side, lobe = side_of(wi), choice.lobe
         through = (lobe == GLOSSY_TRANSMISSION) | (lobe == DIFFUSE_TRANSMISSION)
         wo, usable = square_to_cosine_hemisphere(u, v), torch.ones_like(through)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
-from torch_radbp.bsdf.kind import Choice, Values, above, reflects
+from torch_radbp.bsdf.kind import LobeChoice, Values, above, reflects
 from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
 from torch_radbp.bsdf.roughness import ROUGHNESS, make_rough
 from torch_radbp.domain import AMOUNT, REFLECTANCE, Domain
@@ -32,7 +32,7 @@ class RoughConductorKind(MicrofacetKind):
         scale, cosine = density * facets.masking(wi) * facets.masking(wo) * wo.z, dot(wi, m)
         return reflectance * conductor_reflectance(cosine, eta, k) * scale, density / self.area(facets, wi, cosine, m.z)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         wi = above(wi)
         m = self.drawn(values, wi, u, v)
         return m * (2.0 * dot(wi, m)) - wi

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Values, above, on_horizon_unless, side_of, values_for_choice
+from torch_radbp.bsdf.kind import LobeChoice, Values, above, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
 from torch_radbp.bsdf.roughness import ROUGHNESS, make_rough
 from torch_radbp.domain import Domain
@@ -98,18 +98,18 @@ class RoughDielectricKind(MicrofacetKind):
         """The reflectance of the microfacet between two directions, attached to these alone."""
         return self.microgeometry(values_for_choice(values), wi, wo).reflectance
 
-    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor:
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor:
         reflectance = self.reflectance_by_direction(values, wi, wo)
         return blend(choice, reflectance, 1.0 - reflectance)
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
         values, wi = tuple(value.detach() for value in values), wi.detach()
         side = side_of(wi)
         m = self.drawn(values, wi * side, u, v)
         reflectance, _ = dielectric_reflectance(dot(wi * side, m), self.index(values, side))
         return decide(reflectance, choice)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         side = side_of(wi)
         eta, wi = self.index(values, side), wi * side
         m = self.drawn(values, wi, u, v)

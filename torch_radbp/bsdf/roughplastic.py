@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, Kind, Values, above, chance_of_lobe, reflects
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, above, chance_of_lobe, reflects
 from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
 from torch_radbp.bsdf.number import ComputedNumbers, OwnNumber
 from torch_radbp.bsdf.plastic import Plastic, coat_or_base, coated, specular_chance
@@ -63,11 +63,11 @@ class RoughPlasticKind(MicrofacetKind):
         chance = chance_of_lobe(specular_chance(1.0 - passes_in, diffuse, specular), fixed_lobes)
         return value, chance * (of_coat / self.area(facets, wi, dot(wi, m), m.z)) + (1.0 - chance) * of_base
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
         values, wi = tuple(value.detach() for value in values), above(wi.detach())
         return coat_or_base(specular_chance(1.0 - self.passes(values, wi.z), *values[-2:]), choice)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         wi = above(wi)
         m = self.drawn(values, wi, u, v)
         return where(choice.lobe == 0, m * (2.0 * dot(wi, m)) - wi, square_to_cosine_hemisphere(u, v))

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Choice, DeltaKind, Values
+from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values
 from torch_radbp.plugin import register
 from torch_radbp.vec import Vec3
 
@@ -32,13 +32,13 @@ class ThinDielectricKind(DeltaKind):
     def slots(self) -> int:
         return 3
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
         return decide(pane_reflectance(wi.z.abs().detach(), values[0].x.detach()), choice)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         return Vec3(-wi.x, -wi.y, blend(choice, wi.z, -wi.z))
 
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         reflectance = pane_reflectance(wi.z.abs(), values[0].x)
         return values[1] * (reflectance * (1.0 - choice.lobe)) + values[2] * ((1.0 - reflectance) * choice.lobe)
 

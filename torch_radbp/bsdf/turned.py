@@ -24,7 +24,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values, on_horizon_unless
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, on_horizon_unless
 from torch_radbp.vec import Frame, Vec3, dot, where
 
 SHORTEST = 1e-8  # squared length of a normal; one that is shorter counts as not turned
@@ -123,20 +123,20 @@ class TurnedKind(Kind):
         value, pdf = self.nested.eval_pdf(values[self.own:], frame.to_local(wi), turned, fixed_lobes)
         return value * self.passes(frame, wo, turned), pdf * (wo.z * turned.z > 0).to(pdf.dtype)
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> LobeChoice:
         return self.nested.choose(values[self.own:], self.frame(values, wi).to_local(wi).detach(), choice, u, v)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         frame = self.frame(values, wi)
         turned = self.nested.sample(values[self.own:], frame.to_local(wi), choice, u, v)
         wo = frame.to_world(turned)
         return on_horizon_unless(wo.z * turned.z > 0, wo)
 
-    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor | None:
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
         frame = self.frame(values, wi)
         return self.nested.chance_by_direction(values[self.own:], frame.to_local(wi), frame.to_local(wo), choice)
 
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         frame = self.frame(values, wi)
         local, number = frame.to_local(wi), torch.full_like(wi.z, 0.5)  # directions of delta lobes depend on no number
         turned = self.nested.sample(values[self.own:], local, choice, number, number)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values, either, side_of
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, either, side_of
 from torch_radbp.plugin import BSDF, Texture, boolean, register
 from torch_radbp.vec import Vec3, where
 
@@ -92,28 +92,28 @@ class TwoSidedKind(Kind):
         front = side > 0
         return where(front, found[0][0], found[-1][0]), torch.where(front, found[0][1], found[-1][1])
 
-    def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> Choice:
+    def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> LobeChoice:
         side = side_of(wi)
         parts = tuple(kind.choose(own, mirrored(wi, side), choice, u, v)
                       for kind, own in zip(self.sides, self.parts(values)))
         front, delta = side > 0, [part.is_delta(kind) for kind, part in zip(self.sides, parts)]
-        return Choice(torch.where(front, parts[0].lobe, parts[-1].lobe),
+        return LobeChoice(torch.where(front, parts[0].lobe, parts[-1].lobe),
                       torch.where(front, parts[0].probability, parts[-1].probability),
                       torch.where(front, delta[0], delta[-1]), parts)
 
-    def sample(self, values: Values, wi: Vec3, choice: Choice, u: Tensor, v: Tensor) -> Vec3:
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         side = side_of(wi)
         found = [kind.sample(own, mirrored(wi, side), part, u, v)
                  for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]
         return mirrored(where(side > 0, found[0], found[-1]), side)
 
-    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: Choice) -> Tensor | None:
+    def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
         side = side_of(wi)
         found = [kind.chance_by_direction(own, mirrored(wi, side), mirrored(wo, side), part)
                  for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]
         return either(side > 0, found[0], found[-1])
 
-    def specular(self, values: Values, wi: Vec3, choice: Choice) -> Vec3:
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         side, none = side_of(wi), Vec3.full(wi.z, 0.0)
         found = [kind.specular(own, mirrored(wi, side), part) if kind.delta else none
                  for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]

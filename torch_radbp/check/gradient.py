@@ -33,13 +33,13 @@ from torch.nn.functional import interpolate
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.check.outcome import BIASED, GradientCheck, Question, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
-from torch_radbp.entry import arguments_of, check_arguments, entry
 from torch_radbp.plugin import finite, integer
+from torch_radbp.public_call import arguments_of, check_arguments, public_call
 from torch_radbp.rendering.jvp import rendering_with_tangent
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import TERMS, checked_seed
 from torch_radbp.scene import Scene
-from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.parameters import check_parameters
 
 BATCHES = 16
@@ -52,7 +52,7 @@ DIRECTIONS = ("random", "ones")
 STILL = ("value", "data", "scale")  # attributes that move nothing: textures, and factors of emitters
 
 
-@entry
+@public_call
 def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = None, spp: int = 256, seed: int = 0,
                    step: float | None = None, sensors: Sequence[int] | None = None, batches: int = BATCHES,
                    progress: Callable[[int, int], None] | None = None, **settings) -> GradientCheck:
@@ -289,7 +289,7 @@ class DomainOf(nn.Module):
         self.scene = scene
 
     def forward(self) -> None:
-        check_parameters(self.scene, Kept(), list(self.scene.named_sensors))
+        check_parameters(self.scene, PackCache(), list(self.scene.named_sensors))
 
 
 def left_out(renderer: Renderer) -> list[str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import warnings
 
-from torch_radbp.integrator.settings import Settings
+from torch_radbp.integrator.settings import IntegratorSettings
 from torch_radbp.plugin import integer, register
 
 
 @register("integrator", "direct")
-class Direct(Settings):
+class Direct(IntegratorSettings):
     """Emission and direct light, by next-event estimation and BSDF sampling with multiple importance sampling.
 
     Args:
@@ -18,7 +18,7 @@ class Direct(Settings):
             More are taken as 1, and a warning says so: the image is the same in expectation, `spp` makes it quieter.
         bsdf_samples: samples of the BSDF for each camera ray; 0, by which Mitsuba leaves out lights seen in mirrors, is not
             supported. More than 1 are taken as 1, likewise.
-        hide_emitters, block_size, samples_per_pass, timeout: see `Settings`.
+        hide_emitters, block_size, samples_per_pass, timeout: see `IntegratorSettings`.
 
     Raises:
         ValueError: for numbers of samples that contradict each other, or are not supported.

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from torch_radbp.integrator.path import Path
-from torch_radbp.integrator.settings import Settings
+from torch_radbp.integrator.settings import IntegratorSettings
 from torch_radbp.plugin import BSDF, Integrator
 
 
-class Nesting(Settings):
+class Nesting(IntegratorSettings):
     """The base of integrators that add outputs to those of a nested one.
 
     Args:
         integrators: by name; one, or none for outputs without an image of a name.
         hide_emitters: that of the nested integrator.
-        block_size, samples_per_pass, timeout: see `Settings`.
+        block_size, samples_per_pass, timeout: see `IntegratorSettings`.
 
     Raises:
         ValueError: if there are several, or `hide_emitters` is set but not in the nested one.

@@ -6,7 +6,7 @@ import warnings
 from typing import Any
 
 from torch_radbp.integrator.path import PathReplay
-from torch_radbp.integrator.settings import Settings
+from torch_radbp.integrator.settings import IntegratorSettings
 from torch_radbp.plugin import boolean, integer, nearest, register
 
 GUIDING = ("none", "grid", "octree")
@@ -56,11 +56,11 @@ class ProjectivePathReplay(PathReplay):
 
 
 @register("integrator", "direct_projective")
-class ProjectiveDirect(Settings):
+class ProjectiveDirect(IntegratorSettings):
     """`direct`, with the boundary terms that `Renderer` has: those of edges in view.
 
     Args:
-        hide_emitters, block_size, samples_per_pass, timeout: see `Settings`.
+        hide_emitters, block_size, samples_per_pass, timeout: see `IntegratorSettings`.
         sppc, sppp, sppi, guiding, guiding_proj, guiding_rounds, project_seed: see `sampling_of_boundaries`.
     """
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch_radbp.plugin import Integrator, boolean, integer
 
 
-class Settings(Integrator):
+class IntegratorSettings(Integrator):
     """The base of all integrators: defaults of `Renderer`.
 
     Args:

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from torch_radbp.entry import entry
 from torch_radbp.io.files import opened
 from torch_radbp.io.text_lines import BYTE_ORDER_MARK
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
+from torch_radbp.public_call import public_call
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
 from torch_radbp.sensor.opencv import LARGEST, SMALLEST, Intrinsics, pose_of, sensor_of
 
@@ -31,7 +31,7 @@ MODELS = {  # the parameters in their order; f is both focal lengths
 }
 
 
-@entry
+@public_call
 def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
                         **attributes: Any) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a COLMAP model, by the name of their image and in the order of the file.

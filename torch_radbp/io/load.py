@@ -10,12 +10,12 @@ from typing import Any
 
 import torch
 
-from torch_radbp.entry import entry
 from torch_radbp.io.build import build_scene
 from torch_radbp.io.files import unknown_kind
 from torch_radbp.io.gltf.read import read_gltf
 from torch_radbp.io.xml_scene import read_scene
 from torch_radbp.plugin import SceneError
+from torch_radbp.public_call import public_call
 from torch_radbp.scene.scene import Scene
 
 CPU = torch.device("cpu")
@@ -23,7 +23,7 @@ DTYPES = (torch.float32, torch.float64)
 READERS = {".xml": lambda path, given, _: build_scene(read_scene(path, given)), ".glb": read_gltf, ".gltf": read_gltf}
 
 
-@entry
+@public_call
 def load(path: str | os.PathLike, *, allow_outside: bool = False, **variables: Any) -> Scene:
     """The scene in a Mitsuba 3 XML file, or in a glTF 2.0 file.
 
@@ -59,7 +59,7 @@ def load(path: str | os.PathLike, *, allow_outside: bool = False, **variables: A
     return built(lambda: READERS[suffix](path, variables, allow_outside))
 
 
-@entry
+@public_call
 def load_dict(description: dict[str, Any], base_dir: str | os.PathLike | None = None) -> Scene:
     """The scene that a Python dict in Mitsuba's vocabulary describes, such as `mitsuba.cornell_box()`.
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from torch_radbp.entry import entry
 from torch_radbp.io.files import opened
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
+from torch_radbp.public_call import public_call
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
 from torch_radbp.sensor.opencv import FROM_OPENGL, LARGEST, ORTHOGONAL, SMALLEST, Intrinsics, sensor_of
 
@@ -29,7 +29,7 @@ WITHOUT_EFFECT = ("frames", "file_path", "transform_matrix", "rotation", "sharpn
                   "val_filenames", "test_filenames", "orientation_override")
 
 
-@entry
+@public_call
 def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, height: int | None = None, scale: float = 1.0,
                       rfilter: ReconstructionFilter | str | None = None, **attributes: Any) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a NeRF data set, by the `file_path` of their image (without "./") and in its order.

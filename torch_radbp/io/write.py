@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.entry import entry
 from torch_radbp.io.atomic import check_target, naming
 from torch_radbp.io.attribute_values import is_list, is_named, options
 from torch_radbp.io.gltf.read import said
@@ -26,6 +25,7 @@ from torch_radbp.io.mesh_arrays import MeshArrays
 from torch_radbp.io.ply import write_ply
 from torch_radbp.io.volume import write_volume
 from torch_radbp.plugin import REGISTRY, Filename, Matrix4, Plugin, Point3, SceneError, attributes
+from torch_radbp.public_call import public_call
 from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.surface import transform_normals, transform_points
 from torch_radbp.texture.rgb import RGB
@@ -36,7 +36,7 @@ ORDER = ("texture", "bsdf", "sensor", "emitter", "shape")  # so that what is ref
 MESH_PARAMETERS = ("vertex_positions", "vertex_normals", "vertex_texcoords")
 
 
-@entry
+@public_call
 def save(scene: Scene, path: str | os.PathLike, strict: bool = False) -> None:
     """Writes a scene as Mitsuba 3 XML or as glTF 2.0, by the extension of the file's name.
 

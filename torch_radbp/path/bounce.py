@@ -36,7 +36,6 @@ from torch_radbp.sampling.sampler import (
     uniform,
 )
 from torch_radbp.scene.cone import Cone, camera_cone, cone_beyond
-from torch_radbp.scene.departure import departure
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import (
     LightSample,
@@ -53,6 +52,7 @@ from torch_radbp.scene.light import (
 )
 from torch_radbp.scene.light_choice import LightNumbers, TreeChoice, chance_of_emitter, drawn_element
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
+from torch_radbp.scene.outgoing_ray import outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.texture.reader import Given, Place
@@ -206,7 +206,7 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
 
     # Leave along the sampled direction.
     F = local.sample.weight * local.thinning
-    ray = departure(local.si, local.sample.wo)
+    ray = outgoing_ray(local.si, local.sample.wo)
     here = None if state.vantage is None else vantage(local.si)
     return Vertex(local.Le, local.Ld, F, shadow, distance,
                   PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane, here,

@@ -17,10 +17,10 @@ from torch_radbp.differentiated import any_differentiated
 from torch_radbp.jit.order import chosen, put
 from torch_radbp.lookup import lookup
 from torch_radbp.path.bounce import Vertex
-from torch_radbp.path.given import given_values
 from torch_radbp.path.integrand import Integrand, taken
 from torch_radbp.path.queues import NOTHING, Queue, one_queue, queues_by
 from torch_radbp.path.state import Arrival, PathState
+from torch_radbp.path.texture_networks import given_values
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, leaves_of
 from torch_radbp.scene.camera_hit import camera_hit

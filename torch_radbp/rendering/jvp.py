@@ -10,14 +10,14 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call
 
-from torch_radbp.entry import arguments_of, check_arguments, entry
 from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.plugin import finite
+from torch_radbp.public_call import arguments_of, check_arguments, public_call
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.scene import Scene
 
 
-@entry
+@public_call
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: Sequence[int] | None = None,
         aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """The derivative of the image along `tangents`, a direction in the space of parameters; by forward mode.

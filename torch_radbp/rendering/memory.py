@@ -1,7 +1,7 @@
 """The memory that a rendering with its backward pass will need, and the chunk and stride that fit a budget.
 
 Dead lanes leave the wavefront, so that the need depends on the scene: a pilot of a few thousand paths tells how many lanes
-reach each depth, and one of its bounces what a lane needs while it is computed (`working_set.py`). What is counted: the
+reach each depth, and one of its bounces what a lane needs while it is computed (`bounce_memory.py`). What is counted: the
 states and hits that the forward pass keeps for the backward pass, and the working memory of the bounce that is being
 computed, with the allocator's waste. What is not: the scene itself and compiled code.
 """
@@ -20,7 +20,7 @@ from torch_radbp.adjoint.strategy import Strategy
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import trace
-from torch_radbp.rendering.working_set import Growth, WorkingSet
+from torch_radbp.rendering.bounce_memory import BounceMemory, LinearSize
 
 # Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
 STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, density, vantage; key, lane, whether followed
@@ -104,14 +104,14 @@ class Workload(NamedTuple):
     cones: bool = False  # whether paths carry cones
     instances: bool = False  # whether hits tell which instance
     images: int = 0  # bytes of the images, of their sums and of their gradients
-    measured: WorkingSet | None = None  # of a bounce; None: the least that it may be
+    measured: BounceMemory | None = None  # of a bounce; None: the least that it may be
 
     @property
-    def working_set(self) -> WorkingSet:
+    def bounce_memory(self) -> BounceMemory:
         if self.measured is not None:
             return self.measured
-        least = (Growth(numbers * self.dtype.itemsize, 0.0) for numbers in (LEAST_BOUNCE, LEAST_ADJOINT, LEAST_TAPE))
-        return WorkingSet(*least)
+        least = (LinearSize(numbers * self.dtype.itemsize, 0.0) for numbers in (LEAST_BOUNCE, LEAST_ADJOINT, LEAST_TAPE))
+        return BounceMemory(*least)
 
 
 def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float = inf) -> MemoryPlan:
@@ -133,7 +133,7 @@ def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float =
     chunk = min(chunk, lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
-    bounce, sweep, tape, outside, tables = work.working_set
+    bounce, sweep, tape, outside, tables = work.bounce_memory
     if adjoint.taped:
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
         working = together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize)

@@ -10,10 +10,10 @@ from torch import Tensor
 from torch_radbp.differentiated import any_differentiated, detached, differentiable
 from torch_radbp.jit.torch_internals import tree_flatten
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
 from torch_radbp.rendering.call.render_call import RenderCall, pilot_paths
 from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching
 from torch_radbp.rendering.stages import EAGER
-from torch_radbp.rendering.working_set import WorkingSet, measured, tables_of
 
 PILOT_LANES = 4096  # paths that predict the memory of a call
 IMAGE_COPIES = 4  # the sums of its chunks, the image, its gradient and what the loss makes of both
@@ -23,7 +23,7 @@ class MemoryPlanner:
     """Plans the calls of one renderer, and keeps what it has measured of them."""
 
     def __init__(self):
-        self.working_sets: dict[tuple, WorkingSet] = {}  # by kind of call
+        self.measured: dict[tuple, BounceMemory] = {}  # by kind of call
 
     def plan(self, call: RenderCall, budget: str | int | None, adjoint_is_chosen: bool) -> MemoryPlan:
         """The chunk and the strategy of a call, with its predicted memory, by a pilot of its paths.
@@ -54,9 +54,9 @@ class MemoryPlanner:
         return Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
                         call.stages is not EAGER, call.workers, moving, triangles, call.scene.lights.by_place,
                         call.scene.layout.traces_cones, scene.triangles.instances is not None, IMAGE_COPIES * image_bytes,
-                        self.working_set(call, integrand, triangles))
+                        self.bounce_memory_of(call, integrand, triangles))
 
-    def working_set(self, call: RenderCall, integrand: Integrand, triangles: bool) -> WorkingSet:
+    def bounce_memory_of(self, call: RenderCall, integrand: Integrand, triangles: bool) -> BounceMemory:
         """The working memory of a bounce of a call; measured once for each kind of call.
 
         Args:
@@ -67,9 +67,9 @@ class MemoryPlanner:
         wanted = tuple(isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
         taped = call.adjoint.taped
         case = (call.scene.layout, call.scene.dtype, integrand.settings, integrand.max_depth, wanted, triangles, taped)
-        if case not in self.working_sets:
+        if case not in self.measured:
             attached = call.make_integrand(call.scene).with_stages(EAGER) if taped else None
             tables = tables_of(differentiable(call.scene), list(call.parameters.values()))
             found = measured(integrand, attached, partial(pilot_paths, call), wanted)
-            self.working_sets[case] = found._replace(tables=tables)
-        return self.working_sets[case]
+            self.measured[case] = found._replace(tables=tables)
+        return self.measured[case]

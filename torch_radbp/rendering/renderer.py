@@ -14,15 +14,15 @@ from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, ou
 from torch_radbp.adjoint.images import render_detached
 from torch_radbp.aov.images import aov_jumps, render_aovs
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
-from torch_radbp.boundary import Jumps, JumpWatch, Outlines, Rendering, Sight, image_jumps, moves
+from torch_radbp.boundary import CameraSight, Jumps, JumpWatch, Outlines, Rendering, image_jumps, moves
 from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal, with_derivative_of
-from torch_radbp.entry import arguments_of, check_arguments, entry
 from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Settings
+from torch_radbp.public_call import arguments_of, check_arguments, public_call
 from torch_radbp.raycast import RayCaster, make_caster
-from torch_radbp.raycast.known import KnownCaster, Mesh
+from torch_radbp.raycast.caster_cache import CachedCaster, CastTriangles
 from torch_radbp.rendering.call.chunks import fair_chunk, plan_chunks
 from torch_radbp.rendering.call.render_call import RenderCall
 from torch_radbp.rendering.call.view import view_of
@@ -51,9 +51,9 @@ from torch_radbp.rendering.settings import (
 )
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.scene import Scene
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.module_attributes import parameters_in
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
 
@@ -132,8 +132,8 @@ class Renderer(nn.Module):
         self.light_choice, self.terms, self.share_samples = light_choice, terms, share_samples
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
-        self.known_caster: KnownCaster | None = None
-        self.kept, self.kept_for_aovs = Kept(), Kept()
+        self.known_caster: CachedCaster | None = None
+        self.kept, self.kept_for_aovs = PackCache(), PackCache()
         self.jump_watch, self.outlines = JumpWatch(), Outlines()
         self.planner, self.noise_watch = MemoryPlanner(), NoiseWatch()
         check_settings(self)
@@ -154,7 +154,7 @@ class Renderer(nn.Module):
                                  f"its parameters begin with 'scene.{name}.' in functional_call and in state dicts")
         return super().__getattr__(name)
 
-    @entry
+    @public_call
     def forward(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
                 seed_grad: int | None = None,
                 aovs: Sequence[str] | None = None) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
@@ -204,7 +204,7 @@ class Renderer(nn.Module):
         attached = call.adjoint.dual_image(call.of_derivative())
         return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)
 
-    @entry
+    @public_call
     def aovs(self, names: Sequence[str] | None = None, seed: int | None = None, sensors: SensorChoice = None,
              spp: int | None = None, seed_grad: int | None = None) -> dict[str, Tensor]:
         """Arbitrary output variables: images of what the camera sees first, by the very camera rays of the image.
@@ -255,9 +255,9 @@ class Renderer(nn.Module):
         Warns of what derivatives and the image lack.
         """
         seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
-        sights = [Sight(detached(view.camera), view.width, view.height) for view in call.views]
+        sights = [CameraSight(detached(view.camera), view.width, view.height) for view in call.views]
         instances = call.scene.triangles.instances
-        rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, Kept(self.kept),
+        rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, PackCache(self.kept),
                               None if instances is None else instances.casting, PRIMARY in self.terms,
                               UNLIMITED if self.max_depth == -1 else self.max_depth, call.scene)
         self.jump_watch.look(rendering)
@@ -296,7 +296,7 @@ class Renderer(nn.Module):
             traced_together(self.adjoint, paths, max_depth, self.rr_depth, self.scene.dtype))
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
                            self.adjoint if differentiating else None, record_bytes, fused))
-        kept = Kept(self.kept_for_aovs if aovs else self.kept)
+        kept = PackCache(self.kept_for_aovs if aovs else self.kept)
         scene = pack(self.scene, kept, self.light_choice, aovs, [names[index] for index in indices])
         caster = self.caster_of(scene)
         views = [view_of(sensor, index, seeds, scene, kept) for index, sensor in zip(indices, seen)]
@@ -329,7 +329,7 @@ class Renderer(nn.Module):
         return (self.compile_stages and self.scene.device.type in COMPILED and not self.adjoint.taped
                 and not has_tangents(parameters))
 
-    @entry
+    @public_call
     def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None) -> MemoryPlan:
         """Chunk and strategy that a call would use, and the bytes that it is predicted to need with its backward pass."""
         return self.plan(self.prepare(0, sensors, spp, None))
@@ -346,13 +346,13 @@ class Renderer(nn.Module):
         """
         triangles = scene.triangles
         instances = None if triangles.instances is None else triangles.instances.casting
-        mesh = Mesh(triangles.vertices.p.map(primal), triangles.corners, triangles.balls, instances)
+        mesh = CastTriangles(triangles.vertices.p.map(primal), triangles.corners, triangles.balls, instances)
         known = self.known_caster
         if known is None or not known.mesh.equals(mesh):
             # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
             last = None if known is None or instances is None else known.caster
             known = self.known_caster = None
-            known = KnownCaster(make_caster(self.caster_name, *mesh.stacked(), last), mesh)
+            known = CachedCaster(make_caster(self.caster_name, *mesh.stacked(), last), mesh)
         self.known_caster = known._replace(mesh=mesh)  # the next call may bring the very same tensors again
         return known.caster
 
@@ -362,7 +362,7 @@ class Renderer(nn.Module):
         return None if self.known_caster is None else self.known_caster.caster
 
 
-@entry
+@public_call
 def render(scene: Scene, *, seed: int | None = None, sensors: SensorChoice = None, seed_grad: int | None = None,
            aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs)`: see `Renderer`.

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_radbp.differentiated import differentiated
 from torch_radbp.domain import LEEWAY, Domain
 from torch_radbp.plugin import Plugin, Shape, Texture, nearest
-from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.scene import Scene
 from torch_radbp.texture.bitmap import reader_of
 
@@ -47,7 +47,7 @@ def leaves(texture: Texture) -> Iterator[Texture]:
         yield texture
 
 
-def check_attributes(scene: Scene, kept: Kept) -> None:
+def check_attributes(scene: Scene, kept: PackCache) -> None:
     """Checks the attributes that textures read.
 
     Raises:

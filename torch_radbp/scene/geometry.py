@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_radbp.differentiated import differentiated
 from torch_radbp.scene.interaction import at_corners, clearance, edges
-from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.placement import InstanceTable, boxes, instance_table
 from torch_radbp.scene.tensors import TriangleTable, VertexTable
 from torch_radbp.shape.ball import TRIANGLES, Ball, Balls
@@ -54,7 +54,7 @@ class Columns(NamedTuple):
     numbers: tuple[Numbers, ...] | None = None  # of each shape, for AOVs
 
 
-def placed_shape(kept: Kept, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:
+def placed_shape(kept: PackCache, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:
     """A shape as it is now; if instances show it, in the frame of its group, and as triangles only."""
     surface = kept(without_flat_normals, kept(oriented, kept.twin(id(shape), shape), connections(kept, shape)))
     place = id(shape)
@@ -63,12 +63,12 @@ def placed_shape(kept: Kept, shape: Surface, instanced: bool, dtype: torch.dtype
                        None if instanced else frozen_ball(kept, place, surface.ball))
 
 
-def frozen_ball(kept: Kept, place: Hashable, ball: Ball | None) -> Ball | None:
+def frozen_ball(kept: PackCache, place: Hashable, ball: Ball | None) -> Ball | None:
     """The ball that a shape is, detached; `place` tells which of the last rendering to compare with."""
     return None if ball is None else kept(Ball, kept.frozen((place, "ball"), ball.placement), ball.turned)
 
 
-def connections(kept: Kept, shape: Surface) -> tuple[NamedTuple, ...]:
+def connections(kept: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
     """What a shape's triangles are to be told, see `Surface.connections`; found anew only if its values have changed."""
     recipe = shape.connections()
     if recipe is None:
@@ -78,7 +78,7 @@ def connections(kept: Kept, shape: Surface) -> tuple[NamedTuple, ...]:
                          for number, value in enumerate(arguments))),)
 
 
-def number_of_triangles(kept: Kept, shape: Surface) -> int:
+def number_of_triangles(kept: PackCache, shape: Surface) -> int:
     """The number of a shape's triangles."""
     found = connections(kept, shape)
     return len(found[0].faces if found else shape.faces)
@@ -105,7 +105,7 @@ def flat_normals(surface: Triangles, faces: Tensor) -> bool:
 
 
 
-def triangle_table(kept: Kept, shapes: Sequence[PlacedShape], columns: Columns, dtype: torch.dtype,
+def triangle_table(kept: PackCache, shapes: Sequence[PlacedShape], columns: Columns, dtype: torch.dtype,
                    device: torch.device, instances: InstanceTable | None = None) -> TriangleTable:
     """The triangles of all shapes, in order."""
     counts = tuple(len(shape.faces) for shape in shapes)
@@ -130,7 +130,7 @@ def triangle_table(kept: Kept, shapes: Sequence[PlacedShape], columns: Columns, 
                          instances=instances)
 
 
-def shown_instances(kept: Kept, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,
+def shown_instances(kept: PackCache, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,
                     numbers: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> InstanceTable | None:
     """The instances of a scene, attached to their poses; None if it has none.
 

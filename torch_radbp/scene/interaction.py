@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.lookup import lookup
+from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.scene.cone import Cone, footprint
-from torch_radbp.scene.growth import growth
 from torch_radbp.scene.placement import (
     largest_coordinate,
     power_of_two_above,
@@ -18,7 +18,7 @@ from torch_radbp.scene.placement import (
     shown_normals,
 )
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import Edges, TexturePoint
+from torch_radbp.texture.reader import TexturePoint, TriangleEdges
 from torch_radbp.vec import (
     TINY,
     LocalVec3,
@@ -121,8 +121,8 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     if appearance is not None and appearance.needs_edges:
         level = tuple((value.map(torch.zeros_like),) * 2 for value in of_faces)
         changes = dict(zip(names, (*map(along_edges, at_vertices), *level)))
-        point = point._replace(edges=Edges((e1, e2), None if uv is None else along_edges(uv_corners), changes,
-                                           growth(frame, upright, n, e1, e2)))
+        point = point._replace(edges=TriangleEdges((e1, e2), None if uv is None else along_edges(uv_corners), changes,
+                                           barycentric_gradients(frame, upright, n, e1, e2)))
     if appearance is not None and appearance.needs_footprint:
         come, change = torch.where(valid, t, 0.0), along_edges(uv_corners)
         point = point._replace(footprint=footprint(cone, come, cosine, (e1, e2), change))

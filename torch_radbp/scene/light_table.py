@@ -13,8 +13,8 @@ from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import EmittingTriangles, Light, LightKind, SurfaceKind, Table
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.scene.interaction import edges
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.light_choice import MANY, Textures, TreeChoice, bounds_of_kind, tree_choice
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import Layout, LightTable, TriangleTable
 from torch_radbp.vec import attached, cross, rows, unit_normal
 
@@ -37,7 +37,7 @@ class Emission(NamedTuple):
     triangles: int | None  # that it has; None: it is on no surface
 
 
-def light_table(kept: Kept, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
+def light_table(kept: PackCache, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
                 layout: Layout, radiance: Any, lit: tuple[Any, ...], light_choice: str | None) -> LightTable:
     """The elements that next-event estimation picks from.
 
@@ -78,7 +78,7 @@ def takes_tree(light_choice: str | None, emissions: tuple[Emission, ...]) -> boo
     return bounded > 0 and (light_choice == "tree" or (light_choice is None and bounded >= MANY))
 
 
-def frozen(kept: Kept, place: Hashable, record: tuple) -> tuple:
+def frozen(kept: PackCache, place: Hashable, record: tuple) -> tuple:
     """A record with the copies of its tensors that `kept` has."""
     return tuple(type(part)(*frozen(kept, (place, number), part)) if isinstance(part, tuple) else
                  kept.frozen((place, number), part) for number, part in enumerate(record))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Choice, Kind, Values, values_for_choice
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, values_for_choice
 from torch_radbp.differentiated import settled
 from torch_radbp.lookup import lookup
 from torch_radbp.scene.interaction import SurfaceInteraction
@@ -116,7 +116,7 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
     return BSDFSample(wo, where(lobe.delta, mirror.weight, glossy.weight), torch.where(lobe.delta, mirror.pdf, glossy.pdf))
 
 
-def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: Choice) -> Tensor | float:
+def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) -> Tensor | float:
     """One, with the derivative of 1 / `Kind.chance_by_direction` relative to its value."""
     chance = material.kind.chance_by_direction(values_for_choice(material.values), wi, wo, lobe)
     if chance is None:
@@ -125,7 +125,7 @@ def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: Choice) -> Ten
     return settled(chance) / chance
 
 
-def specular(material: Material, wi: Vec3, wo: Vec3, lobe: Choice) -> BSDFSample:
+def specular(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) -> BSDFSample:
     """The sample `wo` of a delta lobe."""
     weight = material.kind.specular(material.values, wi, lobe) * (1.0 / lobe.probability.clamp_min(LEAST_DENSITY))
     return BSDFSample(wo, weight, torch.full_like(wo.z, torch.inf))

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from torch_radbp.differentiated import differentiated, primal
 from torch_radbp.jit.torch_internals import inside_dual_level
-from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.texture.neural import PLACES, ModuleBank, ModuleFunction, Use
 from torch_radbp.texture.reader import Reader
 
@@ -30,7 +30,7 @@ EVAL = "call .eval() on the module, and again after Renderer.train() or Scene.tr
 REENTRANT = "CheckpointFunctionBackward"  # the node of torch.utils.checkpoint(use_reentrant=True)
 
 
-def check_networks(kept: Kept, readers: Sequence[Reader], banks: Sequence[Any], dtype: torch.dtype,
+def check_networks(kept: PackCache, readers: Sequence[Reader], banks: Sequence[Any], dtype: torch.dtype,
                    device: torch.device) -> None:
     """Checks the modules that are read, each when its attributes have changed.
 

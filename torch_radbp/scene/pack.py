@@ -15,9 +15,9 @@ from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.attributes import any_differentiated, check_attributes
 from torch_radbp.scene.geometry import Columns, Numbers, placed_shape, shown_instances, triangle_table
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.light_table import Emission, kinds_of, light_table
 from torch_radbp.scene.network_check import check_networks
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.parameters import check_extent, check_parameters, check_places, largest_coordinate
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors
@@ -56,7 +56,7 @@ class BankBuilder:
         return any(reader_of(texture).needs_uv for texture in self.textures)
 
 
-def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None, aovs: bool = False,
+def pack(scene: Scene, kept: PackCache | None = None, light_choice: str | None = None, aovs: bool = False,
          seen: Collection[str] | None = None) -> SceneTensors:
     """The tensors of a scene, attached to its parameters.
 
@@ -71,7 +71,7 @@ def pack(scene: Scene, kept: Kept | None = None, light_choice: str | None = None
         ValueError: if a parameter is not in its domain, or derivatives of a module would be wrong; the message names it.
         TypeError: if the parameters are not of one dtype, or a module has been compiled.
     """
-    kept = Kept() if kept is None else kept
+    kept = PackCache() if kept is None else kept
     check_parameters(scene, kept, scene.named_sensors if seen is None else seen)
     dtype, device = scene.dtype, scene.device
     radiance = BankBuilder()
@@ -157,8 +157,8 @@ def numbers_in(scene: Scene) -> dict[int, int]:
     return {place: count for count, place in enumerate(places, 1)}
 
 
-def twins(kept: Kept, place: Hashable, textures: Iterable[Texture]) -> tuple[Texture, ...]:
-    """The twins of some textures; see `Kept.twin`."""
+def twins(kept: PackCache, place: Hashable, textures: Iterable[Texture]) -> tuple[Texture, ...]:
+    """The twins of some textures; see `PackCache.twin`."""
     return tuple(kept.twin((place, number), texture) for number, texture in enumerate(textures))
 
 
@@ -178,7 +178,7 @@ class Materials(NamedTuple):
     back_sides: bool  # whether a material looks the same from behind as from the front, seen from there
 
 
-def material_tables(kept: Kept, bsdfs: list[BSDF], dtype: torch.dtype, device: torch.device) -> Materials:
+def material_tables(kept: PackCache, bsdfs: list[BSDF], dtype: torch.dtype, device: torch.device) -> Materials:
     """The rows of all materials, their appearances, and their textures."""
     two_sided = tuple(isinstance(bsdf, TwoSided) for bsdf in bsdfs)
     sides = one_sided(bsdfs)

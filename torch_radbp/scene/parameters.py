@@ -16,8 +16,8 @@ from torch import Tensor, nn
 from torch_radbp.differentiated import differentiated, primal
 from torch_radbp.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
-from torch_radbp.scene.kept import Kept
 from torch_radbp.scene.module_attributes import modules_in
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
@@ -118,7 +118,7 @@ def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
         texture.use = Use(names[id(texture)], tuple(dict.fromkeys(domains)))
 
 
-def check_parameters(scene: Scene, kept: Kept, seen: Collection[str]) -> None:
+def check_parameters(scene: Scene, kept: PackCache, seen: Collection[str]) -> None:
     """Checks the current parameters of a scene. The values of modules are checked where they are computed.
 
     Args:

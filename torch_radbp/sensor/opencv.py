@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_radbp.entry import entry
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.plugin import REGISTRY, ReconstructionFilter, boolean, integer, nearest, no_gradient, positive
+from torch_radbp.public_call import public_call
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
 
 ORDER = {BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), FISHEYE: ("k1", "k2", "k3", "k4")}
@@ -36,7 +36,7 @@ class Intrinsics(NamedTuple):
     coefficients: dict[str, float] = {}
 
 
-@entry
+@public_call
 def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distortion: Sequence[float] = (),
                        fisheye: bool = False, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
                        **attributes: Any) -> Calibrated:
@@ -61,7 +61,7 @@ def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distorti
     return sensor_of(intrinsics_of(K, width, height, distortion, fisheye), pose_of(R, t), scale, rfilter, attributes)
 
 
-@entry
+@public_call
 def cameras_from_kornia(pinhole: Any, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
                         **attributes: Any) -> list[Calibrated]:
     """The sensors `calibrated` of a `kornia.geometry.camera.PinholeCamera`, one for each of its batch.

@@ -14,7 +14,7 @@ from torch_radbp.domain import Domain
 from torch_radbp.plugin import Filename, Matrix4, Plugin, Texture, finite, nearest, register
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
 from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
-from torch_radbp.texture.reader import Edges, Reader, TableReader, TexturePoint
+from torch_radbp.texture.reader import Reader, TableReader, TexturePoint, TriangleEdges
 from torch_radbp.texture.uv_transform import uv_matrix, uv_rows
 from torch_radbp.vec import Vec2, Vec3
 
@@ -93,7 +93,7 @@ class PyramidReader(BitmapReader):
         return along(pyramid_slope(bank, row, point.uv, point.footprint), point.edges)
 
 
-def along(slope: Vec2, edges: Edges) -> Vec2:
+def along(slope: Vec2, edges: TriangleEdges) -> Vec2:
     """The change along two edges of what has these derivatives by u and by v."""
     return Vec2(*(slope.x * edge.x + slope.y * edge.y for edge in edges.uv))
 

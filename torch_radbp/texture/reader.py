@@ -18,13 +18,13 @@ from torch_radbp.plugin import Texture
 from torch_radbp.vec import Vec2, Vec3
 
 
-class Edges(NamedTuple):
+class TriangleEdges(NamedTuple):
     """The two edges of the triangle that each lane is on, from its first vertex, and what changes along them; attached."""
 
     p: tuple[Vec3, Vec3]  # world space
     uv: tuple[Vec2, Vec2] | None  # None if no texture reads surface coordinates
     attributes: dict[str, tuple[Vec3, Vec3]]  # those that textures read
-    growth: tuple[Vec3, Vec3]  # of the second and the third barycentric coordinate, see `torch_radbp.scene.growth`
+    barycentric_gradients: tuple[Vec3, Vec3]  # of the second and the third coordinate, world space
 
 
 class TexturePoint(NamedTuple):
@@ -32,7 +32,7 @@ class TexturePoint(NamedTuple):
 
     uv: Vec2 | None  # surface coordinates; None if no texture reads them
     attributes: dict[str, Vec3]  # of the meshes, by name: those that textures read
-    edges: Edges | None = None  # None if no texture needs them
+    edges: TriangleEdges | None = None  # None if no texture needs them
     footprint: Tensor | None = None  # natural logarithm of the width in `uv` of what a sample sees; None if no texture asks
 
 

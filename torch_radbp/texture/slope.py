@@ -11,13 +11,13 @@ from torch import Tensor
 
 from torch_radbp.plugin import Texture
 from torch_radbp.texture.neural import ModuleBank, ModuleReader
-from torch_radbp.texture.reader import Edges, OutsideReader, Reader, TableReader, TexturePoint
+from torch_radbp.texture.reader import OutsideReader, Reader, TableReader, TexturePoint, TriangleEdges
 from torch_radbp.vec import Vec2, Vec3, dot
 
 
-def along_surface(rise: Vec2, edges: Edges) -> Vec3:
-    """The slope along the surface of what rises by so much along the edges; components as in `torch_radbp.scene.growth`."""
-    of_second, of_third = edges.growth
+def along_surface(rise: Vec2, edges: TriangleEdges) -> Vec3:
+    """The slope along the surface of what rises by so much along the edges; components as in `barycentric_gradients.py`."""
+    of_second, of_third = edges.barycentric_gradients
     return of_second * rise.x + of_third * rise.y
 
 

@@ -10,7 +10,7 @@ from torch_radbp.differentiated import detached
 from torch_radbp.film.develop import Grid
 from torch_radbp.plugin import Sensor
 from torch_radbp.sampling.sampler import SampleKey, sample_key
-from torch_radbp.scene.kept import Kept
+from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.shape.placement import Instances
@@ -33,7 +33,7 @@ class View(NamedTuple):
         return Grid(film.kernel, self.width + 2 * film.border, self.height + 2 * film.border, film.border)
 
 
-def view_of(sensor: Sensor, index: int, seeds: tuple[int, int], scene: SceneTensors, kept: Kept) -> View:
+def view_of(sensor: Sensor, index: int, seeds: tuple[int, int], scene: SceneTensors, kept: PackCache) -> View:
     """What a sensor, number `index` of the scene's, sees in a call with these seeds, forwards and backwards."""
     sampler, film = sensor.sampler, sensor.film
     camera = kept(camera_of, kept.twin(id(sensor), sensor))

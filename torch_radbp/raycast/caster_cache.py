@@ -13,7 +13,7 @@ from torch_radbp.shape.placement import Instances
 from torch_radbp.vec import Vec3
 
 
-class Mesh(NamedTuple):
+class CastTriangles(NamedTuple):
     """The triangles of a scene, detached. These tensors are never written into."""
 
     p: Vec3  # (V,) positions
@@ -21,7 +21,7 @@ class Mesh(NamedTuple):
     balls: Balls | None  # among them
     instances: Instances | None = None  # of some of them
 
-    def equals(self, other: Mesh) -> bool:
+    def equals(self, other: CastTriangles) -> bool:
         """True if the other has the same triangles."""
         mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ()), *(mesh.instances or ())) for mesh in (self, other))
         return len(mine) == len(others) and all(map(same, mine, others))
@@ -31,11 +31,11 @@ class Mesh(NamedTuple):
         return self.p.stack(), torch.stack(self.corners, 1), self.balls, self.instances
 
 
-class KnownCaster(NamedTuple):
+class CachedCaster(NamedTuple):
     """A ray caster and what it was made of."""
 
     caster: RayCaster
-    mesh: Mesh
+    mesh: CastTriangles
 
 
 def same(a: Tensor, b: Tensor) -> bool:

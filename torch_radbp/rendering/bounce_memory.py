@@ -28,14 +28,14 @@ from torch_radbp.vec import Vec3
 LANES = (1024, 3072)  # of the two measurements
 
 
-class Growth(NamedTuple):
+class LinearSize(NamedTuple):
     """A number of bytes as a function of the number of lanes."""
 
     per_lane: float
     fixed: float
 
 
-NOTHING = Growth(0.0, 0.0)
+NOTHING = LinearSize(0.0, 0.0)
 
 
 class Tables(NamedTuple):
@@ -45,13 +45,13 @@ class Tables(NamedTuple):
     packing: float = 0.0  # afterwards, at the worst moment of what autograd does with them
 
 
-class WorkingSet(NamedTuple):
+class BounceMemory(NamedTuple):
     """Bytes that are alive at the worst moment, beside those of what goes in."""
 
-    bounce: Growth
-    adjoint: Growth
-    tape: Growth | None  # that autograd keeps of whole paths; None if nothing is recorded
-    outside: Growth = NOTHING  # the part of the adjoint that modules need, whether the rest is compiled or not
+    bounce: LinearSize
+    adjoint: LinearSize
+    tape: LinearSize | None  # that autograd keeps of whole paths; None if nothing is recorded
+    outside: LinearSize = NOTHING  # the part of the adjoint that modules need, whether the rest is compiled or not
     tables: Tables = Tables()
 
 
@@ -83,11 +83,11 @@ class AllocatedBytes(TorchDispatchMode):
         self.alive -= size
 
 
-def growth(measure: Callable[[int], float]) -> Growth:
+def linear_size(measure: Callable[[int], float]) -> LinearSize:
     """The line through two measurements."""
     few, many = (measure(lanes) for lanes in LANES)
     per_lane = max(0.0, (many - few) / (LANES[1] - LANES[0]))
-    return Growth(per_lane, max(0.0, few - per_lane * LANES[0]))
+    return LinearSize(per_lane, max(0.0, few - per_lane * LANES[0]))
 
 
 def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> Tables:
@@ -101,7 +101,7 @@ def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> Tables:
 
 
 def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[int], PathState],
-             wanted: tuple[bool, ...]) -> WorkingSet:
+             wanted: tuple[bool, ...]) -> BounceMemory:
     """The working set of a call.
 
     Args:
@@ -152,5 +152,5 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         del recorded
         return alive
 
-    return WorkingSet(growth(of_bounce), growth(of_adjoint), None if attached is None else growth(of_tape),
-                      growth(of_outside) if integrand.scene.layout.reads_outside else NOTHING)
+    return BounceMemory(linear_size(of_bounce), linear_size(of_adjoint), None if attached is None else linear_size(of_tape),
+                      linear_size(of_outside) if integrand.scene.layout.reads_outside else NOTHING)

@@ -64,7 +64,7 @@ class Structure(NamedTuple):
     modules: list[tuple[nn.Module, Attributes]]
 
 
-class Kept:
+class PackCache:
     """Copies of tensors and what was made of them: found unchanged since the last rendering, or new.
 
     One rendering fills one of these, and takes from that of the last rendering what is still right. What it does not ask
@@ -76,7 +76,7 @@ class Kept:
         last: of the last rendering.
     """
 
-    def __init__(self, last: Kept | None = None):
+    def __init__(self, last: PackCache | None = None):
         self.last_copies, self.last_results = ({}, {}) if last is None else (last.copies, last.results)
         self.last_structures: dict[tuple, Structure] = {} if last is None else last.structures
         self.structures: dict[tuple, Structure] = {}
@@ -94,9 +94,9 @@ class Kept:
         self.fixed: set[int] = set()  # ids of the objects handed out
 
     def __reduce__(self):
-        return Kept, ()
+        return PackCache, ()
 
-    def close(self) -> Kept:
+    def close(self) -> PackCache:
         """Lets go of what only the last rendering needed."""
         self.last_copies, self.last_results, self.last_twins = {}, {}, {}
         self.last_structures, self.last_constants, self.seen, self.fixed = {}, {}, {}, set()

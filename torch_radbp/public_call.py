@@ -30,7 +30,7 @@ def without_modes() -> Iterator[None]:
         yield
 
 
-def entry(function: Function) -> Function:
+def public_call(function: Function) -> Function:
     """`function`, which runs without those modes, and names an argument that is unknown, and the nearest."""
     known = arguments_of(function)
     takes_any = any(each.kind is each.VAR_KEYWORD for each in inspect.signature(function).parameters.values())

@@ -24,13 +24,13 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
 
 
-def departure(si: SurfaceInteraction, wo: Vec3) -> Ray:
+def outgoing_ray(si: SurfaceInteraction, wo: Vec3) -> Ray:
     """The ray that leaves the surface in the local direction `wo`."""
     d = normalize(si.frame.to_world(wo))
     return Ray(si.offset(d), d)
 
 
-def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInteraction, sample: BSDFSample, following,
+def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceInteraction, sample: BSDFSample, following,
                        sampling: str, there: Corners | None = None) -> tuple[Vec3, Ray]:
     """The weight of a sample and the ray that leaves in its direction, with the derivatives that `sampling` includes.
 
@@ -46,7 +46,7 @@ def attached_departure(scene: SceneTensors, material: Material, si: SurfaceInter
     Returns:
         bsdf * |cos| / pdf, and the ray.
     """
-    ray, sampling = departure(si, sample.wo), sampling_at(material.kind, sampling)
+    ray, sampling = outgoing_ray(si, sample.wo), sampling_at(material.kind, sampling)
     if sampling == "attached":
         return sample.weight, ray
     o, fixed = attached(ray.o, si.p), ray.d.detach()  # of a glued direction the offset carries no derivative

@@ -5,7 +5,7 @@ gradient along the surface
 
     grad h = r_1 g_1 + r_2 g_2,    g_1 = e_2 x n_s / V,  g_2 = n_s x e_1 / V,  V = (e_1 x e_2) . n_s
 
-so that g_j . e_k = 1 where j = k and else 0, and g_j . n_s = 0: the g are the growth of the barycentric coordinates. The
+so that g_j . e_k = 1 where j = k and else 0, and g_j . n_s = 0: the g are the gradients of the barycentric coordinates. The
 lifted surface has the normal n_s - grad h. That is the cross product of dp_du and dp_dv whose components along n_s are
 replaced by dh/du and dh/dv (Blinn 1978), without a division by areas in uv.
 
@@ -21,8 +21,8 @@ from torch_radbp.vec import TINY, ShadingFrame, Vec3, cross, dot
 LEAST_COSINE = 1e-6  # between a shading normal and that of the triangle
 
 
-def growth(frame: ShadingFrame, shading: Vec3, n: Vec3, e1: Vec3, e2: Vec3) -> tuple[Vec3, Vec3]:
-    """The growth of the second and of the third barycentric coordinate, attached; zero where the triangle is degenerate.
+def barycentric_gradients(frame: ShadingFrame, shading: Vec3, n: Vec3, e1: Vec3, e2: Vec3) -> tuple[Vec3, Vec3]:
+    """The gradients of the second and of the third barycentric coordinate, attached; zero where the triangle is degenerate.
 
     Args:
         frame: the shading frame, with a tangent along u.
