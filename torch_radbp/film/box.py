@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import torch
-
-from torch_radbp.film.filter import Filter, Kernel
+from torch_radbp.film.filter import Filter, Kernel, constant
 from torch_radbp.plugin import positive, register
 
 
@@ -17,4 +15,4 @@ class Box(Filter):
         self.radius = positive("radius", radius)
 
     def kernel(self) -> Kernel:
-        return Kernel(torch.ones_like, (), self.radius)
+        return Kernel(constant, (self.radius,), self.radius)

@@ -22,9 +22,10 @@ STEPS = 1024  # for each pixel of width, by which integrals of filters are found
 class Kernel:
     """A filter as a hashable value, for functions of lanes."""
 
-    function: Callable[..., Tensor]  # of distances from the centre, and of `numbers`
+    function: Callable[..., Tensor]  # of distances from the centre, and of `numbers`; 0 beyond the radius
     numbers: tuple[float, ...]
-    radius: float  # pixels; beyond it is 0
+    radius: float  # pixels
+    side_by_side: Callable[..., list[Tensor]] | None = None  # of places in a pixel, the reach and `numbers`: see `around`
 
     @property
     def reach(self) -> int:
@@ -33,7 +34,7 @@ class Kernel:
 
     def __call__(self, x: Tensor) -> Tensor:
         """The filter at distances `x` from the centre, in pixels, not normalised."""
-        return torch.where(x.abs() <= self.radius, self.function(x, *self.numbers), 0.0)
+        return self.function(x, *self.numbers)
 
     def around(self, u: Tensor) -> list[Tensor]:
         """What samples count in the pixels around them, from `reach` before their own to `reach` behind it.
@@ -41,7 +42,14 @@ class Kernel:
         Args:
             u: (N,) where in its pixel each lies, in [0, 1).
         """
+        if self.side_by_side is not None:
+            return self.side_by_side(u, self.reach, *self.numbers)
         return [self(u - (0.5 + offset)) for offset in range(-self.reach, self.reach + 1)]
+
+    @property
+    def flat(self) -> bool:
+        """True if all samples count alike, each in its own pixel alone."""
+        return self.reach == 0 and self.radius == 0.5 and self.function is constant
 
     def inside(self, size: int, border: int) -> Tensor:
         """(size,) float64, on the CPU: the integral of the filter of each column (or row) of pixels over where samples lie.
@@ -56,6 +64,11 @@ class Kernel:
         window = torch.ones(size + 2 * border, dtype=torch.float64, device="cpu")
         return torch.nn.functional.conv1d(window[None, None], of_pixels[None, None], padding=self.reach)[0, 0][
             border:border + size]
+
+
+def constant(x: Tensor, radius: float) -> Tensor:
+    """1 up to the radius."""
+    return (x.abs() <= radius).to(x.dtype)
 
 
 class Filter(ReconstructionFilter):

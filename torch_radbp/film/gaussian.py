@@ -23,9 +23,23 @@ class Gaussian(Filter):
         self.radius = CUT * self.stddev
 
     def kernel(self) -> Kernel:
-        return Kernel(gaussian, (self.stddev,), self.radius)
+        return Kernel(gaussian, (self.stddev,), self.radius, gaussians)
 
 
 def gaussian(x: Tensor, stddev: float) -> Tensor:
     """A Gaussian that has been lowered."""
     return (torch.exp(-(x * x) * (0.5 / stddev**2)) - math.exp(-0.5 * CUT**2)).clamp_min(0.0)
+
+
+def gaussians(u: Tensor, reach: int, stddev: float) -> list[Tensor]:
+    """The same at the distances t - d of points t = u - 1/2 from pixels d = -reach ... reach, with two exponentials for all:
+
+        exp(-(t - d)^2 / 2 s^2) = exp(-t^2 / 2 s^2) exp(t / s^2)^d exp(-d^2 / 2 s^2)
+    """
+    t, half = u - 0.5, 0.5 / stddev**2
+    step = torch.exp(t * (2.0 * half))
+    back, steps = 1.0 / step, {0: torch.exp(-(t * t) * half)}
+    for offset in range(1, reach + 1):
+        steps[offset], steps[-offset] = steps[offset - 1] * step, steps[1 - offset] * back
+    return [(steps[offset] * math.exp(-offset**2 * half) - math.exp(-0.5 * CUT**2)).clamp_min(0.0)
+            for offset in range(-reach, reach + 1)]

@@ -30,7 +30,7 @@ class Lanczos(Filter):
 
 def windowed_sinc(x: Tensor, lobes: float) -> Tensor:
     """The product of two sinc functions, one of them `lobes` times as wide."""
-    return sinc(x) * sinc(x / lobes)
+    return torch.where(x.abs() < lobes, sinc(x) * sinc(x / lobes), 0.0)
 
 
 def sinc(x: Tensor) -> Tensor:

@@ -109,6 +109,9 @@ def offset_sums(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], blo
 def sums_of(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
     """`offset_sums`, detached."""
     (place, samples, spp), size, count = block, 2 * kernel.reach + 1, 1
+    if kernel.flat:
+        one = torch.ones_like(place.x)
+        return sums_in_pairs(torch.stack([one, *values]).view(1, 1, 1 + len(values), -1, samples), 4)
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
     while hasattr(stage, "into") and count < min(spp, TOGETHER):
         count *= 2

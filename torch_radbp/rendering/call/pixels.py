@@ -14,7 +14,7 @@ from torch_radbp.film.splat import Block, offset_sums, sums_in_pairs
 from torch_radbp.rendering.call.chunks import Chunk
 from torch_radbp.rendering.call.render_call import RenderCall, film_places, of_chunks
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.vec import Vec2, Vec3, rows
 
 Result = TypeVar("Result")
 
@@ -75,6 +75,11 @@ def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> 
 
 def filters_of(call: RenderCall, which: int) -> Tensor:
     """(B, H, W) as in `Images`, of the samples of the image (0) or of its derivative (1)."""
+    if all(view.grid.kernel.flat for view in call.views):
+        view = call.views[0]
+        return torch.full((len(call.views), view.height, view.width), float(call.spp), dtype=call.scene.dtype,
+                          device=call.scene.device)
+
     def work(chunk: Chunk) -> tuple[Tensor, None]:
         return deposit(call, chunk, (), film_places(call, chunk, call.views[chunk.sensor].sample_keys[which])), None
 
@@ -92,6 +97,8 @@ def lane_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, pixels: Vec3) -
     grid = call.views[chunk.sensor].grid
     width = grid.columns + 2 * grid.kernel.reach
     first = chunk.rows.numbers(call.scene.device, width).repeat_interleave(chunk.samples)
+    if grid.kernel.flat:
+        return rows(pixels, first)
     down, across = (torch.full((), entries, dtype=torch.int32, device=first.device) for entries in (width, 1))
     return Vec3(*call.stages.asked(grid.kernel, tuple(pixels), film_places(call, chunk, key), first, down, across))
 
