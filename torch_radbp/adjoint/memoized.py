@@ -58,11 +58,11 @@ class MemoizedAdjoint(Strategy):
         return self.stride == 1 and self.keep_hits
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
-        """Those of the schedule."""
+        """The depths at which the schedule keeps states."""
         return kept_depths(bounces, self.stride, most)
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """States held at once."""
+        """The most states that the plan of the schedule keeps at once."""
         held = most = 0.0
         for action in backward_plan(len(reaching), kept, self.stride):
             if action.depth not in kept:

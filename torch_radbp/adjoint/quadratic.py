@@ -37,7 +37,7 @@ class QuadraticAdjoint(Strategy):
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """States held at once."""
+        """The states on the stack, and those of two bounces below it."""
         return sum(reaching) + 2 * max(reaching)  # the stack, and a bounce and the next below it
 
     def backward(self, sweep: Sweep) -> None:

@@ -40,7 +40,7 @@ class ReplayAdjoint(Strategy):
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """States held at once."""
+        """Where rays carry derivatives the states of all bounces, else those of two."""
         return sum(reaching) if moving else 4 * max(reaching)  # of a bounce and the next; its terms are as much again
 
     def backward(self, sweep: Sweep) -> None:

@@ -39,7 +39,7 @@ class TapeAdjoint(Strategy):
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """None."""
+        """No states: nothing is swept."""
         return 0.0
 
     def backward(self, sweep: Sweep) -> None:

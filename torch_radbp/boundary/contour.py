@@ -93,7 +93,7 @@ class OnTriangle(NamedTuple):
 
 
 class OnFilm(NamedTuple):
-    """The same as a camera sees them."""
+    """Places on curves of triangles as a camera sees them, (N,) each."""
 
     p: Vec3  # world
     film: Vec2  # pixels

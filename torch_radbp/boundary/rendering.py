@@ -67,7 +67,7 @@ class Rendering:
 
     @cached_property
     def shapes(self) -> list[Surface]:
-        """Those of the scene."""
+        """All shapes of the scene, those of groups among them."""
         return self.scene.shapes
 
     @cached_property

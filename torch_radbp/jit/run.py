@@ -75,7 +75,7 @@ class LaneFunction:
         return tuple([Taken(self.named[name], argument) for name, argument in arguments.items()])
 
     def room(self, results) -> Taken:
-        """The same for the first argument of `into`."""
+        """What `into` is to write into, taken apart once for several calls."""
         return Taken(self.results, results)
 
     def __call__(self, *arguments):

@@ -142,7 +142,7 @@ def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, s
 
 def places_of(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position,
               settings: Settings) -> tuple[Place, ...]:
-    """The same of lanes as they are; attached to the scene, and to the ray if it is moving.
+    """The places at which textures are read outside of a bounce, attached to the scene, and to the ray if it is moving.
 
     One for each texture of the material that is read outside; for each such reader of emitters' textures one where the ray
     meets the emitter; and, where light is scattered, one at the light sample.

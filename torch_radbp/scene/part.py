@@ -69,5 +69,5 @@ def attributes_of_part(layout: Layout, appearance: Appearance | None) -> tuple[s
 
 
 def chosen(names: tuple[str, ...], columns: tuple, wanted: tuple[str, ...]) -> tuple:
-    """Those columns whose names are wanted."""
+    """Those columns whose names are wanted, in their order."""
     return tuple(column for name, column in zip(names, columns) if name in wanted)

@@ -148,7 +148,7 @@ class Scene(nn.Module):
 
     @property
     def named_sensors(self) -> dict[str, Sensor]:
-        """Those of the scene by name, each of a batch by itself."""
+        """All sensors by name, each one of a batch by itself."""
         return {f"{name}{part}": view for name, child in self._modules.items() if isinstance(child, Sensor)
                 for part, view in child.views().items()}
 

@@ -47,7 +47,7 @@ class CalibratedLens(NamedTuple):
         return Vec2((position.x * self.width - 0.5 - self.cx - self.skew * y) / self.fx, y)
 
     def position(self, point: Vec2) -> Vec2:
-        """The reverse."""
+        """The positions on the image of points of the image plane at distance 1."""
         return Vec2((self.fx * point.x + self.skew * point.y + self.cx + 0.5) / self.width,
                     (self.fy * point.y + self.cy + 0.5) / self.height)
 

@@ -36,7 +36,7 @@ class PinholeLens(NamedTuple):
                     (1.0 - 2.0 * (position.y + self.shift_y)) * self.tan_x / self.aspect)
 
     def position(self, slopes: Vec2) -> Vec2:
-        """The reverse."""
+        """The positions on the image at which local directions with these slopes x / z and y / z are seen."""
         return Vec2(0.5 - 0.5 * slopes.x / self.tan_x - self.shift_x,
                     0.5 - 0.5 * slopes.y * self.aspect / self.tan_x - self.shift_y)
 

@@ -62,14 +62,14 @@ def developed(call: RenderCall, work: Callable[[Chunk], tuple[Tensor, Result]]) 
 def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
     """(R, 1 + C, n, columns) of the n rows of a band, from what its chunks count."""
     total = None
-    for rows, own in groupby(parts, lambda part: part[0].rows):
+    for part, own in groupby(parts, lambda part: part[0].rows):
         found = [sums for _, sums in own]
         one = found[0] if len(found) == 1 else across(grid, sums_in_pairs(torch.stack(found, 3), 3))
         if total is None:
-            if rows.count == len(band):
+            if part.count == len(band):
                 return one
             total = one.new_empty(*one.shape[:2], len(band), grid.columns)
-        total[:, :, rows.first - band.start::rows.apart] = one
+        total[:, :, part.first - band.start::part.apart] = one
     return total
 
 
