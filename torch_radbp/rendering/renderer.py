@@ -183,15 +183,15 @@ class Renderer(nn.Module):
             arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad, "aovs": aovs}
             return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                       dict(self.named_parameters()))
-        if aovs is not None:
-            return self(seed, sensors, spp, seed_grad), self.aovs(aovs, seed, sensors, spp, seed_grad)
-        call = self.prepare(seed, sensors, spp, seed_grad)
+        outputs = None if aovs is None else self.outputs(aovs)
+        call = self.prepare(seed, sensors, spp, seed_grad, aovs=aovs is not None)
         if seed is None:
             self.noise_watch.look(call.parameters)
         outlines = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
         images = self.images(call)
         images = images if INTERIOR in self.terms else primal(images)
-        return images if outlines is None else images + image_jumps(call, outlines)
+        images = images if outlines is None else images + image_jumps(call, outlines)
+        return images if outputs is None else (images, self.quantities(call, outlines, outputs))
 
     def images(self, call: RenderCall) -> Tensor:
         """The images with the derivatives of what is seen inside of their edges."""
@@ -220,7 +220,8 @@ class Renderer(nn.Module):
 
         `alpha` (1): 1 where the image shows a surface or the surroundings, as Mitsuba's `path` has it; `hit` (1): where it
         shows a surface. `xyz` (3): the image in CIE XYZ. With m2_ before its name, any quantity's mean square over the
-        samples of a pixel: var = (m2 - mean^2) / (spp - 1) is about the variance of an independently sampled pixel.
+        samples of a pixel: with a box filter, var = (m2 - mean^2) / (spp - 1) is about the variance of a pixel whose samples
+        are independent.
 
         Derivatives, backward and forward, are those with the pixel fixed, of everything but `xyz` and the indices; they
         reach shapes, poses, cameras and textures. `alpha` and `hit` change at edges alone, by shapes, poses and cameras.
@@ -235,11 +236,20 @@ class Renderer(nn.Module):
         Raises:
             ValueError: for a quantity that is not known, or if none is named.
         """
-        outputs = self.scene.integrator.outputs() if names is None else {name: name for name in checked_names(names)}
-        if not outputs:
-            raise ValueError("the scene's integrator lists no outputs; name some, such as renderer.aovs([\"depth\"])")
+        outputs = self.outputs(names)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs=True)
         outlines = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        return self.quantities(call, outlines, outputs)
+
+    def outputs(self, names: Sequence[str] | None) -> dict[str, str]:
+        """The quantities that are asked for, by the names of the outputs; errors as for `aovs`."""
+        found = self.scene.integrator.outputs() if names is None else {name: name for name in checked_names(names)}
+        if not found:
+            raise ValueError("the scene's integrator lists no outputs; name some, such as renderer.aovs([\"depth\"])")
+        return found
+
+    def quantities(self, call: RenderCall, outlines: list[Jumps] | None, outputs: dict[str, str]) -> dict[str, Tensor]:
+        """The images of quantities by the names of outputs; `call`: prepared for them, `outlines`: as of `look`."""
         quantities = tuple(dict.fromkeys(outputs.values()))
         if call.scene.layout.surround is not None and not self.hide_emitters:
             self.jump_watch.say(alpha_of_surroundings(quantities))
