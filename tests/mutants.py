@@ -64,7 +64,7 @@ MUTANTS = (
     Mutant("film/position.py", "(row - self.border + self.crop_y", "(row - self.border + self.crop_x",
            ("sensor", "rendering/test_camera.py")),
     Mutant("film/gaussian.py", "- math.exp(-0.5 * CUT**2)", "- 0 * math.exp(-0.5 * CUT**2)", ("film",)),
-    Mutant("film/splat.py", "first + (down * row + across * column)", "first + (down * column + across * row)",
+    Mutant("film/splat.py", "entry + (down * row + across * column)", "entry + (down * column + across * row)",
            ("film/test_splat.py",)),
     Mutant("film/develop.py", "first, end = max(self.done, offset), min(last, rows + offset)",
            "first, end = max(self.done, offset), min(last, rows)", ("film/test_splat.py",)),

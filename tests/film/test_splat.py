@@ -89,7 +89,8 @@ def test_what_lanes_are_asked_for_is_the_transpose(name):
     filters = filters_of(call, 0)
     pixels = asked_of_pixels(call, wanted, filters)
     key = call.views[0].sample_keys[0]
-    asked = torch.cat([torch.stack(lane_adjoint(call, chunk, key, pixels[0])) for chunk in call.chunks], 1)
+    asked = torch.cat([torch.stack(lane_adjoint(call, chunk, film_places(call, chunk, key), pixels[0]))
+                       for chunk in call.chunks], 1)
     expected, _ = written_out(FILTERS[name], places, values)
     product = float((wanted[0, 0] * torch.from_numpy(expected[0])).sum())
     assert abs(product) > 1e-3

@@ -103,7 +103,7 @@ class RenderFunction(torch.autograd.Function):
             key, record = call.views[chunk.sensor].sample_keys[1], records[index]
             if record is None:
                 record = record_chunk(call, integrand, chunk, key)
-            adj_L = weighted(lane_adjoint(call, chunk, key, pixels[chunk.sensor]), record.weight)
+            adj_L = weighted(lane_adjoint(call, chunk, record.place, pixels[chunk.sensor]), record.weight)
             sweep = make_sweep(integrand_of(call, integrand, chunk), record, adj_L, wanted, gradients)
             call.adjoint.backward(sweep)
             return sweep

@@ -9,6 +9,7 @@ from threading import Lock
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import PathRecord
+from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, trace, walk
@@ -33,7 +34,7 @@ def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Sampl
     L = tracer(integrand_of(call, integrand, chunk), started(call, samples), recorder.visit if record else None)
     radiance = L if record and call.adjoint.keep_radiance else None
     return (deposit(call, chunk, weighted(L, samples.weight), samples.place),
-            recorder.record(partial(start_paths, call, chunk, key), radiance, samples.weight))
+            recorder.record(partial(start_paths, call, chunk, key), radiance, samples))
 
 
 def trace_both(call: RenderCall, integrand: Integrand, chunk: Chunk) -> tuple[Tensor, PathRecord]:
@@ -46,7 +47,7 @@ def trace_both(call: RenderCall, integrand: Integrand, chunk: Chunk) -> tuple[Te
     L = trace(integrand, started(call, joined([derivative, image])), recorder.visit)
     radiance = weighted(rows_between(L, chunk.lanes, 2 * chunk.lanes), image.weight)
     return (deposit(call, chunk, radiance, image.place),
-            recorder.record(partial(start_paths, call, chunk, of_derivative), None, derivative.weight))
+            recorder.record(partial(start_paths, call, chunk, of_derivative), None, derivative))
 
 
 def record_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey) -> PathRecord:
@@ -55,7 +56,7 @@ def record_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Samp
         return trace_chunk(call, integrand, chunk, key, record=True)[1]
     samples, recorder = camera_samples(call, chunk, key), Recorder(call.adjoint, integrand.max_depth)
     walk(integrand_of(call, integrand, chunk), started(call, samples), recorder.visit)
-    return recorder.record(partial(start_paths, call, chunk, key), None, samples.weight)
+    return recorder.record(partial(start_paths, call, chunk, key), None, samples)
 
 
 class Recorder:
@@ -75,8 +76,8 @@ class Recorder:
         if self.strategy.keep_hits:
             self.steps[depth] = step
 
-    def record(self, start: Callable[[], PathState], radiance: Vec3 | None, weight: Tensor | None) -> PathRecord:
-        return PathRecord(start, radiance, self.states, self.steps, self.bounces, weight)
+    def record(self, start: Callable[[], PathState], radiance: Vec3 | None, samples: CameraSample) -> PathRecord:
+        return PathRecord(start, radiance, self.states, self.steps, self.bounces, samples.weight, samples.place)
 
 
 class Allowance:

@@ -34,7 +34,7 @@ from torch_radbp.record import with_leaves
 from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Vec3, rows
+from torch_radbp.vec import Vec2, Vec3, rows
 
 
 class PathRecord(NamedTuple):
@@ -45,7 +45,8 @@ class PathRecord(NamedTuple):
     states: dict[int, PathState]  # by depth, where the schedule keeps them; depth 0 is `start`
     steps: dict[int, Step]  # by depth, empty with keep_hits=False
     bounces: int
-    weight: Tensor | None = None  # of each lane in its pixel; None: all are 1
+    weight: Tensor | None = None  # what counts of each lane's radiance; None: all of it
+    place: Vec2 | None = None  # of each lane in its pixel
 
 
 class Adjoint(NamedTuple):

@@ -45,38 +45,56 @@ def deposited(kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, first: Te
         (M,) each: for each row of the pixels around, from top to bottom, and each column of them, the sum of the filter,
         and those of the values times it.
     """
-    sums = []
+    across, down, own = [], [], []
     for number in range(count):
-        there = left > number
-        sample = torch.where(there, first + number, first)
-        across, down = (kernel.around(gather(part, sample)) for part in place)
-        own = [gather(value, sample) for value in values]
-        counts = [torch.where(there, in_row, 0.0) * in_column for in_row in down for in_column in across]
-        sums.append([term for each in counts for term in (each, *(value * each for value in own))])
-    while len(sums) > 1:
-        sums = [[a + b for a, b in zip(*sums[pair:pair + 2])] if len(sums[pair:pair + 2]) == 2 else sums[pair]
-                for pair in range(0, len(sums), 2)]
-    return tuple(sums[0])
+        there, sample = left > number, torch.where(left > number, first + number, first)
+        across.append(kernel.around(gather(place.x, sample)))
+        down.append([torch.where(there, in_row, 0.0) for in_row in kernel.around(gather(place.y, sample))])
+        own.append([gather(value, sample) for value in values])
+    sums = []
+    for row in range(2 * kernel.reach + 1):
+        for column in range(2 * kernel.reach + 1):
+            counts = [in_row[row] * in_column[column] for in_row, in_column in zip(down, across)]
+            sums.append(paired(counts))
+            sums += [paired([value * each for value, each in zip(samples, counts)]) for samples in zip(*own)]
+    return tuple(sums)
 
 
-def asked(kernel: Kernel, pixels: tuple[Tensor, ...], place: Vec2, first: Tensor, down: Tensor,
-          across: Tensor) -> tuple[Tensor, ...]:
-    """What the pixels around ask of samples: the transpose of `deposited`.
+def paired(terms: list[Tensor]) -> Tensor:
+    """The sum of pairs, of pairs of pairs, ..."""
+    while len(terms) > 1:
+        terms = [terms[k] + terms[k + 1] if k + 1 < len(terms) else terms[k] for k in range(0, len(terms), 2)]
+    return terms[0]
+
+
+def asked(kernel: Kernel, pixels: tuple[Tensor, ...], place: Vec2, entry: Tensor, first: Tensor, left: Tensor, down: Tensor,
+          across: Tensor, count: int) -> tuple[Tensor, ...]:
+    """What the pixels around a pixel ask of some samples in it: the transpose of `deposited`.
 
     Args:
         kernel: the reconstruction filter.
         pixels: tables, one for each value of a sample: what each pixel asks for.
         place: (N,) of the samples.
-        first: (N,) int32, the entry of the upper left pixel in which a sample counts.
-        down, across: () int32, entries from one row of these pixels to the next, and from one column.
+        entry: (M,) int32, that of the upper left pixel in which the samples count.
+        first, left, count: which samples; see `deposited`.
+        down, across: () int32, entries from one row of pixels to the next, and from one column.
+
+    Returns:
+        (M,) each: for each sample what is asked of its values.
     """
-    totals = [0.0] * len(pixels)
-    columns = kernel.around(place.x)
-    for row, in_row in enumerate(kernel.around(place.y)):
-        for column, in_column in enumerate(columns):
-            entry = first + (down * row + across * column)
-            totals = [total + gather(table, entry) * (in_row * in_column) for total, table in zip(totals, pixels)]
-    return tuple(totals)
+    size = range(2 * kernel.reach + 1)
+    asking = [[[gather(table, entry + (down * row + across * column)) for table in pixels] for column in size]
+              for row in size]
+    found = []
+    for number in range(count):
+        sample = torch.where(left > number, first + number, first)
+        columns, rows = (kernel.around(gather(part, sample)) for part in place)
+        totals = [0.0] * len(pixels)
+        for in_row, of_row in zip(rows, asking):
+            in_rows = [in_row * in_column for in_column in columns]
+            totals = [total + sum(each * own[k] for each, own in zip(in_rows, of_row)) for k, total in enumerate(totals)]
+        found += totals
+    return tuple(found)
 
 
 def sums_in_pairs(terms: Tensor, dimension: int) -> Tensor:
@@ -108,32 +126,63 @@ def offset_sums(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], blo
 
 def sums_of(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
     """`offset_sums`, detached."""
-    (place, samples, spp), size, count = block, 2 * kernel.reach + 1, 1
+    (place, samples, _), size = block, 2 * kernel.reach + 1
     if kernel.flat:
         one = torch.ones_like(place.x)
         return sums_in_pairs(torch.stack([one, *values]).view(1, 1, 1 + len(values), -1, samples), 4)
+    first, left, count = parts_of(stage, block)
+    lanes = first.t().flatten(), left.t().flatten(), count  # part by part, so that parts lie apart and are quickly added
+    found = results_of(stage, size * size * (1 + len(values)), kernel, values, place, *lanes)
+    return sums_in_pairs(found.view(size, size, 1 + len(values), -1, len(place.x) // samples), 3)
+
+
+def parts_of(stage: Callable, block: Block) -> tuple[Tensor, Tensor, int]:
+    """`first` and `left`, (P, parts of a pixel), and `count` of lanes that take all samples of a block; see `deposited`."""
+    (place, samples, spp), count = block, 1
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
     while hasattr(stage, "into") and count < min(spp, TOGETHER):
         count *= 2
-    parts, pixels, like = -(-samples // count), len(place.x) // samples, place.x
-    start = torch.arange(0, samples, count, dtype=torch.int32, device=like.device)[:, None]
-    first = (torch.arange(pixels, dtype=torch.int32, device=like.device) * samples + start).flatten()
-    left = (samples - start).repeat(1, pixels).flatten()
-    arguments = kernel, values, place, first, left, count
-    if hasattr(stage, "into"):
-        found = torch.empty(size * size * (1 + len(values)), parts * pixels, dtype=like.dtype, device=like.device)
-        stage.into(found.unbind(0), 0, *arguments)
-    else:
-        found = torch.stack(stage(*arguments))
-    return sums_in_pairs(found.view(size, size, 1 + len(values), parts, pixels), 3)
+    pixels, device = len(place.x) // samples, place.x.device
+    start = torch.arange(0, samples, count, dtype=torch.int32, device=device)
+    first = torch.arange(pixels, dtype=torch.int32, device=device)[:, None] * samples + start
+    return first, (samples - start).expand(pixels, -1), count
+
+
+def results_of(stage: Callable, number: int, kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, *lanes) -> Tensor:
+    """(number, M) the results of a stage."""
+    if not hasattr(stage, "into"):
+        return torch.stack(stage(kernel, values, place, *lanes))
+    found = torch.empty(number, len(lanes[0]), dtype=place.x.dtype, device=place.x.device)
+    stage.into(found.unbind(0), 0, kernel, values, place, *lanes)
+    return found
+
+
+def asked_of(stage: Callable, kernel: Kernel, pixels: tuple[Tensor, ...], block: Block, entry: Tensor, down: int,
+             across: int) -> tuple[Tensor, ...]:
+    """C of (P samples,): what pixels ask of the samples of a block.
+
+    Args:
+        stage: `asked`, or the same compiled.
+        kernel: the reconstruction filter.
+        pixels: C tables.
+        block: of the samples.
+        entry: (P,) int32, that of the upper left pixel in which the samples of each pixel count.
+        down, across: entries from one row of pixels to the next, and from one column.
+    """
+    first, left, count = parts_of(stage, block)
+    parts = first.shape[1]
+    steps = (torch.full((), entries, dtype=torch.int32, device=entry.device) for entries in (down, across))
+    lanes = entry.repeat_interleave(parts), first.flatten(), left.flatten(), *steps, count
+    found = results_of(stage, count * len(pixels), kernel, pixels, block.place, *lanes)
+    found = found.view(count, -1).t().contiguous().view(len(pixels), len(entry), parts * count)
+    return found[:, :, :block.samples].flatten(1).unbind(0)
 
 
 def asked_of_sums(kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tensor, ...]:
     """C of (P samples,): what (R, R, C, P) sums over the samples of a pixel, one for each offset, ask of the samples."""
     size, pixels = sums.shape[0], sums.shape[-1]
-    pixel = torch.arange(pixels, dtype=torch.int32, device=sums.device).repeat_interleave(block.samples)
-    down, across = (torch.full((), entries, dtype=torch.int32, device=sums.device) for entries in (size * pixels, pixels))
-    return asked(kernel, tuple(table.flatten() for table in sums.unbind(2)), block.place, pixel, down, across)
+    pixel = torch.arange(pixels, dtype=torch.int32, device=sums.device)
+    return asked_of(asked, kernel, tuple(table.flatten() for table in sums.unbind(2)), block, pixel, size * pixels, pixels)
 
 
 class Deposited(torch.autograd.Function):

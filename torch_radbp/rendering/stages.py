@@ -31,10 +31,11 @@ EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, boun
 
 PATH = "scene", "proposal", "arrival"
 TABLES = Stages(  # of each stage the arguments that are read at indices
-    sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels",), bounce=PATH, ending=PATH,
-    bounce_adjoint=("scene", "arrival", "adj_L", "memo"), places=("scene", "arrival"), pick_light=("scene", "choice"),
-    chance_of_light=("scene", "choice", "arrival"), appearance_met=("scene",), side_met=("scene", "ray", "hit"),
-    shines=("scene",), rows=("record",), brightened=("L", "beta"), surface_values=("scene",), material_value=("scene",))
+    sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels", "place"), bounce=PATH,
+    ending=PATH, bounce_adjoint=("scene", "arrival", "adj_L", "memo"), places=("scene", "arrival"),
+    pick_light=("scene", "choice"), chance_of_light=("scene", "choice", "arrival"), appearance_met=("scene",),
+    side_met=("scene", "ray", "hit"), shines=("scene",), rows=("record",), brightened=("L", "beta"),
+    surface_values=("scene",), material_value=("scene",))
 
 
 def fused(target: Target | None = None) -> Stages:

@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.film.develop import Development, Grid, across, row_sums
-from torch_radbp.film.splat import Block, offset_sums, sums_in_pairs
+from torch_radbp.film.splat import Block, asked_of, offset_sums, sums_in_pairs
 from torch_radbp.rendering.call.chunks import Chunk
 from torch_radbp.rendering.call.render_call import RenderCall, film_places, of_chunks
-from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.vec import Vec2, Vec3, rows
 
 Result = TypeVar("Result")
@@ -92,15 +91,20 @@ def asked_of_pixels(call: RenderCall, grad_images: Tensor, filters: Tensor) -> l
     return [Vec3(*(channel.flatten() for channel in view.grid.padded(own))) for view, own in zip(call.views, gradient)]
 
 
-def lane_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, pixels: Vec3) -> Vec3:
-    """Derivative of the loss with respect to what counts of L_1 of each lane; `pixels`: of `asked_of_pixels`."""
+def lane_adjoint(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
+    """Derivative of the loss with respect to what counts of L_1 of each lane.
+
+    Args:
+        place: (N,) of the lanes in their pixels.
+        pixels: of the chunk's view, as `asked_of_pixels` has them.
+    """
     grid = call.views[chunk.sensor].grid
     width = grid.columns + 2 * grid.kernel.reach
-    first = chunk.rows.numbers(call.scene.device, width).repeat_interleave(chunk.samples)
+    entry = chunk.rows.numbers(call.scene.device, width)
     if grid.kernel.flat:
-        return rows(pixels, first)
-    down, across = (torch.full((), entries, dtype=torch.int32, device=first.device) for entries in (width, 1))
-    return Vec3(*call.stages.asked(grid.kernel, tuple(pixels), film_places(call, chunk, key), first, down, across))
+        return rows(pixels, entry.repeat_interleave(chunk.samples))
+    block = Block(place, chunk.samples, call.spp)
+    return Vec3(*asked_of(call.stages.asked, grid.kernel, tuple(pixels), block, entry, width, 1))
 
 
 def weighted(L: Vec3, weight: Tensor | None) -> Vec3:
