@@ -86,7 +86,8 @@ def judged(family: str, path: Path) -> Verdict:
         return _fault(error)
     if not torch.isfinite(image).all():
         return Verdict("fault", "pixels that are not finite", str(image.flatten().tolist()))
-    signed = any(sensor.film.rfilter.table().signs is not None for sensor in scene.sensors)
+    filters = [sensor.film.rfilter for sensor in scene.sensors]
+    signed = any(bool((each.evaluate(torch.linspace(0, each.radius, 256)) < 0).any()) for each in filters)
     if image.min() < 0 and not signed:  # filters with negative lobes ring
         return Verdict("fault", "pixels below 0", str(image.flatten().tolist()))
     return Verdict("loaded", "", "")

@@ -75,7 +75,7 @@ def test_a_scene_is_rendered_from_all_of_them(model):
     scene = rb.load_dict({"type": "scene", "sky": {"type": "constant", "radiance": 2.0}, "ball": {"type": "sphere"},
                           **rb.cameras_from_colmap(model(), scale=0.1, far_clip=50.0)})
     image = rb.render(scene, spp=1, max_depth=1, sensors=[0, 2])
-    assert image.shape == (2, 3, 3, 4) and torch.isfinite(image).all() and (image == 2).any()
+    assert image.shape == (2, 3, 3, 4) and torch.isfinite(image).all() and (image > 1.5).any()
     assert scene.sensors[1].far_clip == 50
 
 
