@@ -25,9 +25,13 @@ class Grid(NamedTuple):
         """(..., rows, columns) without the border."""
         return image[..., self.border:self.rows - self.border, self.border:self.columns - self.border]
 
-    def padded(self, image: Tensor) -> Tensor:
-        """(..., H, W) of the window with zeros around it, up to wherever a sample counts."""
-        return torch.nn.functional.pad(image, (self.border + self.kernel.reach,) * 4)
+    def quotient(self, image: Tensor, filters: Tensor) -> Tensor:
+        """(C, ...) an image (C, H, W) over the sums of the filter, with zeros around it, up to wherever a sample counts."""
+        around, (height, width) = self.border + self.kernel.reach, filters.shape
+        found = image.new_zeros(len(image), height + 2 * around, width + 2 * around)
+        inside = found[:, around:around + height, around:around + width]
+        torch.div(image, torch.where(filters == 0, 1.0, filters), out=inside)
+        return found
 
 
 def row_sums(stage: Callable, grid: Grid, values: tuple[Tensor, ...], block: Block) -> Tensor:
@@ -68,27 +72,27 @@ class Development:
     def __init__(self, grid: Grid):
         self.grid, self.done, self.known = grid, 0, 0
         self.waiting: Tensor | None = None  # (R, 1 + C, n, columns) of the last rows, which count in some to come
-        self.finished: list[Tensor] = []
+        self.total: Tensor | None = None  # (1 + C, rows, columns), of which `done` rows are done
 
     def add(self, sums: Tensor) -> None:
         """Takes the next rows, as of `row_sums`."""
         reach, rows = self.grid.kernel.reach, self.grid.rows
-        sums = sums if self.waiting is None else torch.cat([self.waiting, sums], 2)
+        if self.waiting is None:
+            self.total = sums.new_zeros(sums.shape[1], rows, self.grid.columns)
+        else:
+            sums = torch.cat([self.waiting, sums], 2)
         start = self.known - (0 if self.waiting is None else self.waiting.shape[2])  # the row of its first
         self.known = start + sums.shape[2]
         last = rows if self.known == rows else max(self.done, self.known - reach)
-        total = torch.zeros_like(sums[0, :, :1]).repeat(1, last - self.done, 1)
         for offset in range(-reach, reach + 1):
             first, end = max(self.done, offset), min(last, rows + offset)
             if first < end:
-                total[:, first - self.done:end - self.done] += sums[offset + reach][
-                    :, first - offset - start:end - offset - start]
-        self.finished.append(total)
+                self.total[:, first:end] += sums[offset + reach][:, first - offset - start:end - offset - start]
         self.done = last
-        self.waiting = sums[:, :, max(0, last - reach - start):]
+        self.waiting = sums[:, :, max(0, last - reach - start):].clone()  # a view would keep all of it
 
     def image(self) -> tuple[Tensor, Tensor]:
         """(C, H, W), and (H, W) the sums of the filter by which it has been divided."""
-        total = self.grid.cropped(torch.cat(self.finished, 1))
+        total = self.grid.cropped(self.total)
         filters = total[0].detach()
         return total[1:] / torch.where(filters == 0, 1.0, filters), filters

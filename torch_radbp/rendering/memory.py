@@ -105,6 +105,7 @@ class Workload(NamedTuple):
     instances: bool = False  # whether hits tell which instance
     images: int = 0  # bytes of the images, of their sums and of their gradients
     measured: BounceMemory | None = None  # of a bounce; None: the least that it may be
+    least: int = 1  # lanes of a chunk, whatever is asked for
 
     @property
     def bounce_memory(self) -> BounceMemory:
@@ -130,7 +131,7 @@ def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float =
 
     cone = CONE * dtype.itemsize * work.cones
     state = size(STATE[work.by_place]) + cone
-    chunk = min(chunk, lanes)
+    chunk = min(max(chunk, work.least), lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
     bounce, sweep, tape, outside, tables = work.bounce_memory

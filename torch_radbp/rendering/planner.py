@@ -8,6 +8,7 @@ from math import inf
 from torch import Tensor
 
 from torch_radbp.differentiated import any_differentiated, detached, differentiable
+from torch_radbp.film.splat import TOGETHER
 from torch_radbp.jit.torch_internals import tree_flatten
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
@@ -16,7 +17,7 @@ from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, pred
 from torch_radbp.rendering.stages import EAGER
 
 PILOT_LANES = 4096  # paths that predict the memory of a call
-IMAGE_COPIES = 4  # the sums of its chunks, the image, its gradient and what the loss makes of both
+IMAGE_COPIES = 5  # the sums of its rows, the image, its gradient, that by sums of the filter, and what the loss makes
 
 
 class MemoryPlanner:
@@ -54,7 +55,8 @@ class MemoryPlanner:
         return Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
                         call.stages is not EAGER, call.workers, moving, triangles, call.scene.lights.by_place,
                         call.scene.layout.traces_cones, scene.triangles.instances is not None, IMAGE_COPIES * image_bytes,
-                        self.bounce_memory_of(call, integrand, triangles))
+                        self.bounce_memory_of(call, integrand, triangles),
+                        max(view.grid.columns for view in call.views) * min(call.spp, TOGETHER))
 
     def bounce_memory_of(self, call: RenderCall, integrand: Integrand, triangles: bool) -> BounceMemory:
         """The working memory of a bounce of a call; measured once for each kind of call.

@@ -87,8 +87,8 @@ def filters_of(call: RenderCall, which: int) -> Tensor:
 
 def asked_of_pixels(call: RenderCall, grad_images: Tensor, filters: Tensor) -> list[Vec3]:
     """For each view the derivative of the loss by what samples add to the sums of pixels; tables for `lane_adjoint`."""
-    gradient = grad_images / torch.where(filters == 0, 1.0, filters)[:, None]
-    return [Vec3(*(channel.flatten() for channel in view.grid.padded(own))) for view, own in zip(call.views, gradient)]
+    return [Vec3(*view.grid.quotient(own, sums).flatten(1))
+            for view, own, sums in zip(call.views, grad_images, filters)]
 
 
 def lane_adjoint(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
