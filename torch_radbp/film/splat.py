@@ -18,6 +18,7 @@ from torch_radbp.film.filter import Kernel
 from torch_radbp.vec import Vec2, gather
 
 TOGETHER = 8  # samples of a pixel that a lane adds up; compiled, for it takes the more operations the more there are
+MOST_VALUES = 4  # that are added up at once: of many, code takes long to compile
 PIECE = 1 << 14  # pixels whose sums are made at once, less where they have many samples
 
 
@@ -127,6 +128,9 @@ def offset_sums(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], blo
 def sums_of(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
     """`offset_sums`, detached."""
     (place, samples, _), size = block, 2 * kernel.reach + 1
+    if len(values) > MOST_VALUES:
+        some, others = (sums_of(stage, kernel, own, block) for own in (values[:MOST_VALUES], values[MOST_VALUES:]))
+        return torch.cat([some, others[:, :, 1:]], 2)
     if kernel.flat:
         one = torch.ones_like(place.x)
         return sums_in_pairs(torch.stack([one, *values]).view(1, 1, 1 + len(values), -1, samples), 4)
