@@ -104,7 +104,7 @@ def of_camera(sensor: dict[str, Any], label: str, steps: dict[str, float], fine:
 def of_mesh(shape: dict[str, Any], label: str) -> dict[str, MovingScene]:
     """A scene for every parameter of a mesh of a few vertices, which fills the view."""
     build = scene(sheet=shape | {"bsdf": textured()}, **POINT)
-    return {f"{label}, {name}": MovingScene(build, f"sheet.{name}", direction, 0.005, samplings=("hybrid",))
+    return {f"{label}, {name}": MovingScene(build, f"sheet.{name}", direction, 0.002, samplings=("hybrid",))
             for name, direction in {"to_world": rigid(TWIST), "vertex_positions": wave(size=0.02), "vertex_normals": wave(),
                                     "vertex_texcoords": wave(size=0.05)}.items()}
 
@@ -236,7 +236,7 @@ SCENES = {
                 {"aperture_radius": 0.01, "focus_distance": 0.03}, fine=4.0),
     **of_camera(calibrated(SIZE, 0.8) | VIEW, "calibrated", {
         "to_world": 0.005, "fx": 0.05, "fy": 0.05, "cx": 0.05, "cy": 0.05, "skew": 0.05, "k1": 0.01, "k2": 0.01, "k3": 0.01,
-        "k4": 0.01, "k5": 0.01, "k6": 0.01, "p1": 0.01, "p2": 0.01}),
+        "k4": 0.01, "k5": 0.01, "k6": 0.01, "p1": 0.003, "p2": 0.003}),
     **of_camera(calibrated(SIZE, 0.6, **FISHEYE) | VIEW, "fisheye", {"fx": 0.05, "k1": 0.01, "k4": 0.01}),
     # Other shapes.
     **of_mesh(plane() | {"type": "cube", "to_world": rotate(TILT, ANGLE) @ translate((0, 0, -1)) @ scale((HALF, HALF, 1))},
