@@ -26,6 +26,7 @@ from torch_radbp.rendering.bounce_memory import BounceMemory, LinearSize
 STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, density, vantage; key, lane, whether followed
 # `Step`: barycentrics and distance, perhaps probabilities of lights; triangle, side, order, visibility, survival, lights.
 STEP = {False: (3, 11), True: (5, 15)}
+PLACE = (2, 0)  # in the pixel
 RADIANCE = (3, 0)  # a `Vec3`
 CONE = 2  # `Cone`, more numbers of a state, and of the memo if rays carry derivatives
 INSTANCE = (0, 4)  # of a `Hit`, if there are any
@@ -35,7 +36,7 @@ CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
 # Resident memory is more than what torch holds: by this factor, and by so many numbers a lane. The factor counts where
 # every operation takes memory and gives it back, and where chunks follow each other, whose records do not fit the holes
 # that the last ones have left. See `python -m benchmarks.memory`.
-WASTE, SPARE = 1.75, 50
+WASTE, SPARE = 1.75, 60
 COMPILED = 0.3  # of the working memory of an eager adjoint,
 WASTE_COMPILED, SPARE_COMPILED = 1.25, 20  # and of its waste
 
@@ -142,10 +143,10 @@ def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float =
     depths = adjoint.kept(bounces, work.max_depth)
     per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * state
     step = size(STEP[work.by_place]) + size(INSTANCE) * work.instances
-    per_lane += sum(fractions) * step * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance
+    per_lane += sum(fractions) * step * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance + size(PLACE)
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
     held = size(RADIANCE) + size(MEMO[work.moving]) + cone * work.moving + size(CORNERS[work.triangles]) + state
-    held += step * (not adjoint.keep_hits) + size(INSTANCE) * (work.instances and work.moving)
+    held += size(PLACE) + step * (not adjoint.keep_hits) + size(INSTANCE) * (work.instances and work.moving)
     share, waste, spare = (COMPILED, WASTE_COMPILED, SPARE_COMPILED) if work.compiled else (1.0, WASTE, SPARE)
     swept = share * (sweep.per_lane - outside.per_lane) + WASTE / waste * outside.per_lane
     busy = waste * max(swept + held, share * bounce.per_lane) + spare * dtype.itemsize
