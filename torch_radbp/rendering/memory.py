@@ -27,6 +27,7 @@ STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, densi
 # `Step`: barycentrics and distance, perhaps probabilities of lights; triangle, side, order, visibility, survival, lights.
 STEP = {False: (3, 11), True: (5, 15)}
 PLACE = (2, 0)  # in the pixel
+FILM = 26  # numbers a lane for what it counts in pixels, and for what they ask of it
 RADIANCE = (3, 0)  # a `Vec3`
 CONE = 2  # `Cone`, more numbers of a state, and of the memo if rays carry derivatives
 INSTANCE = (0, 4)  # of a `Hit`, if there are any
@@ -36,7 +37,7 @@ CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
 # Resident memory is more than what torch holds: by this factor, and by so many numbers a lane. The factor counts where
 # every operation takes memory and gives it back, and where chunks follow each other, whose records do not fit the holes
 # that the last ones have left. See `python -m benchmarks.memory`.
-WASTE, SPARE = 1.75, 60
+WASTE, SPARE = 1.75, 50
 COMPILED = 0.3  # of the working memory of an eager adjoint,
 WASTE_COMPILED, SPARE_COMPILED = 1.25, 20  # and of its waste
 
@@ -151,7 +152,7 @@ def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float =
     swept = share * (sweep.per_lane - outside.per_lane) + WASTE / waste * outside.per_lane
     busy = waste * max(swept + held, share * bounce.per_lane) + spare * dtype.itemsize
     working = max(together * (busy * max(fractions) + replayed) + work.workers * sweep.fixed, WASTE * tables.packing)
-    working += work.workers * tables.totals
+    working += work.workers * tables.totals + share * together * FILM * dtype.itemsize
     # What is traced again is recorded chunk by chunk; and what is kept, chunk by chunk, too.
     kept = min(lanes * per_lane, max(record_bytes, together * per_lane))
     retrace = kept < lanes * per_lane
