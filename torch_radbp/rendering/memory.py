@@ -27,7 +27,6 @@ STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, densi
 # `Step`: barycentrics and distance, perhaps probabilities of lights; triangle, side, order, visibility, survival, lights.
 STEP = {False: (3, 11), True: (5, 15)}
 PLACE = (2, 0)  # in the pixel
-FILM = 26  # numbers a lane for what it counts in pixels, and for what they ask of it
 RADIANCE = (3, 0)  # a `Vec3`
 CONE = 2  # `Cone`, more numbers of a state, and of the memo if rays carry derivatives
 INSTANCE = (0, 4)  # of a `Hit`, if there are any
@@ -108,6 +107,7 @@ class Workload(NamedTuple):
     images: int = 0  # bytes of the images, of their sums and of their gradients
     measured: BounceMemory | None = None  # of a bounce; None: the least that it may be
     least: int = 1  # lanes of a chunk, whatever is asked for
+    row: int = 1  # lanes of a row of pixels
 
     @property
     def bounce_memory(self) -> BounceMemory:
@@ -147,12 +147,15 @@ def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float =
     per_lane += sum(fractions) * step * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance + size(PLACE)
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
     held = size(RADIANCE) + size(MEMO[work.moving]) + cone * work.moving + size(CORNERS[work.triangles]) + state
-    held += size(PLACE) + step * (not adjoint.keep_hits) + size(INSTANCE) * (work.instances and work.moving)
+    held += step * (not adjoint.keep_hits) + size(INSTANCE) * (work.instances and work.moving)
     share, waste, spare = (COMPILED, WASTE_COMPILED, SPARE_COMPILED) if work.compiled else (1.0, WASTE, SPARE)
     swept = share * (sweep.per_lane - outside.per_lane) + WASTE / waste * outside.per_lane
     busy = waste * max(swept + held, share * bounce.per_lane) + spare * dtype.itemsize
-    working = max(together * (busy * max(fractions) + replayed) + work.workers * sweep.fixed, WASTE * tables.packing)
-    working += work.workers * tables.totals + share * together * FILM * dtype.itemsize
+    # A chunk of few rows is not like the image: measured, up to half of its lanes meet more than in the mean.
+    unlike = 1.0 + 1.0 / (1.0 + chunk / work.row)
+    working = together * unlike * (busy * max(fractions) + replayed) + work.workers * sweep.fixed
+    working = max(working, WASTE * tables.packing)
+    working += work.workers * tables.totals
     # What is traced again is recorded chunk by chunk; and what is kept, chunk by chunk, too.
     kept = min(lanes * per_lane, max(record_bytes, together * per_lane))
     retrace = kept < lanes * per_lane

@@ -49,6 +49,7 @@ class MemoryPlanner:
         integrand = call.make_integrand(scene).with_stages(EAGER)
         lanes = call.spp * sum(view.grid.columns * view.grid.rows for view in call.views)
         image_bytes = 3 * (lanes // call.spp) * scene.dtype.itemsize
+        columns = max(view.grid.columns for view in call.views)
         moving = integrand.settings.moving
         triangles = (moving and integrand.settings.sampling != "attached"
                      and any_differentiated(call.scene.triangles.vertices.p))
@@ -56,7 +57,7 @@ class MemoryPlanner:
                         call.stages is not EAGER, call.workers, moving, triangles, call.scene.lights.by_place,
                         call.scene.layout.traces_cones, scene.triangles.instances is not None, IMAGE_COPIES * image_bytes,
                         self.bounce_memory_of(call, integrand, triangles),
-                        max(view.grid.columns for view in call.views) * min(call.spp, TOGETHER))
+                        columns * min(call.spp, TOGETHER), columns * call.spp)
 
     def bounce_memory_of(self, call: RenderCall, integrand: Integrand, triangles: bool) -> BounceMemory:
         """The working memory of a bounce of a call; measured once for each kind of call.
