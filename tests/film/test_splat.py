@@ -16,6 +16,7 @@ from torch_radbp.film.lanczos import Lanczos
 from torch_radbp.film.mitchell import Mitchell
 from torch_radbp.film.splat import Block, Deposited, asked_of_sums, sums_of
 from torch_radbp.film.tent import Tent
+from torch_radbp.rendering.call import chunks
 from torch_radbp.rendering.call.pixels import asked_of_pixels, deposit, developed, film_places, filters_of, lane_adjoint
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.vec import Vec2
@@ -79,6 +80,29 @@ def test_images_are_the_sums_of_samples_over_the_sums_of_the_filter(name, border
     assert np.abs(sums).max() > 0.5 and np.abs(expected).max() > 1
     np.testing.assert_allclose(found.filters[0].numpy(), sums, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(found.pixels[0].numpy(), expected, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("compile", [False, True])
+@pytest.mark.parametrize("border", [False, True])
+@pytest.mark.parametrize("name", ["box", "gaussian", "lanczos"])
+def test_images_have_the_same_bits_in_bands_and_chunks_of_any_size(name, border, compile, monkeypatch):
+    """Bands of one row are less than a sample reaches."""
+    def image(band: int, **settings) -> tuple[int, torch.Tensor]:
+        monkeypatch.setattr(chunks, "BAND", band)
+        scene = cornell(torch.float32, sensors={"sensor": sensor(9, film={
+            "type": "hdrfilm", "width": 9, "height": 7, "sample_border": border})})
+        scene.sensors[0].film.rfilter = FILTERS[name]
+        renderer = rb.Renderer(scene, max_depth=3, compile=compile, **settings)
+        groups = {chunk.group for chunk in renderer.prepare(3, None, None, None).chunks}
+        return len(groups), renderer(seed=3)
+
+    for spp in (3, 20):
+        once, expected = image(1 << 18, spp=spp)
+        assert once == 1 and expected.abs().max() > 0.1
+        for band, chunk in ((1, 1), (20, 1), (30, 9 * 20 * 2), (1 << 18, 1)):
+            groups, found = image(band, spp=spp, chunk=chunk)
+            assert groups > 1 or chunk > 1 or band == 1 << 18
+            assert torch.equal(found, expected), (spp, band, chunk)
 
 
 @pytest.mark.parametrize("name", ["box", "gaussian", "mitchell"])
