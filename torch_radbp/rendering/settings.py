@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from torch import nn
 
+from torch_radbp import adjoint
 from torch_radbp.adjoint.strategy import Strategy
 from torch_radbp.integrator.settings import depths
 from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
@@ -52,7 +53,7 @@ def check_settings(renderer: nn.Module) -> None:
     renderer.chunk = None if renderer.chunk is None else integer("chunk", renderer.chunk, 1)
     renderer.memory_budget = None if renderer.memory_budget is None else parse_budget(renderer.memory_budget)
     if not isinstance(renderer.adjoint, Strategy):
-        known = ", ".join(sorted(strategy.__name__ for strategy in Strategy.__subclasses__()))
+        known = ", ".join(adjoint.__all__)
         raise TypeError(f"adjoint must be one of {known}, got {renderer.adjoint!r}")
     if renderer.light_choice not in (None, *CHOICES):
         raise ValueError(f"light_choice={renderer.light_choice!r} is not known; "
