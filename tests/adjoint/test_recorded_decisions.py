@@ -40,7 +40,7 @@ def test_the_derivative_is_that_of_the_recorded_survivors():
     integrand, taken = first_bounces()
     depth, state, vertex, _, step = taken[0]
     flipped = step._replace(survives=~step.survives)
-    part, = (integrand.part(queue) for queue in step.queues)
+    part, = (integrand.part(queue.event) for queue in step.queues)
     for decided in (step, flipped):
         arrival, verdict = rows(Arrival(state, decided.hit, None), step.order), Verdict(decided.visible, decided.survives)
         local = local_map(part.scene, part.proposal, arrival, verdict, None, integrand.at(depth),

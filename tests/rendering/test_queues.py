@@ -99,7 +99,7 @@ def met(monkeypatch) -> list[tuple[tuple[str, int], ...]]:
 
     def watched(integrand, *arguments):
         result = queued(integrand, *arguments)
-        looks = [(integrand.appearance(queue), queue.last - queue.first) for queue in result[-1]]
+        looks = [(integrand.scatterer(queue.event), queue.last - queue.first) for queue in result[-1]]
         found.append(tuple((NOTHING if look is None else type(look.kind).__name__, lanes) for look, lanes in looks))
         return result
 

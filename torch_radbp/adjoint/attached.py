@@ -37,13 +37,13 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
         ahead = []
         for queue in step.queues:
             here = rows_between(arrival, queue.first, queue.last)
-            decided, there = (None if queue.appearance is None else rows_between(record, queue.first, queue.last)
+            decided, there = (None if not queue.event.scatters else rows_between(record, queue.first, queue.last)
                               for record in (verdict, following))
             then = here.state
-            part = integrand.part(queue)
+            part = integrand.part(queue.event)
             settings = integrand.settings_at(depth)
             at = integrand.at(depth)
-            given = given_values(integrand.scene, integrand.appearance(queue),
+            given = given_values(integrand.scene, integrand.scatterer(queue.event),
                                  places_of(part.scene, part.proposal, here, at, settings))
             local = local_map(part.scene, part.proposal, here, decided, there, at, settings, given)
             add_at(L, then.lane, then.beta * local.E)

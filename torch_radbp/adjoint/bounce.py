@@ -97,7 +97,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
         state, inputs = state._replace(ray=ray, pdf=pdf, cone=cone), (*ray.o, *ray.d, pdf, *(cone or ()))
     if memo.adj_corners is not None:
         here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit)))
-        if scene.appearance is not None:
+        if scene.layout.scatterer is not None:
             there = read_again(attached.triangles.vertices.p, corner_rows(scene, memo.hit), memo.adj_corners)
         inputs = (*inputs, *(coordinate for corner in here for coordinate in corner))
     given = tuple(texture._replace(value=texture.value.map(as_leaf)) for texture in given)

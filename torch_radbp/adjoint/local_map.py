@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path.bounce import cone_after, followed_by, scattering
+from torch_radbp.path.bounce import cone_after, followed_by, gathered, scattering
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.cone import Cone
@@ -51,7 +51,7 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     local = scattering(scene, proposal, arrival, at, settings, given, here)
     if verdict is None:
         return LocalMap(local.Le, local.Le.map(torch.zeros_like), None, None)
-    E = local.Le + masked(verdict.visible, local.Ld)
+    E = gathered(local.Le, local.Ld, verdict.visible)
     if not settings.moving:
         return LocalMap(E, masked(verdict.survives, local.sample.weight * local.thinning), None, None)
     weight, ray = attached_outgoing_ray(scene, local.material, local.si, local.sample, following, settings.sampling, there)

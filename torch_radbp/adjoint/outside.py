@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.scatter import Gradients
+from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.texture_networks import banks_outside
-from torch_radbp.path.wavefront import Queue
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.texture.reader import Given, Place
 from torch_radbp.vec import Vec3
@@ -22,19 +22,19 @@ class OutsideValues:
     Args:
         integrand: of the detached scene.
         numbered: the same record with the numbers of the wanted leaves, as `Gradients` counts them, and None for the rest.
-        queue: of the lanes.
+        event: what happens to the lanes.
         places: of the values.
         moving: whether the places carry derivatives.
     """
 
-    def __init__(self, integrand: Integrand, numbered: SceneTensors, queue: Queue, places: tuple[Place, ...], moving: bool):
+    def __init__(self, integrand: Integrand, numbered: SceneTensors, event: Event, places: tuple[Place, ...], moving: bool):
         self.recorded: list[tuple[Tensor, list[Tensor], list[int]]] = []  # values, wanted parameters and their numbers
         self.given: tuple[Given, ...] = ()
         if not places:
             return
-        appearance, given = integrand.appearance(queue), []
-        numbers = banks_outside(numbered._replace(layout=integrand.scene.layout), appearance)
-        for bank, own, place in zip(banks_outside(integrand.scene, appearance), numbers, places):
+        scatterer, given = integrand.scatterer(event), []
+        numbers = banks_outside(numbered._replace(layout=integrand.scene.layout), scatterer)
+        for bank, own, place in zip(banks_outside(integrand.scene, scatterer), numbers, places):
             at = place.at.stack().requires_grad_(moving)
             parameters = tuple(tuple(leaf.detach().requires_grad_(number is not None) for leaf, number in zip(*pair))
                                for pair in zip(bank.parameters, own.parameters))

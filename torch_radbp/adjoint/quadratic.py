@@ -12,7 +12,7 @@ from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import add_at, bounces
 from torch_radbp.plugin import boolean
-from torch_radbp.vec import Vec3, masked, rows
+from torch_radbp.vec import Vec3, rows
 
 
 @dataclass(frozen=True)
@@ -53,11 +53,11 @@ def radiance_beyond(sweep: Sweep, reached: PathState, first: int) -> Vec3:
     L, weight = Vec3.buffer(sweep.adj_L.x), Vec3.full(sweep.adj_L.x, 1.0).map(Tensor.clone)
     for bounce in bounces(sweep.integrand, reached, first, sweep.record.steps):
         if bounce.depth > first:
-            vertex, lane, ended = bounce.vertex, bounce.vertex.next.lane, bounce.ended
+            lane, ended = bounce.vertex.next.lane, bounce.ended
             here = rows(weight, lane)
-            add_at(L, lane, here * (vertex.Le + masked(bounce.step.visible, vertex.Ld)))
+            add_at(L, lane, here * bounce.E)
             if bounce.light is not None:
                 add_at(L, ended, rows(weight, ended) * bounce.light)
-            for old, new in zip(weight, here * vertex.F):
+            for old, new in zip(weight, here * bounce.F):
                 old.index_copy_(0, lane.long(), new)
     return L

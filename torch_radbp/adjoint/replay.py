@@ -11,7 +11,7 @@ from torch_radbp.adjoint.strategy import Strategy
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path.wavefront import bounces
 from torch_radbp.plugin import boolean
-from torch_radbp.vec import Vec3, masked, rows
+from torch_radbp.vec import Vec3, rows
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,9 @@ class ReplayAdjoint(Strategy):
     def backward(self, sweep: Sweep) -> None:
         """Walks down the path with what remains of L."""
         L, stack = sweep.record.radiance, []
-        for depth, state, vertex, _, step in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps):
-            lane = vertex.next.lane
-            remaining = rows(L, lane) - (vertex.Le + masked(step.visible, vertex.Ld))
-            F = masked(step.survives, vertex.F)
+        for bounce in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps):
+            depth, state, lane, F = bounce.depth, bounce.state, bounce.vertex.next.lane, bounce.F
+            remaining = rows(L, lane) - bounce.E
             incident = Vec3(*(torch.where(f > 0, r / torch.where(f > 0, f, 1.0), 0.0) for r, f in zip(remaining, F)))
             L = Vec3(*(old.index_copy(0, lane.long(), new) for old, new in zip(L, incident)))
             if sweep.moving:

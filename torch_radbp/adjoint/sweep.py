@@ -26,8 +26,8 @@ from torch_radbp.adjoint.bounce import empty_memo
 from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.adjoint.outside import OutsideValues
 from torch_radbp.adjoint.scatter import Contribution, Gradients
+from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand, knowing, taken
-from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
 from torch_radbp.record import with_leaves
@@ -74,23 +74,23 @@ class Sweep:
         self.integrand, self.record, self.adj_L = integrand, record, adj_L
         self.gradients = gradients
         counted = itertools.count()
-        self.adjoints: dict[int | None, Adjoint] = {}
+        self.adjoints: dict[Event, Adjoint] = {}
         self.numbered = with_leaves(integrand.scene, [next(counted) if want else None for want in wanted])
         positions = self.numbered.triangles.vertices.p
         twice = self.moving and integrand.settings.sampling != "attached" and positions.x is not None
         self.of_positions = list(positions) if twice else []  # leaves
         self.memo = empty_memo(adj_L.x, self.moving, twice, integrand.scene)
 
-    def adjoint_of(self, queue: Queue) -> Adjoint:
-        """What the lanes of a queue are differentiated with; made once."""
-        if queue.appearance not in self.adjoints:
-            part, appearance = self.integrand.part(queue), self.integrand.appearance(queue)
-            leaves = leaves_of_part(self.numbered, self.integrand.scene.layout, appearance, None)
+    def adjoint_of(self, event: Event) -> Adjoint:
+        """What lanes are differentiated with to which this happens; made once."""
+        if event not in self.adjoints:
+            part, scatterer = self.integrand.part(event), self.integrand.scatterer(event)
+            leaves = leaves_of_part(self.numbered, self.integrand.scene.layout, scatterer, None)
             wanted = tuple(leaf is not None for leaf in leaves)
-            self.adjoints[queue.appearance] = Adjoint(
+            self.adjoints[event] = Adjoint(
                 part.proposal, wanted, [leaf for leaf in leaves if leaf is not None],
                 knowing(self.integrand.stages.bounce_adjoint, part.tables, wanted))
-        return self.adjoints[queue.appearance]
+        return self.adjoints[event]
 
     def advance(self, state: PathState, depth: int) -> PathState:
         """Replays one bounce."""
@@ -118,11 +118,11 @@ class Sweep:
         for queue in step.queues:
             if queue.first == queue.differentiated:
                 continue
-            here, adjoint = slice(queue.first, queue.differentiated), self.adjoint_of(queue)
+            here, adjoint = slice(queue.first, queue.differentiated), self.adjoint_of(queue.event)
             lanes = step.order[here]
-            verdict = None if queue.appearance is None else Verdict(step.visible[here], step.survives[here])
-            places = integrand.places(queue, arrival, lanes, depth)
-            outside = OutsideValues(integrand, self.numbered, queue, places, self.moving)
+            verdict = Verdict(step.visible[here], step.survives[here]) if queue.event.scatters else None
+            places = integrand.places(queue.event, arrival, lanes, depth)
+            outside = OutsideValues(integrand, self.numbered, queue.event, places, self.moving)
             above, tables, adj_given = adjoint.of_bounce(adjoint.scene, adjoint.wanted, reached, lanes, verdict, *of_chunk,
                                                          at, settings, outside.given)
             outside.add_adjoint(adj_given, self.gradients)

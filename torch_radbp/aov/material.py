@@ -36,15 +36,15 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
     found = {"albedo": (none, none, none), "sh_normal": normals}
     front, order, queues = queued(integrand, detached(state.ray), hit, False)
     for queue in queues:
-        if queue.appearance is None:
+        if not queue.event.scatters:
             continue
         lanes = order[queue.first:queue.last]
         here = rows(Arrival(state, hit, front), lanes)
-        part = summed(integrand.part(queue).scene)
+        part = summed(integrand.part(queue.event).scene)
         places = material_places(part, surface_met(part, here, integrand.settings))
-        given = given_values(integrand.scene, integrand.appearance(queue), places)
+        given = given_values(integrand.scene, integrand.scatterer(queue.event), places)
         for name in names:
-            if name == "albedo" or integrand.appearance(queue).kind.turns_normals:
+            if name == "albedo" or integrand.scatterer(queue.event).kind.turns_normals:
                 own = integrand.stages.material_value(part, here, given, integrand.settings, name)
                 found[name] = tuple(old.index_copy(0, lanes.long(), new) for old, new in zip(found[name], own))
     return tuple(found[name] for name in names)

@@ -56,7 +56,7 @@ from torch_radbp.scene.outgoing_ray import outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.texture.reader import Given, Place
-from torch_radbp.vec import Ray, Vec2, Vec3, max_component, rows
+from torch_radbp.vec import Ray, Vec2, Vec3, masked, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)
@@ -147,14 +147,14 @@ def places_of(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at:
     One for each texture of the material that is read outside; for each such reader of emitters' textures one where the ray
     meets the emitter; and, where light is scattered, one at the light sample.
     """
-    appearance, lit = scene.appearance, scene.layout.lit
-    if not lit and (appearance is None or not appearance.outside):
+    scatterer, lit = scene.layout.scatterer, scene.layout.lit
+    if not lit and (scatterer is None or not scatterer.outside):
         return ()
     si = surface_met(scene, arrival, settings)
-    found = () if appearance is None else material_places(scene, si)
+    found = () if scatterer is None else material_places(scene, si)
     if lit:
         found += emission_places(scene, si)
-    if lit and appearance is not None and settings.nee:
+    if lit and scatterer is not None and settings.nee:
         numbers = light_numbers(bounce_key(arrival.state.key, at.counter))
         found += sample_places(scene, light_aims(scene, proposal, si, numbers, arrival.picked))
     return found
@@ -175,7 +175,7 @@ def ending(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
            settings: Settings, given: tuple[Given, ...]) -> Vec3:
     """The end of the recursion, L_k = E_k, where nothing is scattered: the light that the M paths meet; attached to `scene`.
 
-    Args as for `bounce`; `scene` is a part without an appearance.
+    Args as for `bounce`; `scene` is a part where nothing is scattered.
     """
     return scattering(scene, proposal, rows(arrival, lanes), at, settings, given).Le
 
@@ -185,7 +185,7 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     """One step of the recursion L_k = E_k + F_k L_{k+1}: what happens at the vertex, and where the path goes from there.
 
     Args:
-        scene: attached; the part of it that these lanes read, with an appearance.
+        scene: attached; the part of it that these lanes read, with what scatters there.
         proposal: the same, detached; decides samples, densities, weights and survival.
         arrival: the paths that reach this bounce.
         lanes: (M,) int32, those of them that are computed, in this order.
@@ -213,6 +213,11 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
                             followed_by(local.material, state, settings), cone_after(state, local)), local.survives)
 
 
+def gathered(Le: Vec3, Ld: Vec3, visible: Tensor) -> Vec3:
+    """E_k: what a vertex emits, and the light that reaches it by next-event estimation where the shadow ray was free."""
+    return Le + masked(visible, Ld)
+
+
 def cone_after(state: PathState, local: Scattering) -> Cone | None:
     """`PathState.cone` of the paths that leave a vertex; attached."""
     if state.cone is None:
@@ -238,16 +243,16 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     none = Vec3(zero, zero, zero)
     Le = none
     if not settings.hide_emitters:
-        Le = (emitted(scene, state.ray, si, given_met) if scene.appearance is None
+        Le = (emitted(scene, state.ray, si, given_met) if scene.layout.scatterer is None
               else emitted_by_surface(scene, si, given_met))
     if settings.nee:
         follows = settings.following and settings.moving
         geometry = scene if settings.sampling == "attached" or follows else proposal
-        other = (emitted_pdf(geometry, state.ray, si, proposal, arrival.picked) if scene.appearance is None
+        other = (emitted_pdf(geometry, state.ray, si, proposal, arrival.picked) if scene.layout.scatterer is None
                  else pdf_of_surface(geometry, si, proposal, arrival.picked))
         weight = mis_weight(state.pdf, other, "attached" if follows else settings.sampling)
         Le = Le * (torch.where(state.followed, weight, weight.detach()) if follows else weight)
-    if scene.appearance is None:
+    if scene.layout.scatterer is None:
         return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
 
     # Look up the material.
@@ -274,7 +279,7 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
 
 def shares_of(scene: SceneTensors, given: tuple[Given, ...]) -> tuple[tuple[Given, ...], ...]:
     """The values that are given: those of the material, of emitters that rays meet, and of light samples."""
-    of_material = 0 if scene.appearance is None else len(scene.appearance.outside)
+    of_material = 0 if scene.layout.scatterer is None else len(scene.layout.scatterer.outside)
     met = of_material + len(scene.layout.lit)
     return given[:of_material], given[of_material:met], given[met:]
 

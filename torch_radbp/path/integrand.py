@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path.queues import Queue
+from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.sampling.sampler import depth_counter
@@ -63,7 +63,7 @@ class Part(NamedTuple):
 
     scene: SceneTensors  # the part of the integrand's scene that they read
     proposal: SceneTensors  # the same, detached
-    evaluate: Callable  # `Stages.bounce`, or `Stages.ending` where they have no appearance, prepared for both
+    evaluate: Callable  # the stage of what happens to them, prepared for both
     tables: Any  # `proposal`, prepared for stages
 
 
@@ -77,7 +77,7 @@ class Integrand(NamedTuple):
     max_depth: int
     rr_depth: int
     stages: Stages
-    parts: dict[int | None, Part]  # by `Queue.appearance`, filled when one is first met
+    parts: dict[Event, Part]  # filled when one first happens
     clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
     differentiated: int | None = None  # so many lanes of the chunk, the first, are of the derivative; None: all may be
 
@@ -85,24 +85,25 @@ class Integrand(NamedTuple):
         """The same integrand, evaluated by other functions."""
         return self._replace(stages=stages, parts={})
 
-    def part(self, queue: Queue) -> Part:
-        """What the lanes of a queue go through."""
-        if queue.appearance not in self.parts:
-            appearance = self.appearance(queue)
-            proposal = part_of(self.proposal, appearance)
-            scene = proposal if self.scene is self.proposal else part_of(self.scene, appearance)
-            stage = self.stages.ending if queue.appearance is None else self.stages.bounce
+    def part(self, event: Event) -> Part:
+        """What lanes go through to which this happens."""
+        event = event if event.scatters else Ends.SURROUNDINGS  # where paths end the same is read, whatever ends them
+        if event not in self.parts:
+            scatterer = self.scatterer(event)
+            proposal = part_of(self.proposal, scatterer)
+            scene = proposal if self.scene is self.proposal else part_of(self.scene, scatterer)
+            stage = event.stage(self.stages)
             tables, = taken(stage, proposal=proposal)
             prepared = knowing(stage, tables if scene is proposal else scene, tables)
-            self.parts[queue.appearance] = Part(scene, proposal, prepared, tables)
-        return self.parts[queue.appearance]
+            self.parts[event] = Part(scene, proposal, prepared, tables)
+        return self.parts[event]
 
-    def places(self, queue: Queue, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
-        """The places of the values to be given to a queue; see `path.bounce.places`."""
-        appearance = self.appearance(queue)
-        if not self.scene.layout.lit and (appearance is None or not appearance.outside):
+    def places(self, event: Event, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
+        """The places of the values to be given to these lanes; see `path.bounce.places`."""
+        scatterer = self.scatterer(event)
+        if not self.scene.layout.lit and (scatterer is None or not scatterer.outside):
             return ()
-        return self.stages.places(self.part(queue).proposal, arrival, lanes, self.at(depth), self.settings_at(depth))
+        return self.stages.places(self.part(event).proposal, arrival, lanes, self.at(depth), self.settings_at(depth))
 
     def at(self, depth: int) -> Position:
         """The position on the path as tensors."""
@@ -121,9 +122,9 @@ class Integrand(NamedTuple):
         """True if paths end at this bounce: nothing is scattered any more."""
         return depth + 1 >= self.max_depth
 
-    def appearance(self, queue: Queue) -> Appearance | None:
-        """The appearance that the lanes of a queue meet."""
-        return None if queue.appearance is None else self.scene.layout.appearances[queue.appearance]
+    def scatterer(self, event: Event) -> Appearance | None:
+        """What light is scattered by; None: the path ends."""
+        return event.scatterer(self.scene.layout)
 
 
 @functools.lru_cache(maxsize=4096)

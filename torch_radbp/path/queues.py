@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_radbp.jit.order import chosen, partition
 from torch_radbp.lookup import lookup
+from torch_radbp.path.event import Ends, Event, Scatters
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.tensors import SceneTensors
@@ -18,29 +19,29 @@ from torch_radbp.vec import Ray, rows
 class Queue(NamedTuple):
     """Lanes that go through the same functions: a part of `Step.order`."""
 
-    appearance: int | None  # of what they meet, a number of `Layout.appearances`; None: only what is emitted counts
+    event: Event  # what happens to them
     first: int
     last: int  # the place after its last lane
     differentiated: int  # the place after its last lane that the backward pass differentiates; such lanes come first
 
 
-NOTHING = Queue(None, 0, 0, 0)  # of no lanes
+EMPTY = Queue(Ends.SURROUNDINGS, 0, 0, 0)  # of no lanes
 
 
-def one_queue(appearance: int | None, flags: Tensor, image_only: Tensor | None) -> tuple[Tensor, tuple[Queue, ...]]:
-    """`Step.order` and `Step.queues` of the lanes whose flag is set, all of one appearance.
+def one_queue(event: Event, flags: Tensor, image_only: Tensor | None) -> tuple[Tensor, tuple[Queue, ...]]:
+    """`Step.order` and `Step.queues` of the lanes whose flag is set, to all of which the same happens.
 
     Args:
-        appearance: as in `Queue`.
+        event: what happens.
         flags: (N,) bool.
         image_only: as in `queues_by`.
     """
     if image_only is None:
         order = chosen(flags)
-        return order, (Queue(appearance, 0, len(order), len(order)),)
+        return order, (Queue(event, 0, len(order), len(order)),)
     order, (differentiated, others, _) = partition(torch.where(flags, image_only.to(torch.int32), 2), 3)
     count = differentiated + others
-    return order[:count], (Queue(appearance, 0, count, differentiated),)
+    return order[:count], (Queue(event, 0, count, differentiated),)
 
 
 def queues_by(number: Tensor, appearances: int, surround: bool,
@@ -60,9 +61,10 @@ def queues_by(number: Tensor, appearances: int, surround: bool,
         differentiated, *others = counts[kinds * appearance:kinds * (appearance + 1)]
         last = first + differentiated + sum(others)
         if last > first and (appearance < appearances or surround):
-            queues.append(Queue(appearance if appearance < appearances else None, first, last, first + differentiated))
+            event = Scatters(appearance) if appearance < appearances else Ends.SURROUNDINGS
+            queues.append(Queue(event, first, last, first + differentiated))
             first = last
-    return order[:first], tuple(queues) or (NOTHING,)
+    return order[:first], tuple(queues) or (EMPTY,)
 
 
 def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor) -> tuple[Tensor, Tensor | None]:

@@ -8,22 +8,22 @@ from torch_radbp.texture.reader import Given, Place
 from torch_radbp.vec import Vec3
 
 
-def given_values(scene: SceneTensors, appearance: Appearance | None, places: tuple[Place, ...]) -> tuple[Given, ...]:
+def given_values(scene: SceneTensors, scatterer: Appearance | None, places: tuple[Place, ...]) -> tuple[Given, ...]:
     """The values of the textures that are read outside, as autograd records them if it does.
 
     Args:
         scene: the whole scene; attached or detached.
-        appearance: of the lanes.
+        scatterer: what the lanes are scattered by; None: they end.
         places: one for each of these textures, attached or detached.
     """
-    banks = banks_outside(scene, appearance) if places else ()
+    banks = banks_outside(scene, scatterer) if places else ()
     return tuple(Given(Vec3.of(bank.values(place.row, place.at.stack()))) for bank, place in zip(banks, places))
 
 
-def banks_outside(scene: SceneTensors, appearance: Appearance | None) -> list:
+def banks_outside(scene: SceneTensors, scatterer: Appearance | None) -> list:
     """The banks of the textures that are read outside, in the order of `path.bounce.places_of`.
 
     `scene` may be any record of a scene's structure.
     """
-    readers = () if appearance is None else appearance.outside
+    readers = () if scatterer is None else scatterer.outside
     return [*(scene.textures[scene.layout.readers.index(reader)] for reader in readers), *scene.lit, *scene.lit]

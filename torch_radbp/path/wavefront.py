@@ -16,9 +16,10 @@ from torch import Tensor
 from torch_radbp.differentiated import any_differentiated
 from torch_radbp.jit.order import chosen, put
 from torch_radbp.lookup import lookup
-from torch_radbp.path.bounce import Vertex
+from torch_radbp.path.bounce import Vertex, gathered
+from torch_radbp.path.event import Ends, Scatters
 from torch_radbp.path.integrand import Integrand, taken
-from torch_radbp.path.queues import NOTHING, Queue, one_queue, queues_by
+from torch_radbp.path.queues import Queue, one_queue, queues_by
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.path.texture_networks import given_values
 from torch_radbp.raycast.protocol import Hit
@@ -47,7 +48,7 @@ class Step(NamedTuple):
     def scattered(self) -> int:
         """K, the number of lanes that meet an appearance."""
         last = self.queues[-1]
-        return last.first if last.appearance is None else last.last
+        return last.last if last.event.scatters else last.first
 
     def arrival(self, state: PathState) -> Arrival:
         """The paths that reach the bounce, and what they meet."""
@@ -82,15 +83,16 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     arrival, at = step.arrival(state), integrand.at(depth)
 
     def arguments(queue: Queue, reached, at, settings) -> tuple:
-        part, lanes = integrand.part(queue), step.order[queue.first:queue.last]
-        given = given_values(integrand.scene, integrand.appearance(queue), integrand.places(queue, arrival, lanes, depth))
+        part, lanes = integrand.part(queue.event), step.order[queue.first:queue.last]
+        given = given_values(integrand.scene, integrand.scatterer(queue.event),
+                             integrand.places(queue.event, arrival, lanes, depth))
         return part.scene, part.proposal, reached, lanes, at, settings, given
 
     *_, last = step.queues
-    ends = with_light and last.appearance is None
-    light = integrand.part(last).evaluate(*arguments(last, arrival, at, settings)) if ends else None
-    queues = [queue for queue in step.queues if queue.appearance is not None]
-    bounces = [integrand.part(queue).evaluate for queue in queues]
+    ends = with_light and not last.event.scatters
+    light = integrand.part(last.event).evaluate(*arguments(last, arrival, at, settings)) if ends else None
+    queues = [queue for queue in step.queues if queue.event.scatters]
+    bounces = [integrand.part(queue.event).evaluate for queue in queues]
     if not bounces:
         return room_for_vertices(state, 0), light
     same = taken(bounces[0], arrival=arrival, at=at, settings=settings)
@@ -122,7 +124,7 @@ def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) 
     choice = integrand.proposal.lights.choice
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:
         return None
-    scene, arrival = integrand.part(NOTHING).proposal, Arrival(state, hit, None)
+    scene, arrival = integrand.part(Ends.SURROUNDINGS).proposal, Arrival(state, hit, None)
     chance = torch.zeros_like(state.pdf)
     lit = chosen((hit.prim >= 0) & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0))
     if len(lit) and depth > 0:
@@ -141,12 +143,12 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
         last: whether only what is emitted counts.
         image_only: as in `queues_by`.
     """
-    layout, scene = integrand.proposal.layout, integrand.part(NOTHING).proposal
+    layout, scene = integrand.proposal.layout, integrand.part(Ends.SURROUNDINGS).proposal
     if last:
-        return None, *one_queue(None, integrand.stages.shines(scene, hit), image_only)
+        return None, *one_queue(Ends.LAST_BOUNCE, integrand.stages.shines(scene, hit), image_only)
     nothing = len(layout.appearances)
     if nothing == 1 and not layout.surround:
-        return None, *one_queue(0, hit.prim >= 0, image_only)
+        return None, *one_queue(Scatters(0), hit.prim >= 0, image_only)
     absent = hit.prim.new_full((), nothing)
     number, differs = integrand.stages.appearance_met(scene, hit, absent)
     front = None if differs is None else torch.zeros_like(differs)
@@ -179,6 +181,16 @@ class Bounce(NamedTuple):
     def ended(self) -> Tensor:
         """Places in the chunk of the lanes that end here, int32."""
         return rows(self.state.lane, self.step.order[self.step.scattered:])
+
+    @property
+    def E(self) -> Vec3:
+        """Of the vertices, in L_k = E_k + F_k L_{k+1}."""
+        return gathered(self.vertex.Le, self.vertex.Ld, self.step.visible)
+
+    @property
+    def F(self) -> Vec3:
+        """The same; 0 where the path ends."""
+        return masked(self.step.survives, self.vertex.F)
 
 
 def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mapping[int, Step] = {},
@@ -241,7 +253,7 @@ def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: V
         lane: (M,) int32, their places in the chunk.
         Le, Ld, visible: of the bounce; None: nothing is scattered.
     """
-    return rows(L, lane) + rows(beta, order) * (Le if Ld is None else Le + masked(visible, Ld))
+    return rows(L, lane) + rows(beta, order) * (Le if Ld is None else gathered(Le, Ld, visible))
 
 
 def put_rows(record, place: Tensor, entries) -> None:

@@ -136,10 +136,10 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
             step = take_step(integrand, state, 0)[-1]
             gradients, sweep = sweep_of(state, step)
             for queue in step.queues:
-                places = integrand.places(queue, Arrival(state, step.hit, step.front), step.order[queue.first:queue.last],
-                                          0)
+                arrival = Arrival(state, step.hit, step.front)
+                places = integrand.places(queue.event, arrival, step.order[queue.first:queue.last], 0)
                 with AllocatedBytes() as allocated:
-                    outside = OutsideValues(integrand, sweep.numbered, queue, places, integrand.settings.moving)
+                    outside = OutsideValues(integrand, sweep.numbered, queue.event, places, integrand.settings.moving)
                     outside.add_adjoint(tuple(given.value for given in outside.given), gradients)
                 peak = max(peak, allocated.peak)
         return peak

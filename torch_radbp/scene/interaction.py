@@ -45,7 +45,7 @@ class SurfaceInteraction(NamedTuple):
 
     valid: Tensor  # bool: the ray meets a surface at all
     prim: Tensor  # int32 triangle, 0 where invalid
-    material: Tensor | None  # int32 row of the material table; None where no appearance is asked for
+    material: Tensor | None  # int32 row of the material table; None where nothing is scattered
     emitter: Tensor | None  # int32 element of the light table, -1: emits nothing; None: no triangle does
     p: Vec3  # world position
     n: Vec3  # unit geometric normal
@@ -67,7 +67,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     """Interpolates the triangle that was hit.
 
     Args:
-        scene: the part that these lanes read; of one with several appearances only what does not depend on them is found.
+        scene: the part that these lanes read; of a whole scene only what does not depend on the material is found.
         ray: (N,) rays.
         hit: a `raycast.Hit`: triangle (-1: none), barycentric coordinates of its second and third vertex, distance.
         slides: (N,) bool: how the point follows when ray and scene are attached. True: it stays on the ray and slides over
@@ -78,7 +78,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
             material differ in appearance; None: nowhere.
         cone: of the rays; None if no texture asks for it.
     """
-    triangles, appearance = scene.triangles, scene.appearance
+    triangles, scatterer = scene.triangles, scene.layout.scatterer
     valid = hit.prim >= 0
     prim = hit.prim.clamp_min(0)
     vertices, layout = triangles.vertices, scene.layout
@@ -98,7 +98,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     own = shading_cosine < 0
     emitter = lookup(triangles.emitter, prim) if layout.lit_surfaces else None
     uv, uv_corners = None, None
-    if layout.radiance_bitmaps or (appearance is not None and appearance.needs_uv):
+    if layout.radiance_bitmaps or (scatterer is not None and scatterer.needs_uv):
         uv_corners = at_corners(vertices.uv, rows)
         uv = interpolated(uv_corners, hit.u, hit.v)
     at_vertices = [at_corners(column, rows) for column in vertices.attributes]
@@ -107,23 +107,23 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     of_vertices = [interpolated(corners, hit.u, hit.v) for corners in at_vertices]
     point = TexturePoint(uv, dict(zip(names, (*of_vertices, *of_faces))))
     material, along, side, upright = None, None, None, shading
-    if appearance is not None:
+    if scatterer is not None:
         material = lookup(triangles.material, prim)
         if front is not None:
             differs = lookup(scene.materials.differs, material)
             own = (front & differs) | (own & ~differs)
-        along = shown_direction(scene, hit, lookup(triangles.along, prim)) if appearance.kind.oriented else None
+        along = shown_direction(scene, hit, lookup(triangles.along, prim)) if scatterer.kind.oriented else None
         if layout.back_sides:
             material = material + (~own).to(material.dtype) * scene.materials.count
             side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
             shading, shading_cosine = shading * side, shading_cosine * side
     frame = ShadingFrame(shading, along, side)
-    if appearance is not None and appearance.needs_edges:
+    if scatterer is not None and scatterer.needs_edges:
         level = tuple((value.map(torch.zeros_like),) * 2 for value in of_faces)
         changes = dict(zip(names, (*map(along_edges, at_vertices), *level)))
         point = point._replace(edges=TriangleEdges((e1, e2), None if uv is None else along_edges(uv_corners), changes,
                                            barycentric_gradients(frame, upright, n, e1, e2)))
-    if appearance is not None and appearance.needs_footprint:
+    if scatterer is not None and scatterer.needs_footprint:
         come, change = torch.where(valid, t, 0.0), along_edges(uv_corners)
         point = point._replace(footprint=footprint(cone, come, cosine, (e1, e2), change))
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)

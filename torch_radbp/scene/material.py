@@ -44,7 +44,7 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, given: tuple[Given,
         si: the surface point.
         given: the values of the textures that are read outside, in order.
     """
-    readers, appearance = scene.layout.readers, scene.appearance
+    readers, appearance = scene.layout.readers, scene.layout.scatterer
     values, of_others = [], iter(given)
     for reader, slot in zip(appearance.readers, scene.materials.slots):
         if reader.outside:
@@ -57,7 +57,7 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, given: tuple[Given,
 def material_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
     """Where the textures of the material are needed that are read outside; arguments as for `material_at`."""
     return tuple(Place(lookup(slot, si.material), reader.place(si.p, si.point.uv))
-                 for reader, slot in zip(scene.appearance.readers, scene.materials.slots) if reader.outside)
+                 for reader, slot in zip(scene.layout.scatterer.readers, scene.materials.slots) if reader.outside)
 
 
 def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:

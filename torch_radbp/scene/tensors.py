@@ -31,6 +31,7 @@ class Layout(NamedTuple):
     attributes: tuple[str, ...]  # of meshes, that textures read
     lights: tuple[LightKind, ...]  # kinds of light
     lit: tuple[OutsideReader, ...] = ()  # of those textures of emitters that are read outside
+    scatterer: Appearance | None = None  # of a part of a scene, what light is scattered by; None: nothing
 
     @property
     def vertex_attributes(self) -> tuple[str, ...]:
@@ -139,11 +140,6 @@ class SceneTensors(NamedTuple):
     radiance: Any  # the bank of `Layout.radiance`
     lit: tuple[Any, ...]  # the banks of `Layout.lit`
     layout: Layout
-
-    @property
-    def appearance(self) -> Appearance | None:
-        """The one that all surfaces have, as in a part of a scene (see `part.py`); None if there is none, or more."""
-        return self.layout.appearances[0] if len(self.layout.appearances) == 1 else None
 
     @property
     def device(self) -> torch.device:
