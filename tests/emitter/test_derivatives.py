@@ -65,7 +65,7 @@ class Sampled(nn.Module):
 
     def forward(self, p=None):
         p = self.si.p.stack() if p is None else p
-        light = sample_light(pack(self.scene), self.proposal, self.si._replace(p=Vec3.of(p)), self.numbers)
+        light = sample_light(pack(self.scene), self.proposal, Vec3.of(p), self.numbers)
         usable = (light.pdf > 0).to(light.pdf.dtype)
         return light.d.stack() * usable[:, None], light.radiance.stack() * usable[:, None], light.pdf, 1 / (
             light.pdf + 1 - usable)
@@ -161,7 +161,7 @@ def irradiance(scene, seed: int) -> torch.Tensor:
     """(N, 3) estimates of the irradiance of the floor by light samples, attached."""
     tensors, proposal = pack(scene), detached(scene)
     si = on_the_floor(scene, proposal, COUNT, seed).si
-    light = sample_light(tensors, proposal, si, light_numbers(COUNT, seed + 50))
+    light = sample_light(tensors, proposal, si.p, light_numbers(COUNT, seed + 50))
     cosine = si.frame.to_local(light.d).z
     usable = (light.pdf > 0) & (cosine > 0)
     return (light.radiance * (cosine * usable / torch.where(usable, light.pdf, 1.0))).stack()
@@ -216,7 +216,7 @@ def test_without_the_terms_of_the_moving_light_the_derivative_is_biased():
     moved(scene, "lamp.to_world", by, step)
     tensors, proposal = pack(scene), detached(scene)
     si = on_the_floor(scene, proposal, COUNT, 1).si
-    light = sample_light(tensors, proposal, si, light_numbers(COUNT, 51))
+    light = sample_light(tensors, proposal, si.p, light_numbers(COUNT, 51))
     cosine = si.frame.to_local(light.d).z
     usable = (light.pdf > 0) & (cosine > 0)
 

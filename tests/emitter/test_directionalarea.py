@@ -6,7 +6,7 @@ import torch
 
 import torch_radbp as rb
 from tests.emitter.lights import FLOOR, cast, detached, light_numbers, scene_of, slide, turned, uniform
-from tests.emitter.test_illumination import At
+from tests.emitter.test_illumination import at
 from tests.scenes import load, rectangle, rgb, sensor
 from torch_radbp.emitter.area import AreaKind
 from torch_radbp.io.transform import scale, translate
@@ -27,7 +27,7 @@ def beam(**emitter) -> rb.Scene:
 def arriving(scene: rb.Scene, points: np.ndarray) -> tuple[LightSample, torch.Tensor]:
     """Light samples at points, `COUNT` each, and the mean of radiance / probability, (points, 3)."""
     tensors = detached(scene)
-    light = sample_light(tensors, tensors, At(np.repeat(points, COUNT, 0)), light_numbers(COUNT * len(points), 1))
+    light = sample_light(tensors, tensors, at(np.repeat(points, COUNT, 0)), light_numbers(COUNT * len(points), 1))
     usable = light.pdf > 0
     mean = (light.radiance * (usable / torch.where(usable, light.pdf, 1.0))).stack().reshape(len(points), COUNT, 3).mean(1)
     return light, mean

@@ -44,7 +44,7 @@ def irradiance(scene: rb.Scene) -> dict[str, torch.Tensor]:
     si = on_the_floor(scene, tensors, COUNT, 1).si
 
     # Nothing stands between the floor and the lights.
-    light = sample_light(tensors, tensors, si, light_numbers(COUNT, 2))
+    light = sample_light(tensors, tensors, si.p, light_numbers(COUNT, 2))
     wo = si.frame.to_local(light.d)
     usable = (light.pdf > 0) & (wo.z > 0)
     bsdf_pdf = cosine_hemisphere_pdf(wo)

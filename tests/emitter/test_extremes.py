@@ -35,14 +35,6 @@ def assert_finite(outputs, inputs) -> None:
         assert torch.isfinite(value).all()
 
 
-class At:
-    """A surface interaction of which only the place counts."""
-
-    def __init__(self, p: torch.Tensor):
-        self.p = Vec3.of(p)
-        self.prim = torch.zeros(len(p), dtype=torch.int32)
-
-
 def at_and_around(place: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
     """Points at a light, at all distances from it, along its axis and across."""
     across = torch.linalg.cross(axis, axis.roll(1))
@@ -66,7 +58,7 @@ def test_light_samples_are_finite_wherever_the_light_is_seen_from(name, dtype):
             p = points.clone().requires_grad_()
             choice = torch.linspace(-(1 << 31), (1 << 31) - 1, len(p), dtype=torch.float64).to(torch.int32)
             u_bits, v_bits = (torch.full_like(choice, int((number - 0.5) * 2**32)) for number in (u, v))
-            light = sample_light(tensors, tensors, At(p), LightNumbers(choice, choice, u_bits, v_bits))
+            light = sample_light(tensors, tensors, Vec3.of(p), LightNumbers(choice, choice, u_bits, v_bits))
             # What a surface makes of it.
             usable = light.pdf > 1e-30
             Ld = light.radiance * (usable / torch.where(usable, light.pdf, 1.0))

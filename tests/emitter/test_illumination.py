@@ -18,12 +18,9 @@ ORIGIN = (0.3, 1.0, -0.2)
 POSE = look_at(ORIGIN, (0.5, -0.4, 0.3), (0.2, 1, 0))
 
 
-class At:
-    """A surface interaction of which only the place counts."""
-
-    def __init__(self, points):
-        self.p = Vec3.of(torch.as_tensor(points, dtype=torch.float64))
-        self.prim = torch.zeros(len(points), dtype=torch.int32)
+def at(points) -> Vec3:
+    """Reference points, float64."""
+    return Vec3.of(torch.as_tensor(points, dtype=torch.float64))
 
 
 def lit(points, **emitter) -> LightSample:
@@ -32,7 +29,7 @@ def lit(points, **emitter) -> LightSample:
 
 
 def sample(scene: SceneTensors, points) -> LightSample:
-    return sample_light(scene, scene, At(points), light_numbers(len(points), 1))
+    return sample_light(scene, scene, at(points), light_numbers(len(points), 1))
 
 
 def in_front(local, pose=POSE) -> np.ndarray:

@@ -99,7 +99,7 @@ def test_the_light_is_that_of_a_uniform_choice_and_less_noisy(group):
         else:
             tensors, picked = with_choice(scene, "uniform"), None
             si, numbers = on_the_floor(scene, tensors, COUNT, 1).si, light_numbers(COUNT, 3)
-        light = sample_light(tensors, tensors, si, numbers, picked)
+        light = sample_light(tensors, tensors, si.p, numbers, picked)
         cosine = si.frame.to_local(light.d).z
         usable = (light.pdf > 0) & (cosine > 0)
         found[way] = mean_and_error((light.radiance * (cosine * usable / light.pdf.clamp_min(1e-30))).stack())

@@ -68,10 +68,7 @@ class Light(nn.Module):
     def forward(self) -> Tensor:
         tensors = pack(self.scene)
         if self.asked == "lamp":
-            class Place:
-                p, prim = Vec3.of(AT.p), torch.zeros(len(AT.p), dtype=torch.int32)
-
-            light = sample_light(tensors, self.proposal, Place, light_numbers(len(AT.p), 1))
+            light = sample_light(tensors, self.proposal, Vec3.of(AT.p), light_numbers(len(AT.p), 1))
             return torch.cat([light.radiance.stack(), light.d.stack()], 1)
         if self.asked == "surround":
             return emitted_by_surround(tensors, Ray(Vec3.of(AT.p), Vec3.of(AT.wi))).stack()

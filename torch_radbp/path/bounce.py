@@ -156,7 +156,7 @@ def places_of(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at:
         found += emission_places(scene, si)
     if lit and scatterer is not None and settings.nee:
         numbers = light_numbers(bounce_key(arrival.state.key, at.counter))
-        found += sample_places(scene, light_aims(scene, proposal, si, numbers, arrival.picked))
+        found += sample_places(scene, light_aims(scene, proposal, si.p, numbers, arrival.picked))
     return found
 
 
@@ -201,8 +201,9 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     local = scattering(scene, proposal, arrival, at, settings, given)
 
     # Aim the shadow ray at the light sample.
-    nowhere = state.ray, torch.zeros_like(state.pdf)
-    shadow, distance = nowhere if local.light is None else shadow_ray(local.si, local.light)
+    shadow, distance = state.ray, torch.zeros_like(state.pdf)
+    if local.light is not None:
+        shadow, distance = shadow_ray(local.si.offset(local.light.d.detach()), local.light)
 
     # Leave along the sampled direction.
     F = local.sample.weight * local.thinning
@@ -263,7 +264,7 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     number = partial(uniform, key, dtype=zero.dtype)
     light, Ld = None, none
     if settings.nee:
-        light = sample_light(scene, proposal, si, light_numbers(key), arrival.picked, given_sampled)
+        light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, given_sampled)
         light, Ld = next_event(material, si, light, settings)
 
     # Sample the BSDF for the next direction.

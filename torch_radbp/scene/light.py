@@ -24,7 +24,7 @@ FAR = 1e10  # the distance of the surround
 
 
 class LightSample(NamedTuple):
-    """A point on a light per lane, as seen from a surface; attached to the surface point and to the light."""
+    """A point on a light per lane, as seen from a reference point; attached to both."""
 
     d: Vec3  # unit direction towards it; fixed for the surround
     radiance: Vec3  # that it sends back (for a light without extent: intensity / distance^2, or irradiance)
@@ -186,22 +186,22 @@ class Aims(NamedTuple):
         return chosen(self.cases, [getattr(aim, name) for aim in self.of_case])
 
 
-def light_aims(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, numbers: LightNumbers,
+def light_aims(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, numbers: LightNumbers,
                picked: LightPick | None = None) -> Aims:
     """Picks light elements, and points on them. Args as for `sample_light`."""
     lights = proposal.lights
     if picked is None:
-        element = lights.choice.sample(numbers.choice, unit(numbers.split, si.p.x.dtype))
+        element = lights.choice.sample(numbers.choice, unit(numbers.split, reference.x.dtype))
         pmf = lookup(lights.choice.pmf, element)
     else:
         element, pmf = picked.element, picked.pmf
 
     # Let each kind of light that there is decide where to look.
     found = cases(scene, element, dict(enumerate(scene.layout.lights)))
-    aims = [case.kind.aim(scene.lights.tables[case.number], lights.tables[case.number], si.p,
+    aims = [case.kind.aim(scene.lights.tables[case.number], lights.tables[case.number], reference,
                           Pick(rows_of(scene, element, case), pmf, numbers.u, numbers.v)) for case in found]
     target = chosen(found, [aim.target for aim in aims])
-    return Aims(element, found, aims, si.p if target is None else target)
+    return Aims(element, found, aims, reference if target is None else target)
 
 
 def sample_places(scene: SceneTensors, aims: Aims) -> tuple[Place, ...]:
@@ -211,7 +211,7 @@ def sample_places(scene: SceneTensors, aims: Aims) -> tuple[Place, ...]:
                  for reader, rows in zip(scene.layout.lit, scene.lights.outside))
 
 
-def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInteraction, numbers: LightNumbers,
+def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, numbers: LightNumbers,
                  picked: LightPick | None = None, given: tuple[Given, ...] = ()) -> LightSample:
     """Picks a light element, and a point on it.
 
@@ -220,12 +220,12 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, si: SurfaceInterac
     Args:
         scene: attached; gives geometry, poses and radiance.
         proposal: detached; gives every choice.
-        si: where the light is wanted, attached or not.
+        reference: (N,) world positions of the points where light is wanted, attached or not.
         numbers: decide.
         picked: the element, if that has been decided before.
         given: the values of emitters' textures that are read outside, at the `sample_places`.
     """
-    samples = light_aims(scene, proposal, si, numbers, picked)
+    samples = light_aims(scene, proposal, reference, numbers, picked)
     element, found, aims, target = samples
     d, pdf = samples("d"), samples("pdf")
     weighing = pdf
@@ -291,13 +291,12 @@ def among(found: list[Case], wanted: list[bool], element: Tensor) -> Tensor | No
     return functools.reduce(torch.logical_or, masks) if masks else None
 
 
-def shadow_ray(si: SurfaceInteraction, light: LightSample) -> tuple[Ray, Tensor]:
-    """The ray that checks a connection, and how far; 0 where the sample cannot be used. Detached if `si` is.
+def shadow_ray(start: Vec3, light: LightSample) -> tuple[Ray, Tensor]:
+    """The ray that checks a connection, and how far; 0 where the sample cannot be used. Detached if `start` is.
 
-    It starts off the surface and aims from there: with the direction taken from the surface point, a lamp shadows itself.
+    It aims from where it starts, off the surface: with the direction taken from the surface point, a lamp shadows itself.
     """
     d = light.d.detach()
-    start = si.offset(d)
     reach = light.target.detach() - start
     squared = dot(reach, reach)
     shorter = torch.rsqrt(squared.clamp_min(TINY))
