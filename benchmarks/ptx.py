@@ -59,9 +59,8 @@ def kernels(scene: str, sampling: str) -> Iterator[Kernel]:
         for arguments in cases.values():
             listing = Listing()
             getattr(fused(Gpu(listing)), stage).fused.prepared(arguments)
-            looks = arguments[0].layout.appearances if stage in ("bounce", "bounce_adjoint") else ()
-            kinds = ", ".join(type(look.kind).__name__ for look in looks)
-            yield from (Kernel(stage, kinds, text) for text in listing.texts)
+            kind = type(arguments[0].layout.scatterer.kind).__name__ if stage in ("bounce", "bounce_adjoint") else ""
+            yield from (Kernel(stage, kind, text) for text in listing.texts)
 
 
 class Counts(NamedTuple):

@@ -75,8 +75,8 @@ def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES})
     assert {stage for stage, cases in calls.items() if not cases} <= without
-    appearances = {arguments[0].layout.appearances for arguments in calls["bounce"].values()}
-    assert {appearance for part in appearances for appearance in part} == set(rb.scene.pack.pack(scene).layout.appearances)
+    scatterers = {arguments[0].layout.scatterer for arguments in calls["bounce"].values()}
+    assert scatterers == set(rb.scene.pack.pack(scene).layout.appearances)
     for name, cases in calls.items():
         for arguments in cases.values():
             assert trace_on_cuda(getattr(EAGER, name), arguments) <= {CUDA}

@@ -85,7 +85,7 @@ class Sweep:
         """What lanes are differentiated with to which this happens; made once."""
         if event not in self.adjoints:
             part, scatterer = self.integrand.part(event), self.integrand.scatterer(event)
-            leaves = leaves_of_part(self.numbered, self.integrand.scene.layout, scatterer, None)
+            leaves = leaves_of_part(self.numbered, self.integrand.scene.layout, scatterer)
             wanted = tuple(leaf is not None for leaf in leaves)
             self.adjoints[event] = Adjoint(
                 part.proposal, wanted, [leaf for leaf in leaves if leaf is not None],

@@ -8,30 +8,26 @@ computed, with the allocator's waste. What is not: the scene itself and compiled
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterator
 from math import inf
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
+from torch_radbp.adjoint.bounce import Memo, empty_memo
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.strategy import Strategy
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import trace
+from torch_radbp.path.state import PathState, start_path
+from torch_radbp.path.wavefront import Step, take_step, trace
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.record import leaves_of
 from torch_radbp.rendering.bounce_memory import BounceMemory, LinearSize
-
-# Per lane, counted from the records: floating-point numbers, and bytes that do not depend on the dtype.
-STATE = {False: (10, 13), True: (16, 13)}  # `PathState`: ray, throughput, density, vantage; key, lane, whether followed
-# `Step`: barycentrics and distance, perhaps probabilities of lights; triangle, side, order, visibility, survival, lights.
-STEP = {False: (3, 11), True: (5, 15)}
-PLACE = (2, 0)  # in the pixel
-RADIANCE = (3, 0)  # a `Vec3`
-CONE = 2  # `Cone`, more numbers of a state, and of the memo if rays carry derivatives
-INSTANCE = (0, 4)  # of a `Hit`, if there are any
-MEMO = {False: (3, 0), True: (13, 4)}  # `Memo`: radiance; if rays carry derivatives their adjoints and hits too
-CORNERS = {False: (0, 0), True: (9, 0)}  # `Memo.adj_corners`, if there are any
+from torch_radbp.sampling.sampler import LaneKey
+from torch_radbp.vec import Ray, Vec2, Vec3
 
 # Resident memory is more than what torch holds: by this factor, and by so many numbers a lane. The factor counts where
 # every operation takes memory and gives it back, and where chunks follow each other, whose records do not fit the holes
@@ -47,6 +43,14 @@ SMALLEST_CHUNK = 1 << 12
 MIB = 1 << 20
 UNITS = {"B": 1, "KiB": 1 << 10, "MiB": MIB, "GiB": 1 << 30, "TiB": 1 << 40, "kB": 10**3, "MB": 10**6, "GB": 10**9,
          "TB": 10**12}
+
+
+class RecordSizes(NamedTuple):
+    """Bytes that a lane takes in the records of a call."""
+
+    state: int  # `PathState`
+    step: int  # `Step`
+    memo: int  # `Memo`
 
 
 class MemoryPlan(NamedTuple):
@@ -90,6 +94,34 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
     return [count / max(1, len(pilot.lane)) for count in counts] or [0.0]
 
 
+def lane_bytes(record) -> int:
+    """Bytes of one lane of a record."""
+    return sum(leaf.element_size() for leaf in leaves_of(record) if isinstance(leaf, Tensor))
+
+
+def record_sizes(integrand: Integrand, pilot: PathState, triangles: bool) -> RecordSizes:
+    """Those of a call, from one bounce of a few of its paths.
+
+    Args:
+        integrand: of the detached scene.
+        pilot: the paths.
+        triangles: whether the memo of the backward pass has the adjoints of triangles.
+    """
+    with torch.no_grad():
+        step = take_step(integrand, pilot, 0)[-1]
+    memo = empty_memo(pilot.pdf, integrand.settings.moving, triangles, integrand.scene)
+    return RecordSizes(*map(lane_bytes, (pilot, step, memo)))
+
+
+@functools.lru_cache
+def least_records(dtype: torch.dtype) -> RecordSizes:
+    """Those of a scene in which nothing moves and nothing asks for more."""
+    number, index, flag = (torch.empty(0, dtype=kind, device="cpu") for kind in (dtype, torch.int32, torch.bool))
+    state = start_path(Ray(Vec3.buffer(number), Vec3.buffer(number)), LaneKey(index, index))
+    step = Step(Hit(index, number, number, number), None, index, (), flag, flag)
+    return RecordSizes(*map(lane_bytes, (state, step, Memo(Vec3.buffer(number)))))
+
+
 class Workload(NamedTuple):
     """The work of a call, whatever the plan."""
 
@@ -100,10 +132,7 @@ class Workload(NamedTuple):
     compiled: bool = False  # whether the bounce is
     workers: int = 1  # chunks that are traced side by side
     moving: bool = False  # whether rays carry derivatives
-    triangles: bool = False  # whether triangles do, each for two bounces
-    by_place: bool = False  # whether lights are picked with regard to the place that they are to illuminate
-    cones: bool = False  # whether paths carry cones
-    instances: bool = False  # whether hits tell which instance
+    records: RecordSizes | None = None  # None: the least that they may take
     images: int = 0  # bytes of the images, of their sums and of their gradients
     measured: BounceMemory | None = None  # of a bounce; None: the least that it may be
     least: int = 1  # lanes of a chunk, whatever is asked for
@@ -127,12 +156,8 @@ def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float =
         record_bytes: that are kept between the passes at most.
     """
     fractions, lanes, dtype = work.fractions, work.lanes, work.dtype
-
-    def size(record: tuple[int, int]) -> int:
-        return record[0] * dtype.itemsize + record[1]
-
-    cone = CONE * dtype.itemsize * work.cones
-    state = size(STATE[work.by_place]) + cone
+    state, step, memo = least_records(dtype) if work.records is None else work.records
+    radiance, place = (len(kind._fields) * dtype.itemsize for kind in (Vec3, Vec2))
     chunk = min(max(chunk, work.least), lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
@@ -143,11 +168,9 @@ def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float =
         return MemoryPlan(chunk, adjoint, False, kept, int(working) + work.images)
     depths = adjoint.kept(bounces, work.max_depth)
     per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * state
-    step = size(STEP[work.by_place]) + size(INSTANCE) * work.instances
-    per_lane += sum(fractions) * step * adjoint.keep_hits + size(RADIANCE) * adjoint.keep_radiance + size(PLACE)
+    per_lane += sum(fractions) * step * adjoint.keep_hits + radiance * adjoint.keep_radiance + place
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
-    held = size(RADIANCE) + size(MEMO[work.moving]) + cone * work.moving + size(CORNERS[work.triangles]) + state
-    held += step * (not adjoint.keep_hits) + size(INSTANCE) * (work.instances and work.moving)
+    held = radiance + memo + state + step * (not adjoint.keep_hits)
     share, waste, spare = (COMPILED, WASTE_COMPILED, SPARE_COMPILED) if work.compiled else (1.0, WASTE, SPARE)
     swept = share * (sweep.per_lane - outside.per_lane) + WASTE / waste * outside.per_lane
     busy = waste * max(swept + held, share * bounce.per_lane) + spare * dtype.itemsize

@@ -13,10 +13,11 @@ from torch_radbp.jit.torch_internals import tree_flatten
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
 from torch_radbp.rendering.call.render_call import RenderCall, pilot_paths
-from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching
+from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching, record_sizes
 from torch_radbp.rendering.stages import EAGER
 
 PILOT_LANES = 4096  # paths that predict the memory of a call
+FEW_LANES = 64  # that tell what records they have
 IMAGE_COPIES = 5  # the sums of its rows, the image, its gradient, that by sums of the filter, and what the loss makes
 
 
@@ -54,8 +55,8 @@ class MemoryPlanner:
         triangles = (moving and integrand.settings.sampling != "attached"
                      and any_differentiated(call.scene.triangles.vertices.p))
         return Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
-                        call.stages is not EAGER, call.workers, moving, triangles, call.scene.lights.by_place,
-                        call.scene.layout.traces_cones, scene.triangles.instances is not None, IMAGE_COPIES * image_bytes,
+                        call.stages is not EAGER, call.workers, moving,
+                        record_sizes(integrand, pilot_paths(call, FEW_LANES), triangles), IMAGE_COPIES * image_bytes,
                         self.bounce_memory_of(call, integrand, triangles),
                         columns * min(call.spp, TOGETHER), columns * call.spp)
 

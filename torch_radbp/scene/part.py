@@ -6,6 +6,8 @@ else they contain.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from torch_radbp.record import leaves_of
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.light_choice import TreeChoice
@@ -18,18 +20,15 @@ def part_of(scene: SceneTensors, scatterer: Appearance | None) -> SceneTensors:
     return reduced(scene, scene.layout, scatterer)._replace(layout=layout_of_part(scene.layout, scatterer))
 
 
-def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearance | None, nothing) -> list:
+def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearance | None) -> list:
     """What belongs to the leaves of the part of a scene, as `leaves_of` counts them.
 
     Args:
         belonging: the record of the whole scene, with things that belong to its leaves in their places.
         layout: of the scene.
         scatterer: of the part.
-        nothing: what leaves that are no tables get.
     """
-    record = reduced(belonging, layout, scatterer)
-    nothings = [nothing for _ in leaves_of(layout_of_part(layout, scatterer))]
-    return leaves_of(record._replace(layout=tuple(nothings)))
+    return leaves_of(reduced(belonging, layout, scatterer))
 
 
 def reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) -> SceneTensors:
@@ -58,8 +57,8 @@ def reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) -
 def layout_of_part(layout: Layout, scatterer: Appearance | None) -> Layout:
     """The features that matter to the part."""
     readers = () if scatterer is None else tuple(dict.fromkeys(scatterer.readers))
-    return layout._replace(bending=False, appearances=(), readers=readers, scatterer=scatterer,
-                           attributes=attributes_of_part(layout, scatterer))
+    return replace(layout, bending=False, appearances=(), readers=readers, scatterer=scatterer,
+                   attributes=attributes_of_part(layout, scatterer))
 
 
 def attributes_of_part(layout: Layout, scatterer: Appearance | None) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -18,8 +19,9 @@ from torch_radbp.texture.reader import OutsideReader, Reader, TableReader
 from torch_radbp.vec import Vec2, Vec3
 
 
-class Layout(NamedTuple):
-    """The features of a scene: static, so that absent ones cost nothing."""
+@dataclass(frozen=True)
+class Layout:
+    """The features of a scene: static, so that absent ones cost nothing. For records of tensors it is one constant."""
 
     bending: bool  # parameters with derivatives steer ideal specular scattering
     shading_normals: bool  # some differ from the triangles' own normals
