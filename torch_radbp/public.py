@@ -1,6 +1,6 @@
 """The public names: what `torch_radbp.NAME` means."""
 
-from torch_radbp.adjoint import MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
+from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.adjoint.finite import NonFiniteError
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.check import GradientCheck, check_gradient
@@ -19,8 +19,8 @@ from torch_radbp.scene import Scene
 from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture
 
-__all__ = ["GltfWarning", "GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture", "NonFiniteError",
-           "QuadraticAdjoint", "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
-           "SilhouetteWarning", "TapeAdjoint", "camera_from_opencv", "cameras_from_colmap", "cameras_from_kornia",
-           "cameras_from_nerf", "check_gradient", "jvp", "load", "load_dict", "look_at", "render", "save",
-           "save_image", "se3"]
+__all__ = ["AdjointStrategy", "GltfWarning", "GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture",
+           "NonFiniteError", "QuadraticAdjoint", "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene",
+           "SceneError", "SceneWarning", "SilhouetteWarning", "TapeAdjoint", "camera_from_opencv",
+           "cameras_from_colmap", "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "jvp", "load",
+           "load_dict", "look_at", "render", "save", "save_image", "se3"]

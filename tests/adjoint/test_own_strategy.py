@@ -1,4 +1,4 @@
-"""A strategy of one's own is a class derived from `Strategy`, and nothing else has to know it."""
+"""A strategy of one's own is a class derived from `AdjointStrategy`, and nothing else has to know it."""
 
 from dataclasses import dataclass
 
@@ -8,11 +8,10 @@ import torch
 import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients
 from tests.scenes import CASES
-from torch_radbp.adjoint.strategy import Strategy
 
 
 @dataclass(frozen=True)
-class KeepsEverything(Strategy):
+class KeepsEverything(rb.AdjointStrategy):
     """Keeps the state of every bounce."""
 
     def kept(self, bounces, most):

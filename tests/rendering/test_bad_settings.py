@@ -20,7 +20,8 @@ CONSTRUCTOR = {
     "depth below -1": ({"max_depth": -2}, ValueError, "max_depth must be -1 (unlimited) or at least 0, got -2"),
     "roulette at zero": ({"rr_depth": 0}, ValueError, "rr_depth must be at least 1, got 0"),
     "adjoint by name": ({"adjoint": "log"}, TypeError, "adjoint must be one of MemoizedAdjoint, QuadraticAdjoint, "
-                                                       "ReplayAdjoint, TapeAdjoint, got 'log'"),
+                                                       "ReplayAdjoint, TapeAdjoint, or of a class derived from "
+                                                       "AdjointStrategy, got 'log'"),
     "adjoint as class": ({"adjoint": rb.MemoizedAdjoint}, TypeError, "adjoint must be one of MemoizedAdjoint"),
     "terms to be read once": ({"terms": iter(["interior"])}, ValueError, "it must be a set or list of some of interior"),
     "no terms": ({"terms": None}, ValueError, "terms=None is not known; it must be a set or list of some of interior"),

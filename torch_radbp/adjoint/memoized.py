@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torch_radbp.adjoint.schedule import ADJOINT, ADVANCE, DROP, KEEP, LOAD, backward_plan, kept_depths
-from torch_radbp.adjoint.strategy import Strategy
+from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.plugin import boolean, integer
 
@@ -14,7 +14,7 @@ STRIDES = ("sqrt", "log")
 
 
 @dataclass(frozen=True)
-class MemoizedAdjoint(Strategy):
+class MemoizedAdjoint(AdjointStrategy):
     """Walks back over the bounces with the incident radiance of each in a memo; exact for every stride.
 
     With N bounces:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from torch_radbp.adjoint.strategy import Strategy
+from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import add_at, bounces
@@ -16,7 +16,7 @@ from torch_radbp.vec import Vec3, rows
 
 
 @dataclass(frozen=True)
-class QuadraticAdjoint(Strategy):
+class QuadraticAdjoint(AdjointStrategy):
     """Keeps no radiance and computes L_{k+1} anew for each bounce: N^2 / 2 forward steps. To compare with.
 
     The states of a path are on the stack of the recursion while it is differentiated, chunk by chunk.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torch_radbp.adjoint.strategy import Strategy
+from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path.wavefront import bounces
 from torch_radbp.plugin import boolean
@@ -15,7 +15,7 @@ from torch_radbp.vec import Vec3, rows
 
 
 @dataclass(frozen=True)
-class ReplayAdjoint(Strategy):
+class ReplayAdjoint(AdjointStrategy):
     """Keeps only L_1 and recovers L_{k+1} = (L_k - E_k) / F_k on the way down. To compare with.
 
     Wrong where F_k is 0: at a reflectance of exactly 0 the incident radiance cannot be recovered, and the derivative that

@@ -1,4 +1,4 @@
-"""What a strategy of the backward pass is. A new one is a file with a class derived from `Strategy`."""
+"""What a strategy of the backward pass is. A new one is a file with a class derived from `AdjointStrategy`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.rendering.call.render_call import RenderCall
 
 
-class Strategy(ABC):
+class AdjointStrategy(ABC):
     """How a rendering is differentiated: what the forward pass keeps of its paths, and how the backward pass uses it."""
 
     taped: ClassVar[bool] = False  # autograd records all operations, which run eagerly, and keeps their results

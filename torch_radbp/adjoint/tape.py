@@ -9,14 +9,14 @@ from torch import Tensor
 
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_detached, render_images
-from torch_radbp.adjoint.strategy import Strategy
+from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.differentiated import with_derivative_of
 from torch_radbp.rendering.call.render_call import RenderCall
 
 
 @dataclass(frozen=True)
-class TapeAdjoint(Strategy):
+class TapeAdjoint(AdjointStrategy):
     """Lets autograd record every operation of the forward pass: the oracle of the tests.
 
     Memory grows with everything that is computed. Takes no part in the one `autograd.Function`; the loop over bounces is

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 
-from torch_radbp.adjoint.strategy import Strategy
+from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.rendering.memory import LEAST_BOUNCE, Workload, predict, size_of
 
 MOST_NUMBERED = 2**31 - 1  # pixels of an image, samples of a pixel: int32 counts them
@@ -36,7 +36,7 @@ class Request(NamedTuple):
     dtype: torch.dtype
     device: torch.device
     workers: int  # chunks that are traced side by side
-    adjoint: Strategy | None  # if there is a backward pass within no budget
+    adjoint: AdjointStrategy | None  # if there is a backward pass within no budget
     record_bytes: float  # see `RenderCall`; 0: image and derivative have samples of their own
     compiled: bool
 

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.bounce import Memo, empty_memo
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
-from torch_radbp.adjoint.strategy import Strategy
+from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.path.wavefront import Step, take_step, trace
@@ -57,7 +57,7 @@ class MemoryPlan(NamedTuple):
     """A choice of chunk and strategy, with the bytes that it is predicted to need at its peak."""
 
     chunk: int  # lanes
-    adjoint: Strategy
+    adjoint: AdjointStrategy
     retrace: bool  # the backward pass traces paths anew, all or those of which nothing is kept between the passes
     kept: int  # bytes between forward and backward pass
     working: int  # bytes on top of that while a chunk is processed
@@ -146,7 +146,7 @@ class Workload(NamedTuple):
         return BounceMemory(*least)
 
 
-def predict(work: Workload, chunk: int, adjoint: Strategy, record_bytes: float = inf) -> MemoryPlan:
+def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: float = inf) -> MemoryPlan:
     """Bytes that a forward and backward pass will need.
 
     Args:
@@ -191,7 +191,8 @@ def states_kept(adjoint, bounces: int, work: Workload) -> float:
     return sum(work.fractions[depth] for depth in depths if depth > 0 or len(depths) == bounces)
 
 
-def candidates(chunk: int, adjoint: Strategy | None, shares_samples: bool) -> Iterator[tuple[int, Strategy, float]]:
+def candidates(chunk: int, adjoint: AdjointStrategy | None,
+               shares_samples: bool) -> Iterator[tuple[int, AdjointStrategy, float]]:
     """Chunk, strategy and how much to keep between the passes, from the fastest to the most frugal.
 
     Smaller chunks cost little, replayed bounces more, and tracing all paths again most.
@@ -213,7 +214,7 @@ def size_of(count: float) -> str:
     return f"{count / UNITS[unit]:.3g} {unit}"
 
 
-def plan_memory(budget: int, work: Workload, chunk: int, adjoint: Strategy | None = None,
+def plan_memory(budget: int, work: Workload, chunk: int, adjoint: AdjointStrategy | None = None,
                 shares_samples: bool = True) -> MemoryPlan:
     """The fastest chunk and strategy that fit `budget` bytes.
 

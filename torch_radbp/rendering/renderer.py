@@ -69,7 +69,7 @@ class Renderer(nn.Module):
         max_depth: 1 = emission only, 2 = direct light, -1 = unlimited; None: what the integrator element says.
         rr_depth: scattering events before Russian roulette; None likewise.
         hide_emitters: do not show emitters that the camera sees directly; None likewise.
-        adjoint: how the backward pass works: `MemoizedAdjoint(stride)`, `ReplayAdjoint`, `QuadraticAdjoint`, `TapeAdjoint`.
+        adjoint: how the backward pass works: `MemoizedAdjoint(stride)`, or another `AdjointStrategy`.
         sampling: which derivatives go through the choice of directions; all agree in expectation where they apply.
             "hybrid": directions, densities and weights carry no derivative, but those of ideal mirrors and glass do.
             "detached": those neither, so that what is seen in them does not follow their shape and index of refraction.

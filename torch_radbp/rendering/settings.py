@@ -8,7 +8,7 @@ import numpy as np
 from torch import nn
 
 from torch_radbp import adjoint
-from torch_radbp.adjoint.strategy import Strategy
+from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.integrator.settings import depths
 from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
 from torch_radbp.rendering.memory import parse_budget
@@ -52,9 +52,10 @@ def check_settings(renderer: nn.Module) -> None:
     renderer.share_samples = boolean("share_samples", renderer.share_samples)
     renderer.chunk = None if renderer.chunk is None else integer("chunk", renderer.chunk, 1)
     renderer.memory_budget = None if renderer.memory_budget is None else parse_budget(renderer.memory_budget)
-    if not isinstance(renderer.adjoint, Strategy):
-        known = ", ".join(adjoint.__all__)
-        raise TypeError(f"adjoint must be one of {known}, got {renderer.adjoint!r}")
+    if not isinstance(renderer.adjoint, AdjointStrategy):
+        known = ", ".join(name for name in adjoint.__all__ if name != AdjointStrategy.__name__)
+        raise TypeError(f"adjoint must be one of {known}, or of a class derived from AdjointStrategy, "
+                        f"got {renderer.adjoint!r}")
     if renderer.light_choice not in (None, *CHOICES):
         raise ValueError(f"light_choice={renderer.light_choice!r} is not known; "
                          f"{nearest(str(renderer.light_choice), CHOICES)}")
