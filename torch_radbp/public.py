@@ -1,7 +1,6 @@
 """The public names: what `torch_radbp.NAME` means."""
 
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
-from torch_radbp.adjoint.finite import NonFiniteError
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.check import GradientCheck, check_gradient
 from torch_radbp.io.colmap import cameras_from_colmap
@@ -12,6 +11,7 @@ from torch_radbp.io.nerf import cameras_from_nerf
 from torch_radbp.io.write import save
 from torch_radbp.plugin import SceneError, SceneWarning
 from torch_radbp.pose import look_at, se3
+from torch_radbp.rendering.call.finite import NonFiniteError
 from torch_radbp.rendering.jvp import jvp
 from torch_radbp.rendering.noise_watch import RepeatedNoiseWarning
 from torch_radbp.rendering.renderer import Renderer, render

@@ -9,14 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import Memo, vector_jacobian_product, zeros_unless
-from torch_radbp.adjoint.finite import (
-    CheckedSweep,
-    Finding,
-    NonFiniteError,
-    count_of_bad,
-    finite,
-    gradient_error,
-)
+from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.record import record_chunk
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
@@ -26,6 +19,7 @@ from torch_radbp.jit.torch_internals import batched
 from torch_radbp.public_call import public_call
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.rendering.call.chunks import Chunk
+from torch_radbp.rendering.call.finite import Finding, NonFiniteError, count_of_bad, finite, gradient_error
 from torch_radbp.rendering.call.pixels import asked_of_pixels, filters_of, lane_adjoint, weighted
 from torch_radbp.rendering.call.render_call import (
     RenderCall,

@@ -12,12 +12,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import bounce_adjoint
-from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.jit.torch_internals import tree_flatten
 from torch_radbp.path.bounce import bounce, ending, scattering
 from torch_radbp.path.integrand import Integrand, Stages
-from torch_radbp.path.state import Arrival, PathState, Position
+from torch_radbp.path.state import Arrival, Position
 from torch_radbp.plugin import Plugin, Texture
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
@@ -137,30 +134,6 @@ def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arriva
     local = scattering(scene, proposal, rows(arrival, lanes), *rest)
     sent = (*local.Le, *(() if local.light is None else local.light.radiance))
     return torch.isfinite(torch.stack(sent)).all(0)
-
-
-class CheckedSweep(Sweep):
-    """A sweep that notes the first bounce, from the deepest up, whose derivatives are not finite. Eager."""
-
-    def __init__(self, finding: Finding, *arguments):
-        super().__init__(*arguments)
-        self.finding = finding
-
-    def adjoint(self, state: PathState, depth: int) -> None:
-        """Differentiates one bounce, as `Sweep` does."""
-
-        def checked(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, *arguments):
-            above, tables, adj_given = bounce_adjoint(scene, wanted, arrival, lanes, *arguments)
-            bad = torch.zeros_like(lanes, dtype=torch.bool)
-            parts = [part for part in tree_flatten((above, adj_given))[0] if isinstance(part, Tensor)]
-            for part in [*parts, *(read.adjoint for reads in tables for read in reads)]:
-                bad |= ~torch.isfinite(part)
-            self.finding.look(depth, bad, arrival.hit.prim[lanes])
-            return above, tables, adj_given
-
-        self.integrand = self.integrand.with_stages(self.integrand.stages._replace(bounce_adjoint=checked))
-        self.adjoints = {}
-        super().adjoint(state, depth)
 
 
 def image_error(images: Tensor, integrand: Integrand, scene: Scene | None, trace_again: Callable[[Integrand, Finding], None]

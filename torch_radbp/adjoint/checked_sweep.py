@@ -1,0 +1,37 @@
+"""The backward sweep once more, with a look at the derivatives of each bounce: when a gradient is NaN or infinite."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.bounce import bounce_adjoint
+from torch_radbp.adjoint.sweep import Sweep
+from torch_radbp.path.state import Arrival, PathState
+from torch_radbp.record import leaves_of
+from torch_radbp.rendering.call.finite import Finding
+from torch_radbp.scene.tensors import SceneTensors
+
+
+class CheckedSweep(Sweep):
+    """A sweep that notes the first bounce, from the deepest up, whose derivatives are not finite. Eager."""
+
+    def __init__(self, finding: Finding, *arguments):
+        super().__init__(*arguments)
+        self.finding = finding
+
+    def adjoint(self, state: PathState, depth: int) -> None:
+        """Differentiates one bounce, as `Sweep` does."""
+
+        def checked(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, *arguments):
+            above, tables, adj_given = bounce_adjoint(scene, wanted, arrival, lanes, *arguments)
+            bad = torch.zeros_like(lanes, dtype=torch.bool)
+            parts = [part for part in leaves_of((above, adj_given)) if isinstance(part, Tensor)]
+            for part in [*parts, *(read.adjoint for reads in tables for read in reads)]:
+                bad |= ~torch.isfinite(part)
+            self.finding.look(depth, bad, arrival.hit.prim[lanes])
+            return above, tables, adj_given
+
+        self.integrand = self.integrand.with_stages(self.integrand.stages._replace(bounce_adjoint=checked))
+        self.adjoints = {}
+        super().adjoint(state, depth)
