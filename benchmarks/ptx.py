@@ -44,7 +44,7 @@ class Kernel(NamedTuple):
     """A kernel of a stage."""
 
     stage: str
-    kinds: str  # of the materials that its lanes meet; of `bounce` and its adjoint
+    kind: str  # of the material that its lanes meet; of `bounce` and its adjoint
     text: str  # LLVM's
 
     @property
@@ -59,7 +59,8 @@ def kernels(scene: str, sampling: str) -> Iterator[Kernel]:
         for arguments in cases.values():
             listing = Listing()
             getattr(fused(Gpu(listing)), stage).fused.prepared(arguments)
-            kind = type(arguments[0].layout.scatterer.kind).__name__ if stage in ("bounce", "bounce_adjoint") else ""
+            scatterer = arguments[0].layout.scatterer if stage in ("bounce", "bounce_adjoint") else None
+            kind = "" if scatterer is None else type(scatterer.kind).__name__
             yield from (Kernel(stage, kind, text) for text in listing.texts)
 
 
@@ -98,7 +99,7 @@ def main() -> None:
                     took = 1000 * (time.perf_counter() - begun)
                     print(f"{scene:>12} {sampling:>8} {kernel.stage:>15} {architecture:>12} {kernel.parameters:>10} "
                           f"{found.registers:>9} {found.stack:>6} {found.stores:>6} {found.loads:>6} {reads:>6} "
-                          f"{took:>6.0f}  {kernel.kinds}", flush=True)
+                          f"{took:>6.0f}  {kernel.kind}", flush=True)
                 seen.add(kernel.text)
 
 

@@ -23,7 +23,7 @@ def check(scene: str, sampling: str, architectures) -> set[str]:
         for architecture in architectures:
             used, _, fusible = counts(kernel.text, architecture)
             assert 0 < used.registers <= 255 and fusible == 0
-            assert used.stores <= SPILLS.get(kernel.stage, 0), (kernel.stage, kernel.kinds, used)
+            assert used.stores <= SPILLS.get(kernel.stage, 0), (kernel.stage, kernel.kind, used)
             assert 8 * kernel.parameters <= 32_764  # bytes that PTX has for them
     return found
 
