@@ -11,20 +11,22 @@ from tests.scenes import load, sensor, texels
 from torch_radbp.raycast import make_caster
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.part import part_of
 from torch_radbp.vec import Ray, Vec3
 
 TEXTURED = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels(2, 3)}}
 
 
 def meets(origin: tuple[float, ...], direction: tuple[float, ...], objects: dict[str, Any]) -> SurfaceInteraction:
-    """Where one ray, of a direction of any length, meets these objects; uv is found."""
+    """Where one ray, of a direction of any length, meets these objects, which are all of one appearance."""
     scene = pack(load(camera=sensor(2), sky={"type": "constant"}, **objects))
     ray = Ray(*(Vec3(*torch.tensor(row, dtype=torch.float64)[:, None].unbind(0)) for row in (origin, direction)))
     triangles = scene.triangles
     faces = torch.stack(triangles.corners, 1)
     instances = None if triangles.instances is None else triangles.instances.casting
     hit = make_caster("embree", triangles.vertices.p.stack().detach(), faces, triangles.balls, instances).intersect(ray)
-    return surface_interaction(scene, ray, hit)
+    appearance, = scene.layout.appearances
+    return surface_interaction(part_of(scene, appearance), ray, hit)
 
 
 def of_point(si: SurfaceInteraction) -> tuple[float, Tensor, Tensor]:
