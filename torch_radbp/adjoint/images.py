@@ -12,12 +12,7 @@ from torch_radbp.adjoint.sweep import PathRecord
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
 from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.finite import (
-    Finding,
-    checked_stages,
-    finite,
-    image_error,
-)
+from torch_radbp.rendering.call.finite import Finding, checked_stages, finite, image_error
 from torch_radbp.rendering.call.pixels import Images, developed
 from torch_radbp.rendering.call.render_call import RenderCall
 

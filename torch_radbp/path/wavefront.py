@@ -184,12 +184,12 @@ class Bounce(NamedTuple):
 
     @property
     def E(self) -> Vec3:
-        """Of the vertices, in L_k = E_k + F_k L_{k+1}."""
+        """(K,) what the vertices emit and receive by next-event estimation: E_k in L_k = E_k + F_k L_{k+1}."""
         return gathered(self.vertex.Le, self.vertex.Ld, self.step.visible)
 
     @property
     def F(self) -> Vec3:
-        """The same; 0 where the path ends."""
+        """(K,) what the vertices reflect of what comes next: F_k, 0 where the path ends."""
         return masked(self.step.survives, self.vertex.F)
 
 
