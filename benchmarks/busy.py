@@ -33,7 +33,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.peers import Mitsuba, Ours, Pass, timed
-from benchmarks.scenes import SCENES
+from benchmarks.scenes import ALL, SCENES
 from benchmarks.scenes.cornell_box import cornell_box
 from benchmarks.scenes.description import BenchmarkScene, Setting
 
@@ -136,7 +136,7 @@ def measure(options: argparse.Namespace) -> list[dict]:
             scene = scene._replace(parameters=(COLOUR,))
             ours, theirs = OurLoop(scene), MitsubaLoop(scene)
         else:
-            make, setting = SCENES[options.only]
+            make, setting = ALL[options.only]
             scene = make(Path(folder), setting._replace(resolution=options.resolution[0], spp=options.spp[0]))
             ours, theirs = OurSteps(scene, compiled=True), Mitsuba(scene)
     for seed in range(WARM_UP):
@@ -171,6 +171,8 @@ def render_as_rank(options: argparse.Namespace) -> None:
     if several:
         add_up.remove()
         distributed.destroy_process_group()
+        sys.stdout.flush()
+        os._exit(0)  # gloo's threads may still hold a gradient, and abort an interpreter that ends meanwhile
 
 
 def throughput(options: argparse.Namespace) -> list[dict]:
@@ -228,7 +230,7 @@ def cases(options: argparse.Namespace) -> Iterator[tuple[str, int, int]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", choices=[TUTORIAL, *SCENES, TORCHRUN], nargs="+", default=[TUTORIAL, *SCENES, TORCHRUN])
+    parser.add_argument("--scene", choices=[TUTORIAL, *ALL, TORCHRUN], nargs="+", default=[TUTORIAL, *SCENES, TORCHRUN])
     parser.add_argument("--busy", type=int, nargs="+", default=NEIGHBOURS, help="how many processes beside")
     parser.add_argument("--rounds", type=int, default=31, help="steps of each renderer for a row")
     parser.add_argument("--resolution", type=int, nargs="+", help="pixels a side; default: 64 and 128, of the loop 128")
@@ -236,7 +238,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2, help="under torchrun")
     parser.add_argument("--turns", type=int, default=2, help="how often torchrun and one process alone follow each other")
     parser.add_argument("--json", type=Path, help="also write the seconds of all steps to this file")
-    parser.add_argument("--only", choices=[TUTORIAL, *SCENES], help=argparse.SUPPRESS)
+    parser.add_argument("--only", choices=[TUTORIAL, *ALL], help=argparse.SUPPRESS)
     parser.add_argument("--as-rank", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.only:

@@ -60,6 +60,9 @@ class Work(NamedTuple):
 class Unread(Emitter):
     """The text of a program that reads no tables at indices; searches stay."""
 
+    def read(self, value: Value) -> str:
+        return self.gather(value)
+
     def gather(self, value: Value) -> str:
         if not any(line.startswith("%unread") for line in self.entry):
             self.entry += ["%unread = alloca <16 x i64>, align 128",

@@ -21,9 +21,10 @@ import numpy as np
 from rich.progress import track
 
 from benchmarks.peers import Mitsuba, Ours
-from benchmarks.scenes import SCENES
-from benchmarks.scenes.description import with_filter
+from benchmarks.scenes import ALL, SCENES
+from benchmarks.scenes.description import with_filter, without_samplers
 
+SCENE, OWN = "scene", "own"  # whose samplers
 FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
 PIXELS, WARM_UP = "image", 2
 
@@ -48,11 +49,13 @@ class Spread:
 
 def measure(options: argparse.Namespace) -> dict:
     """Ratios of one scene, in this process."""
-    make, setting = SCENES[options.only]
+    make, setting = ALL[options.only]
     resolution, spp = options.resolution[0], options.spp[0]
     with tempfile.TemporaryDirectory() as folder:
         scene = make(Path(folder), setting._replace(resolution=resolution, spp=spp))
         scene = with_filter(scene, options.filter, Path(folder))
+        if options.sampler == OWN:
+            scene = without_samplers(scene, Path(folder))
         peers = {"ours": Ours(scene, compiled=True), "theirs": Mitsuba(scene)}
     spreads: dict[str, dict[str, Spread]] = {name: {} for name in peers}
     times: dict[str, list[float]] = {name: [] for name in peers}
@@ -79,24 +82,27 @@ def row(name: str, resolution: int, spp: int, found: dict) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", choices=SCENES, nargs="+", default=list(SCENES))
+    parser.add_argument("--scene", choices=ALL, nargs="+", default=list(SCENES))
     parser.add_argument("--resolution", type=int, nargs="+", default=[128], help="pixels a side")
     parser.add_argument("--spp", type=int, nargs="+", default=[4, 16], help="samples a pixel")
     parser.add_argument("--filter", choices=FILTERS, default="gaussian", help="what both reconstruct the image with")
+    parser.add_argument("--sampler", choices=(SCENE, OWN), default=SCENE,
+                        help="scene: independent samples, as the scenes say; own: what each renderer takes if none is named")
     parser.add_argument("--rounds", type=int, default=16)
-    parser.add_argument("--only", choices=SCENES, help=argparse.SUPPRESS)
+    parser.add_argument("--only", choices=ALL, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.only:
         print(json.dumps(measure(options)))
         return
-    print(f"Ours over Mitsuba's, filter {options.filter}, {options.rounds} rounds.\n\n"
+    print(f"Ours over Mitsuba's, filter {options.filter}, sampler: {options.sampler}, {options.rounds} rounds.\n\n"
           "| scene | size, samples | variance of the image | of gradients, median | worst | time | equal noise, image | "
           "gradient, worst |\n|---|---|---|---|---|---|---|---|", flush=True)
     for name in options.scene:
         for resolution in options.resolution:
             for spp in options.spp:
                 command = [sys.executable, "-m", "benchmarks.noise", "--only", name, "--resolution", str(resolution),
-                           "--spp", str(spp), "--filter", options.filter, "--rounds", str(options.rounds)]
+                           "--spp", str(spp), "--filter", options.filter, "--sampler", options.sampler, "--rounds",
+                           str(options.rounds)]
                 done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
                 print(row(name, resolution, spp, json.loads(done.stdout.splitlines()[-1])) if done.returncode == 0
                       else f"| {name} | failed |", flush=True)

@@ -21,14 +21,14 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.peers import Mitsuba, Ours, Pass
-from benchmarks.scenes import QUICK, SCENES
+from benchmarks.scenes import ALL, QUICK, SCENES
 
 MITSUBA = "Mitsuba"
 
 
 def measure(options: argparse.Namespace) -> dict:
     """First calls, times and gradients of both peers on one scene, in this process."""
-    make, setting = SCENES[options.only]
+    make, setting = ALL[options.only]
     with tempfile.TemporaryDirectory() as folder:
         setting = QUICK if options.quick else setting
         scene = make(Path(folder), setting._replace(resolution=options.resolution or setting.resolution,
@@ -95,7 +95,7 @@ Of vertices it need not be small: what is interior and what is left to boundarie
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", choices=SCENES, nargs="+", default=list(SCENES))
+    parser.add_argument("--scene", choices=ALL, nargs="+", default=list(SCENES))
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--resolution", type=int, help="pixels a side; default: that of the scene")
     parser.add_argument("--spp", type=int, help="samples a pixel; default: those of the scene")
@@ -105,7 +105,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="that both render on")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    parser.add_argument("--only", choices=SCENES, help=argparse.SUPPRESS)
+    parser.add_argument("--only", choices=ALL, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.only:
         print(json.dumps(measure(options)))

@@ -17,7 +17,8 @@ TRAINING = PACKAGE.parent / "training"
 
 # Data flows down this list; a module may import from its own layer and from those above it.
 LAYERS = [
-    {"differentiated", "domain", "public_call", "vec", "lookup", "losses", "plugin", "pose", "record", "jit"},
+    {"differentiated", "domain", "public_call", "vec", "lookup", "interleaved", "losses", "plugin", "pose", "record",
+     "transforms", "jit"},
     {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
     {"raycast"}, {"path"}, {"rendering.call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"}, {"check"}, {"public"},
@@ -90,6 +91,14 @@ def test_every_part_has_its_layer():
 def test_imports_go_one_way():
     wrong = [i for i in IMPORTS if i.importer in RANK and i.imported in RANK and RANK[i.imported] > RANK[i.importer]]
     assert not wrong, say(wrong)
+
+
+def test_a_part_is_not_asked_of_the_package():
+    """`from torch_radbp import adjoint` imports all public names first, and so, perhaps, the module that it stands in."""
+    wrong = [f"{path}:{node.lineno}" for path in FILES if not path.is_relative_to(TRAINING)
+             for node in ast.walk(ast.parse(path.read_text()))
+             if isinstance(node, ast.ImportFrom) and node.module == "torch_radbp"]
+    assert not wrong, wrong
 
 
 def test_only_training_imports_the_package_as_a_whole():

@@ -9,12 +9,12 @@ import pytest
 
 from tests.deep import deep
 from tests.elsewhere import render
-from torch_radbp.jit import kept_code
+from torch_radbp.jit import code_cache
 
 
 @pytest.mark.parametrize("platform", ["win32", deep("darwin")])
 def test_a_rendering_takes_nothing_that_only_linux_has(platform):
-    environment = os.environ | {"RADBP_KERNEL_CACHE": str(kept_code.folder() or kept_code.OFF)}
+    environment = os.environ | {"RADBP_KERNEL_CACHE": str(code_cache.folder() or code_cache.OFF)}
     command = [sys.executable, "-m", "tests.elsewhere", platform]
     run = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert run.returncode == 0, run.stderr

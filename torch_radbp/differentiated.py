@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
@@ -24,6 +25,11 @@ def primal(tensor: Tensor) -> Tensor:
 def differentiated(tensor: Tensor) -> bool:
     """True if `tensor` requires a gradient or has a tangent."""
     return tensor.requires_grad or tangent_of(tensor) is not None
+
+
+def recording() -> bool:
+    """True if torch notes what is done with tensors that are differentiated, in either mode."""
+    return torch.is_grad_enabled() or inside_dual_level()
 
 
 def any_differentiated(record) -> bool:

@@ -48,7 +48,7 @@ def rows_between(record, first: int, last: int):
     """The rows from `first` to before `last` of every tensor of a record, in nested tuples; None stays None."""
     if record is None or isinstance(record, Tensor):
         return None if record is None else record[first:last]
-    return type(record)(*(rows_between(part, first, last) for part in record))
+    return tuple.__new__(type(record), [rows_between(part, first, last) for part in record])
 
 
 def joined(parts: list):
@@ -57,4 +57,4 @@ def joined(parts: list):
         return parts[0]
     if isinstance(parts[0], Tensor):
         return torch.cat(parts)
-    return None if parts[0] is None else type(parts[0])(*(joined(list(column)) for column in zip(*parts)))
+    return None if parts[0] is None else tuple.__new__(type(parts[0]), [joined(list(column)) for column in zip(*parts)])

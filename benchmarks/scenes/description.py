@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,20 +48,38 @@ class BenchmarkScene(NamedTuple):
 
 
 def with_filter(scene: BenchmarkScene, rfilter: str, folder: Path) -> BenchmarkScene:
-    """The same scene, whose films have another reconstruction filter; one of `assets/` is written to `folder`."""
+    """The same scene, whose films have another reconstruction filter; an XML file is written to `folder`."""
     if isinstance(scene.source, Path):
-        text = scene.source.read_text(encoding="utf-8")
-        changed = re.sub(r'(<rfilter type=")\w+(")', rf"\g<1>{rfilter}\g<2>", text)
-        inside = scene.source.is_relative_to(folder)
-        path = (scene.source.parent if inside else folder) / f"{scene.source.stem}_{rfilter}.xml"
-        path.write_text(changed, encoding="utf-8")
-        return scene._replace(source=path)
+        return rewritten(scene, folder, rfilter,
+                         lambda text: re.sub(r'(<rfilter type=")\w+(")', rf"\g<1>{rfilter}\g<2>", text))
 
     def replaced(part):
         return {key: {"type": rfilter} if key == "rfilter" else replaced(value) for key, value in part.items()
                 } if isinstance(part, dict) else part
 
     return scene._replace(source=replaced(scene.source))
+
+
+def without_samplers(scene: BenchmarkScene, folder: Path) -> BenchmarkScene:
+    """The same scene, whose sensors name no sampler: each renderer takes its own; an XML file is written to `folder`."""
+    if isinstance(scene.source, Path):
+        return rewritten(scene, folder, "own_sampler",
+                         lambda text: re.sub(r"\s*<sampler\b.*?</sampler>", "", text, flags=re.DOTALL))
+
+    def without(part):
+        return {key: without(value) for key, value in part.items() if key != "sampler"} if isinstance(part, dict) else part
+
+    return scene._replace(source=without(scene.source))
+
+
+def rewritten(scene: BenchmarkScene, folder: Path, name: str, change: Callable[[str], str]) -> BenchmarkScene:
+    """The same scene with another text of its file, in `folder`; the files that it names are named as a whole."""
+    text, beside = scene.source.read_text(encoding="utf-8"), scene.source.parent
+    text = re.sub(r'(<string name="filename" value=")([^"]+)(")',
+                  lambda found: f"{found[1]}{(beside / found[2]).resolve()}{found[3]}", text)
+    path = folder / f"{scene.source.stem}_{name}.xml"
+    path.write_text(change(text), encoding="utf-8")
+    return scene._replace(source=path)
 
 
 def cotangent(resolution: int) -> np.ndarray:

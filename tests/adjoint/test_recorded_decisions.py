@@ -55,10 +55,10 @@ def test_nothing_of_a_chunk_is_held_once_it_is_added_to_the_image(monkeypatch):
     alive, most = weakref.WeakSet(), []
     deposit = record.deposit
 
-    def watched(call, chunk, L, place):
-        alive.add(L.x)
+    def watched(call, chunk, values, place):
+        alive.add(values[0])
         most.append(len(alive))
-        return deposit(call, chunk, L, place)
+        return deposit(call, chunk, values, place)
 
     monkeypatch.setattr(record, "deposit", watched)
     scene = cornell()

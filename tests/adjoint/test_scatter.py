@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
+from torch_radbp.interleaved import LEAST, are_columns, columns_of_rows
 from torch_radbp.jit.cpu import SMALL
 
 LENGTHS = (1, 4, 511, 513, SMALL, SMALL + 1, 200_000)
@@ -38,7 +39,7 @@ def test_each_entry_gets_what_its_readers_found(length, dtype, rtol):
         for chunk in range(2):
             parts += (found := contributions(tables, 3000, 10 * worker + chunk))
             gradients.add(found)
-    for found, total in zip(gradients_of(workers), expected(tables, parts)):
+    for found, total in zip(gradients_of(workers)[0], expected(tables, parts)):
         assert found.dtype == dtype and found.shape == total.shape
         torch.testing.assert_close(found.double(), total, rtol=rtol, atol=1e-12)
 
@@ -50,7 +51,7 @@ def test_a_total_keeps_what_is_small_against_it():
         lanes = torch.full((1_000_001,), 1e-4)
         lanes[0] = 1e5
         gradients.add([Contribution(0, torch.ones(len(lanes), dtype=torch.int32), lanes)])
-        assert gradients_of([gradients])[0][1].item() == pytest.approx(1e5 + 100, rel=1e-7)
+        assert gradients_of([gradients])[0][0][1].item() == pytest.approx(1e5 + 100, rel=1e-7)
 
 
 def resident(tensor: torch.Tensor) -> int:
@@ -67,10 +68,42 @@ def test_pages_that_nobody_reads_take_no_memory():
     table = torch.empty(1).expand(1 << 28)  # so many that the allocator has none to give that were used before
     gradients = Gradients([table])
     gradients.add([Contribution(0, torch.arange(5000, dtype=torch.int32) + (1 << 25), torch.ones(5000))])
-    gradient, = gradients_of([gradients])
+    gradient, = gradients_of([gradients])[0]
     for tensor in (gradients.totals[0], gradient):
         assert tensor.nbytes >= 1 << 30 and 0 < resident(tensor) <= 16 << 20  # pages of the system may be of 2 MiB
     assert gradient[(1 << 25) - 1:][:3].tolist() == [0, 1, 1]
+
+
+@pytest.mark.parametrize("length", [LEAST, 100_000])
+def test_gradients_of_columns_of_rows_are_columns_of_rows(length):
+    """So that the rows' own gradient is that memory, without a copy; a part of the columns stands apart."""
+    rows = torch.rand(length, 3, requires_grad=True)
+    attached = columns_of_rows(rows)
+    tables = [table.detach() for table in attached]
+    parts = contributions(tables, 3000, 1)
+    for left_out in (0, 1):
+        some, gradients = tables[left_out:], Gradients(tables[left_out:])
+        own = [part._replace(leaf=part.leaf - left_out) for part in parts if part.leaf >= left_out]
+        gradients.add(own)
+        found, finite = gradients_of([gradients])
+        for gradient, total in zip(found, expected(some, own), strict=True):
+            torch.testing.assert_close(gradient.double(), total, rtol=1e-7, atol=1e-12)
+        assert are_columns(found, rows.shape) == (not left_out)
+        assert finite and max(float(gradient.abs().max()) for gradient in found) > 0
+    found, _ = gradients_of([Gradients([table.detach() for table in attached])])
+    torch.autograd.backward(attached, found)
+    assert rows.grad.data_ptr() == found[0].data_ptr()
+
+
+@pytest.mark.parametrize("value", [float("inf"), float("nan"), 1e300])
+def test_gradients_that_are_not_finite_are_noticed(value):
+    """Also those that only float32 cannot hold."""
+    for length in (3, 100_000):
+        gradients = Gradients([torch.empty(length), torch.empty(7)])
+        gradients.add([Contribution(0, torch.tensor([1, 2], dtype=torch.int32), torch.tensor([1.0, value]).double())])
+        found, finite = gradients_of([gradients])
+        assert not finite and found[0][1] == 1 and not torch.isfinite(found[0][2])
+        assert gradients_of([Gradients([torch.empty(length)])])[1]
 
 
 def test_numbers_whole_tables_and_tables_without_entries_have_gradients_too():
@@ -80,7 +113,7 @@ def test_numbers_whole_tables_and_tables_without_entries_have_gradients_too():
     gradients.add_whole(0, torch.tensor(2.5))
     gradients.add_whole(1, torch.tensor([1.0, 2.0, 3.0]))
     gradients.add([])
-    assert [gradient.tolist() for gradient in gradients_of([gradients, Gradients(tables)])] == [4.5, [1, 2, 3], []]
+    assert [gradient.tolist() for gradient in gradients_of([gradients, Gradients(tables)])[0]] == [4.5, [1, 2, 3], []]
 
 
 def test_other_devices_get_torch_operations():

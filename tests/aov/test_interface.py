@@ -24,6 +24,26 @@ def test_quantities_stand_beside_the_image_of_the_same_samples():
     assert image.max() > 0
 
 
+@pytest.mark.parametrize("differentiated", [False, True])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_quantities_beside_an_image_cast_no_ray_of_their_own(differentiated, compiled):
+    """Image and quantities have the bits that each has alone; what has a derivative has that by rays of its own."""
+    scene = two_walls().float()
+    scene.get_parameter("lamp.emitter.radiance.value").requires_grad_(differentiated)
+    renderer = rb.Renderer(scene, spp=4, max_depth=3, compile=compiled)
+    alone = renderer(seed=5)
+    names = ["xyz", "prim_index"] if differentiated else ["xyz", "depth", "hit", "alpha", "sh_normal", "m2_depth"]
+    before = renderer.last_caster.rays_cast
+    image, found = renderer(seed=5, aovs=names)
+    assert renderer.last_caster.rays_cast - before == before > 0
+    assert torch.equal(image, alone) and image.requires_grad == differentiated
+    for name, expected in renderer.aovs(names, seed=5).items():
+        assert torch.equal(found[name], expected) and expected.abs().max() > 0 and not expected.requires_grad
+    if differentiated:
+        image.sum().backward()
+        assert float(scene.get_parameter("lamp.emitter.radiance.value").grad.abs().sum()) > 0
+
+
 def test_every_quantity_of_the_integrator_is_one_of_the_renderer():
     assert set(LISTED) < set(QUANTITIES)
     assert channel_names("nn", "m2_sh_normal") == ["nn.X", "nn.Y", "nn.Z"] and channel_names("d", "depth") == ["d.T"]

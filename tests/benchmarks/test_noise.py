@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.noise import Spread, row
-from benchmarks.scenes import QUICK, SCENES
-from benchmarks.scenes.description import with_filter
+from benchmarks.scenes import ALL, QUICK
+from benchmarks.scenes.description import with_filter, without_samplers
 
 
 def test_the_spread_of_arrays_is_their_variance():
@@ -15,13 +15,20 @@ def test_the_spread_of_arrays_is_their_variance():
     assert spread.variance == pytest.approx(values.var(0, ddof=1).mean(), rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["cornell-box", "metal-mesh"])
+@pytest.mark.parametrize("name", ["cornell-box", "metal-mesh", "relief"])
 def test_a_scene_gets_another_filter_and_nothing_else(name, tmp_path):
-    scene = SCENES[name].make(tmp_path, QUICK)
+    scene = ALL[name].make(tmp_path, QUICK)
     assert scene.load().sensors[0].film.rfilter.type == "box"
     changed = with_filter(scene, "mitchell", tmp_path).load()
     assert changed.sensors[0].film.rfilter.type == "mitchell"
     assert [name for name, _ in changed.named_parameters()] == [name for name, _ in scene.load().named_parameters()]
+
+
+@pytest.mark.parametrize("name", ["cornell-box", "metal-mesh"])
+def test_a_scene_that_names_no_sampler_gets_the_default(name, tmp_path):
+    scene = ALL[name].make(tmp_path, QUICK)
+    assert scene.load().sensors[0].sampler.type == "independent"
+    assert without_samplers(scene, tmp_path).load().sensors[0].sampler.type == "ldsampler"
 
 
 def test_a_row_names_the_noisiest_gradient():

@@ -29,11 +29,10 @@ def sheet(half: float = 1.0, loose: bool = False) -> dict:
 
 def by_place(found: Edges, vertices: torch.Tensor) -> dict:
     """Places of the ends of each edge, rounded: places of what lies opposite."""
-    places = [tuple(place) for place in (vertices[found.vertex] * 1e4).round().long().tolist()]
-    result = {frozenset((places[a], places[b])): [] for a, b in zip(found.a.tolist(), found.b.tolist())}
-    for opposite, edge in zip(found.opposite.tolist(), found.edge.tolist()):
-        result[frozenset((places[found.a[edge]], places[found.b[edge]]))].append(places[opposite])
-    return {ends: sorted(opposite) for ends, opposite in result.items()}
+    places = [tuple(place) for place in (vertices * 1e4).round().long().tolist()]
+    opposite = torch.stack(found.opposite, 1).tolist()
+    return {frozenset((places[a], places[b])): sorted(places[vertex] for vertex in around[:count])
+            for a, b, around, count in zip(found.a.tolist(), found.b.tolist(), opposite, found.count.tolist())}
 
 
 @pytest.mark.parametrize("loose", [False, True])

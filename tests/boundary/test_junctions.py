@@ -33,22 +33,21 @@ def turned(vertices: torch.Tensor) -> torch.Tensor:
 def test_only_the_outline_of_a_square_is_border(steps, place):
     vertices, faces = square(steps)
     edges = edges_of(place(vertices), faces)
-    meeting = torch.bincount(edges.edge)
-    assert len(meeting) == len(edges.a)
+    meeting = edges.count
     # Left three edges, on the right `steps`, above and below one each; inside a diagonal of each rectangle, `steps` pieces
     # of the edge in the middle, and what is between the rectangles on the right.
     assert (meeting == 1).sum() == 3 + steps + 2
     assert (meeting == 2).sum() == 1 + steps + steps + (steps - 1) and meeting.max() == 2
-    corners = faces.reshape(-1)[edges.corner]  # opposite, in the very triangles
-    assert torch.equal(vertices[edges.vertex[edges.opposite]], vertices[corners])
+    for opposite, corner in zip(edges.opposite, edges.corner):  # in the very triangles
+        assert torch.equal(vertices[opposite], vertices[faces.reshape(-1)[corner]])
 
 
 def test_the_pieces_of_an_edge_lie_on_it_end_to_end():
     vertices, faces = square(7)
     edges = edges_of(turned(vertices), faces)
-    places = vertices[edges.vertex]
-    middle = (places[edges.a][:, 0] == 0) & (places[edges.b][:, 0] == 0)
-    spans = torch.stack([places[edges.a][middle, 1], places[edges.b][middle, 1]]).sort(0).values
+    a, b = vertices[edges.a], vertices[edges.b]
+    middle = (a[:, 0] == 0) & (b[:, 0] == 0)
+    spans = torch.stack([a[middle, 1], b[middle, 1]]).sort(0).values
     spans = spans[:, spans[0].argsort()]
     assert middle.sum() == 7 and torch.equal(spans[0, 1:], spans[1, :-1])
     assert spans[0, 0] == -1 and spans[1, -1] == 1
@@ -56,7 +55,7 @@ def test_the_pieces_of_an_edge_lie_on_it_end_to_end():
 
 def test_a_gap_is_two_borders():
     vertices, faces = square(2, gap=1e-3)
-    assert (torch.bincount(edges_of(vertices, faces).edge) == 1).sum() == 3 + 2 + 2 + 1 + 2
+    assert (edges_of(vertices, faces).count == 1).sum() == 3 + 2 + 2 + 1 + 2
 
 
 def test_a_square_moves_as_a_whole():

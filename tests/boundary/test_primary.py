@@ -11,11 +11,15 @@ from torch.func import functional_call
 import torch_radbp as rb
 from tests.gradients import cotangent, relative_error, unwarned_renderer
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
-from torch_radbp.boundary import Outlines
+from torch_radbp.boundary import Outlines, outline, primary
+from torch_radbp.boundary.edge_places import jump_of_creases
+from torch_radbp.boundary.edges import edges_of
+from torch_radbp.boundary.geometry import geometry_of, in_world
 from torch_radbp.boundary.outline import Moving
 from torch_radbp.film.filter import Filter
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.scene.pack import pack
+from torch_radbp.shape.surface import grid
 
 SIZE = 16
 DARK = {"type": "constant", "radiance": rgb(0.25, 0.25, 0.25)}
@@ -296,8 +300,13 @@ def test_only_creases_and_seams_of_a_smooth_surface_may_jump():
     scene = load(camera=parallel(), sky=DARK, cube={"type": "cube"}, ball={"type": "sphere"})
     tensors = pack(scene)
     counts = [len(shape.faces) for shape in (scene.cube.oriented(), scene.ball.oriented())]
-    cube, ball = (Outlines().of(tensors, counts, Moving(which, ()), torch.Generator()).crease
-                  for which in ((True, False), (False, True)))
+
+    def jumps(*moving: bool) -> torch.Tensor:
+        found = Outlines().of(tensors, counts, Moving(moving, ()), torch.Generator())
+        a, b, *opposite = in_world(geometry_of(tensors), (found.edges.a, found.edges.b, *found.edges.opposite), None)
+        return jump_of_creases(found, a, b, opposite)
+
+    cube, ball = jumps(True, False), jumps(False, True)
     assert len(cube) == 18 and int((cube > 0).sum()) == 12
     assert 0 < int((ball > 0).sum()) < 0.01 * len(ball)
 
@@ -337,3 +346,81 @@ def test_the_loss_of_a_pose_falls_by_its_gradient(dtype):
         optimizer.step()
     assert offset[:2].norm() < 0.01, offset
 
+
+
+@pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(), rb.TapeAdjoint()], ids=repr)
+def test_what_small_jumps_add_to_the_pose_of_an_instance_is_not_lost_beside_a_large_one(adjoint, monkeypatch):
+    """All places of an instance add to one pose, of which float32 would lose each that is 1e-8 of the sum."""
+    scene = load(torch.float32, camera=parallel(), sky=DARK,
+                 group={"type": "shapegroup", "square": rectangle((0, 0, 0), 0.5)},
+                 shown={"type": "instance", "shapegroup": {"type": "ref", "id": "group"}})
+    pose = scene.get_parameter("shown.to_world").requires_grad_()
+    traced, weight = primary.differences, torch.linspace(1.0, 2.0, SIZE)
+
+    def gradient(first: float, others: float) -> torch.Tensor:
+        def chosen(*arguments) -> tuple[torch.Tensor, torch.Tensor]:
+            shown, jump = traced(*arguments)
+            strength = torch.full_like(jump, others)
+            strength[:, 0] = first
+            return shown, strength
+
+        monkeypatch.setattr(primary, "differences", chosen)
+        image = rb.Renderer(scene, spp=4096, max_depth=1, terms=["primary"], adjoint=adjoint)(seed=1)
+        return torch.autograd.grad((image * weight).sum(), pose)[0].double()
+
+    large, small, both = gradient(1e6, 0.0), gradient(0.0, 0.01), gradient(1e6, 0.01)
+    assert small.abs().max() > 20 * 2.0**-23 * large.abs().max()
+    assert (both - large - small).abs().max() < 2 * 2.0**-23 * large.abs().max()
+
+
+def test_outlines_of_the_world_and_of_instances_are_looked_at_together():
+    """A camera moves before a black square and an instance of another: both move over the image."""
+    square, shown = rectangle((0.4, 0, 0), 0.25), {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}}
+    group = {"type": "shapegroup", "square": rectangle((-0.4, 0, 0), 0.25)}
+    weight = torch.linspace(0.0, 1.0, SIZE, dtype=torch.float64).expand(SIZE, SIZE)
+    found = {}
+    for name, things in {"square": {"square": square}, "shown": {"group": group, "shown": shown},
+                         "both": {"square": square, "group": group, "shown": shown}}.items():
+        scene = load(camera=parallel(), sky=DARK, **things)
+        found[name] = derivative(scene, "camera.to_world", along(0), weight, spp=1024)
+    assert_close(found["both"], found["square"] + found["shown"], 0.03)
+
+
+def test_the_edges_of_a_scene_are_searched_for_once_by_all_that_render_it(monkeypatch):
+    scene, searched = solid(), []
+
+    def counting(*arguments):
+        searched.append(arguments)
+        return edges_of(*arguments)
+
+    monkeypatch.setattr(outline, "edges_of", counting)
+    tangent = torch.zeros(4, 4, dtype=torch.float64)
+    tangent[0, 3] = 1.0
+    for terms in (("interior", "primary"), rb.Renderer(scene).terms):  # the cube moves; shadows are of everything
+        searched.clear()
+        derivatives = [rb.jvp(scene, {"cube.to_world": tangent}, spp=4, max_depth=2, terms=terms) for _ in range(2)]
+        assert len(searched) <= 1 and torch.equal(*derivatives)
+
+
+def test_the_memory_plan_counts_jumps():
+    uv, faces = grid(400, 400)
+    sheet = {"type": "mesh", "vertex_positions": uv @ torch.eye(2, 3, dtype=uv.dtype), "faces": faces}
+    scene = load(camera=sensor(8), sky=DARK, sheet=sheet)
+    renderers = [rb.Renderer(scene, spp=1, max_depth=1, terms=terms) for terms in (["interior"], ["interior", "primary"])]
+    before = [renderer.memory_plan().peak for renderer in renderers]
+    assert before[0] == before[1]  # nothing moves
+    scene.get_parameter("camera.to_world").requires_grad_()
+    interior, both = (renderer.memory_plan().peak for renderer in renderers)
+    assert both > interior
+
+
+def test_jumps_are_the_same_bits_however_many_paths_are_traced_together(monkeypatch):
+    found = []
+    for chunk in (None, 1024):
+        scene = solid()
+        pose = scene.get_parameter("cube.to_world").requires_grad_()
+        monkeypatch.setattr(primary, "LEAST_BLOCK", primary.LEAST_BLOCK if chunk is None else chunk)
+        renderer = unwarned_renderer(scene, spp=256, max_depth=2, chunk=chunk, terms=["primary"])
+        image = renderer(seed=1)
+        found.append(torch.autograd.grad((image * cotangent(image.detach())).sum(), pose)[0])
+    assert torch.equal(*found)

@@ -1,6 +1,7 @@
 """Who is told that silhouettes are missing from a derivative: those who move some that the camera sees, once, by name."""
 
 import warnings
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -212,7 +213,7 @@ def test_vertices_in_one_place_are_one_and_a_cube_has_18_edges():
     edges = edges_of(cube.vertex_positions.detach(), cube.faces)
     size = weld_size(cube.vertex_positions.detach())
     assert len(torch.unique(welded(cells_of(cube.vertex_positions.detach(), size)))) == 8
-    assert len(edges.a) == 18 and (torch.bincount(edges.edge) == 2).all()
+    assert len(edges.a) == 18 and (edges.count == 2).all()
     noisy = cube.vertex_positions.detach() * (1 + 1e-7 * torch.randn(24, 3, generator=torch.Generator().manual_seed(0)))
     assert len(torch.unique(welded(cells_of(noisy, size)))) == 8
 
@@ -318,7 +319,7 @@ def soft_shadows(scene: rb.Scene, *names: str) -> list[str]:
     """The warnings about shadows, where edges in view are computed."""
     for name in names:
         scene.get_parameter(name).requires_grad_()
-    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="brute")
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="brute", terms=["interior", "primary"])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for seed in range(2):
@@ -332,6 +333,33 @@ def soft_shadows(scene: rb.Scene, *names: str) -> list[str]:
 def test_what_hides_a_part_of_the_sky_is_warned_of_once_by_name(name, sky):
     message, = soft_shadows(load(camera=sensor(4), sky=sky, floor=FLOOR, plate=PLATE), name)
     assert f"`{name}`" in message and "soft" in message
+
+
+@pytest.mark.parametrize("name", ["plate.to_world", "aside.to_world", "point.position", "camera.to_world"])
+def test_shadows_that_are_computed_are_not_warned_of(name):
+    """With attached sampling those of lights without extent are."""
+    for sampling, lights in (("hybrid", {"sky": SKY, "point": POINT}), ("attached", {"point": POINT})):
+        scene = load(camera=sensor(4), floor=FLOOR, plate=PLATE, aside=ASIDE, **lights)
+        scene.get_parameter(name).requires_grad_()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            rb.Renderer(scene, spp=1, max_depth=2, sampling=sampling)(seed=1)
+    scene = load(camera=sensor(4), floor=FLOOR, plate=PLATE, aside=ASIDE, sky=SKY, point=POINT)
+    scene.get_parameter(name).requires_grad_()
+    with pytest.warns(SilhouetteWarning, match="borders of shadows") if name != "point.position" else nullcontext():
+        rb.Renderer(scene, spp=1, max_depth=2, sampling="attached")(seed=1)
+
+
+def test_sharp_shadows_that_may_be_seen_in_a_mirror_are_warned_of():
+    """Soft ones are computed, and what paths of two bounces do not reach is not missed."""
+    mirror = {**ASIDE, "bsdf": {"type": "conductor"}}
+    for light, max_depth, warned in ((POINT, 3, True), (POINT, 2, False), (SKY, 3, False)):
+        scene = load(camera=sensor(4), floor=FLOOR, plate=PLATE, mirror=mirror, light=light)
+        scene.get_parameter("plate.to_world").requires_grad_()
+        with pytest.warns(SilhouetteWarning, match="`light`, a light without.*`mirror.bsdf`") if warned else (
+                warnings.catch_warnings()):
+            warnings.simplefilter("always" if warned else "error")
+            rb.Renderer(scene, spp=1, max_depth=max_depth)(seed=1)
 
 
 def test_what_is_hidden_of_a_sky_that_turns_stays_what_it_was():

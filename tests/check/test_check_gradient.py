@@ -122,11 +122,11 @@ def test_a_derivative_without_what_moves_is_biased_probably_by_silhouettes(name,
     monkeypatch.setattr(check_module.Measurement, "backward", lambda self, number, cotangents: [0.0] * len(cotangents))
     scene = cornell(size=8)
     before = scene.get_parameter(name).clone()
-    result = rb.check_gradient(scene, name, spp=32, max_depth=2, step=step, batches=8)
+    result = rb.check_gradient(scene, name, spp=32, max_depth=2, step=step, batches=8, terms=["interior", "primary"])
     assert result.verdict == "biased, probably by silhouettes", str(result)
     assert result.comparison.difference.abs().max() > 0
-    assert f"The renderer leaves out a part: derivatives with respect to `{name}` lack the contribution of the borders of " \
-           "shadows" in result.explanation
+    assert f"The renderer leaves out a part: terms=('interior', 'primary') leaves out 'shadow'; derivatives with respect " \
+           f"to `{name}` lack the contribution of the borders of shadows" in result.explanation
     assert torch.equal(scene.get_parameter(name), before)
 
 
@@ -158,7 +158,8 @@ def test_of_an_error_that_nothing_explains_silhouettes_are_not_said(monkeypatch)
 def test_terms_that_are_left_out_are_named():
     result = rb.check_gradient(lamp(0.45), "lamp.to_world", spp=128, max_depth=1, batches=8, terms=["interior"])
     assert result.verdict == "biased, probably by silhouettes", str(result)
-    assert "The renderer leaves out a part: terms=('interior',) leaves out 'primary'; derivatives with" in result.explanation
+    assert "The renderer leaves out a part: terms=('interior',) leaves out 'primary'; " \
+           "terms=('interior',) leaves out 'shadow'; derivatives with" in result.explanation
 
 
 @pytest.mark.parametrize("value, step, sides", [(0.0, None, "to one side"), (0.1, 0.3, "to one side"),

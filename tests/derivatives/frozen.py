@@ -143,7 +143,7 @@ class Rendering:
 
     def forget(self) -> None:
         """Every rendering packs all anew, so that it detaches the same in the same order as the first one."""
-        self.renderer.kept = PackCache()
+        self.renderer.cache = PackCache()
 
     def parameters(self, values: list[Tensor]) -> dict[str, Tensor]:
         return {f"scene.{name}": value for name, value in zip(self.names, values)}

@@ -13,6 +13,20 @@ from torch_radbp.check.gradient import BOTH_SIDES, Measurement, informative_cota
 from torch_radbp.check.outcome import GradientCheck, Question, judge
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 
+# A bias of the stated size is this many standard errors, so that 4 of them are exceeded whatever 2 of noise do.
+CERTAIN = 6
+
+
+class Row(NamedTuple):
+    """How well the derivative of a scene is examined."""
+
+    name: str
+    bias: float  # relative, that must be noticed
+    spp: int  # of a batch
+
+    def __str__(self) -> str:
+        return f"{self.name}, {self.bias:.0%}"
+
 
 class Effort(NamedTuple):
     """How much is rendered in a round, for each of the estimates."""

@@ -94,11 +94,11 @@ class Noise(NamedTuple):
 
 
 def noise(derivative: NoisyDerivative, sampling: str, seeds: int, spp: int, max_depth: int = 8) -> Noise:
-    """How noisy a derivative is. Two seeds tell, where there are many pixels."""
+    """How noisy a derivative is, without shadows, which not all samplings have. Two seeds tell, if there are many pixels."""
     scene = derivative.build()
     tangent = derivative.tangent(scene.get_parameter(derivative.name).detach())
     images = torch.stack([rb.jvp(scene, {derivative.name: tangent}, spp=spp, seed=seed, max_depth=max_depth, rr_depth=99,
-                                 sampling=sampling) for seed in range(seeds)]).double()
+                                 sampling=sampling, terms=("interior", "primary")) for seed in range(seeds)]).double()
     variance = images.var(0)
     size = (images.mean(0).square() - variance / seeds).mean().clamp_min(0.0)
     return Noise(float(variance.mean().sqrt()), float(size.sqrt()))

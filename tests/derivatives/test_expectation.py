@@ -1,14 +1,12 @@
 """Where no silhouette moves, the derivative is that of finite differences with independent samples, in expectation."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 import torch
 
 import torch_radbp as rb
 from tests.deep import deep_but
-from tests.derivatives.in_expectation import Effort, Estimate
+from tests.derivatives.in_expectation import CERTAIN, Effort, Estimate, Row
 from tests.derivatives.moving_scenes import FLOOR, SCENES, TURN, rigid, scene
 from tests.scenes import sensor
 from torch_radbp.check.outcome import uncertainty
@@ -37,21 +35,6 @@ COARSE = {"normals under an envmap": 256, "envmap turned": 256, "wall behind the
 # Of the same code as those, for 5%.
 OUTLINES = {"outline of a cube": 512, "outline of a mesh": 512, "outline of a ball": 1024, "outline of an instance": 1024,
             "outline, thinlens": 1536, "outline, fisheye": 512}
-
-# A bias of the stated size is this many standard errors, so that 4 of them are exceeded whatever 2 of noise do.
-CERTAIN = 6
-
-
-class Row(NamedTuple):
-    """How well the derivative of a scene is examined."""
-
-    name: str
-    bias: float  # relative, that must be noticed
-    spp: int  # of a batch
-
-    def __str__(self) -> str:
-        return f"{self.name}, {self.bias:.0%}"
-
 
 # Some of each kind, the least noisy ones; the others are deep.
 QUICK = ("plane shifted", "vertices with their normals", "instance turned", "vertices of an instance", "texture turned",

@@ -157,22 +157,26 @@ class CheckedLoop:
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
         """Runs all lanes."""
         piece = interpreter().Memory
-        read = [piece(address, alignment(value.dtype) * entries(value, lanes, length), True, False, repr(value))
-                for value, address, length in zip(self.program.inputs, inputs, lengths)]
+        sizes = [alignment(value.dtype) * entries(self.program, value, lanes, length)
+                 for value, length in zip(self.program.inputs, lengths)]
+        read = [piece(address, size, True, False, repr(value))
+                for value, address, size in zip(self.program.inputs, inputs, sizes)]
         written = [piece(address, alignment(value.dtype) * lanes, False, True, f"output {value!r}")
                    for value, address in zip(self.program.outputs, outputs)]
         with ALLOWED.only([*read, *written]):
             self.loop.run(lanes, inputs, lengths, outputs)
 
 
-def entries(value: Value, lanes: int, length: int) -> int:
-    """How many entries an input has; `length`: of a table."""
-    return {LANES: lanes, NUMBER: 1, TABLE: length}[value.kind]
+def entries(program: Program, value: Value, lanes: int, length: int) -> int:
+    """How many entries an input spans; `length`: of a table, which may be a column of rows."""
+    column = program.column(value)
+    return {LANES: lanes, NUMBER: 1, TABLE: length if column is None else (length - 1) * column.width + 1}[value.kind]
 
 
 def piece_of(tensor: Tensor, readable: bool, writable: bool) -> Any:
-    """The memory of a tensor."""
-    return interpreter().Memory(tensor.data_ptr(), tensor.nbytes, readable, writable, str(tensor.shape))
+    """The memory of a tensor, from its first entry to its last; of a column of rows with what lies between."""
+    entries = 1 + sum((size - 1) * stride for size, stride in zip(tensor.shape, tensor.stride())) if tensor.numel() else 0
+    return interpreter().Memory(tensor.data_ptr(), entries * tensor.itemsize, readable, writable, str(tensor.shape))
 
 
 class CheckedGpu(Gpu):

@@ -18,7 +18,7 @@ def addition(lanes: int, entries: int, tables: int, copies: int, dtype: torch.dt
     index = torch.randint(entries, (lanes,), generator=generator, dtype=torch.int32)
     numbers = [torch.randn(lanes, generator=generator, dtype=dtype) for _ in range(tables)]
     totals = [torch.zeros(entries, copies, dtype=torch.float64) for _ in range(tables)]
-    return Addition(index, numbers, Sums(totals, torch.zeros(-(-entries // 512), dtype=torch.bool)))
+    return Addition(index, numbers, Sums(totals, torch.zeros(-(-entries // 16), dtype=torch.bool)))
 
 
 @pytest.mark.parametrize("lanes", LANES)
@@ -32,8 +32,16 @@ def test_totals_are_those_of_float64(lanes, dtype):
         for numbers, totals in zip(case.numbers, case.sums.totals):
             expected = torch.zeros(len(totals), dtype=torch.float64).index_add_(0, case.index, times * numbers.double())
             torch.testing.assert_close(totals.sum(1), expected, rtol=1e-13, atol=1e-13)  # of another order of the sum
-        pages = torch.zeros_like(case.sums.touched).index_fill_(0, case.index.long() // 512, True)
+        pages = torch.zeros_like(case.sums.touched).index_fill_(0, case.index.long() // 16, True)
         assert torch.equal(case.sums.touched, pages)
+
+
+@pytest.mark.parametrize("entries, copies", [(4, 4), (1000, 1)])
+def test_totals_may_be_columns_of_rows(entries, copies):
+    case = addition(5000, entries, 3, copies, torch.float32)
+    rows = torch.zeros(entries, 3 * copies, dtype=torch.float64)
+    scatter_add([case._replace(sums=Sums(rows.split(copies, 1), case.sums.touched.clone())), case])
+    assert torch.equal(rows, torch.cat(case.sums.totals, 1)) and rows.abs().max() > 0
 
 
 def test_without_copies_lanes_are_added_in_their_order():
@@ -68,7 +76,8 @@ def test_sums_that_do_not_fit_are_errors():
     right, touched = torch.zeros(5, 1, dtype=torch.float64), torch.zeros(1, dtype=torch.bool)
     for totals, pages in (([torch.zeros(5, 3, dtype=torch.float64)], touched), ([torch.zeros(5, 1)], touched),
                           ([right] * 4, touched), ([right, right[:4]], touched), ([right], touched[:0]),
-                          ([torch.zeros(5, 2, dtype=torch.float64)[:, :1]], touched), ([right.to("meta")], touched)):
+                          ([torch.zeros(5, 2, dtype=torch.float64)[:, :1], right], touched), ([right.to("meta")], touched),
+                          ([torch.zeros(2, 5, dtype=torch.float64).T], touched)):
         with pytest.raises(ValueError, match="up to 3 totals .K, C. of float64, C a power of 2"):
             Sums(totals, pages)
 

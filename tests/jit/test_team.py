@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from torch_radbp.jit import team, torch_internals
-from torch_radbp.jit.team import HERE, alone_in_torch, threads, together, until_none_is_left
+from torch_radbp.jit.team import HERE, alone_in_torch, each, threads, together, until_none_is_left
 from torch_radbp.jit.torch_internals import setters_of_threads
 
 NUMBER = 3
@@ -147,6 +147,36 @@ def test_every_item_is_taken_once():
     items, taken = deque(range(10_000)), []
     together(lambda task: taken.extend(until_none_is_left(items)), NUMBER)
     assert sorted(taken) == list(range(10_000))
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_results_come_in_the_order_of_the_items_however_long_each_takes(recorded):
+    both = threading.Barrier(2)
+
+    def work(number: int) -> tuple[int, bool, str]:
+        if number < 2:
+            both.wait(timeout=60)  # one thread alone would wait for ever
+        time.sleep(0.01 * (5 - number))
+        return number, torch.is_grad_enabled(), threading.current_thread().name
+
+    with torch.set_grad_enabled(recorded):
+        found = each(work, range(5), 2)
+    assert [number for number, *_ in found] == list(range(5)) and all(grad == recorded for _, grad, _ in found)
+    assert len({name for *_, name in found}) == 2
+    assert each(work, [], 2) == []
+
+
+def test_nothing_is_begun_after_an_item_has_failed():
+    begun = []
+
+    def work(number: int) -> None:
+        begun.append(number)
+        if number == 1:
+            raise ValueError("the second")
+
+    with pytest.raises(ValueError, match="the second"):
+        each(work, range(5), 1)
+    assert begun == [0, 1]
 
 
 def test_the_caller_waits_for_those_that_take_part():

@@ -6,6 +6,7 @@ import sys
 import pytest
 import torch
 
+from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE
 from torch_radbp.jit.machine import host_width
@@ -84,3 +85,14 @@ def test_blocks_of_lanes_ask_for_memory_ahead(width):
     """Of two arrays and two results, and of a table at every eighth index; single lanes do not."""
     hints = Cpu(width).text(PROGRAM).count("call void @llvm.prefetch")
     assert hints == (0 if width == 1 else 2 + 2 + max(1, width // 8))
+
+
+@pytest.mark.parametrize("least", [None, 0])
+def test_blocks_of_lanes_ask_for_the_rows_of_all_their_lanes(least):
+    """Of columns of the same rows, both ends; also at an index of which what is negative becomes 0."""
+    def read(columns, index):
+        index = index if least is None else index.clamp_min(least)
+        return [columns[k][index] for k in (0, 1, 3)]
+
+    program = LaneFunction(read, ("columns",)).program(torch.rand(300, 4).unbind(1), torch.arange(40, dtype=torch.int32))
+    assert Cpu(16).text(program).count("call void @llvm.prefetch") == 1 + 3 + 2 * 16

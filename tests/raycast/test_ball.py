@@ -7,10 +7,9 @@ import torch_radbp as rb
 from tests.raycast.meshes import take
 from tests.raycast.test_hits import COMPILED, DTYPES, crossing
 from torch_radbp.jit.team import run_lanes
-from torch_radbp.raycast import FEW_BALLS, Hit, Ray, make_caster, queries
-from torch_radbp.raycast.ball import other_triangles, tables
+from torch_radbp.raycast import FEW_BALLS, Hit, Ray, batches, make_caster
 from torch_radbp.raycast.brute import Brute
-from torch_radbp.raycast.direct import Direct, addresses, machine_code, mesh_in_units
+from torch_radbp.raycast.direct import Direct, addresses, machine_code
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.raycast.refined import refined
 from torch_radbp.scene.interaction import clearance
@@ -107,9 +106,8 @@ def test_the_width_of_vectors_changes_nothing(width, dtype):
     vertices, faces, balls = mesh_of(THINGS["several"] + [FLOOR], dtype)
     ray, caster = take(rays_near(vertices), slice(0, 5003)), Direct(vertices, faces, balls)
     hit = [torch.empty(5003, dtype=torch.int32), *(torch.empty(5003, dtype=dtype) for _ in range(3))]
-    others, numbers = other_triangles(faces, balls)
-    read = [*ray.o, *ray.d, *mesh_in_units(vertices, others, dtype), *tables(balls, dtype), numbers]
-    run_lanes(machine_code(queries.closest_hit, dtype, True, width).address, 5003, addresses(read), addresses(hit))
+    read = [*ray.o, *ray.d, *caster.tables(dtype)]
+    run_lanes(machine_code(batches.closest_hit, dtype, True, width).address, 5003, addresses(read), addresses(hit))
     found = Hit(*hit) if dtype == torch.float32 else refined(vertices, faces, ray, Hit(*hit))
     assert all(torch.equal(a, b) for a, b in zip(found[:4], caster.intersect(ray)))
 

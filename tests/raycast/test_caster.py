@@ -2,18 +2,20 @@
 
 import copy
 import gc
+import math
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
 
-from tests.raycast.meshes import mesh, random_rays, single_ray
+from tests.raycast.meshes import mesh, random_rays, single_ray, soup
 from tests.raycast.test_hits import CASTERS, WARP
-from torch_radbp.raycast import CORNER, FEW_TESTS, Ray, library, make_caster
+from torch_radbp.raycast import FEW_TESTS, Ray, library, make_caster
 from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
+from torch_radbp.raycast.runs import MOST_TRIANGLES
 from torch_radbp.vec import Vec3
 
 pytestmark = pytest.mark.usefixtures("threads")  # with one and with two
@@ -30,15 +32,27 @@ def test_casters_are_chosen_by_name():
     assert isinstance(make_caster("direct", TRIANGLE, FACE), Direct)
 
 
-@pytest.mark.parametrize("corners", [1, 50, 180])
-def test_small_meshes_are_tested_directly_and_others_have_a_tree(corners):
-    """What counts is triangles, and corners in different places for less."""
-    places = torch.rand(corners, 3, generator=torch.Generator().manual_seed(1))
-    most = int(FEW_TESTS - CORNER * corners)
-    few, more = (torch.arange(3 * count, dtype=torch.int32).reshape(count, 3) for count in (most, most + 1))
-    assert isinstance(make_caster(None, places, few % corners), Direct)
-    assert isinstance(make_caster(None, places, more % corners), Embree)
-    assert isinstance(make_caster(None, places.repeat(2, 1), few % corners), Direct)
+def test_meshes_that_batches_of_rays_find_quickly_have_no_tree():
+    """Compact things may be many; scattered triangles, large ones, are few; and a thousand are the most."""
+    def chosen(vertices, faces):
+        caster = make_caster(None, vertices, faces)
+        cost = Direct(vertices, faces).cost if len(faces) <= MOST_TRIANGLES else math.inf
+        assert isinstance(caster, Direct if cost <= FEW_TESTS else Embree)
+        return type(caster)
+
+    box, triangles = mesh("box")
+    generator = torch.Generator().manual_seed(1)
+
+    def boxes(count: int):
+        places = 20 * torch.rand(count, 1, 3, generator=generator)
+        numbers = len(box) * torch.arange(count)[:, None, None]
+        return (places + 0.5 * box).reshape(-1, 3), (triangles + numbers).reshape(-1, 3)
+
+    assert chosen(TRIANGLE, FACE) is Direct
+    assert chosen(*boxes(MOST_TRIANGLES // len(triangles))) is Direct
+    assert chosen(*boxes(MOST_TRIANGLES // len(triangles) + 1)) is Embree
+    assert chosen(*soup(100)) is Direct
+    assert chosen(*soup(1000)) is Embree
 
 
 def test_an_unknown_name_lists_the_known_ones():

@@ -6,8 +6,9 @@ import torch
 from tests.raycast.meshes import mesh, random_rays, soup
 from tests.raycast.test_hits import DTYPES, crossing
 from torch_radbp.jit.team import run_lanes
-from torch_radbp.raycast import Ray, make_caster, queries
-from torch_radbp.raycast.direct import Direct, addresses, machine_code, mesh_in_units
+from torch_radbp.raycast import Ray, batches, make_caster
+from torch_radbp.raycast.direct import Direct, addresses, machine_code
+from torch_radbp.raycast.runs import BOX, LOST, MOST, VISIT, area, runs_of
 from torch_radbp.vec import Vec3
 
 LANES = 5003
@@ -15,11 +16,11 @@ LANES = 5003
 
 def answers(width: int, dtype: torch.dtype, vertices, faces, ray: Ray, tmax) -> list[torch.Tensor]:
     """prim, u, v, t and whether hidden, by vectors of a width."""
-    tables = mesh_in_units(vertices, faces, dtype)
+    tables = Direct(vertices, faces).tables(dtype)
     hit = [torch.empty(LANES, dtype=torch.int32), *(torch.empty(LANES, dtype=dtype) for _ in range(3))]
     hidden = torch.empty(LANES, dtype=torch.bool)
     rays = [*ray.o, *ray.d]
-    for loop, columns, results in ((queries.closest_hit, rays, hit), (queries.any_hit, [*rays, tmax], [hidden])):
+    for loop, columns, results in ((batches.closest_hit, rays, hit), (batches.any_hit, [*rays, tmax], [hidden])):
         run_lanes(machine_code(loop, dtype, False, width).address, LANES, addresses([*columns, *tables]), addresses(results))
     return [*hit, hidden]
 
@@ -57,6 +58,44 @@ def test_no_ray_slips_through_an_edge_or_a_corner(name, dtype, separate):
     caster = Direct(vertices, faces)
     assert int((caster.intersect(ray).prim < 0).sum()) == 0
     assert bool(caster.occluded(ray, torch.full((200_000,), torch.inf, dtype=dtype)).all())
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("shift", [0.0, 300.0], ids=["around the origin", "far from it"])
+@pytest.mark.parametrize("distance", [0.0, 3.0, 1000.0, 1e6])
+def test_how_triangles_are_divided_into_runs_changes_nothing(distance, shift, dtype):
+    """Rays at edges and corners, which a box that is a rounding too small would lose: each triangle by itself, as rays
+    cost least, and as many together as may be."""
+    vertices, faces = mesh("sphere in a box", dtype)
+    vertices = vertices + shift
+    ray = at_edges(vertices - shift, faces, 50_000, dtype)
+    o, d = ray.o.stack() + shift - distance * ray.d.stack(), ray.d.stack()
+    ray, tmax = Ray(Vec3.of(o), Vec3.of(d)), torch.full((50_000,), distance + 0.9, dtype=dtype)
+    caster = Direct(vertices, faces)
+    found = []
+    for runs in (caster._runs, torch.arange(len(faces)), torch.arange(0, len(faces), MOST)):
+        divided = Direct(vertices, faces)
+        divided._runs = runs
+        found.append([*divided.intersect(ray)[:4], divided.occluded(ray, tmax)])
+    assert 2 < len(caster._runs) < len(faces)
+    assert 0.1 < (found[0][0] >= 0).float().mean()
+    assert all(torch.equal(a, b) for others in found[1:] for a, b in zip(others, found[0]))
+
+
+def test_runs_are_the_cheapest_division():
+    """Against all divisions of ten triangles, one by one."""
+    p = soup(10, torch.float64)[0].reshape(10, 3, 3)
+
+    def cost(firsts: list[int]) -> float:
+        low, high = p.amin(1), p.amax(1)
+        scene = area(high.amax(0) - low.amin(0))
+        return sum(float(BOX + (area(high[a:b].amax(0) - low[a:b].amin(0)) / scene + LOST) * (VISIT + b - a))
+                   for a, b in zip(firsts, firsts[1:]))
+
+    divisions = [[0, *(place for place in range(1, 10) if bits >> place & 1), 10] for bits in range(0, 1 << 10, 2)]
+    firsts, least = runs_of(p)
+    assert least == pytest.approx(min(map(cost, divisions)), rel=1e-12) == cost(firsts)
+    assert 2 < len(firsts)
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -12,6 +12,7 @@ import torch_radbp as rb
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import cotangent
 from tests.texture.networks import lit_room, room
+from torch_radbp.differentiated import detached
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.integrand import Stages
@@ -31,7 +32,7 @@ def recording() -> tuple[Stages, Calls]:
         def call(*arguments):
             key: list = []
             flatten(arguments, [], key)
-            found[name].setdefault(tuple(key), arguments)
+            found[name].setdefault(tuple(key), detached(arguments))  # some calls are recorded by autograd
             return stage(*arguments)
         return call
 
@@ -56,5 +57,8 @@ def calls_of(name: str, sampling: str, dtype: torch.dtype = torch.float64) -> Ca
         image = renderer()
         image.backward(cotangent(image.detach()))
         with torch.no_grad():
+            tangents = {name: torch.zeros_like(value) for name, value in scene.named_parameters()}
+            tangents[next(name for name in tangents if name.endswith("to_world"))][0, 3] = 1.0
+            assert rb.jvp(scene, tangents, spp=2, max_depth=4, rr_depth=2, sampling=sampling, compile=False).any()
             assert all(values.isfinite().all() for values in renderer.aovs(["sh_normal", "uv", "albedo"]).values())
     return found

@@ -65,6 +65,25 @@ def test_compiled_gradients_of_what_moves_are_the_eager_ones():
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
 @pytest.mark.parametrize("sampling", ["hybrid", deep("attached")])
 @pytest.mark.parametrize("name", deep_but(["textures"], EVERYTHING))
+def test_forward_mode_of_every_plugin_and_parameter_compiles_to_what_it_is_eagerly(name, sampling):
+    settings, found = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling}, []
+    for compile in (False, True):
+        scene = build_everything(name)
+        generator = torch.Generator().manual_seed(5)
+        tangents = {parameter: torch.randn(value.shape, generator=generator, dtype=value.dtype) * 1e-2
+                    for parameter, value in scene.named_parameters()}
+        for parameter, tangent in tangents.items():
+            if parameter.endswith("to_world"):
+                tangent[3] = 0.0
+        found.append(rb.jvp(scene, tangents, seed=3, compile=compile, **settings))
+    expected, derivative = found
+    assert torch.isfinite(expected).all() and expected.abs().max() > 0
+    assert relative_error(derivative, expected) < 1e-9
+
+
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
+@pytest.mark.parametrize("sampling", ["hybrid", deep("attached")])
+@pytest.mark.parametrize("name", deep_but(["textures"], EVERYTHING))
 def test_every_plugin_and_parameter_compiles_to_what_it_is_eagerly(name, sampling):
     settings, results = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling}, []
     for compile in (False, True):

@@ -64,7 +64,8 @@ def trace_on_cuda(stage, arguments: tuple) -> set[torch.device]:
 
 
 OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "chance_of_light"}, {"side_met"}
-NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_SIDES},
+OF_JUMPS, OF_SHADOWS = {"slopes", "swept", "asked_of_places"}, {"edge_passed", "direct_light", "scattered"}
+NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS},
           "networks": {"ending", "shines", *OF_MANY_LAMPS, *OF_TWO_SIDES},
           "shining networks": {"shines", *OF_MANY_LAMPS, *OF_TWO_SIDES}}  # stages that a scene does without
 
@@ -73,7 +74,7 @@ NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_S
 @pytest.mark.parametrize("name", deep_but(["textures", "networks"], SCENES))
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
-    without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES})
+    without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
     assert {stage for stage, cases in calls.items() if not cases} <= without
     scatterers = {arguments[0].layout.scatterer for arguments in calls["bounce"].values()}
     assert scatterers == set(rb.scene.pack.pack(scene).layout.appearances)
@@ -104,14 +105,18 @@ REST = [pytest.param(name, sampling, marks=pytest.mark.deep, id=f"{name}-{sampli
 
 @pytest.mark.parametrize("name, sampling", [SOME, *REST])
 def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, monkeypatch):
-    """The same kernels as for these arguments on the processor, by a GPU's target."""
+    """The same kernels as for these arguments on the processor, by a GPU's target; and some where tables lie in rows."""
     stages = fused()
     for stage, cases in calls_of(name, sampling).items():
         for arguments in cases.values():
-            texts, here = kernels_on_cuda(getattr(stages, stage), arguments, monkeypatch), Listing()
-            getattr(fused(Gpu(here)), stage).fused.prepared(arguments)
+            apart = with_leaves(arguments, [leaf.contiguous() if isinstance(leaf, Tensor) else leaf
+                                            for leaf in leaves_of(arguments)])  # as tensors without contents lie
+            texts, here, in_rows = kernels_on_cuda(getattr(stages, stage), apart, monkeypatch), Listing(), Listing()
+            getattr(fused(Gpu(here)), stage).fused.prepared(apart)
+            getattr(fused(Gpu(in_rows)), stage).fused.prepared(arguments)
             assert texts == here.texts and (texts or stage == "material_value")  # some colours are arguments as they are
-            assert all(".visible .entry lanes(" in ptx(text, "sm_90") and "store" in text for text in texts)
+            assert all(".visible .entry lanes(" in ptx(text, "sm_90") and "store" in text
+                       for text in {*texts, *in_rows.texts})
 
 
 CONSTANT = torch.tensor(0.5)

@@ -72,9 +72,9 @@ class OnCuda:
     ({}, True), ({"compile": False}, False), ({"adjoint": rb.TapeAdjoint()}, False)])
 def test_on_cuda_rendering_is_compiled_unless_the_caller_says_otherwise(settings, fused):
     renderer = rb.Renderer(cornell(torch.float32, 8), **settings)
-    assert renderer.runs_compiled([]) == fused
+    assert renderer.runs_compiled() == fused
     del renderer.scene
     renderer.__dict__["scene"] = OnCuda(cornell(torch.float32, 8))
-    assert renderer.runs_compiled([]) == fused
+    assert renderer.runs_compiled() == fused
     renderer.scene.device = torch.device("mps")
-    assert not renderer.runs_compiled([])
+    assert not renderer.runs_compiled()

@@ -42,7 +42,7 @@ SCENES = {  # with the exchanges of a bounce
     "two materials": (lambda: box({"type": "roughconductor"}), 2),
     "other backs": (lambda: box({"type": "twosided", "front": {"type": "diffuse"}, "back": {"type": "roughconductor"}}), 3),
     "many lights": (lambda: box({"type": "roughconductor"}, lamps=8), 3),
-    "networks": (room, 9),
+    "networks": (room, 7),
 }
 
 

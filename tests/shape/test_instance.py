@@ -181,7 +181,7 @@ def test_what_has_not_changed_is_neither_packed_nor_built_again():
     renderer = rb.Renderer(scene, caster="embree", **settings(spp=1))
     with torch.no_grad():
         renderer(seed=0)
-        before, kept = renderer.last_caster, renderer.kept
+        before, kept = renderer.last_caster, renderer.cache
         tables = pack(scene, PackCache(kept)).triangles
         again = pack(scene, PackCache(kept)).triangles
         assert again.vertices is tables.vertices and again.instances is tables.instances
@@ -189,7 +189,7 @@ def test_what_has_not_changed_is_neither_packed_nor_built_again():
         assert renderer.last_caster is before
         scene.instance_1.to_world[0, 3] += 0.5
         renderer(seed=0)
-    after, moved = renderer.last_caster, pack(scene, PackCache(renderer.kept)).triangles
+    after, moved = renderer.last_caster, pack(scene, PackCache(renderer.cache)).triangles
     assert after is not before and after.groups[0].tree is before.groups[0].tree
     assert moved.vertices is tables.vertices and moved.n is tables.n
     shift = moved.instances.origin.x - tables.instances.origin.x

@@ -1,5 +1,8 @@
 """`radbp`: help that teaches, images that are right, one clear message and exit code 2 when something is wrong."""
 
+import subprocess
+import sys
+
 import OpenEXR
 import pytest
 import torch
@@ -30,6 +33,14 @@ def test_help_teaches_with_examples(command, expected, radbp):
     assert "Examples:" in stdout
     for fragment in expected:
         assert fragment in stdout
+
+
+@pytest.mark.parametrize("arguments", [("render", "scene.xml", "-o", "image.png", "--spp", "1"), ("info", "scene.xml")])
+def test_commands_work_in_a_process_of_their_own(arguments, folder):
+    """Where no other module has been imported before."""
+    done = subprocess.run([sys.executable, "-m", "torch_radbp.training.cli", *arguments], cwd=folder, capture_output=True,
+                          text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_render_writes_linear_exr(radbp, folder):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.differentiated import detached
 from torch_radbp.path.bounce import places_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
-from torch_radbp.path.texture_networks import given_values
+from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.wavefront import add_at, first_hit, surviving, take_step, trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, rows_between
@@ -33,6 +33,8 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
         alive, last = surviving(step), integrand.is_last(depth)
         hit = None if last else fixed.caster.intersect(rows(vertex.next.ray, alive))
         following = spread(hit, alive, vertex.shadow_distance)
+        if visit is not None:
+            visit(depth, state, step)
         arrival, verdict = rows(step.arrival(state), step.order), Verdict(step.visible, step.survives)
         ahead = []
         for queue in step.queues:
@@ -43,9 +45,10 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
             part = integrand.part(queue.event)
             settings = integrand.settings_at(depth)
             at = integrand.at(depth)
-            given = given_values(integrand.scene, integrand.scatterer(queue.event),
-                                 places_of(part.scene, part.proposal, here, at, settings))
-            local = local_map(part.scene, part.proposal, here, decided, there, at, settings, given)
+            texture_values = texture_values_at(integrand.scene, integrand.scatterer(queue.event),
+                                               places_of(part.scene, part.proposal, here, at, settings))
+            local = integrand.stages.local_map(part.scene, part.proposal, here, decided, there, at, settings, texture_values,
+                                               None, None)
             add_at(L, then.lane, then.beta * local.E)
             ahead.append(then if local.ray is None else
                          PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane,

@@ -23,7 +23,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import Given
+from torch_radbp.texture.reader import TextureValue
 from torch_radbp.vec import Ray, Vec3, rows
 
 
@@ -67,7 +67,7 @@ class TableAdjoint(NamedTuple):
 
 
 def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, verdict: Verdict | None,
-                   adj_L: Vec3, memo: Memo, at: Position, settings: Settings, given: tuple[Given, ...]
+                   adj_L: Vec3, memo: Memo, at: Position, settings: Settings, texture_values: tuple[TextureValue, ...]
                    ) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
     """The local vector-Jacobian product of one bounce.
 
@@ -78,11 +78,11 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
         verdict: what was decided for these lanes; None where nothing is scattered.
         adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
         memo: of all lanes of the chunk.
-        at, settings, given: as in the forward pass.
+        at, settings, texture_values: as in the forward pass.
 
     Returns:
         The memo for the bounce above, of these lanes, for each wanted leaf what its reads add to its gradient, and the
-        adjoints of the values that were given.
+        adjoints of `texture_values`.
     """
     arrival = rows(arrival, lanes)
     state, hit = arrival.state, arrival.hit
@@ -100,11 +100,11 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
         if scene.layout.scatterer is not None:
             there = read_again(attached.triangles.vertices.p, corner_rows(scene, memo.hit), memo.adj_corners)
         inputs = (*inputs, *(coordinate for corner in here for coordinate in corner))
-    given = tuple(texture._replace(value=texture.value.map(as_leaf)) for texture in given)
-    values = [channel for texture in given for channel in texture.value]
+    texture_values = tuple(texture._replace(value=texture.value.map(as_leaf)) for texture in texture_values)
+    values = [channel for texture in texture_values for channel in texture.value]
     with torch.enable_grad():
         arrival = arrival._replace(state=state)
-        local = local_map(attached, scene, arrival, verdict, memo.hit, at, settings, given, here, there)
+        local = local_map(attached, scene, arrival, verdict, memo.hit, at, settings, texture_values, here, there)
         outputs, adjoints = [*local.E, *local.F], [*adj_L, *(adj_L * memo.L)]
         if local.ray is not None:
             outputs += [*local.ray.o, *local.ray.d, local.pdf, *(local.cone or ())]
@@ -113,7 +113,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
         adjoints = iter(vector_jacobian_product(outputs, [*inputs, *values, *reads], adjoints))
     above = Memo((local.E + local.F * memo.L).detach())
     found = [zeros_unless(next(adjoints), leaf) for leaf in inputs]
-    adj_given = tuple(Vec3(*(zeros_unless(next(adjoints), leaf) for leaf in texture.value)) for texture in given)
+    adj_values = tuple(Vec3(*(zeros_unless(next(adjoints), leaf) for leaf in texture.value)) for texture in texture_values)
     if settings.moving:
         above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], hit=hit)
         if state.cone is not None:
@@ -121,7 +121,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
     if memo.adj_corners is not None:
         of_corners = found[-9:]
         above = above._replace(adj_corners=tuple(Vec3(*of_corners[first:first + 3]) for first in (0, 3, 6)))
-    return above, [table_adjoints(tap, adjoints) for tap in taps], adj_given
+    return above, [table_adjoints(tap, adjoints) for tap in taps], adj_values
 
 
 def as_leaf(tensor: Tensor) -> Tensor:

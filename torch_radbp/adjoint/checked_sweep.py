@@ -24,13 +24,13 @@ class CheckedSweep(Sweep):
         """Differentiates one bounce, as `Sweep` does."""
 
         def checked(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, *arguments):
-            above, tables, adj_given = bounce_adjoint(scene, wanted, arrival, lanes, *arguments)
+            above, tables, adj_values = bounce_adjoint(scene, wanted, arrival, lanes, *arguments)
             bad = torch.zeros_like(lanes, dtype=torch.bool)
-            parts = [part for part in leaves_of((above, adj_given)) if isinstance(part, Tensor)]
+            parts = [part for part in leaves_of((above, adj_values)) if isinstance(part, Tensor)]
             for part in [*parts, *(read.adjoint for reads in tables for read in reads)]:
                 bad |= ~torch.isfinite(part)
             self.finding.look(depth, bad, arrival.hit.prim[lanes])
-            return above, tables, adj_given
+            return above, tables, adj_values
 
         self.integrand = self.integrand.with_stages(self.integrand.stages._replace(bounce_adjoint=checked))
         self.adjoints = {}

@@ -1,8 +1,8 @@
 """Forward mode: images with their tangents, by dual numbers through the loop over bounces.
 
 There is no second implementation: where leaves of `SceneTensors` are dual tensors (`torch.autograd.forward_ad`), torch
-carries the tangents through `path.trace` as it runs. No states are kept, so that the chunk bounds the memory, as in the
-forward pass.
+carries the tangents through `path.trace` as it runs, inside of fused loops (`jit/dual.py`), too. No states are kept, so that
+the chunk bounds the memory, as in the forward pass.
 
 `torch.func.jvp` makes dual tensors, too, but while it is active it wraps everything, down to the constants of a ray caster,
 in tensors without storage. `outside_transforms` unwraps the parameters first and wraps only the image again.
@@ -31,7 +31,7 @@ def has_tangents(record) -> bool:
 
 
 def render_tangents(call: RenderCall) -> Tensor:
-    """The dual images of a scene with dual leaves, (B, 3, H, W); computed eagerly, by all workers.
+    """The dual images of a scene with dual leaves, (B, 3, H, W), by all workers.
 
     Raises:
         RuntimeError: if a leaf also requires a gradient, which would be missing.
@@ -41,9 +41,7 @@ def render_tangents(call: RenderCall) -> Tensor:
         raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
     with torch.no_grad():
-        eager = call.stages.eager()
-        return render_images(call._replace(stages=eager), call.make_integrand(call.scene).with_stages(eager), record=False,
-                             tracer=trace_attached).pixels
+        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).pixels
 
 
 def inside_transforms() -> bool:

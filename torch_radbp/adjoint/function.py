@@ -13,7 +13,7 @@ from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.record import record_chunk
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
-from torch_radbp.adjoint.sweep import Sweep
+from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.jit.torch_internals import batched
 from torch_radbp.public_call import public_call
@@ -59,8 +59,8 @@ class RenderFunction(torch.autograd.Function):
         ctx.camera_leaves = [asks_for_gradient(view.camera) for view in call.views]
         ctx.scene_leaves = asks_for_gradient(call.scene)
         scene, views = detached(call.scene), [detached(view) for view in call.views]
-        integrand = call.make_integrand(scene)
-        ctx.call = call = call._replace(scene=scene, views=views, caster=None, make_integrand=None)
+        integrand = call.integrand
+        ctx.call = call = call._replace(scene=scene, views=views, caster=None, make_integrand=None, integrand=None)
         wanted = any(ctx.needs_input_grad)
         images, filters, records = render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
         ctx.filters = filters if call.shares_samples else None
@@ -78,13 +78,15 @@ class RenderFunction(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     @public_call
     def backward(ctx, grad_images: Tensor):
-        call, integrand = ctx.call, ctx.integrand
+        call, integrand, grad_images = ctx.call, ctx.integrand, grad_images[:, :3]  # quantities have no derivative here
         check_shapes(call.parameters, ctx.shapes)
-        saved = iter(ctx.saved_tensors[len(ctx.needs_input_grad) - 1:])
+        tensors = saved_tensors(ctx)
+        saved = iter(tensors[len(ctx.needs_input_grad) - 1:])
         records = with_leaves(ctx.records, (next(saved) if item is SAVED else item for item in leaves_of(ctx.records)))
         asked = iter(ctx.needs_input_grad[1:])
         wanted = tuple(attached and next(asked) for attached in ctx.scene_leaves)
         wanted_of_cameras = [tuple(attached and next(asked) for attached in leaves) for leaves in ctx.camera_leaves]
+        numbered = numbered_leaves(call.scene, wanted)
         leaves = [leaf for leaf, want in zip(leaves_of(call.scene), wanted) if want]
         cameras = [leaf for view, wants in zip(call.views, wanted_of_cameras)
                    for leaf, want in zip(leaves_of(view.camera), wants) if want]
@@ -98,7 +100,7 @@ class RenderFunction(torch.autograd.Function):
             if record is None:
                 record = record_chunk(call, integrand, chunk, key)
             adj_L = weighted(lane_adjoint(call, chunk, record.place, pixels[chunk.sensor]), record.weight)
-            sweep = make_sweep(integrand_of(call, integrand, chunk), record, adj_L, wanted, gradients)
+            sweep = make_sweep(integrand_of(call, integrand, chunk), record, adj_L, numbered, gradients)
             call.adjoint.backward(sweep)
             return sweep
 
@@ -108,7 +110,7 @@ class RenderFunction(torch.autograd.Function):
                     swept(index, Gradients(leaves), partial(CheckedSweep, finding))
 
         def differentiate_share(share: Iterable[int]) -> Gradients:
-            gradients = Gradients((*leaves, *cameras))
+            gradients = Gradients((*leaves, *cameras), call.memory)
             for index in share:
                 chunk = call.chunks[index]
                 key = call.views[chunk.sensor].sample_keys[1]
@@ -119,16 +121,29 @@ class RenderFunction(torch.autograd.Function):
                         gradients.add_whole(first[chunk.sensor] + k, adjoint)
             return gradients
 
-        results = gradients_of(in_turns(len(call.chunks), call.workers, differentiate_share))
-        if not finite(results):
+        shares = in_turns(len(call.chunks), call.workers, differentiate_share)
+        results, are_finite = gradients_of(shares)
+        call.memory.give_back(rows for share in shares for rows in share.rows)
+        if not are_finite:
             if not finite([grad_images]):
                 raise NonFiniteError(f"the derivative of the loss with respect to the image is NaN or infinite in "
                                      f"{count_of_bad(grad_images)}: it is the loss that is not finite, not the rendering")
-            sources = ctx.saved_tensors[:len(ctx.needs_input_grad) - 1]
+            sources = tensors[:len(ctx.needs_input_grad) - 1]
             bad = [(source, result) for source, result in zip(wanted_of(ctx, sources), results) if not finite([result])]
             raise gradient_error(bad, integrand, call.module, call.parameters, sweep_again)
         results = iter(results)
         return None, *(next(results) if need else None for need in ctx.needs_input_grad[1:])
+
+
+def saved_tensors(ctx) -> tuple[Tensor, ...]:
+    """What autograd has kept; raises RuntimeError in our words if a parameter has been changed in place since."""
+    try:
+        return ctx.saved_tensors
+    except RuntimeError as error:
+        if "inplace" not in str(error):
+            raise
+        raise RuntimeError("a parameter has been changed in place between a rendering and its backward pass, which reads it "
+                           "again: call backward() first, then change it and render again") from error
 
 
 def check_shapes(parameters: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> None:
@@ -167,5 +182,5 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple
 
 
 def render_with_derivative(call: RenderCall) -> Tensor:
-    """The images; attached to the leaves of scene and cameras through `RenderFunction`."""
+    """The images, with the quantities of the call; attached to the leaves of scene and cameras through `RenderFunction`."""
     return RenderFunction.apply(call, *differentiable(call.scene), *differentiable([view.camera for view in call.views]))

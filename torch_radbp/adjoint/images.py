@@ -18,7 +18,7 @@ from torch_radbp.rendering.call.render_call import RenderCall
 
 
 def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> Images:
-    """Linear RGB, and the records of those chunks of which one is wanted and kept; None of the others."""
+    """Linear RGB and the quantities of the call, and records of those chunks of which one is wanted and kept; else None."""
     allowance = Allowance(call.record_bytes if record else 0)
 
     def trace_one(chunk: Chunk) -> tuple[Tensor, PathRecord | None]:
@@ -29,7 +29,7 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: 
         return sums, path_record if keeping and allowance.covers(path_record) else None
 
     images = developed(call, trace_one)
-    check_images(call, integrand, images.pixels.detach())
+    check_images(call, integrand, images.pixels[:, :3].detach())
     return images
 
 
@@ -50,7 +50,7 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
 
 
 def render_detached(call: RenderCall) -> Tensor:
-    """The images without derivatives."""
+    """The images without derivatives, with the quantities of the call."""
     call = call.still()
     with torch.no_grad():
-        return render_images(call, call.make_integrand(call.scene), record=False).pixels
+        return render_images(call, call.integrand, record=False).pixels

@@ -14,7 +14,7 @@ from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.interaction import Corners
 from torch_radbp.scene.outgoing_ray import attached_outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import Given
+from torch_radbp.texture.reader import TextureValue
 from torch_radbp.vec import Ray, Vec3, masked
 
 
@@ -37,18 +37,18 @@ class Verdict(NamedTuple):
 
 
 def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, verdict: Verdict | None, following: Hit | None,
-              at: Position, settings: Settings, given: tuple[Given, ...], here: Corners | None = None,
+              at: Position, settings: Settings, texture_values: tuple[TextureValue, ...], here: Corners | None = None,
               there: Corners | None = None) -> LocalMap:
     """From parameters, and from the ray if it is moving, to E_k and F_k, and to the next ray.
 
     Args:
-        scene, proposal, at, settings, given: as for `bounce`.
+        scene, proposal, at, settings, texture_values: as for `bounce`.
         arrival: the lanes, as they are.
         verdict: what was decided; None where nothing is scattered.
         following: what the next ray meets, triangle -1 where it meets nothing or there is none.
         here, there: the corners of the triangles that the ray meets and that the next ray does; None: as the scene has them.
     """
-    local = scattering(scene, proposal, arrival, at, settings, given, here)
+    local = scattering(scene, proposal, arrival, at, settings, texture_values, here)
     if verdict is None:
         return LocalMap(local.Le, local.Le.map(torch.zeros_like), None, None)
     E = gathered(local.Le, local.Ld, verdict.visible)

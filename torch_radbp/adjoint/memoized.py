@@ -30,9 +30,9 @@ class MemoizedAdjoint(AdjointStrategy):
 
     Args:
         stride: an integer >= 1, "sqrt" or "log".
-        keep_hits: remember what each ray met (23 bytes a lane and bounce; 35 where lights are picked by a tree), so that the
-            backward pass casts no ray. False bounds the memory strictly by the states above, at the price of casting rays
-            again.
+        keep_hits: remember what each ray met (23 bytes a lane and bounce; 35 where lights are picked by a tree), and the
+            values of networks (12 bytes each), so that the backward pass casts no ray and asks networks for gradients
+            only. False bounds the memory strictly by the states above, at the price of doing both again.
 
     Raises:
         ValueError: for any other stride.

@@ -6,13 +6,16 @@ from collections.abc import Callable
 from functools import partial
 from threading import Lock
 
+import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import PathRecord
+from torch_radbp.differentiated import detached
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, trace, walk
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, leaves_of, rows_between
 from torch_radbp.rendering.call.chunks import Chunk
 from torch_radbp.rendering.call.pixels import deposit, weighted
@@ -30,10 +33,11 @@ from torch_radbp.vec import Vec3
 def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey, record: bool,
                 tracer: Callable = trace) -> tuple[Tensor, PathRecord]:
     """What the lanes count in pixels, as of `deposit`, and what the backward pass will need of them."""
-    samples, recorder = camera_samples(call, chunk, key), Recorder(call.adjoint, integrand.max_depth)
-    L = tracer(integrand_of(call, integrand, chunk), started(call, samples), recorder.visit if record else None)
+    samples, recorder = camera_samples(call, chunk, key), Recorder(call.adjoint, integrand.max_depth, record)
+    integrand = integrand_of(call, integrand, chunk)
+    L = tracer(integrand, started(call, samples), recorder.visit)
     radiance = L if record and call.adjoint.keep_radiance else None
-    return (deposit(call, chunk, weighted(L, samples.weight), samples.place),
+    return (deposit(call, chunk, shown(call, integrand, samples, recorder.hit, L), samples.place),
             recorder.record(partial(start_paths, call, chunk, key), radiance, samples))
 
 
@@ -43,11 +47,27 @@ def trace_both(call: RenderCall, integrand: Integrand, chunk: Chunk) -> tuple[Te
     of_image, of_derivative = call.views[chunk.sensor].sample_keys
     image, derivative = (camera_samples(call, chunk, key) for key in (of_image, of_derivative))
     recorder = Recorder(call.adjoint, integrand.max_depth)
-    integrand = integrand_of(call, integrand, chunk)._replace(differentiated=chunk.lanes)
-    L = trace(integrand, started(call, joined([derivative, image])), recorder.visit)
-    radiance = weighted(rows_between(L, chunk.lanes, 2 * chunk.lanes), image.weight)
-    return (deposit(call, chunk, radiance, image.place),
+    integrand = integrand_of(call, integrand, chunk)
+    L = trace(integrand._replace(differentiated=chunk.lanes), started(call, joined([derivative, image])), recorder.visit)
+    hit, L = (rows_between(part, chunk.lanes, 2 * chunk.lanes) for part in (recorder.hit, L))
+    return (deposit(call, chunk, shown(call, integrand, image, hit, L), image.place),
             recorder.record(partial(start_paths, call, chunk, of_derivative), None, derivative))
+
+
+def shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hit | None, L: Vec3) -> list[Tensor]:
+    """What the lanes of an image count in pixels: their radiance, and the quantities beside it.
+
+    Args:
+        samples: their camera rays.
+        hit: what these meet; None: nothing, for there are no bounces.
+        L: their radiance.
+    """
+    if call.quantities is None:
+        return list(weighted(L, samples.weight))
+    with torch.no_grad():
+        still = integrand._replace(scene=integrand.proposal, parts={})
+        found = call.quantities(still, detached(started(call, samples)), hit, detached(L))
+    return [value if samples.weight is None else value * samples.weight for value in (*L, *found)]
 
 
 def record_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey) -> PathRecord:
@@ -60,14 +80,23 @@ def record_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: Samp
 
 
 class Recorder:
-    """Keeps what a strategy asks for of the bounces that it is shown, until there are `most`."""
+    """Keeps what camera rays meet, and what a strategy asks for of the bounces that it is shown, until there are `most`.
 
-    def __init__(self, strategy, most: int):
-        self.strategy, self.most, self.bounces = strategy, most, 0
+    Args:
+        keeping: False: of all bounces nothing is asked for.
+    """
+
+    def __init__(self, strategy, most: int, keeping: bool = True):
+        self.strategy, self.most, self.keeping, self.bounces = strategy, most, keeping, 0
+        self.hit: Hit | None = None  # of camera rays
         self.states: dict[int, PathState] = {}
         self.steps: dict[int, Step] = {}
 
     def visit(self, depth: int, state: PathState, step: Step) -> None:
+        if depth == 0:
+            self.hit = step.hit
+        if not self.keeping:
+            return
         self.bounces = depth + 1
         kept = self.strategy.kept(self.bounces, self.most)
         self.states[depth] = state

@@ -3,21 +3,26 @@
 A table may have four entries, to which millions of lanes add, or millions, most of which nobody reads. Totals are float64
 (one float32 sum loses what is small against the total: 2% of the lamp's gradient at 4 million paths). Memory of large ones
 comes zeroed from the operating system when it is first touched, pages that were touched are noted, and only these are
-summed over the workers and converted in the end.
+summed over the workers and converted in the end, and are zeroed for the next step (`ZeroedMemory`).
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Sequence
+from itertools import starmap
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from torch_radbp.interleaved import are_columns
 from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, Sums, copies, scatter_add
+from torch_radbp.jit.team import threads, together, until_none_is_left
+from torch_radbp.rendering.call.zeroed_memory import ZeroedMemory, zeros
 
 PAGE = 1 << PAGE_BITS  # entries
+PIECE = 1 << 16  # totals that a thread sums at a time: half a megabyte, which its cache holds
 
 
 class Contribution(NamedTuple):
@@ -28,18 +33,43 @@ class Contribution(NamedTuple):
     adjoint: Tensor  # (N,)
 
 
+class Block(NamedTuple):
+    """Tables whose totals lie together: the columns of the same rows, or a single one."""
+
+    first: int  # table
+    width: int  # how many there are
+
+
+def blocks_of(tables: Sequence[Tensor]) -> list[Block]:
+    """All tables, block by block."""
+    found, first = [], 0
+    while first < len(tables):
+        table = tables[first]
+        width = max(1, table.stride(0)) if table.dim() == 1 else 1
+        width = width if are_columns(tables[first:first + width], torch.Size((table.numel(), width))) else 1
+        found.append(Block(first, width))
+        first += width
+    return found
+
+
 class Gradients:
     """The gradients of some tables, as far as one worker has found them.
 
     Args:
         tables: (K,) each, or () for a number; of any shape if only whole gradients are added.
+        memory: for the totals; None: fresh.
     """
 
-    def __init__(self, tables: Sequence[Tensor]):
-        self.tables = tables
-        self.totals = [zeros(pages(table.numel()) * PAGE, copies(table.numel(), table.device), torch.float64,
-                             table.device)
-                       for table in tables]
+    def __init__(self, tables: Sequence[Tensor], memory: ZeroedMemory | None = None):
+        memory = ZeroedMemory() if memory is None else memory
+        self.tables, self.blocks = tables, blocks_of(tables)
+        self.rows: list[Tensor] = []  # of the totals of each block
+        self.totals: list[Tensor] = []  # of each table, (entries, copies)
+        for first, width in self.blocks:
+            entries, device = tables[first].numel(), tables[first].device
+            rows = memory.take(pages(entries) * PAGE, width * copies(entries, device), device)
+            self.rows.append(rows)
+            self.totals += rows.split(rows.shape[1] // width, 1)
         self.touched = {table.numel(): torch.zeros(pages(table.numel()), dtype=torch.bool, device=table.device)
                         for table in tables}  # by number of entries
         self.sums: dict[tuple[int, ...], Sums] = {}  # of the tables that were added to together
@@ -71,23 +101,45 @@ class Gradients:
         self.touched[entries].fill_(True)
 
 
-def gradients_of(workers: Sequence[Gradients]) -> list[Tensor]:
-    """The gradients, in the tables' shapes and dtypes, from those that each worker has found.
+def gradients_of(workers: Sequence[Gradients]) -> tuple[list[Tensor], bool]:
+    """The gradients, in the tables' shapes and dtypes, from those that each worker has found, summed in the workers' order.
 
-    They are summed in the workers' order.
+    Those of columns of the same rows are such columns, too. The workers' totals are zero afterwards.
+
+    Returns:
+        The gradients; and whether all are finite.
     """
-    results = []
-    for leaf, table in enumerate(workers[0].tables):
-        touched = pages_touched([worker.touched[table.numel()] for worker in workers])
-        parts = [worker.totals[leaf].view(pages(table.numel()), -1).index_select(0, touched) for worker in workers]
-        for part in parts[1:]:
-            parts[0] += part
-        total = parts[0].view(len(touched), PAGE, workers[0].totals[leaf].shape[1])
-        total = total.squeeze(2) if total.shape[2] == 1 else total.sum(2)  # torch takes its time to sum one number each
-        gradient = zeros(pages(table.numel()), PAGE, table.dtype, table.device)
-        gradient.index_copy_(0, touched, total.to(table.dtype))
-        results.append(gradient.view(-1)[:table.numel()].view(table.shape))
-    return results
+    tables, results, pieces = workers[0].tables, [], []
+    touched = {entries: pages_touched([worker.touched[entries] for worker in workers]) for entries in workers[0].touched}
+    for number, (first, width) in enumerate(workers[0].blocks):
+        table, place = tables[first], touched[tables[first].numel()]
+        rows = zeros(pages(table.numel()), PAGE * width, table.dtype, table.device)
+        totals = [worker.rows[number].view(len(rows), -1) for worker in workers]
+        most = max(1, PIECE // totals[0].shape[1]) if place.is_cpu else max(1, len(place))
+        pieces += [(rows, totals, own) for own in place.split(most)]
+        results += [column.view(table.shape) for column in rows.view(-1, width)[:table.numel()].unbind(1)]
+    left, written = deque(pieces), []
+    together(lambda task: written.extend(starmap(take_over, until_none_is_left(left))), min(threads(), max(1, len(pieces))))
+    return results, not written or bool(torch.isfinite(torch.cat(written)).all())  # the host waits for the device once
+
+
+def take_over(rows: Tensor, totals: Sequence[Tensor], place: Tensor) -> Tensor:
+    """Moves the sums of some pages, as of `pages_touched`, into the rows of a gradient.
+
+    Returns:
+        Numbers that are finite if what was written is.
+    """
+    total, *others = (own.index_select(0, place) for own in totals)
+    for other in others:
+        total += other
+    for own in totals:
+        own.index_fill_(0, place, 0.0)
+    total = total.view(len(place), rows.shape[1], total.shape[1] // rows.shape[1])
+    total = total.squeeze(2) if total.shape[2] == 1 else total.sum(2)  # torch takes its time to sum one number each
+    written = total.to(rows.dtype)
+    rows.index_copy_(0, place, written)
+    # The extremes are infinite or NaN if any value is, and are found in one pass.
+    return torch.stack(written.aminmax()).double() if written.numel() else total.new_zeros(2)
 
 
 def pages_touched(flags: Sequence[Tensor]) -> Tensor:
@@ -101,9 +153,3 @@ def pages(entries: int) -> int:
     """The number of pages of a table, the last perhaps not full."""
     return max(1, -(-entries // PAGE))
 
-
-def zeros(rows: int, columns: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Zeros whose memory, on the CPU, is not taken before it is touched."""
-    if device.type != "cpu":
-        return torch.zeros(rows, columns, dtype=dtype, device=device)
-    return torch.from_numpy(np.zeros((rows, columns), dtype=torch.empty(0, dtype=dtype, device=device).numpy().dtype))

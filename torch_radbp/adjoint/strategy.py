@@ -27,7 +27,7 @@ class AdjointStrategy(ABC):
         return False
 
     def image(self, call: RenderCall) -> Tensor:
-        """The images of a call, (B, 3, H, W), attached to its scene and cameras for a backward pass."""
+        """The images of a call, (B, 3 + C, H, W) with its C quantities, attached to scene and cameras for backward."""
         return render_with_derivative(call)
 
     def dual_image(self, call: RenderCall) -> Tensor:

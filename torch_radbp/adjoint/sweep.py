@@ -24,13 +24,14 @@ from torch import Tensor
 
 from torch_radbp.adjoint.bounce import empty_memo
 from torch_radbp.adjoint.local_map import Verdict
-from torch_radbp.adjoint.outside import OutsideValues
+from torch_radbp.adjoint.outside import add_adjoint, values_that_move
 from torch_radbp.adjoint.scatter import Contribution, Gradients
 from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand, knowing, taken
 from torch_radbp.path.state import PathState
+from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
-from torch_radbp.record import with_leaves
+from torch_radbp.record import rows_between, with_leaves
 from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
@@ -49,12 +50,23 @@ class PathRecord(NamedTuple):
     place: Vec2 | None = None  # of each lane in its pixel
 
 
+def numbered_leaves(scene: SceneTensors, wanted: tuple[bool, ...]) -> SceneTensors:
+    """The record with the numbers of the leaves that are to be differentiated, as `Gradients` counts them; None elsewhere.
+
+    Args:
+        scene: any.
+        wanted: of each leaf of it.
+    """
+    counted = itertools.count()
+    return with_leaves(scene, [next(counted) if want else None for want in wanted])
+
+
 class Adjoint(NamedTuple):
     """What the lanes of one queue are differentiated with."""
 
     scene: SceneTensors  # the part that they read, detached
-    wanted: tuple[bool, ...]  # of each leaf of it
-    leaves: list[int]  # the wanted ones, as `Gradients` counts them
+    wanted: tuple[bool, ...]  # which leaves of it have a number
+    leaves: list[int]  # these numbers
     of_bounce: Callable  # `bounce_adjoint`
 
 
@@ -65,18 +77,16 @@ class Sweep:
         integrand: of the detached scene.
         record: of the forward pass.
         adj_L: (N,) dloss/dL_1 of the chunk's lanes.
-        wanted: of each leaf of the scene, whether to differentiate it.
-        gradients: of the wanted leaves, added to.
+        numbered: the scene with the numbers of the leaves to differentiate, see `numbered_leaves`.
+        gradients: of these leaves, added to.
     """
 
-    def __init__(self, integrand: Integrand, record: PathRecord, adj_L: Vec3, wanted: tuple[bool, ...],
+    def __init__(self, integrand: Integrand, record: PathRecord, adj_L: Vec3, numbered: SceneTensors,
                  gradients: Gradients):
         self.integrand, self.record, self.adj_L = integrand, record, adj_L
-        self.gradients = gradients
-        counted = itertools.count()
+        self.numbered, self.gradients = numbered, gradients
         self.adjoints: dict[Event, Adjoint] = {}
-        self.numbered = with_leaves(integrand.scene, [next(counted) if want else None for want in wanted])
-        positions = self.numbered.triangles.vertices.p
+        positions = numbered.triangles.vertices.p
         twice = self.moving and integrand.settings.sampling != "attached" and positions.x is not None
         self.of_positions = list(positions) if twice else []  # leaves
         self.memo = empty_memo(adj_L.x, self.moving, twice, integrand.scene)
@@ -115,17 +125,22 @@ class Sweep:
         same = taken(integrand.stages.bounce_adjoint, arrival=arrival, adj_L=self.adj_L, memo=self.memo,
                      at=integrand.at(depth), settings=integrand.settings_at(depth))
         reached, *of_chunk, at, settings = same
-        for queue in step.queues:
+        for queue, known in zip(step.queues, step.texture_values):
             if queue.first == queue.differentiated:
                 continue
             here, adjoint = slice(queue.first, queue.differentiated), self.adjoint_of(queue.event)
             lanes = step.order[here]
             verdict = Verdict(step.visible[here], step.survives[here]) if queue.event.scatters else None
             places = integrand.places(queue.event, arrival, lanes, depth)
-            outside = OutsideValues(integrand, self.numbered, queue.event, places, self.moving)
-            above, tables, adj_given = adjoint.of_bounce(adjoint.scene, adjoint.wanted, reached, lanes, verdict, *of_chunk,
-                                                         at, settings, outside.given)
-            outside.add_adjoint(adj_given, self.gradients)
+            if self.moving:
+                texture_values = values_that_move(integrand, queue.event, places)
+            elif known is None:
+                texture_values = texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
+            else:
+                texture_values = rows_between(known, 0, len(lanes))
+            above, tables, adj_values = adjoint.of_bounce(adjoint.scene, adjoint.wanted, reached, lanes, verdict, *of_chunk,
+                                                          at, settings, texture_values)
+            add_adjoint(integrand, self.numbered, queue.event, places, adj_values, self.gradients)
             found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
             if depth == 0 and above.adj_corners is not None:  # no bounce aims at what the camera sees
                 corners = corner_rows(integrand.scene, above.hit)

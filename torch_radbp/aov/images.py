@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -24,22 +23,33 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.call.chunks import Chunk
 from torch_radbp.rendering.call.pixels import deposit, developed
 from torch_radbp.rendering.call.render_call import RenderCall, camera_samples, integrand_of, started
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import Vec3
 
 
-def render_aovs(call: RenderCall, names: tuple[str, ...]) -> dict[str, Tensor]:
+def beside_image(names: tuple[str, ...]) -> Callable[[Integrand, PathState, Hit | None, Vec3], list[Tensor]]:
+    """`RenderCall.quantities` for these."""
+    def values(integrand: Integrand, start: PathState, hit: Hit | None, L: Vec3) -> list[Tensor]:
+        return channels_of(names, lane_values(integrand, start, tuple(dict.fromkeys(map(plain, names))), hit, L))
+
+    return values
+
+
+def render_aovs(call: RenderCall, names: tuple[str, ...], channels: Tensor | None = None) -> dict[str, Tensor]:
     """(B, C, H, W) images of quantities, by name.
 
     Attached to scene and cameras, in either mode; the derivative has samples of its own, unless the call shares them.
+
+    Args:
+        call: prepared for quantities.
+        names: of them.
+        channels: what the call has of them beside its image; None: it has no image.
     """
+    images = by_name(names, channels) if channels is not None else quantities_of(call.still(), names)
     record = call.scene, [view.camera for view in call.views]
-    if not (has_tangents(record) or (torch.is_grad_enabled() and differentiable(record))):
-        return quantities_of(call.still(), names)
-    if call.shares_samples:
-        return quantities_of(call, names, attached=True)
-    images = quantities_of(call.still(), names)
     moving = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
-    attached = quantities_of(call.of_derivative(), moving, attached=True) if moving else {}
+    if not moving or not (has_tangents(record) or (torch.is_grad_enabled() and differentiable(record))):
+        return images
+    attached = quantities_of(call.of_derivative(), moving, attached=True)
     return images | {name: with_derivative_of(images[name], image) for name, image in attached.items()}
 
 
@@ -58,17 +68,26 @@ def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = Fal
     def sums(chunk: Chunk) -> tuple[Tensor, None]:
         samples = camera_samples(call, chunk, call.views[chunk.sensor].sample_keys[0])
         start, weight = started(call, samples), samples.weight
-        values = lane_values(integrand_of(call, integrand, chunk), start, quantities)
-        channels = [channel for name in names for channel in moments(name, values[plain(name)])]
+        channels = channels_of(names, lane_values(integrand_of(call, integrand, chunk), start, quantities))
         return deposit(call, chunk, channels if weight is None else [channel * weight for channel in channels],
                        samples.place), None
 
     def sums_kept(chunk: Chunk) -> tuple[Tensor, None]:
         return checkpoint(sums, chunk, use_reentrant=False, preserve_rng_state=False) if attached else sums(chunk)
 
-    images = developed(call, sums_kept).pixels
+    return by_name(names, developed(call, sums_kept).pixels)
+
+
+def by_name(names: tuple[str, ...], channels: Tensor) -> dict[str, Tensor]:
+    """The images of quantities, from (B, C, H, W) of all of them."""
     counts = [len(QUANTITIES[plain(name)]) for name in names]
-    return dict(zip(names, (image.contiguous() for image in images.split(counts, 1))))
+    return {name: image.clone(memory_format=torch.contiguous_format)  # no view, which could not be changed in place
+            for name, image in zip(names, channels.split(counts, 1))}
+
+
+def channels_of(names: tuple[str, ...], values: dict[str, surface.Values]) -> list[Tensor]:
+    """The channels of quantities, one after the other, from the values of those that they are about."""
+    return [channel for name in names for channel in moments(name, values[plain(name)])]
 
 
 def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> dict[str, Tensor]:
@@ -83,22 +102,21 @@ def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> d
 
     def values(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
         found = lane_values(integrand, start, tuple(dict.fromkeys(map(plain, group))), hit)
-        return tuple(channel for name in group for channel in moments(name, found[plain(name)]))
+        return tuple(channels_of(group, found))
 
     found: dict[str, Tensor] = {}
     for of_paths in (False, True):
         group = tuple(name for name in names if (plain(name) in OF_PATHS) == of_paths)
         counts = [len(QUANTITIES[plain(name)]) for name in group]
         if group:
-            seen = call if of_paths else call._replace(make_integrand=partial(with_emitters, call.make_integrand))
+            seen = call if of_paths else call._replace(integrand=with_emitters(call.integrand))
             turns = tuple(plain(name) in TURNING for name, count in zip(group, counts) for _ in range(count))
             found |= zip(group, jumps_of_views(seen, jumps, Seen(turns, values)).split(counts, 1))
     return found
 
 
-def with_emitters(make_integrand: Callable[[SceneTensors], Integrand], scene: SceneTensors) -> Integrand:
+def with_emitters(integrand: Integrand) -> Integrand:
     """The integrand of a scene in which nothing is hidden."""
-    integrand = make_integrand(scene)
     return integrand._replace(settings=integrand.settings._replace(hide_emitters=False))
 
 
@@ -107,22 +125,26 @@ def moments(name: str, values: surface.Values) -> surface.Values:
     return tuple(value * value for value in values) if name.startswith(SQUARED) else values
 
 
-def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...],
-                hit: Hit | None = None) -> dict[str, surface.Values]:
+def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...], hit: Hit | None = None,
+                L: Vec3 | None = None) -> dict[str, surface.Values]:
     """Quantities of camera paths by name, (N,) for each channel; attached but for those of whole paths.
 
     Args:
-        hit: of the camera rays, if it is known; hidden emitters are hit.
+        integrand: of the image.
+        start: (N,) camera paths.
+        names: of the quantities.
+        hit: what the integrand shows of the camera rays, if it is known.
+        L: their radiance, likewise.
     """
     fixed, fixed_start = integrand._replace(scene=integrand.proposal, parts={}), detached(start)
     found = {}
     with torch.no_grad():
-        # As in Mitsuba, what hides emitters hides them in the image alone.
-        seen = fixed._replace(settings=fixed.settings._replace(hide_emitters=False))
-        hit = first_hit(seen, fixed_start.ray, 0) if hit is None else hit
+        hit = first_hit(fixed, fixed_start.ray, 0) if hit is None else hit
         for name in names:
             if name in OF_PATHS:
-                found[name] = path.FUNCTIONS[name](fixed, fixed_start)
+                found[name] = path.FUNCTIONS[name](fixed, fixed_start, hit, L)
+        if fixed.settings.hide_emitters:  # as in Mitsuba they are hidden in the image alone
+            hit = first_hit(fixed._replace(settings=fixed.settings._replace(hide_emitters=False)), fixed_start.ray, 0)
     geometric = tuple(name for name in names if name in surface.FUNCTIONS)
     moving = integrand.settings.moving
     if geometric:

@@ -8,12 +8,12 @@ from torch_radbp.lookup import lookup, summed
 from torch_radbp.path.bounce import surface_met
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Arrival, PathState, Settings
-from torch_radbp.path.texture_networks import given_values
+from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.material import material_at, material_places
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import Given
+from torch_radbp.texture.reader import TextureValue
 from torch_radbp.vec import rows, where
 
 
@@ -42,25 +42,26 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
         here = rows(Arrival(state, hit, front), lanes)
         part = summed(integrand.part(queue.event).scene)
         places = material_places(part, surface_met(part, here, integrand.settings))
-        given = given_values(integrand.scene, integrand.scatterer(queue.event), places)
+        texture_values = texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
         for name in names:
             if name == "albedo" or integrand.scatterer(queue.event).kind.turns_normals:
-                own = integrand.stages.material_value(part, here, given, integrand.settings, name)
+                own = integrand.stages.material_value(part, here, texture_values, integrand.settings, name)
                 found[name] = tuple(old.index_copy(0, lanes.long(), new) for old, new in zip(found[name], own))
     return tuple(found[name] for name in names)
 
 
-def albedo(scene: SceneTensors, arrival: Arrival, given: tuple[Given, ...], settings: Settings) -> Values:
+def albedo(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...], settings: Settings) -> Values:
     """Linear RGB; see `Kind.diffuse_reflectance`."""
     si = surface_met(scene, arrival, settings)
-    material = material_at(scene, si, given)
+    material = material_at(scene, si, texture_values)
     return tuple(material.kind.diffuse_reflectance(material.values, si.wi))
 
 
-def turned_normal(scene: SceneTensors, arrival: Arrival, given: tuple[Given, ...], settings: Settings) -> Values:
+def turned_normal(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...],
+                  settings: Settings) -> Values:
     """The normal that an image gives, in world space; the surface's own on two-sided materials, as in Mitsuba."""
     si = surface_met(scene, arrival, settings)
-    material = material_at(scene, si, given)
+    material = material_at(scene, si, texture_values)
     front_row = lookup(scene.triangles.material, si.prim)
     two_sided = lookup(scene.materials.turned, front_row + scene.materials.count)
     own = si.frame.n * (1.0 - 2.0 * (~si.front & two_sided).to(si.t.dtype))
@@ -70,14 +71,15 @@ def turned_normal(scene: SceneTensors, arrival: Arrival, given: tuple[Given, ...
 FUNCTIONS = {"albedo": albedo, "sh_normal": turned_normal}
 
 
-def material_value(scene: SceneTensors, arrival: Arrival, given: tuple[Given, ...], settings: Settings, name: str) -> Values:
+def material_value(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...], settings: Settings,
+                   name: str) -> Values:
     """One of these quantities, of lanes that meet one appearance.
 
     Args:
         scene: the part that these lanes read.
         arrival: the lanes.
-        given: the values of textures that are read outside.
+        texture_values: the values of textures that are read outside.
         settings: the integrand.
         name: of the quantity.
     """
-    return FUNCTIONS[name](scene, arrival, given, settings)
+    return FUNCTIONS[name](scene, arrival, texture_values, settings)

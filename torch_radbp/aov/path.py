@@ -8,32 +8,33 @@ from torch import Tensor
 from torch_radbp.aov.surface import Values
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Bounce, bounces, first_hit, trace
-from torch_radbp.vec import rows
+from torch_radbp.path.wavefront import Bounce, bounces, trace
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.vec import Vec3, rows
 
 # Of linear sRGB primaries and white D65, as Mitsuba has them. Reference: IEC 61966-2-1.
 XYZ_OF_RGB = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))
 STRAIGHT = 1e-5  # largest difference of directions that are one
 
 
-def xyz(integrand: Integrand, start: PathState) -> Values:
+def xyz(integrand: Integrand, start: PathState, hit: Hit, L: Vec3 | None) -> Values:
     """The radiance along each camera ray in CIE XYZ."""
-    L = trace(integrand, start)
+    L = trace(integrand, start, hit=hit) if L is None else L
     return tuple(L.x * row[0] + L.y * row[1] + L.z * row[2] for row in XYZ_OF_RGB)
 
 
-def hit_anything(integrand: Integrand, start: PathState) -> Values:
+def hit_anything(integrand: Integrand, start: PathState, hit: Hit, L: Vec3 | None) -> Values:
     """1 where a surface is seen."""
-    return (first_hit(integrand, start.ray, 0).prim >= 0).to(start.pdf.dtype),
+    return (hit.prim >= 0).to(start.pdf.dtype),
 
 
-def alpha(integrand: Integrand, start: PathState) -> Values:
+def alpha(integrand: Integrand, start: PathState, hit: Hit, L: Vec3 | None) -> Values:
     """1 where a surface or a visible surround is seen, surfaces that light passes straight through left out."""
     surrounded = integrand.scene.layout.surround is not None and not integrand.settings.hide_emitters
     found = torch.full_like(start.pdf, 1.0 if surrounded else 0.0)
     if surrounded or integrand.max_depth == 0:
         return found,
-    for bounce in bounces(integrand._replace(max_depth=integrand.max_depth + 1), start):
+    for bounce in bounces(integrand._replace(max_depth=integrand.max_depth + 1), start, hit=hit):
         if bounce.depth == integrand.max_depth:
             break
         met = bounce.state.lane[bounce.step.hit.prim >= 0]
@@ -52,4 +53,5 @@ def passes_through(bounce: Bounce) -> Tensor:
     return after.lane[torch.isinf(after.pdf) & straight & bounce.step.survives]
 
 
+# Of the paths, what their rays meet, and their radiance if it is known.
 FUNCTIONS = {"xyz": xyz, "hit": hit_anything, "alpha": alpha}

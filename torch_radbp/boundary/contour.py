@@ -31,39 +31,35 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.faces import Faces, positions, vertex_normals
+from torch_radbp.boundary.faces import Faces
+from torch_radbp.boundary.geometry import Between, Geometry, positions, vertex_normals
 from torch_radbp.boundary.places import (
     FAR,
     NEAR,
     RIM,
-    Between,
     Glued,
+    Lot,
     Places,
+    Sight,
+    counts_somewhere,
     depth_of,
-    number_of_places,
     numbers_of,
     on_film,
     picked,
     unknown,
-    window,
+    velocities_on_film,
 )
-from torch_radbp.record import joined
-from torch_radbp.rendering.call.render_call import RenderCall
-from torch_radbp.rendering.call.view import View
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.lookup import lookup
+from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import TINY, Vec2, Vec3, dot, interpolated, rows
 
-STEP = 1e-5  # of the smaller of a triangle and its distance, by which its Jacobian is found
 PROBES = ((0.1, 0.15, 0.5), (0.3, 0.5, 0.15), (0.5, 0.5, 0.5), (0.7, 0.5, 0.85), (0.9, 0.85, 0.5))  # s, and the aperture
 ASIDE = 1e-9  # share of its distance by which a rim is moved off the edges of triangles
 ASTRIDE = 1e-4  # cosine between shading normal and line of sight at which a surface is looked at on either side of a rim
 FARTHEST_ASTRIDE = 0.05  # the same as barycentric coordinates, at most
-LEAST = 0.1  # of the mean length of curves in a triangle, that triangles count where no probe meets a curve
-LEAST_OF_LENS = 1.0  # the same where each point of a lens sees other curves, of which the probes meet few
-MOST_TRIES = 16  # places that are looked for on a lens for one that is found
 SIDES = ((0, 1), (0, 2), (1, 2))  # of triangles, by their corners
 
-Level = Callable[[View, Vec3, Vec3 | None, Vec2 | None], Tensor]
+Level = Callable[[Camera, Vec3, Vec3 | None, Vec2 | None], Tensor]
 
 
 class Net(NamedTuple):
@@ -74,8 +70,11 @@ class Net(NamedTuple):
 
     def crosses(self, margin: Tensor | float) -> Tensor:
         """True if the level may be 0 somewhere in the triangle, or be so where it differs by a margin; (N,) bool."""
-        numbers = torch.stack((*self.corner, *self.side))
-        return (numbers.amin(0) < margin) & (numbers.amax(0) > -margin)
+        numbers = (*self.corner, *self.side)
+        below, above = numbers[0] < margin, numbers[0] > -margin
+        for number in numbers[1:]:
+            below, above = below | (number < margin), above | (number > -margin)
+        return below & above
 
     def gradient(self, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
         """What the level changes by with the barycentric coordinates of the second and of the third corner."""
@@ -102,113 +101,134 @@ class OnFilm(NamedTuple):
     uphill: Vec2  # u and v by which the level rises by one, at the fastest
 
 
-def facing(view: View, p: Vec3, n: Vec3, aperture: Vec2 | None) -> Tensor:
+def facing(camera: Camera, p: Vec3, n: Vec3, aperture: Vec2 | None) -> Tensor:
     """The level that is 0 on rims: positive where the viewer is on the side of the shading normal.
 
     A rim along an edge is moved into one of its two triangles, by next to nothing.
     """
-    towards = view.camera.kind.towards(view.camera.lens, p, aperture)
+    towards = camera.kind.towards(camera.lens, p, aperture)
     return dot(n, towards) + ASIDE * torch.sqrt(dot(towards, towards)).detach()
 
 
-def beyond_near(view: View, p: Vec3, n: None, aperture: Vec2 | None) -> Tensor:
+def beyond_near(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tensor:
     """The level that is 0 on the near plane."""
-    return view.camera.kind.beyond_planes(view.camera.lens, p)[0]
+    return camera.kind.beyond_planes(camera.lens, p)[0]
 
 
-def beyond_far(view: View, p: Vec3, n: None, aperture: Vec2 | None) -> Tensor:
+def beyond_far(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tensor:
     """The level that is 0 on the far plane."""
-    return view.camera.kind.beyond_planes(view.camera.lens, p)[1]
+    return camera.kind.beyond_planes(camera.lens, p)[1]
 
 
 LEVELS: dict[int, Level] = {RIM: facing, NEAR: beyond_near, FAR: beyond_far}
 
 
-def places_on_contours(call: RenderCall, number: int, faces: Faces, rims: bool) -> list[Places]:
-    """Places on all curves inside of triangles in a view; `rims`: those at which shading normals turn away, too."""
-    view, triangles = call.views[number], call.scene.triangles
-    found = []
-    if rims and triangles.vertices.n is not None:
-        smooth = faces if triangles.smooth is None else rows(
-            faces, triangles.smooth[faces.triangle].nonzero().squeeze(1))
-        found.append(places_of_level(call, view, smooth, RIM))
-    found.append(places_of_level(call, view, faces, NEAR))
-    if view.clips:
-        found.append(places_of_level(call, view, faces, FAR))
-    return [places for places in found if places is not None]
+def crosses(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> Tensor:
+    """True for triangles in which there may be a curve of a kind, in view from somewhere on the lens; (F,) bool.
+
+    Args:
+        geometry: of the scene, detached.
+        sight: of the camera.
+        faces: (F,).
+        kind: of the curve: RIM, NEAR or FAR.
+    """
+    between, triangles = faces.between(geometry), geometry.triangles
+    aperture = middle(sight, geometry, between)
+    found = net(geometry, sight.camera, between, faces.instance, kind, aperture).crosses(
+        sight.eye.radius if kind == RIM and sight.eye.radius is not None else 0.0)
+    if kind == RIM and triangles.smooth is not None:
+        found = found & lookup(triangles.smooth, faces.triangle)
+    return found & ~sight.frustum.misses(positions(geometry, between, faces.instance))
 
 
-def places_of_level(call: RenderCall, view: View, faces: Faces, kind: int) -> Places | None:
-    """Places on the curves of one kind, in proportion to lengths on the film; None: there are none."""
-    scene, aperture = call.scene, view.camera.kind.has_aperture
-    faces = rows(faces, crossing(scene, view, faces, kind).nonzero().squeeze(1))
-    if not len(faces.triangle):
-        return None
-    between, apex = from_apex(scene, view, faces, kind)
-    instance = faces.instance
-    probed = [probe(scene, view, between, instance, kind, s, Vec2(x, y) if aperture else None) for s, x, y in PROBES]
-    inside, whole = (sum(lengths) / len(PROBES) for lengths in zip(*probed))
-    length = torch.where(inside > 0.0, inside, whole)
-    length = length + (LEAST_OF_LENS if aperture else LEAST) * length.mean() + float(not length.any())
-    count = number_of_places(float(length.sum()), call, view)
-    if aperture:
-        share = float(sum((whole > 0.0).double().mean() for _, whole in probed)) / len(PROBES)
-        count = round(count / max(share, 1.0 / MOST_TRIES))
-    numbers = numbers_of(view, count, kind)
-    face, s, times = picked(length, numbers.along)
-    chosen, shows = rows(between, face), None if instance is None else instance[face]
-    found, corners = [], positions(scene, chosen, shows)
-    for place in met(net(scene, view, chosen, shows, kind, numbers.aperture), s):
-        seen = on_view(scene, view, chosen, shows, kind, place, numbers.aperture)
-        scale = times / faces.share[face]
-        side = torch.sign(seen.drift) * (-1.0 if kind == RIM else 1.0)
-        behind = ahead = unknown(place.u)
-        if kind == RIM:
-            reach = astride(view, seen, numbers.aperture)
-            behind, ahead = (glued(faces.triangle[face], apex[face], place.u + reach.x * side * way,
-                                   place.v + reach.y * side * way) for way in (-1.0, 1.0))
-        found.append(Places(torch.full_like(face, kind), chosen, shows, place.u, place.v, seen.p, seen.film,
-                            seen.normal * scale, side, seen.drift * scale,
-                            depth_of(view, seen.p, corners, numbers.aperture), behind, ahead, numbers.key, numbers.aperture))
-    both = joined(found)
-    return rows(both, in_window(view, both.film, both.normal).nonzero().squeeze(1))
+def contour_length(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Tensor, Tensor]:
+    """The lengths on the film of curves in triangles, in view and on the whole, by some lines through each; (F,) pixels.
+
+    Args: as for `crosses`.
+    """
+    camera, film = sight.camera, sight.camera.film
+    between, _ = from_apex(geometry, sight, faces, kind)
+    inside = whole = torch.zeros_like(geometry_number(geometry, between))
+    for s, x, y in PROBES:
+        aperture = Vec2(torch.full_like(whole, x), torch.full_like(whole, y)) if camera.kind.has_aperture else None
+        curve = OnView(geometry, camera, between, faces.instance, kind, aperture)
+        for place in met(curve.net, torch.full_like(whole, s)):
+            seen = curve.at(place)
+            length = torch.sqrt(seen.normal.x * seen.normal.x + seen.normal.y * seen.normal.y)
+            own = torch.where(length >= 0.0, length, 0.0)  # NaN where there is no place
+            own = torch.minimum(own, (film.columns + film.rows).double())
+            inside = inside + torch.where(in_window(camera, seen.film, seen.normal), own, 0.0)
+            whole = whole + own
+    return inside * (1.0 / len(PROBES)), whole * (1.0 / len(PROBES))
 
 
-def crossing(scene: SceneTensors, view: View, faces: Faces, kind: int) -> Tensor:
-    """True for triangles in which there may be a curve of a kind, in view from somewhere on the lens; (F,) bool."""
-    camera, between = view.camera, faces.between(scene)
-    radius = camera.kind.aperture_radius(camera.lens) if kind == RIM else None
-    found = net(scene, view, between, faces.instance, kind, middle(view, faces.share)).crosses(
-        0.0 if radius is None else float(radius))
-    some = found.nonzero().squeeze(1)
-    corners = positions(scene, rows(between, some), None if faces.instance is None else faces.instance[some])
-    outside = torch.stack([camera.kind.frustum(camera.lens, *window(view), corner) < 0 for corner in corners]).all(0)
-    return found.index_put((some,), ~outside.any(0))
+def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, count: Tensor, lane: Tensor,
+                  kind: int) -> Places:
+    """Places on the curves of one kind, in proportion to lengths on the film.
+
+    Args:
+        geometry, sight, faces, kind: as for `crosses`.
+        lot: of the triangles.
+        count: () int32, how many lines there are.
+        lane: (2 N,) int32, first the first place of each line, then the second.
+    """
+    camera, line = sight.camera, lane % count
+    numbers = numbers_of(sight, line, kind)
+    aperture = numbers.aperture
+    face, s, times = picked(lot, line, numbers.along)
+    faces = rows(faces, face)
+    between, apex = from_apex(geometry, sight, faces, kind)
+    curve = OnView(geometry, camera, between, faces.instance, kind, aperture)
+    one, two = met(curve.net, s)
+    place = OnTriangle(*(torch.where(lane < count, here, there) for here, there in zip(one, two)))
+    seen = curve.at(place)
+    scale = times if faces.share is None else times / faces.share
+    side = torch.sign(seen.drift) * (-1.0 if kind == RIM else 1.0)
+    behind = ahead = unknown(place.u)
+    if kind == RIM:
+        reach = astride(camera, seen, aperture)
+        behind, ahead = (glued(faces.triangle, apex, place.u + reach.x * side * way, place.v + reach.y * side * way)
+                         for way in (-1.0, 1.0))
+    normal = seen.normal * scale
+    counts = in_window(camera, seen.film, normal) & counts_somewhere(camera, seen.film)
+    return Places(torch.full_like(apex, kind), between, faces.instance, place.u, place.v, seen.p, seen.film, normal, side,
+                  seen.drift * scale, depth_of(camera, seen.p, curve.corners, aperture), behind, ahead, numbers.key,
+                  aperture, counts)
 
 
-def from_apex(scene: SceneTensors, view: View, faces: Faces, kind: int) -> tuple[Between, Tensor]:
+def from_apex(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Between, Tensor]:
     """The vertices of triangles, first one at which the sign of the level differs from that at the other two, if any; and
-    (F,) int64 which one it is."""
-    between = faces.between(scene)
-    level = net(scene, view, between, faces.instance, kind, middle(view, faces.share))
-    sign = torch.sign(torch.stack(level.corner, 1))
-    apex = ((sign != sign.roll(1, 1)) & (sign != sign.roll(2, 1))).int().argmax(1, keepdim=True)
-    vertices = torch.stack(between, 1)
-    return Between(*(vertices.gather(1, (apex + step) % 3).squeeze(1) for step in range(3))), apex.squeeze(1)
+    (F,) int32 which one it is."""
+    first, second, third = between = faces.between(geometry)
+    level = net(geometry, sight.camera, between, faces.instance, kind, middle(sight, geometry, between))
+    a, b, c = (torch.sign(value) for value in level.corner)
+    at_b, at_c = (a == c) & (b != a), (a == b) & (c != a)
+    turns = (first, second, third), (second, third, first), (third, first, second)
+    apex = at_b.to(torch.int32) + 2 * at_c.to(torch.int32)
+    return Between(*(torch.where(at_b, two, torch.where(at_c, three, one)) for one, two, three in turns)), apex
 
 
-def middle(view: View, like: Tensor) -> Vec2 | None:
-    """The middle of the lens, for as many lanes as `like` has; None: rays meet in a point."""
-    return Vec2(*(torch.full_like(like, 0.5, dtype=torch.float64),) * 2) if view.camera.kind.has_aperture else None
+def geometry_number(geometry: Geometry, between: Between) -> Tensor:
+    """(F,) some float64 number of each triangle."""
+    return lookup(geometry.triangles.vertices.p.x, between.first).double()
 
 
-def net(scene: SceneTensors, view: View, between: Between, instance: Tensor | None, kind: int, aperture: Vec2 | None) -> Net:
+def middle(sight: Sight, geometry: Geometry, between: Between) -> Vec2 | None:
+    """The middle of the lens, for each of some triangles; None: rays meet in a point."""
+    if not sight.camera.kind.has_aperture:
+        return None
+    half = torch.full_like(geometry_number(geometry, between), 0.5)
+    return Vec2(half, half)
+
+
+def net(geometry: Geometry, camera: Camera, between: Between, instance: Tensor | None, kind: int,
+        aperture: Vec2 | None) -> Net:
     """The numbers F_ij of a level: its values at the corners, and what those in the middle of the sides follow from."""
-    p = positions(scene, between, instance)
-    n = vertex_normals(scene, between, instance) if kind == RIM else (None,) * 3
+    p = positions(geometry, between, instance)
+    n = vertex_normals(geometry, between, instance) if kind == RIM else (None,) * 3
     level = LEVELS[kind]
-    corner = tuple(level(view, p[i], n[i], aperture) for i in range(3))
-    halfway = (level(view, (p[i] + p[j]) * 0.5, None if n[i] is None else (n[i] + n[j]) * 0.5, aperture) for i, j in SIDES)
+    corner = tuple(level(camera, p[i], n[i], aperture) for i in range(3))
+    halfway = (level(camera, (p[i] + p[j]) * 0.5, None if n[i] is None else (n[i] + n[j]) * 0.5, aperture) for i, j in SIDES)
     return Net(corner, tuple(2.0 * value - 0.5 * (corner[i] + corner[j]) for value, (i, j) in zip(halfway, SIDES)))
 
 
@@ -236,68 +256,51 @@ def met(level: Net, along: Tensor) -> list[OnTriangle]:
     return found
 
 
-def on_view(scene: SceneTensors, view: View, between: Between, instance: Tensor | None, kind: int, place: OnTriangle,
-            aperture: Vec2 | None) -> OnFilm:
-    """Where a camera sees places of a curve, and how it runs there."""
-    corners = positions(scene, between, instance)
-    p = interpolated(corners, place.u, place.v)
-    to_eye = view.camera.kind.towards(view.camera.lens, p, aperture)
-    columns = []
-    for corner in corners[1:]:
-        edge = corner - corners[0]
-        step = STEP * torch.sqrt((dot(to_eye, to_eye) / dot(edge, edge)).clamp_max(1.0))
-        before, after = (on_film(view, p + edge * way, aperture) for way in (-step, step))
-        columns.append(Vec2((after.x - before.x) / (2.0 * step), (after.y - before.y) / (2.0 * step)))
-    of_u, of_v = columns
-    f_u, f_v = net(scene, view, between, instance, kind, aperture).gradient(place.u, place.v)
-    m = Vec2(of_v.y * f_u - of_u.y * f_v, of_u.x * f_v - of_v.x * f_u)
-    volume = of_u.x * of_v.y - of_v.x * of_u.y
-    steep = f_u**2 + f_v**2
-    return OnFilm(p, on_film(view, p, aperture), m * place.pace, -volume * place.pace, Vec2(f_u / steep, f_v / steep))
+class OnView:
+    """Curves in triangles as a camera sees them. Args as for `net`."""
+
+    def __init__(self, geometry: Geometry, camera: Camera, between: Between, instance: Tensor | None, kind: int,
+                 aperture: Vec2 | None):
+        self.camera, self.aperture = camera, aperture
+        self.corners = positions(geometry, between, instance)
+        self.net = net(geometry, camera, between, instance, kind, aperture)
+
+    def at(self, place: OnTriangle) -> OnFilm:
+        """Where places of the curves are seen, and how these run there."""
+        camera, corners, aperture = self.camera, self.corners, self.aperture
+        p = interpolated(corners, place.u, place.v)
+        of_u, of_v = velocities_on_film(camera, p, [corner - corners[0] for corner in corners[1:]], aperture)
+        f_u, f_v = self.net.gradient(place.u, place.v)
+        m = Vec2(of_v.y * f_u - of_u.y * f_v, of_u.x * f_v - of_v.x * f_u)
+        volume = of_u.x * of_v.y - of_v.x * of_u.y
+        steep = f_u**2 + f_v**2
+        return OnFilm(p, on_film(camera, p, aperture), m * place.pace, -volume * place.pace, Vec2(f_u / steep, f_v / steep))
 
 
-def astride(view: View, seen: OnFilm, aperture: Vec2 | None) -> Vec2:
+def astride(camera: Camera, seen: OnFilm, aperture: Vec2 | None) -> Vec2:
     """How far apart from a rim, u and v, the shading normal is surely turned to the viewer; on the other side away."""
-    towards = view.camera.kind.towards(view.camera.lens, seen.p, aperture)
+    towards = camera.kind.towards(camera.lens, seen.p, aperture)
     reach = seen.uphill * (ASTRIDE * torch.sqrt(dot(towards, towards)))
-    return reach * (FARTHEST_ASTRIDE / torch.hypot(reach.x, reach.y)).clamp_max(1.0)
+    return reach * (FARTHEST_ASTRIDE / torch.sqrt(reach.x * reach.x + reach.y * reach.y)).clamp_max(1.0)
 
 
 def glued(triangle: Tensor, apex: Tensor, u: Tensor, v: Tensor) -> Glued:
     """Points of triangles whose barycentric coordinates u and v are those of the second and third vertex from the apex."""
-    weights = torch.stack([1.0 - u - v, u, v], 1)
-    u, v = (weights.gather(1, (vertex - apex[:, None]) % 3).squeeze(1) for vertex in (1, 2))
-    return Glued(triangle.int(), u, v)
+    w = 1.0 - u - v
+    return Glued(triangle, torch.where(apex == 0, u, torch.where(apex == 1, w, v)),
+                 torch.where(apex == 0, v, torch.where(apex == 1, u, w)))
 
 
-def probe(scene: SceneTensors, view: View, between: Between, instance: Tensor | None, kind: int, s: float,
-          aperture: Vec2 | None) -> tuple[Tensor, Tensor]:
-    """The lengths on the film of curves in triangles, by the places on one line through each: in view and on the whole.
-
-    (F,) pixels each.
-    """
-    share = torch.full(between.first.shape, s, dtype=torch.float64, device=between.first.device)
-    aperture = None if aperture is None else aperture.map(lambda part: torch.full_like(share, part))
-    inside, whole = torch.zeros_like(share), torch.zeros_like(share)
-    for place in met(net(scene, view, between, instance, kind, aperture), share):
-        seen = on_view(scene, view, between, instance, kind, place, aperture)
-        own = torch.hypot(seen.normal.x, seen.normal.y).nan_to_num(0.0).clamp_max(view.width + view.height)
-        inside += torch.where(in_window(view, seen.film, seen.normal), own, 0.0)
-        whole += own
-    return inside, whole
-
-
-def in_window(view: View, film: Vec2, normal: Vec2) -> Tensor:
+def in_window(camera: Camera, film: Vec2, normal: Vec2) -> Tensor:
     """True for places in view that stand for a piece of a curve; (N,) bool."""
-    reach = view.camera.film.kernel.radius
-    inside = [(place >= -reach) & (place <= pixels + reach) for place, pixels in zip(film, (view.width, view.height))]
-    length = torch.hypot(normal.x, normal.y)
-    return inside[0] & inside[1] & torch.isfinite(length) & (length > 0.0)
+    reach, squared = camera.film.kernel.radius, normal.x * normal.x + normal.y * normal.y
+    across = (film.x >= -reach) & (film.x <= camera.film.columns + reach)
+    return across & (film.y >= -reach) & (film.y <= camera.film.rows + reach) & torch.isfinite(squared) & (squared > 0.0)
 
 
-def level_at(scene: SceneTensors, view: View, places: Places, kind: int) -> Tensor:
+def level_at(geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor:
     """The level at places of its curve, fixed to their triangles; (N,) attached, of value 0 but for rounding."""
     n = None
     if kind == RIM:
-        n = interpolated(vertex_normals(scene, places.between, places.instance), places.u, places.v)
-    return LEVELS[kind](view, places.at(scene), n, places.aperture)
+        n = interpolated(vertex_normals(geometry, places.between, places.instance), places.u, places.v)
+    return LEVELS[kind](camera, places.at(geometry), n, places.aperture)

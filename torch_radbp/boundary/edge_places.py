@@ -2,76 +2,110 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.edges import Edges
-from torch_radbp.boundary.faces import positions
-from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.geometry import Between, Geometry, in_world, point_at
+from torch_radbp.boundary.outline import FOLD, TURNED, WHOLE, Outline
 from torch_radbp.boundary.places import (
     CREASE,
     SILHOUETTE,
-    Between,
     Glued,
+    Lot,
     Places,
-    camera_sample,
+    Sight,
+    counts_somewhere,
     depth_of,
-    number_of_places,
     numbers_of,
     on_film,
     picked,
-    window,
+    velocities_on_film,
 )
-from torch_radbp.boundary.silhouette import is_silhouette, is_silhouette_from
-from torch_radbp.rendering.call.render_call import RenderCall
-from torch_radbp.rendering.call.view import View
-from torch_radbp.vec import Vec2, Vec3, dot
+from torch_radbp.boundary.silhouette import is_silhouette
+from torch_radbp.lookup import lookup
+from torch_radbp.vec import Vec2, Vec3, dot, rows, unit_normal
 
-STEP = 1e-5  # of the length of an edge in view, by which its direction on the film is found
+COPLANAR = 1e-6  # half of the difference of unit normals, below which triangles lie in one plane
+STEP = 1e-5  # of the width of a triangle, by which it is told on which side of an edge it is seen
 INWARDS = 1e-3  # barycentric weight of the vertex opposite an edge where a triangle is looked at
 
 
-class EdgesInView(NamedTuple):
-    """The edges in a view, and how often each is picked."""
+def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
+    """How often edges are picked, (E,) float64: by the pixels of their length in view, those that may jump less by less.
 
-    enters: Tensor  # (E,) shares of the way from a to b between which it is in view
-    leaves: Tensor
-    weight: Tensor  # (E,) not normalised; 0: not at all
-    silhouette: Tensor  # (E,) bool: it is one, from somewhere on the lens
-    length: float  # of all edges in view on the film, those that may jump less counted as less, pixels
+    Args:
+        geometry: of the scene, detached.
+        sight: of the camera.
+        outline: (E,).
+    """
+    edges, camera = outline.edges, sight.camera
+    a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), outline.instance)
+    silhouette = is_silhouette(a, b, opposite, sight.eye.towards(a), sight.eye.radius)
+    jump = torch.where(silhouette, 1.0, jump_of_creases(outline, a, b, opposite))
+    enters, leaves = sight.frustum.clipped(a, b, torch.float32)  # weights need not be exact
+    middle = Vec2(*(torch.full_like(a.x, 0.5),) * 2) if camera.kind.has_aperture else None
+    start, end = (on_film(camera, a + (b - a) * along, middle) for along in (enters, leaves))
+    across, down = end.x - start.x, end.y - start.y
+    seen = (enters < leaves) & (jump > 0.0)
+    return torch.where(seen, torch.sqrt(across * across + down * down) * jump, 0.0)
 
 
-def places_on_edges(call: RenderCall, number: int, outline: Outline) -> Places:
-    """Places on an outline as a camera sees it, in proportion to lengths on the film."""
-    view, edges = call.views[number], outline.edges
-    vertices = outline.vertices(call.scene).stack().double()
-    choice = edges_in_view(view, outline, vertices)
-    numbers = numbers_of(view, number_of_places(choice.length, call, view), SILHOUETTE)
-    edge, share, times = picked(choice.weight, numbers.along)
-    reach, aperture = choice.leaves[edge] - choice.enters[edge], numbers.aperture
-    along = choice.enters[edge] + reach * share
-    a, b = (Vec3.of(vertices[index[edge]]) for index in (edges.a, edges.b))
-    before, at, after = (on_film(view, a + (b - a) * (along + step * reach), aperture) for step in (-STEP, 0.0, STEP))
-    # The density over `along` is 1 / (times reach); the length of the edge on the film per `along` is in `normal`.
-    scale = times / (2.0 * STEP * outline.share[edge])
+def jump_of_creases(outline: Outline, a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> Tensor:
+    """How much of a jump edges may be that are no silhouettes, (E,) float64 in [0, 1]; 0: none.
+
+    Args:
+        outline: (E,).
+        a, b, opposite: the ends of its edges and what lies opposite, of whose triangles' normals half of the difference
+            counts.
+    """
+    jump = (outline.crease == WHOLE).double()
+    if not outline.folds:
+        return jump
+    here, there = (unit_normal(b - a, tip - a) for tip in opposite[:2])  # of two that are alike on opposite sides
+    difference = here + there * torch.where(outline.crease == TURNED, -1.0, 1.0)
+    apart = 0.5 * torch.sqrt(dot(difference, difference))
+    return torch.where((outline.crease >= FOLD) & (apart > COPLANAR), apart, jump)
+
+
+def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, place: Tensor) -> Places:
+    """Places on an outline as a camera sees it, in proportion to lengths on the film.
+
+    Args:
+        geometry, sight, outline: as for `edge_weight`.
+        lot: of its edges.
+        place: (N,) int32, numbers of the places.
+    """
+    camera, numbers = sight.camera, numbers_of(sight, place, SILHOUETTE)
+    aperture = numbers.aperture
+    edge, share, times = picked(lot, place, numbers.along)
+    edges, instance = rows(outline.edges, edge), rows(outline.instance, edge)
+    a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
+    enters, leaves = sight.frustum.clipped(a, b)
+    reach = leaves - enters
+    along = enters + reach * share
     p = a + (b - a) * along
-    silhouette = choice.silhouette[edge]
-    if aperture is not None:
-        eyes = camera_sample(call, view, at, aperture, numbers.key).ray.o.stack().double()
-        silhouette = is_silhouette_from(edges, vertices, edge, eyes)
-        scale = scale * (silhouette | (outline.crease[edge] > 0))
-    first, second = (edges.vertex[index[edge]] for index in (edges.a, edges.b))
-    nothing, normal = torch.zeros_like(along), Vec2(-(after.y - before.y) * scale, (after.x - before.x) * scale)
-    instance = None if outline.instance is None else outline.instance[edges.a[edge]]
-    sheets = [sheet_at(call, number, edges, vertices, edge, corner, instance, p, at, normal, aperture)
-              for corner in corners_at(edges, edge)]
-    side = torch.where(sum(sheet.ahead for sheet in sheets) >= 0.0, 1.0, -1.0)
-    behind, ahead = in_order(sheets, silhouette, torch.bincount(edges.edge, minlength=len(edges.a))[edge] <= 2)
-    depth = torch.maximum(depth_of(view, p, [a, b], aperture), torch.maximum(*(sheet.depth for sheet in sheets)))
-    return Places(torch.where(silhouette, SILHOUETTE, CREASE), Between(first, second, second), instance, along, nothing, p,
-                  at, normal, side, nothing, depth, behind, ahead, numbers.key, aperture)
+    at, (pace,) = on_film(camera, p, aperture), velocities_on_film(camera, p, [b - a], aperture)
+    # The density over `along` is 1 / (times reach); the length of the edge on the film per `along` is in `pace`.
+    scale = times * reach
+    scale = scale if outline.share is None else scale / rows(outline.share, edge)
+    if aperture is None:
+        silhouette = is_silhouette(a, b, opposite, sight.eye.towards(a))
+    else:
+        silhouette = is_silhouette(a, b, opposite, -camera.kind.towards(camera.lens, a, aperture))
+        scale = scale * (silhouette | (rows(outline.crease, edge) > 0))
+    normal = Vec2(-pace.y * scale, pace.x * scale)
+    nothing = torch.zeros_like(along)
+    sheets = [sheet_at(geometry, sight, (a, b, tip), corner, instance, p, at, normal, aperture)
+              for tip, corner in zip(opposite[:2], edges.corner[:2])]
+    side = torch.where(sheets[0].ahead + sheets[1].ahead >= 0.0, 1.0, -1.0)
+    behind, ahead = in_order(sheets, silhouette, edges.count <= 2)
+    depth = torch.maximum(depth_of(camera, p, [a, b], aperture), torch.maximum(*(sheet.depth for sheet in sheets)))
+    kind = torch.where(silhouette, SILHOUETTE, CREASE).to(torch.int32)
+    return Places(kind, Between(edges.a, edges.b, edges.b), instance, along, nothing, p, at, normal, side, nothing, depth,
+                  behind, ahead, numbers.key, aperture, counts_somewhere(camera, at))
 
 
 class Sheet(NamedTuple):
@@ -83,45 +117,34 @@ class Sheet(NamedTuple):
     depth: Tensor  # how far it reaches from the place along the line of sight
 
 
-def corners_at(edges: Edges, edge: Tensor) -> tuple[Tensor, Tensor]:
-    """The corners opposite some edges, (N,) int64 which, of two of the triangles there, or twice of the one; (N,) int64."""
-    order = edges.edge.argsort(stable=True)
-    count = torch.bincount(edges.edge, minlength=len(edges.a))
-    last = count.cumsum(0)[edge] - 1
-    return order[last], order[last - count[edge] + 1]
-
-
-def sheet_at(call: RenderCall, number: int, edges: Edges, vertices: Tensor, edge: Tensor, corner: Tensor,
-             instance: Tensor | None, p: Vec3, film: Vec2, normal: Vec2, aperture: Vec2 | None) -> Sheet:
+def sheet_at(geometry: Geometry, sight: Sight, corners: tuple[Vec3, Vec3, Vec3], corner: Tensor, instance: Tensor | None,
+             p: Vec3, film: Vec2, normal: Vec2, aperture: Vec2 | None) -> Sheet:
     """A triangle at each of some places on edges.
 
     Args:
-        number: of the view.
-        edges: between `vertices`, (U, 3) float64.
-        edge: (N,) int64, which.
-        corner: (N,) int64, the triangle's corner opposite it, of those of `edges`.
+        corners: the ends of the edge, and what lies opposite.
+        corner: (N,) int32, the number of that corner among all.
         instance, p, film, normal, aperture: of the places.
     """
-    view = call.views[number]
-    opposite = Vec3.of(vertices[edges.opposite[corner]])
-    along, inwards = (Vec3.of(vertices[edges.b[edge]] - vertices[edges.a[edge]]), opposite - p)
+    a, b, opposite = corners
+    camera, along, inwards = sight.camera, b - a, opposite - p
     across = inwards - along * (dot(inwards, along) / dot(along, along))
-    seen = on_film(view, p + across * STEP, aperture)
+    seen = on_film(camera, p + across * STEP, aperture)
     ahead = (seen.x - film.x) * normal.x + (seen.y - film.y) * normal.y
-    towards = view.camera.kind.towards(view.camera.lens, p, aperture)
-    triangle, place = torch.div(edges.corner[corner], 3, rounding_mode="floor"), edges.corner[corner] % 3
-    points = torch.stack([point.stack() for point in positions(
-        call.scene, Between(*(row[triangle].long() for row in call.scene.triangles.corners)), instance)], 1)
-    lanes = torch.arange(len(place), device=place.device)
-    tip, start, end = (Vec3.of(points[lanes, (place + step) % 3]) for step in range(3))
+    towards = camera.kind.towards(camera.lens, p, aperture)
+    triangle, place = torch.div(corner, 3, rounding_mode="floor"), corner % 3
+    first, second, third = lookup(geometry.triangles.corners, triangle)
+    in_turn = [torch.where(place == 0, one, torch.where(place == 1, two, three))
+               for one, two, three in ((first, second, third), (second, third, first), (third, first, second))]
+    tip, start, end = (point_at(geometry, row, instance) for row in in_turn)
     side = end - start
     of_tip, share = (dot(point - start, side) / dot(side, side) for point in (tip, p))
     # Normals at the edge itself may lie exactly across the line of sight.
     share = (share - INWARDS * of_tip).clamp(0.0, 1.0 - INWARDS)
-    weights = torch.stack([torch.full_like(share, INWARDS), 1.0 - INWARDS - share, share], 1)
-    u, v = (weights.gather(1, ((vertex - place) % 3)[:, None]).squeeze(1) for vertex in (1, 2))
-    return Sheet(Glued(triangle.int(), u, v), ahead, dot(across, towards) / ahead.abs(),
-                 depth_of(view, p, [opposite], aperture))
+    weights = torch.full_like(share, INWARDS), 1.0 - INWARDS - share, share  # of the corner and those after it
+    u = torch.where(place == 0, weights[1], torch.where(place == 1, weights[0], weights[2]))
+    v = torch.where(place == 0, weights[2], torch.where(place == 1, weights[1], weights[0]))
+    return Sheet(Glued(triangle, u, v), ahead, dot(across, towards) / ahead.abs(), depth_of(camera, p, [opposite], aperture))
 
 
 def in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
@@ -131,49 +154,7 @@ def in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Gl
     nearer, first = one.nearness >= two.nearness, one.ahead <= two.ahead
     found = []
     for of_crease in (first, ~first):
-        pick = torch.where(silhouette, nearer, of_crease)
+        pick = (silhouette & nearer) | (~silhouette & of_crease)
         point = Glued(*(torch.where(pick, here, there) for here, there in zip(one.point, two.point)))
         found.append(point._replace(prim=torch.where(known, point.prim, -1)))
     return tuple(found)
-
-
-def edges_in_view(view: View, outline: Outline, vertices: Tensor) -> EdgesInView:
-    """Which edges are in view, and how long they are there; `vertices` (U, 3) of the outline, float64."""
-    camera, edges = view.camera, outline.edges
-    silhouette = is_silhouette(edges, vertices, camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
-    jump = torch.where(silhouette, 1.0, outline.crease.double())
-    some, enters, leaves = clipped(view, edges, vertices, (jump > 0).nonzero().squeeze(1))
-    a, b = (Vec3.of(vertices[index[some]]) for index in (edges.a, edges.b))
-    middle = Vec2(*(torch.full_like(enters, 0.5),) * 2) if camera.kind.has_aperture else None
-    ends = [on_film(view, a + (b - a) * along, middle) for along in (enters, leaves)]
-    length = torch.hypot(ends[1].x - ends[0].x, ends[1].y - ends[0].y)
-    weight = length * jump[some]
-    every = torch.zeros(3, len(jump), dtype=torch.float64, device=vertices.device)
-    enters, leaves, weights = every.index_copy(1, some, torch.stack([enters, leaves, weight]))
-    return EdgesInView(enters, leaves, weights, silhouette, float(weight.sum()))
-
-
-def clipped(view: View, edges: Edges, vertices: Tensor, some: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Those of some edges that are in view, (S,), and the shares of the way from a to b between which they are.
-
-    Only edges that cross the border of the view are clipped.
-
-    Args:
-        view: where also counts what the filter reaches beyond the window.
-        edges: between `vertices`, (U, 3) float64.
-        some: (E',) int64, of the edges.
-    """
-    camera, (x, y) = view.camera, window(view)
-    beyond = camera.kind.frustum(camera.lens, x, y, Vec3.of(vertices)) < 0
-    bits = 1 << torch.arange(len(beyond), device=vertices.device)
-    outside = (beyond * bits[:, None]).sum(0)  # a bit for each plane of the frustum, as Cohen and Sutherland have it
-    at_a, at_b = (outside[index[some]] for index in (edges.a, edges.b))
-    seen = (at_a & at_b) == 0
-    some, crossing = some[seen], (at_a | at_b)[seen].nonzero().squeeze(1)
-    enters = torch.zeros(len(some), dtype=torch.float64, device=vertices.device)
-    a, b = (Vec3.of(vertices[index[some[crossing]]]) for index in (edges.a, edges.b))
-    first, last = camera.kind.clipped(camera.lens, x, y, a, b)
-    leaves = torch.ones_like(enters).index_copy(0, crossing, last)
-    enters = enters.index_copy(0, crossing, first)
-    seen = enters < leaves
-    return some[seen], enters[seen], leaves[seen]

@@ -10,22 +10,27 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.junctions import cut_at_vertices
+from torch_radbp.jit.order import chosen as chosen_lanes
+from torch_radbp.jit.order import partition
+from torch_radbp.vec import rows
 
 WELDED = 1e-5  # vertices nearer than about this share of the mesh's extent count as one
 HASH, SLOTS = 0x1E3779B97F4A7C15, 1 << 22  # the multiplier of a hash, and how many values it has
 MANY = 1 << 16  # triangles of a shape of which all are looked at
 SOME = 1 << 14  # triangles of a larger shape that are looked at
+MOST_MEETING = 8  # triangles at an edge that are told apart
 
 
 class Edges(NamedTuple):
-    """E edges between U vertices, at which H corners of triangles lie opposite (two at an edge inside a surface)."""
+    """E edges of a mesh, and the triangles that meet there: of more than `MOST_MEETING` only so many."""
 
-    vertex: Tensor  # (U,) int64, rows of the mesh's vertices; a, b and opposite index this field
-    a: Tensor  # (E,) int64, one end
+    a: Tensor  # (E,) int32, one end, a row of the mesh's vertices: of those at the same place one stands for all
     b: Tensor  # (E,) the other
-    opposite: Tensor  # (H,) int64, the third vertex of a triangle
-    edge: Tensor  # (H,) int64, of which edge
-    corner: Tensor  # (H,) int64, its number among all corners, three of each triangle in the order of the faces
+    opposite: tuple[Tensor, ...]  # (E,) int32 each, the third vertex of each triangle; of fewer, the first again
+    corner: tuple[Tensor, ...]  # (E,) int32 each, its number among all corners, three of each triangle in order
+    count: Tensor  # (E,) int32, how many triangles meet
+    alike: Tensor  # (E,) bool: the first two of them run along it in the same direction, so that one is turned round
+    seam: Tensor | None  # (E,) bool: these have not the same vertices there; None: nowhere
 
 
 def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
@@ -62,47 +67,113 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
         chosen: (C,) rows of `faces`, distinct; None: all.
     """
     first = int(faces.min())
-    faces = faces - first
+    faces = faces.int() - first
     vertices = vertices[first:first + int(faces.max()) + 1]
     size = weld_size(vertices)
     cells = cells_of(vertices, size)
-    near = torch.arange(len(faces), device=faces.device)
+    near = vertex = None
     if chosen is not None:
-        near = touching(cells, faces, faces[chosen].flatten().long())
-    vertex, corner = torch.unique(faces[near].long(), return_inverse=True)
-    corner = welded(tuple(cell[vertex] for cell in cells))[corner]
-    proper = ~(corner == corner.roll(1, 1)).any(1)
-    one, two, three = corner[proper].unbind(1)
-    ends = torch.stack([torch.cat([one, two, three]), torch.cat([two, three, one])])
-    opposite, corners = torch.cat([three, one, two]), torch.cat([3 * near[proper] + place for place in (2, 0, 1)])
-    keys, edge = numbered(ends, len(vertex))
-    border = (torch.bincount(edge)[edge] == 1).nonzero().squeeze(1)
+        near = touching(cells, faces, faces[chosen].flatten())
+        vertex, own = torch.unique(faces[near], return_inverse=True)
+        cells, vertices, own = tuple(cell[vertex] for cell in cells), vertices[vertex], own.int()
+    else:
+        own = faces
+    label = welded(cells)
+    corner = own if label is None else label[own]
+    sides, flat, cut = sides_of(corner), own.flatten(), False
+    edges = met(sides, len(vertices))
+    border = edges.side[0][edges.count == 1].long()
     if len(border):
-        which, pieces = cut_at_vertices(vertices[vertex].double(), ends[:, border], size)
-        if len(which):
-            whole = torch.ones(len(edge), dtype=torch.bool, device=edge.device).index_fill(0, border[which], False)
-            ends = torch.cat([ends[:, whole], pieces], 1)
-            opposite, corners = (torch.cat([part[whole], part[border[which]]]) for part in (opposite, corners))
-            keys, edge = numbered(ends, len(vertex))
-    edges = Edges(first + vertex, keys // len(vertex), keys % len(vertex), opposite, edge, corners)
-    if chosen is None:
-        return edges
-    wanted = torch.zeros(len(faces), dtype=torch.bool, device=faces.device).index_fill(0, chosen, True)
-    return kept(edges, wanted[corners // 3])
+        ends = torch.where(sides.forward[border], sides.low[border], sides.high[border]), torch.where(
+            sides.forward[border], sides.high[border], sides.low[border])
+        which, pieces = cut_at_vertices(vertices.double(), torch.stack(ends).long(), size)
+        cut = len(which) > 0
+        if cut:
+            whole = torch.ones_like(sides.forward).index_fill(0, border[which], False)
+            parts = sides_between(*pieces.int(), sides.corner[border[which]])
+            sides = Sides(*(torch.cat([side[whole], part]) for side, part in zip(sides, parts)))
+            edges = met(sides, len(vertices))
+    if chosen is not None:
+        wanted = torch.zeros(len(faces), dtype=torch.bool, device=faces.device).index_fill(0, chosen, True)[near]
+        edges = edges.of(rows(wanted, torch.div(sides.corner, 3, rounding_mode="floor")))
+    corners = tuple(rows(sides.corner, side) for side in edges.side)
+    alike = (edges.count > 1) & (rows(sides.forward, edges.side[0]) == rows(sides.forward, edges.side[1]))
+    seam = None if label is None and not cut else (edges.count == 2) & ~have_same_ends(flat, *corners[:2])
+    ends = [edges.low, edges.high, *(rows(corner.flatten(), number) for number in corners)]
+    if vertex is not None:
+        ends = [rows(vertex, end) for end in ends]
+        corners = tuple(3 * rows(near.int(), torch.div(corner, 3, rounding_mode="floor")) + corner % 3 for corner in corners)
+    a, b, *opposite = (first + end for end in ends) if first else ends
+    return Edges(a, b, tuple(opposite), corners, edges.count, alike, seam)
 
 
-def numbered(ends: Tensor, vertices: int) -> tuple[Tensor, Tensor]:
-    """The pairs of vertices that occur at the `ends`, (2, H), of edges, (E,) int64, a * vertices + b with a < b; and (H,)
-    which of these each has."""
-    return torch.unique(ends.amin(0) * vertices + ends.amax(0), return_inverse=True)
+class Sides(NamedTuple):
+    """The H sides of triangles, (H,)."""
+
+    low: Tensor  # int32, the vertices at their ends, the lesser one
+    high: Tensor
+    forward: Tensor  # bool: the triangle runs along it from there to here
+    corner: Tensor  # int32, number of the corner that lies opposite
 
 
-def kept(edges: Edges, corners: Tensor) -> Edges:
-    """The edges that have one of the marked corners, (H,) bool, opposite them; with all corners opposite these edges."""
-    keep = torch.zeros(len(edges.a), dtype=torch.bool, device=corners.device).index_fill(0, edges.edge[corners], True)
-    there = keep[edges.edge]
-    return Edges(edges.vertex, edges.a[keep], edges.b[keep], edges.opposite[there],
-                 (keep.cumsum(0) - 1)[edges.edge[there]], edges.corner[there])
+def sides_between(start: Tensor, end: Tensor, corner: Tensor) -> Sides:
+    """The sides that run between some vertices, (H,) int32, opposite some corners."""
+    return Sides(torch.minimum(start, end), torch.maximum(start, end), start < end, corner)
+
+
+def sides_of(faces: Tensor) -> Sides:
+    """The sides of the triangles among some, (F, 3) int32, that are not degenerate."""
+    number = 3 * torch.arange(len(faces), dtype=torch.int32, device=faces.device)
+    one, two, three = faces.unbind(1)
+    proper = (one != two) & (two != three) & (three != one)
+    if not proper.all():
+        one, two, three, number = (column[proper] for column in (one, two, three, number))
+    parts = (one, two, number + 2), (two, three, number), (three, one, number + 1)
+    return Sides(*map(torch.cat, zip(*(sides_between(*part) for part in parts))))
+
+
+class Meeting(NamedTuple):
+    """The sides that are one edge, of E edges."""
+
+    low: Tensor  # (E,) int32, its vertices
+    high: Tensor
+    side: tuple[Tensor, ...]  # (E,) int32 each; where there are fewer, the first again
+    count: Tensor  # (E,) int32, of sides
+    every: Tensor  # (H,) int32, all sides, edge by edge
+
+    def of(self, wanted: Tensor) -> Meeting:
+        """Those edges of which a side is `wanted`, (H,) bool."""
+        last = self.count.cumsum(0)
+        found = torch.cat([wanted.new_zeros(1, dtype=torch.int64), rows(wanted, self.every).cumsum(0)])
+        keep = found[last] > found[last - self.count]
+        low, high, count = (column[keep] for column in (self.low, self.high, self.count))
+        return Meeting(low, high, tuple(side[keep] for side in self.side), count, self.every)
+
+
+def met(sides: Sides, vertices: int) -> Meeting:
+    """Which sides of triangles meet, in the order of their vertices, of which there are so many."""
+    order, _ = partition(sides.high, vertices)
+    order = rows(order, partition(rows(sides.low, order), vertices)[0])
+    low, high = rows(sides.low, order), rows(sides.high, order)
+    begins = torch.ones_like(sides.forward)
+    begins[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
+    first = chosen_lanes(begins)
+    low, high = rows(low, first), rows(high, first)
+    count = torch.diff(first, append=first.new_full((1,), len(order)))
+    most = max(2, min(MOST_MEETING, int(count.max()) if len(count) else 0))
+    side = tuple(rows(order, first + (count > place).int() * place) for place in range(most))
+    return Meeting(low, high, side, count, order)
+
+
+def have_same_ends(flat: Tensor, one: Tensor, two: Tensor) -> Tensor:
+    """True if the sides opposite two corners each, (E,) int32, of triangles have the same vertices; (E,) bool.
+
+    Args:
+        flat: (3 F,) int32, the vertices at all corners.
+    """
+    (a, b), (c, d) = ((rows(flat, corner + torch.where(corner % 3 == 2, -2, 1).int()),
+                       rows(flat, corner + torch.where(corner % 3 == 0, 2, -1).int())) for corner in (one, two))
+    return ((a == c) & (b == d)) | ((a == d) & (b == c))
 
 
 def touching(cells: tuple[Tensor, Tensor], faces: Tensor, vertices: Tensor) -> Tensor:
@@ -110,7 +181,7 @@ def touching(cells: tuple[Tensor, Tensor], faces: Tensor, vertices: Tensor) -> T
     touched = torch.zeros(len(cells[0]), dtype=torch.bool, device=faces.device)
     for cell in cells:
         slot = ((cell * HASH) >> 32) & (SLOTS - 1)  # cells may share a slot: a few more triangles do no harm
-        touched |= torch.zeros(SLOTS, dtype=torch.bool, device=faces.device).index_fill(0, slot[vertices], True)[slot]
+        touched |= torch.zeros(SLOTS, dtype=torch.bool, device=faces.device).index_fill(0, slot[vertices.long()], True)[slot]
     first, second, third = (touched.index_select(0, corner) for corner in faces.unbind(1))
     return ((first & second) | (second & third) | (third & first)).nonzero().squeeze(1)
 
@@ -136,11 +207,12 @@ def cells_of(vertices: Tensor, size: float) -> tuple[Tensor, Tensor]:
     return tuple(cells)
 
 
-def welded(cells: tuple[Tensor, Tensor]) -> Tensor:
-    """For each vertex the first one at the same place, (V,) int64, by the cells from `cells_of`."""
-    label = torch.arange(len(cells[0]), device=cells[0].device)
-    groups = [torch.unique(cell, return_inverse=True)[1] for cell in cells]
-    for group in groups * 2:
-        least = torch.full_like(label, len(label)).scatter_reduce(0, group, label, "amin")
-        label = least[group]
-    return label
+def welded(cells: tuple[Tensor, Tensor]) -> Tensor | None:
+    """For each vertex the first one at the same place, (V,) int32, by the cells from `cells_of`; None: all lie apart."""
+    own = label = torch.arange(len(cells[0]), dtype=torch.int32, device=cells[0].device)
+    groups = [torch.unique(cell, return_inverse=True) for cell in cells]
+    if all(len(found) == len(own) for found, _ in groups):
+        return None
+    for _, group in groups * 2:
+        label = torch.full_like(own, len(own)).scatter_reduce(0, group, label, "amin")[group]
+    return None if torch.equal(label, own) else label

@@ -85,5 +85,4 @@ def has_negative_volume(triangles: TriangleTable, own: range) -> bool:
 
 def is_closed(vertices: Tensor, faces: Tensor) -> bool:
     """True if two triangles meet at each edge of a surface; arguments as of `edges_of`."""
-    edges = edges_of(vertices, faces)
-    return bool((torch.bincount(edges.edge, minlength=len(edges.a)) == 2).all())
+    return bool((edges_of(vertices, faces).count == 2).all())

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -17,35 +18,31 @@ from torch import Tensor
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.faces import joined as joined_faces
-from torch_radbp.boundary.places import Placed
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.differentiated import detached
 from torch_radbp.raycast.caster_cache import same
+from torch_radbp.record import joined as joined_records
+from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.rendering.call.render_call import RenderCall
-from torch_radbp.scene.placement import shown
+from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances
-from torch_radbp.vec import Vec3, rows
+from torch_radbp.vec import rows
 
-COPLANAR = 1e-6  # half of the difference of unit normals, below which triangles lie in one plane
+# How much of a jump an edge may be that is no silhouette. At a fold by the normals of two triangles, of which one may be
+# turned round.
+NONE, WHOLE, FOLD, TURNED = range(4)
 MOST_SHOWN = 1 << 20  # edges of instances of a group that are examined; of more instances some are picked at random
 
 
 class Outline(NamedTuple):
-    """E edges between U vertices in the world."""
+    """E edges of triangles of a scene, in the world; functions of lanes read them."""
 
-    edges: Edges
-    instance: Tensor | None  # (U,) int32 that shows each vertex, as hits count; None: the scene has none
-    crease: Tensor  # (E,) in [0, 1], how much of a jump an edge may be that is no silhouette; 0: none
-    share: Tensor  # (E,) probability with which an edge is among these
-
-    def vertices(self, scene: SceneTensors, index: Tensor | None = None) -> Vec3:
-        """Its vertices in the world, (U,), or those that `index` calls for; attached to the scene."""
-        row = self.edges.vertex if index is None else self.edges.vertex[index]
-        points = rows(scene.triangles.vertices.p, row)
-        if self.instance is None:
-            return points
-        return shown(scene, Placed(self.instance if index is None else self.instance[index]), (points,))[0]
+    edges: Edges  # between the scene's vertices
+    instance: Tensor | None  # (E,) int32 that shows each, as hits count; None: the scene has none
+    crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, `TURNED`
+    folds: bool  # some are `FOLD` or `TURNED`
+    share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
 
 
 class Moving(NamedTuple):
@@ -63,27 +60,12 @@ class Jumps(NamedTuple):
 
 
 class OutlinedMesh(NamedTuple):
-    """The edges of some triangles, and what else about them does not change while these do not move."""
+    """The edges of some triangles, and what they depend on."""
 
     corners: tuple[Tensor, Tensor, Tensor]  # of all triangles of the scene
     smooth: Tensor | None  # of all triangles of the scene
     reads: tuple[bool, ...]  # whether the scene has normals and surface coordinates of vertices
-    edges: Edges  # `corner` counts those of all triangles
-    creases: Creases
-
-
-class Creases(NamedTuple):
-    """How much of a jump edges may be that are no silhouettes."""
-
-    fixed: Tensor  # (E,) 1 where that is not known better; 0 where there is none, or where the normals of triangles tell
-    flat: Tensor  # (P,) int64, the edges where they do: between triangles of one flat-shaded surface
-    here: Tensor  # (P,) int64, one triangle there
-    there: Tensor  # (P,) the other
-
-    def jumps(self, n: Vec3) -> Tensor:
-        """(E,) in [0, 1]; `n` (T,) the normals of the scene's triangles, of which half of the difference counts."""
-        apart = 0.5 * torch.sqrt(sum((part[self.here] - part[self.there]) ** 2 for part in n))
-        return self.fixed.to(apart.dtype).index_copy(0, self.flat, torch.where(apart > COPLANAR, apart, 0.0))
+    outline: Outline  # without instances
 
 
 class Outlines:
@@ -111,6 +93,12 @@ class Outlines:
                  for pair in dict.fromkeys(wanted)}
         return [found[pair] for pair in wanted]
 
+    def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
+        """The edges of all shapes; None: there are none. Args as for `of_views`."""
+        everything = Moving(*((True,) * len(part) for part in (rendering.movers, rendering.moving_instances)))
+        generator = torch.Generator("cpu").manual_seed(seed % (1 << 63))
+        return self.of(detached(call.scene), rendering.sizes, everything, generator)
+
     def of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Outline | None:
         """The edges of all that moves; None: there are none.
 
@@ -133,12 +121,10 @@ class Outlines:
 
     def in_world(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Outline | None:
         """The edges of some shapes that are in the world."""
-        mesh = self.mesh(triangles, counts, shapes)
-        if mesh is None:
-            return None
-        instance = None if triangles.instances is None else torch.zeros_like(mesh.edges.vertex, dtype=torch.int32)
-        jumps = mesh.creases.jumps(triangles.n)
-        return Outline(mesh.edges, instance, jumps, torch.ones_like(jumps))
+        outline = self.mesh(triangles, counts, shapes)
+        if outline is None or triangles.instances is None:
+            return outline
+        return outline._replace(instance=torch.zeros_like(outline.crease))
 
     def in_group(self, triangles: TriangleTable, counts: Sequence[int], moving: Moving, instances: Instances, group: int,
                  generator: torch.Generator) -> Outline | None:
@@ -147,39 +133,49 @@ class Outlines:
         members = tuple(number for number, start in enumerate(accumulate(counts[:-1], initial=0)) if first <= start < last)
         everywhere = any(moving.shapes[member] for member in members)
         shows = slice(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
-        mesh = self.mesh(triangles, counts, members) if everywhere or any(moving.instances[shows]) else None
-        if mesh is None:
+        outline = self.mesh(triangles, counts, members) if everywhere or any(moving.instances[shows]) else None
+        if outline is None:
             return None
-        edges, jumps = mesh.edges, mesh.creases.jumps(triangles.n)
-        chosen, part = chosen_instances(instances, group, moving, everywhere, len(edges.a), generator)
-        chosen = chosen.to(edges.a.device)
-        times = torch.arange(len(chosen), device=chosen.device)
+        size = len(outline.crease)
+        chosen, part = chosen_instances(instances, group, moving, everywhere, size, generator)
+        chosen = chosen.to(outline.crease.device, torch.int32)
+        columns = leaves_of(outline.edges)
+        edges = with_leaves(outline.edges, [None if column is None else column.repeat(len(chosen)) for column in columns])
+        share = None if part == 1.0 else torch.full((len(chosen) * size,), part, dtype=torch.float64, device=chosen.device)
+        return Outline(edges, (chosen + 1).repeat_interleave(size), outline.crease.repeat(len(chosen)), outline.folds,
+                       share)
 
-        def repeated(index: Tensor, step: int) -> Tensor:
-            return (index + step * times[:, None]).flatten()
-
-        shown = Edges(edges.vertex.repeat(len(chosen)), *(repeated(index, len(edges.vertex)) for index in edges[1:4]),
-                      repeated(edges.edge, len(edges.a)), edges.corner.repeat(len(chosen)))
-        jumps = jumps.repeat(len(chosen))
-        return Outline(shown, (chosen + 1).to(torch.int32).repeat_interleave(len(edges.vertex)), jumps,
-                       torch.full_like(jumps, part))
-
-    def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> OutlinedMesh | None:
+    def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Outline | None:
         """The edges of some shapes, found anew only if triangles of the scene have changed; None: there are none."""
         known = self.known.get(shapes)
         tables, reads = (*triangles.corners, triangles.smooth), tuple(
             column is not None for column in (triangles.vertices.n, triangles.vertices.uv))
         if known is not None and known.reads == reads and all(map(unchanged, tables, (*known.corners, known.smooth))):
-            return known
-        shape = torch.repeat_interleave(torch.tensor(counts, device=triangles.material.device))
-        chosen = torch.isin(shape, torch.tensor(shapes, device=shape.device)).nonzero().squeeze(1)
-        if not len(chosen):
+            return known.outline
+        device, firsts = triangles.material.device, list(accumulate(counts, initial=0))
+        own = [torch.arange(firsts[number], firsts[number + 1], dtype=torch.int32, device=device) for number in shapes
+               if counts[number]]
+        if not own:
             return None
-        edges = edges_of(triangles.vertices.p.stack(), torch.stack(triangles.corners, 1)[chosen])
-        edges = edges._replace(corner=3 * chosen[torch.div(edges.corner, 3, rounding_mode="floor")] + edges.corner % 3)
-        found = self.known[shapes] = OutlinedMesh(triangles.corners, triangles.smooth, reads, edges,
-                                         creases(edges, triangles, shape))
-        return found
+        chosen = torch.cat(own)
+        faces = torch.stack([rows(corner, chosen) for corner in triangles.corners], 1)
+        edges = edges_of(triangles.vertices.p.stack(), faces)
+        if int(chosen[-1]) >= len(chosen):
+            edges = edges._replace(corner=tuple(
+                3 * rows(chosen, torch.div(corner, 3, rounding_mode="floor")) + corner % 3 for corner in edges.corner))
+        shape = None if len(own) == 1 else torch.repeat_interleave(torch.tensor(counts, device=device)).int()
+        crease = creases(edges, triangles, shape)
+        outline = Outline(edges._replace(alike=None, seam=None), None, crease, bool((crease >= FOLD).any()), None)
+        self.known[shapes] = OutlinedMesh(triangles.corners, triangles.smooth, reads, outline)
+        return outline
+
+
+KNOWN: WeakKeyDictionary[Scene, Outlines] = WeakKeyDictionary()
+
+
+def outlines_of(scene: Scene) -> Outlines:
+    """The outlines of a scene, which all that render it share."""
+    return KNOWN.setdefault(scene, Outlines())
 
 
 def faces_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Faces | None:
@@ -190,21 +186,20 @@ def faces_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generat
     own = firsts[-1] if instances is None else int(instances.first_triangle[0])
 
     def of_shapes(first: int, last: int, which: Sequence[bool]) -> Tensor:
-        found = [torch.arange(start, start + count, device=device) for start, count, moves in zip(firsts, counts, which)
-                 if moves and first <= start < last]
-        return torch.cat(found) if found else torch.zeros(0, dtype=torch.int64, device=device)
+        found = [torch.arange(start, start + count, dtype=torch.int32, device=device)
+                 for start, count, moves in zip(firsts, counts, which) if moves and first <= start < last]
+        return torch.cat(found) if found else torch.zeros(0, dtype=torch.int32, device=device)
 
     world = of_shapes(0, own, moving.shapes)
-    share = torch.ones(len(world), dtype=torch.float64, device=device)
-    parts = [Faces(world, None if instances is None else torch.zeros_like(world, dtype=torch.int32), share)]
+    parts = [Faces(world, None if instances is None else torch.zeros_like(world), None)]
     for group in range(0 if instances is None else len(instances.first_triangle) - 1):
         first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
         members = of_shapes(first, last, (True,) * len(counts))
         everywhere = len(of_shapes(first, last, moving.shapes)) > 0
         chosen, part = chosen_instances(instances, group, moving, everywhere, len(members), generator)
         shows = chosen.to(device, torch.int32) + 1
-        parts.append(Faces(members.repeat(len(shows)), shows.repeat_interleave(len(members)),
-                           torch.full((len(shows) * len(members),), part, dtype=torch.float64, device=device)))
+        share = None if part == 1.0 else torch.full((len(shows) * len(members),), part, dtype=torch.float64, device=device)
+        parts.append(Faces(members.repeat(len(shows)), shows.repeat_interleave(len(members)), share))
     return joined_faces([part for part in parts if len(part.triangle)])
 
 
@@ -237,51 +232,38 @@ def joined(parts: Sequence[Outline]) -> Outline | None:
     """All edges of several outlines."""
     if len(parts) < 2:
         return parts[0] if parts else None
-    vertices, edges = 0, 0
-    moved = []
-    for part in parts:
-        own = part.edges
-        moved.append(Edges(own.vertex, own.a + vertices, own.b + vertices, own.opposite + vertices, own.edge + edges,
-                           own.corner))
-        vertices, edges = vertices + len(own.vertex), edges + len(own.a)
-    columns = zip(*(part[1:] for part in parts))
-    return Outline(Edges(*map(torch.cat, zip(*moved))), *map(torch.cat, columns))
+    most = max(len(part.edges.corner) for part in parts)
+    shares = [part.share for part in parts]
+    if any(share is not None for share in shares):
+        shares = [torch.ones_like(part.crease, dtype=torch.float64) if part.share is None else part.share for part in parts]
+    return Outline(joined_records([padded(part.edges, most) for part in parts]),
+                   joined_records([part.instance for part in parts]), torch.cat([part.crease for part in parts]),
+                   any(part.folds for part in parts), joined_records(shares))
 
 
-def creases(edges: Edges, triangles: TriangleTable, shape: Tensor) -> Creases:
-    """Where edges are creases.
+def padded(edges: Edges, most: int) -> Edges:
+    """Edges with columns for so many triangles, or more."""
+    opposite, corner = (column + column[:1] * (most - len(column)) for column in (edges.opposite, edges.corner))
+    return edges._replace(opposite=opposite, corner=corner)
+
+
+def creases(edges: Edges, triangles: TriangleTable, shape: Tensor | None) -> Tensor:
+    """Where edges are creases; see `Outline.crease`.
 
     Args:
         edges: of triangles of this table.
         triangles: of the scene, detached.
-        shape: (T,) that each triangle belongs to.
+        shape: (T,) int32, that each triangle belongs to; None: all to the same.
     """
-    count = torch.bincount(edges.edge, minlength=len(edges.a))
-    order = edges.edge.argsort(stable=True)
-    pairs = (count == 2).nonzero().squeeze(1)
-    first = (count.cumsum(0) - count)[pairs]
-    one, two = order[first], order[first + 1]
-    here, there = (torch.div(edges.corner[corner], 3, rounding_mode="floor") for corner in (one, two))
-    corners = torch.stack(triangles.corners, 1)
-    shared = (ends(corners, edges.corner[one]) == ends(corners, edges.corner[two])).all(1)
-    smooth = torch.full_like(shared, triangles.vertices.n is not None)
+    here, there = (torch.div(corner, 3, rounding_mode="floor") for corner in edges.corner[:2])
+    known = (edges.count == 2) if not triangles.attributes else torch.zeros_like(edges.count, dtype=torch.bool)
+    if shape is not None:
+        known &= rows(shape, here) == rows(shape, there)
+    smooth = torch.full_like(known, triangles.vertices.n is not None)
     if triangles.smooth is not None:
-        smooth &= triangles.smooth[here] & triangles.smooth[there]
-    known = shape[here] == shape[there]
-    known &= shared if triangles.vertices.uv is not None or triangles.vertices.attributes else shared | ~smooth
-    known &= torch.full_like(shared, not triangles.attributes)
-    fixed = torch.ones(len(count), device=count.device).index_put((pairs[known],), torch.zeros((), device=count.device))
-    flat = known & ~smooth
-    return Creases(fixed, pairs[flat], here[flat], there[flat])
-
-
-def ends(corners: Tensor, corner: Tensor) -> Tensor:
-    """The rows of the vertices at the ends of edges, in the triangle of a corner opposite to each; (P, 2) ascending.
-
-    Args:
-        corners: (T, 3) rows of vertices.
-        corner: (P,) number of the corner among all.
-    """
-    triangle = corners[torch.div(corner, 3, rounding_mode="floor")]
-    around = torch.stack([(corner + 1) % 3, (corner + 2) % 3], 1)
-    return triangle.gather(1, around).sort(1).values
+        smooth &= rows(triangles.smooth, here) & rows(triangles.smooth, there)
+    if edges.seam is not None:
+        reads = triangles.vertices.uv is not None or bool(triangles.vertices.attributes)
+        known &= ~edges.seam if reads else ~(edges.seam & smooth)
+    fold = FOLD + edges.alike.int() * (TURNED - FOLD)
+    return torch.where(known, fold.masked_fill(smooth, NONE), WHOLE)

@@ -8,10 +8,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
+from torch_radbp.boundary.geometry import Between, Geometry, positions
+from torch_radbp.boundary.silhouette import Eye
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.rendering.call.render_call import RenderCall
 from torch_radbp.rendering.call.view import View
-from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
     LaneKey,
@@ -23,14 +25,14 @@ from torch_radbp.sampling.sampler import (
     random_bits,
 )
 from torch_radbp.scene.cone import camera_cone
-from torch_radbp.scene.placement import shown
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, max_component, rows
+from torch_radbp.sensor.frustum import Frustum
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.vec import TINY, Vec2, Vec3, dot, interpolated, max_component, rows
 
 APART = 2e-6  # share of its distance by which places on either side of a curve lie off it, through which paths are traced
 ROUNDED = 8 * 2.0**-24  # the same as a share of the coordinates, by whose rounding in float32 rays miss the places
 NEIGHBOURS = 64  # successive places that share a sequence of low discrepancy
-FEWEST, LARGEST_SHARE = 256, 4  # places on the curves of a kind; and one for so many paths of the image at most
+FEWEST, LARGEST_SHARE = 256, 4  # places on the curves of a kind; of all kinds, one for so many paths of the image at most
 SALT = 0x2545F491  # tells the random numbers of places from those of images
 ALONG = 0  # the random number of a place beside those of the aperture
 APERTURE_COUNTER = 0x1B873593
@@ -38,20 +40,6 @@ APERTURE_COUNTER = 0x1B873593
 # What a place lies on: edges that are silhouettes and edges that are creases, and the curves inside of triangles at which
 # shading normals turn away from the camera, and at which its near and its far plane cut them.
 SILHOUETTE, CREASE, RIM, NEAR, FAR = range(5)
-
-
-class Placed(NamedTuple):
-    """What shows vertices of groups, in place of a `Hit`."""
-
-    instance: Tensor  # (N,) int32, as hits count
-
-
-class Between(NamedTuple):
-    """Three vertices of a surface, rows of the scene's vertices; (N,) int64."""
-
-    first: Tensor
-    second: Tensor
-    third: Tensor  # of a place on an edge the second once more
 
 
 class Glued(NamedTuple):
@@ -65,7 +53,7 @@ class Glued(NamedTuple):
 class Places(NamedTuple):
     """N places on curves at which an image jumps, in one view; float64 where not said otherwise, detached."""
 
-    kind: Tensor  # (N,) int64: SILHOUETTE, CREASE, ...
+    kind: Tensor  # (N,) int32: SILHOUETTE, CREASE, ...
     between: Between
     instance: Tensor | None  # (N,) int32 that shows these vertices, as hits count; None: the scene has none
     u: Tensor  # (N,) barycentric coordinates: of the second vertex
@@ -80,13 +68,30 @@ class Places(NamedTuple):
     ahead: Glued  # right ahead, likewise
     key: LaneKey  # of random numbers
     aperture: Vec2 | None  # as of `CameraKind.sample_ray`
+    counts: Tensor  # (N,) bool: in some pixel
 
-    def at(self, scene: SceneTensors) -> Vec3:
+    def at(self, geometry: Geometry) -> Vec3:
         """The places in the world, glued to their triangles; attached, float64."""
-        corners = tuple(rows(scene.triangles.vertices.p, corner) for corner in self.between)
-        if self.instance is not None:
-            corners = shown(scene, Placed(self.instance), corners)
-        return interpolated(tuple(corner.map(torch.Tensor.double) for corner in corners), self.u, self.v)
+        return interpolated(positions(geometry, self.between, self.instance), self.u, self.v)
+
+
+class Sight(NamedTuple):
+    """What a view shows, as functions of lanes read it; detached."""
+
+    camera: Camera
+    eye: Eye
+    frustum: Frustum  # around what counts, in the view or beyond it by what the filter reaches
+    seed: SampleKey  # of the random numbers of places
+
+
+def sight_of(view: View) -> Sight:
+    """What a detached view shows."""
+    camera, film = view.camera, view.camera.film
+    reach = film.kernel.radius
+    x, y = (torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
+            for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
+    eye = Eye.of(camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
+    return Sight(camera, eye, camera.kind.frustum(camera.lens, x, y), view.sample_keys[1])
 
 
 class Numbers(NamedTuple):
@@ -97,61 +102,87 @@ class Numbers(NamedTuple):
     aperture: Vec2 | None  # (N,) in [0, 1)
 
 
-def numbers_of(view: View, count: int, salt: int) -> Numbers:
-    """The random numbers of some places in a view; curves of another kind have another salt."""
-    key = view.sample_keys[1]
-    place = torch.arange(count, dtype=torch.int32, device=key.seed.device)
-    salted = SampleKey(hash32(key.seed ^ (SALT + salt)), key.shared)
+def numbers_of(sight: Sight, place: Tensor, salt: int) -> Numbers:
+    """The random numbers of places, (N,) int32; curves of another kind have another salt."""
+    salted = SampleKey(hash32(sight.seed.seed ^ (SALT + salt)), sight.seed.shared)
     lanes = lane_key(salted, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
     along, aperture = fine_unit(random_bits(bounce_key(lanes, CAMERA_COUNTER), ALONG)), None
-    if view.camera.kind.has_aperture:
+    if sight.camera.kind.has_aperture:
         more = bounce_key(lanes, APERTURE_COUNTER)
         aperture = Vec2(*(fine_unit(random_bits(more, dimension)) for dimension in (APERTURE_U, APERTURE_V)))
     return Numbers(lanes, along, aperture)
 
 
-def number_of_places(length: float, call: RenderCall, view: View) -> int:
-    """How many places are sampled: as many as a pixel has samples for each pixel of length, within bounds.
+def numbers_of_places(lengths: Sequence[float], call: RenderCall, view: View) -> list[int]:
+    """How many places are sampled on curves of each kind: as many as a pixel has samples for each pixel of length, but all
+    together no more than a share of the paths of the image, beside whose part of a gradient's variance that of the places
+    is small (`python -m benchmarks.primary --noise`).
 
     Args:
-        length: of all curves of a kind on the film, pixels; 0: nothing is in view.
+        lengths: of the curves of each kind on the film, pixels.
         call: of `view`.
     """
-    paths = view.width * view.height * call.spp
-    return 0 if length == 0.0 else max(FEWEST, min(int(length * call.spp), paths // LARGEST_SHARE))
+    wanted = sum(lengths) * call.spp
+    share = min(1.0, view.width * view.height * call.spp / (LARGEST_SHARE * wanted)) if wanted else 0.0
+    return [max(FEWEST, int(length * call.spp * share)) for length in lengths]
 
 
-def picked(weight: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Picks one of W things for each of N places, in proportion to weights, and in order.
+class Lot(NamedTuple):
+    """What W things are picked by, in proportion to weights."""
+
+    weight: Tensor  # (W,) float64, not normalised
+    total: Tensor  # (W,) its running sum
+    step: Tensor  # () what one place stands for
+    last: Tensor  # () int64, W - 1
+
+
+def lot_of(weight: Tensor, count: int, total: Tensor) -> Lot:
+    """What `count` places are picked by, of weights, (W,), and their running sum."""
+    return Lot(weight, total, total[-1] / count, torch.full((), len(weight) - 1, dtype=torch.int64, device=weight.device))
+
+
+def picked(lot: Lot, place: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Picks one thing for each of N places, in order.
 
     Args:
-        weight: (W,) not normalised.
+        lot: what is picked.
+        place: (N,) int32, their numbers.
         along: (N,) uniform numbers.
 
     Returns:
-        The row of `weight`; a uniform number that is left over; and how many things of that weight a place stands for.
+        The row of the thing, int64; a uniform number that is left over; and how many things of that weight a place
+        stands for.
     """
-    total, count = running_sum(weight), len(along)
-    place = torch.arange(count, dtype=torch.float64, device=weight.device) + along
-    target = place * (total[-1:] / max(count, 1))
-    row = torch.searchsorted(total, target, right=True).clamp_max(len(total) - 1)
-    own = weight[row]
-    return row, ((target - total[row] + own) / own).clamp(0.0, 1.0), total[-1:] / (own * max(count, 1))
+    target = (place.double() + along) * lot.step
+    row = torch.minimum(torch.searchsorted(lot.total, target, right=True), lot.last)
+    own = rows(lot.weight, row)
+    return row, ((target - rows(lot.total, row) + own) / own).clamp(0.0, 1.0), lot.step / own
 
 
-def window(view: View) -> tuple[Tensor, Tensor]:
-    """The borders of a view and of what the filter reaches beyond it: left and right, upper and lower, (2,) positions."""
-    film = view.camera.film
-    reach = film.kernel.radius
-    return tuple(torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
-                 for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
-
-
-def on_film(view: View, p: Vec3, aperture: Vec2 | None) -> Vec2:
+def on_film(camera: Camera, p: Vec3, aperture: Vec2 | None) -> Vec2:
     """Where world points are seen, pixels from the upper left corner of the crop window."""
-    film = view.camera.film
-    place = view.camera.kind.project(view.camera.lens, p, aperture)
+    film = camera.film
+    place = camera.kind.project(camera.lens, p, aperture)
     return Vec2(place.x * film.size_x - film.crop_x, place.y * film.size_y - film.crop_y)
+
+
+def velocities_on_film(camera: Camera, p: Vec3, directions: Sequence[Vec3], aperture: Vec2 | None) -> list[Vec2]:
+    """How fast points are seen to move, pixels, that move in some directions; (N,) each, by the derivative of `on_film`."""
+    def velocity(direction: Vec3, coordinate: int) -> Tensor:
+        with torch.enable_grad():
+            step = (0.0 * p.x).requires_grad_()
+            seen = on_film(camera, p + direction * step, aperture)[coordinate]
+            return zeros_unless(vector_jacobian_product([seen], [step], [torch.ones_like(step)])[0], step).detach()
+
+    return [Vec2(velocity(direction, 0), velocity(direction, 1)) for direction in directions]
+
+
+def counts_somewhere(camera: Camera, place: Vec2) -> Tensor:
+    """True for points of the film that count in a pixel; (N,) bool."""
+    found = torch.zeros_like(place.x, dtype=torch.bool)
+    for _, count in camera.film.around(place):
+        found = found | (count != 0.0)
+    return found
 
 
 def unknown(like: Tensor) -> Glued:
@@ -159,42 +190,48 @@ def unknown(like: Tensor) -> Glued:
     return Glued(torch.full_like(like, -1, dtype=torch.int32), torch.zeros_like(like), torch.zeros_like(like))
 
 
-def depth_of(view: View, p: Vec3, vertices: Sequence[Vec3], aperture: Vec2 | None) -> Tensor:
+def depth_of(camera: Camera, p: Vec3, vertices: Sequence[Vec3], aperture: Vec2 | None) -> Tensor:
     """How far some vertices, (N,) each, lie from places p along the lines of sight through these; (N,) world."""
-    towards = view.camera.kind.towards(view.camera.lens, p, aperture)
-    away = torch.stack([dot(vertex - p, towards).abs() for vertex in vertices]).amax(0)
+    towards = camera.kind.towards(camera.lens, p, aperture)
+    away = torch.zeros_like(p.x)
+    for vertex in vertices:
+        away = torch.maximum(away, dot(vertex - p, towards).abs())
     return away / torch.sqrt(dot(towards, towards))
 
 
-def beside(view: View, places: Places) -> tuple[Vec2, Vec2]:
-    """Points of the film close to a curve, behind and ahead of it; pixels from the upper left corner of the crop window."""
-    camera, film = view.camera, view.camera.film
-    position = Vec2((places.film.x + film.crop_x) / film.size_x, (places.film.y + film.crop_y) / film.size_y)
-    ray, _ = camera.kind.sample_ray(camera.lens, position, places.aperture)
-    offset = places.p - ray.o
+def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lane: Tensor, cones: bool) -> CameraSample:
+    """Rays to places on curves, then rays behind, then rays ahead of the curves: three for each place.
+
+    Args:
+        sight: of the places.
+        places: of which some are meant.
+        chosen: (K,) int32, which.
+        count: () int32, K.
+        lane: (3 K,) int32, the numbers of the rays.
+        cones: whether rays have cones around them.
+    """
+    camera = sight.camera
+    film, dtype = camera.film, camera.dtype
+    place = rows(chosen, lane % count)
+    way = torch.div(lane, count, rounding_mode="floor")
+    key, aperture = rows(places.key, place), rows(places.aperture, place)
+    at, p, normal = rows((places.film, places.p, places.normal), place)
+    position = Vec2((at.x + film.crop_x) / film.size_x, (at.y + film.crop_y) / film.size_y)
+    ray, _ = camera.kind.sample_ray(camera.lens, position, aperture)
+    offset = p - ray.o
     distance = torch.sqrt(dot(offset, offset))
-    cone = camera_cone(camera, ray, position, places.aperture)
+    cone = camera_cone(camera, ray, position, aperture)
     # Far enough for the rounding of places in the world and of positions on the film.
-    apart = torch.maximum(apart_at(places, distance) / (cone.width + cone.spread * distance), APART * film.size_x)
-    scale = apart / torch.hypot(places.normal.x, places.normal.y).clamp_min(TINY)
-    across = places.normal * scale
-    return (Vec2(places.film.x - across.x, places.film.y - across.y),
-            Vec2(places.film.x + across.x, places.film.y + across.y))
-
-
-def apart_at(places: Places, distance: Tensor) -> Tensor:
-    """How far off places on either side of a curve lie, world units; `distance` (N,) from where the rays start."""
-    return torch.maximum(APART * distance, ROUNDED * max_component(places.p.map(torch.abs)))
-
-
-def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:
-    """The rays through points of the film, pixels from the upper left corner of the crop window."""
-    camera, dtype = view.camera, call.scene.dtype
-    window = camera.film
-    position = Vec2(*(((place + crop) / size).to(dtype) for place, crop, size in (
-        (film.x, window.crop_x, window.size_x), (film.y, window.crop_y, window.size_y))))
+    apart = torch.maximum(apart_at(p, distance) / (cone.width + cone.spread * distance), APART * film.size_x)
+    apart = apart * torch.where(way == 1, -1.0, torch.where(way == 2, 1.0, 0.0))
+    scale = apart / torch.sqrt(normal.x * normal.x + normal.y * normal.y).clamp_min(TINY)
+    position = Vec2(((at.x + normal.x * scale + film.crop_x) / film.size_x).to(dtype),
+                    ((at.y + normal.y * scale + film.crop_y) / film.size_y).to(dtype))
     aperture = None if aperture is None else aperture.map(lambda part: part.to(dtype))
     ray, weight = camera.kind.sample_ray(camera.lens, position, aperture)
-    ray = Ray(*(part.map(torch.Tensor.contiguous) for part in ray))
-    cone = camera_cone(camera, ray, position, aperture) if call.scene.layout.traces_cones else None
-    return CameraSample(ray, key, weight, cone, None)
+    return CameraSample(ray, key, weight, camera_cone(camera, ray, position, aperture) if cones else None, None)
+
+
+def apart_at(p: Vec3, distance: Tensor) -> Tensor:
+    """How far off places `p` on either side of a curve lie, world units; `distance` (N,) from where the rays start."""
+    return torch.maximum(APART * distance, ROUNDED * max_component(p.map(torch.abs)))

@@ -17,45 +17,49 @@ Reference: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ra
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.contour import LEVELS, level_at, places_on_contours
-from torch_radbp.boundary.edge_places import places_on_edges
-from torch_radbp.boundary.outline import Jumps
+from torch_radbp.adjoint.forward_mode import has_tangents
+from torch_radbp.boundary.faces import Faces
+from torch_radbp.boundary.geometry import Geometry, geometry_of
+from torch_radbp.boundary.in_sight import PathsBeside, Sent
+from torch_radbp.boundary.jump_function import Jumping, image_of_jumps, recorded_jumps
+from torch_radbp.boundary.outline import MOST_SHOWN, Jumps, Outline
 from torch_radbp.boundary.places import (
-    CREASE,
     FAR,
+    FEWEST,
+    LARGEST_SHARE,
     NEAR,
     RIM,
-    SILHOUETTE,
-    Glued,
     Places,
-    apart_at,
-    beside,
-    camera_sample,
+    Sight,
+    lot_of,
+    numbers_of_places,
+    sight_of,
 )
-from torch_radbp.differentiated import any_differentiated, primal
-from torch_radbp.path.bounce import CameraSample
-from torch_radbp.path.integrand import Integrand
+from torch_radbp.differentiated import any_differentiated
+from torch_radbp.jit.order import chosen
+from torch_radbp.path.integrand import Integrand, Stages, taken
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import first_hit, trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined
 from torch_radbp.rendering.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.rendering.call.workers import in_turns
-from torch_radbp.scene.interaction import is_in_front
-from torch_radbp.vec import TINY, dot, rows
+from torch_radbp.sampling.running_sum import running_sum
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.vec import rows
 
-NEARER = 1e-3  # share of the distance to an edge by which a surface that hides it is nearer, and one behind it farther
-SAME = 1e-5  # the same of surfaces that are one at a rim
-ALONG_EDGE = 1e-3  # barycentric coordinate below which a rim runs along an edge, and may lie on the hidden side of it
-GRAZING = 2e-2  # the same of a surface that turns away at a silhouette: its depth changes with the root of what it is off
-USUAL = 3e-5  # share of the distance to a place, by which rays miss it, up to which this is so
-MOST = 0.5  # all at most, where coordinates are large and rays lie farther off
-BLOCK = 1 << 15  # places that are traced together
+LEAST_BLOCK = 1 << 13  # places that are traced together: below, a second block costs more in Python than it gains
+BYTES_OF_TRIANGLE = 48  # weights of its edges and their sums
+BYTES_OF_PLACE = 640  # what is known of it, three rays and what they meet, two paths, and how it moves
+LONG = 16  # times as long as the image is wide and high: curves of a cluttered view
+LEAST = 0.1  # of the mean length of curves in a triangle, that triangles count where no line meets a curve
+LEAST_OF_LENS = 1.0  # the same where each point of a lens sees other curves, of which the lines meet few
+MOST_TRIES = 16  # places that are looked for on a lens for one that is found
 
 Evaluate = Callable[[Integrand, PathState, Hit], tuple[Tensor, ...]]
 
@@ -67,11 +71,31 @@ class Seen(NamedTuple):
     evaluate: Evaluate  # gives the channels, detached
 
 
+class Viewed(NamedTuple):
+    """A view that is looked at for jumps."""
+
+    stages: Stages
+    geometry: Geometry | Any  # detached; prepared for the stages
+    sight: Sight | Any  # likewise
+    camera: Camera
+
+
 def moves(call: RenderCall) -> bool:
     """True if a vertex, a shading normal, an instance or a camera has derivatives."""
     vertices, instances = call.scene.triangles.vertices, call.scene.triangles.instances
     return any_differentiated((vertices.p, vertices.n, instances and (instances.linear, instances.origin),
                                [view.camera.lens for view in call.views]))
+
+
+def bytes_of_jumps(call: RenderCall) -> int:
+    """What curves at which the images of a call jump, and places on them, take of memory where curves are long."""
+    triangles, paths = len(call.scene.triangles.material), call.spp * max(view.width * view.height for view in call.views)
+    instances = call.scene.triangles.instances
+    triangles += 0 if instances is None else min(MOST_SHOWN, triangles * len(instances.number))
+    long = LONG * max(view.width + view.height for view in call.views)
+    kinds = 2 + (call.scene.triangles.vertices.n is not None) + any(view.clips for view in call.views)
+    places = min(paths // LARGEST_SHARE, long * call.spp) + kinds * FEWEST
+    return triangles * BYTES_OF_TRIANGLE + places * BYTES_OF_PLACE * (1 + len(call.views))
 
 
 def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
@@ -84,168 +108,145 @@ def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
 
 def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: Seen) -> Tensor:
     """(B, C, H, W) zeros with the derivative of jumps in C channels."""
-    return torch.stack([jumps_of_view(call, number, own, seen) for number, own in enumerate(jumps)])
+    still = call.still()
+    return torch.stack([jumps_of_view(call, still, number, own, seen) for number, own in enumerate(jumps)])
 
 
-def jumps_of_view(call: RenderCall, number: int, jumps: Jumps | None, seen: Seen) -> Tensor:
-    """(C, H, W) of view `number`; the rest as for `jumps_of_views`."""
-    view, channels = call.views[number], len(seen.turns)
-    image = torch.zeros(channels, view.height * view.width, dtype=call.scene.dtype, device=call.scene.device)
-    shape = channels, view.height, view.width
-    with torch.no_grad():
-        still = call.still()
-        places = [] if jumps is None else places_of(still, number, jumps, any(seen.turns))
-        found = strengths(still, number, joined(places), seen) if places else None
-    if found is None:
-        return image.view(shape)
-    places, pixel, counts, strength = found
-    amount = (strength * motion(call, number, places))[:, :, None] * counts
-    return image.index_add(1, pixel.flatten(), amount.flatten(1).to(image.dtype)).view(shape)
+def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps | None, seen: Seen) -> Tensor:
+    """(C, H, W) of view `number`.
 
-
-def places_of(call: RenderCall, number: int, jumps: Jumps, rims: bool) -> list[Places]:
-    """Places on all curves at which view `number` may jump; `rims`: those of shading normals are among them."""
-    found = [] if jumps.outline is None else [places_on_edges(call, number, jumps.outline)]
-    return found + ([] if jumps.faces is None else places_on_contours(call, number, jumps.faces, rims))
-
-
-def motion(call: RenderCall, number: int, places: Places) -> Tensor:
-    """(N,) zeros, attached: the areas of the film that pieces of curves sweep, pixels."""
-    view, film = call.views[number], call.views[number].camera.film
-    seen = view.camera.kind.project(view.camera.lens, places.at(call.scene), places.aperture)
-    swept = ((seen.x - primal(seen.x)) * film.size_x * places.normal.x
-             + (seen.y - primal(seen.y)) * film.size_y * places.normal.y)
-    for kind in LEVELS:
-        own = (places.kind == kind).nonzero().squeeze(1)
-        if len(own):
-            level = level_at(call.scene, view, rows(places, own), kind)
-            swept = swept.index_add(0, own, places.drift[own] * (level - primal(level)))
-    return swept
-
-
-def strengths(call: RenderCall, number: int, places: Places, seen: Seen) -> tuple[Places, Tensor, Tensor, Tensor] | None:
-    """What the places of which the camera sees the jump add to pixels, for each pixel that the curve moves along its normal.
-
-    Returns:
-        These K places; the pixels around each, row-major, and what it counts in them, (K, P); and (C, K) the differences of
-        what is seen behind and ahead of the curve; None: no place counts.
+    Args:
+        call, seen: as for `jumps_of_views`.
+        still: the call without derivatives.
+        jumps: of the view.
     """
-    pixel, counts = call.views[number].camera.film.around(places.film)
-    counted = (counts != 0).any(1).nonzero().squeeze(1)
+    view, found = call.views[number], None
+    with torch.no_grad():
+        stages, seen_by = still.stages, still.views[number]
+        viewed = Viewed(stages, *taken(stages.edge_weight, geometry=geometry_of(still.scene), sight=sight_of(seen_by)),
+                        seen_by.camera)
+        places = [] if jumps is None else places_of(still, number, viewed, jumps, any(seen.turns))
+        if places:
+            integrand = integrand_of(still, still.integrand, still.chunks[0]._replace(sensor=number))
+            found = strengths(still, integrand, viewed, joined(places), seen)
+    if found is None:
+        return torch.zeros(len(seen.turns), view.height, view.width, dtype=call.scene.dtype, device=call.scene.device)
+    geometry, shape = geometry_of(call.scene), (view.height, view.width)
+    if call.adjoint.taped or has_tangents((geometry, view.camera)):
+        return recorded_jumps(call.stages, geometry, view.camera, found, shape)
+    return image_of_jumps(call.stages, geometry, view.camera, found, shape)
+
+
+def places_of(call: RenderCall, number: int, viewed: Viewed, jumps: Jumps, rims: bool) -> list[Places]:
+    """Places on all curves at which view `number` may jump; `rims`: those of shading normals are among them."""
+    found = [] if jumps.outline is None else [outline_in_view(viewed, jumps.outline)]
+    if jumps.faces is not None:
+        kinds = [RIM] * (rims and call.scene.triangles.vertices.n is not None) + [NEAR] + [FAR] * call.views[number].clips
+        found += [contours_in_view(viewed, jumps.faces, kind) for kind in kinds]
+    found = [curves for curves in found if curves is not None]
+    counts = numbers_of_places([curves.length for curves in found], call, call.views[number])
+    return [curves.places(count) for curves, count in zip(found, counts)]
+
+
+class CurvesInView(NamedTuple):
+    """Curves of one kind in a view."""
+
+    length: float  # on the film, of those that may jump less counted as less, pixels
+    places: Callable[[int], Places]  # so many, in proportion to lengths
+
+
+def outline_in_view(viewed: Viewed, outline: Outline) -> CurvesInView | None:
+    """What is seen of an outline; None: nothing."""
+    stages, geometry, sight, _ = viewed
+    weight = stages.edge_weight(geometry, sight, outline)
+    total = running_sum(weight)
+
+    def places(count: int) -> Places:
+        return stages.edge_place(geometry, sight, outline, lot_of(weight, count, total), lanes(count, weight))
+
+    length = float(total[-1])
+    return CurvesInView(length, places) if length > 0.0 else None
+
+
+def contours_in_view(viewed: Viewed, faces: Faces, kind: int) -> CurvesInView | None:
+    """What is seen of the curves of one kind inside of triangles; None: nothing."""
+    stages, geometry, sight, camera = viewed
+    crossed = chosen(stages.crosses(geometry, sight, faces, kind))
+    if not len(crossed):
+        return None
+    faces, aperture = rows(faces, crossed), camera.kind.has_aperture
+    inside, whole = stages.contour_length(geometry, sight, faces, kind)
+    length = torch.where(inside > 0.0, inside, whole)
+    length = length + (LEAST_OF_LENS if aperture else LEAST) * length.mean() + float(not length.any())
+    total = running_sum(length)
+
+    def places(count: int) -> Places:
+        if aperture:
+            count = round(count / max(float((whole > 0.0).double().mean()), 1.0 / MOST_TRIES))
+        lines = torch.full((), count, dtype=torch.int32, device=length.device)
+        lot = lot_of(length, count, total)
+        return stages.contour_place(geometry, sight, faces, lot, lines, lanes(2 * count, length), kind)
+
+    return CurvesInView(float(total[-1]), places)
+
+
+def lanes(count: int, like: Tensor) -> Tensor:
+    """0, 1, ..., (count,) int32."""
+    return torch.arange(count, dtype=torch.int32, device=like.device)
+
+
+def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Places, seen: Seen) -> Jumping | None:
+    """The places of which the camera sees the jump, and by how much what is seen changes there; None: no place counts.
+
+    Args:
+        call: without derivatives.
+        integrand: of the view.
+        viewed: the view.
+        places: in the view.
+        seen: what is seen.
+    """
+    counted = chosen(places.counts)
     if not len(counted):
         return None
-    blocks = counted.split(min(BLOCK, -(-len(counted) // call.workers)))
+    most = max(part.lanes for part in call.chunks) // 2  # two paths each
+    blocks = counted.split(max(FEWEST, min(most, max(LEAST_BLOCK, -(-len(counted) // call.workers)))))
 
     def work(share: Iterable[int]) -> list[tuple[Tensor, Tensor]]:
-        return [differences(call, number, rows(places, blocks[block]), seen) for block in share]
+        return [differences(call, integrand, viewed, places, blocks[block], seen) for block in share]
 
     shares = in_turns(len(blocks), call.workers, work)
     parts = [shares[block % len(shares)][block // len(shares)] for block in range(len(blocks))]
-    kept = torch.cat([block[own] for block, (own, _) in zip(blocks, parts)])
-    if not len(kept):
+    shown = torch.cat([own for own, _ in parts])
+    if not len(shown):
         return None
-    return rows(places, kept), pixel[kept], counts[kept], torch.cat([jump for _, jump in parts], 1)
+    return Jumping(places, shown, tuple(torch.cat([jump for _, jump in parts], 1)), kinds_of(places))
 
 
-def differences(call: RenderCall, number: int, places: Places, seen: Seen) -> tuple[Tensor, Tensor]:
-    """The places that nothing hides, (K,), and what is seen behind less what is seen ahead of the curve, (C, K) float64."""
-    view = call.views[number]
-    integrand = integrand_of(call, call.make_integrand(call.scene), call.chunks[0]._replace(sensor=number))
-    there, *sides = (camera_sample(call, view, film, places.aperture, places.key)
-                     for film in (places.film, *beside(view, places)))
-    straight, *hits = (first_hit(integrand, sample.ray, 0) for sample in (there, *sides))
-    times = in_sight(integrand, places, (there, *sides), (straight, *hits))
-    shown = times.nonzero().squeeze(1)
-    values = []
-    for side, hit, glued, own in zip(sides, hits, (places.behind, places.ahead), of_curve(places, times)):
-        side = rows(side, shown)
-        hit = rows(on_curve(places, there, glued, own, hit), shown)
-        found = seen.evaluate(integrand, started(call, side), hit)
-        values.append(torch.stack([value if side.weight is None else value * side.weight for value in found]).double())
-    jump = (values[0] - values[1]) * times[shown]
+def kinds_of(places: Places) -> tuple[int, ...]:
+    """The kinds of curves inside of triangles among some places."""
+    return tuple(kind for kind in (RIM, NEAR, FAR) if bool((places.kind == kind).any()))
+
+
+def differences(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Places, asked: Tensor,
+                seen: Seen) -> tuple[Tensor, Tensor]:
+    """Of some places, `asked` (M,) int32, those that nothing hides, (K,) int32, and what is seen behind less what is seen
+    ahead of the curve, (C, K) float64; the rest as for `strengths`."""
+    stages, geometry, sight, _ = viewed
+    sent, kinds = torch.full((), len(asked), dtype=torch.int32, device=asked.device), kinds_of(places)
+    table, = taken(stages.in_sight, places=places)
+    lane = lanes(3 * len(asked), asked)
+    sample = stages.rays_beside(sight, table, asked, sent, lane, call.scene.layout.traces_cones)
+    rays = Sent(sample, first_hit(integrand, sample.ray, 0))
+    times = stages.in_sight(geometry, table, asked, rays, sent, lane[:len(asked)], kinds)
+    found = chosen(times != 0)
+    counts = sent, torch.full_like(sent, len(found))
+    start: PathsBeside = stages.paths_beside(table, asked, rays, times, found, counts, lanes(2 * len(found), asked))
+    values = seen.evaluate(integrand, started(call, start.sample), start.hit)
+    weight = start.sample.weight
+    values = torch.stack([value if weight is None else value * weight for value in values]).double()
+    behind, ahead = values.view(len(values), 2, -1).unbind(1)
+    shown, jump = rows(asked, found), (behind - ahead) * rows(times, found)
+    if all(seen.turns):
+        return shown, jump
     turns = torch.tensor(seen.turns, device=jump.device)
-    return shown, jump * (turns[:, None] | (places.kind[shown] != RIM))
-
-
-def in_sight(integrand: Integrand, places: Places, samples: tuple[CameraSample, ...], hits: tuple[Hit, ...]) -> Tensor:
-    """(N,) 1 for places that nothing hides, by what the rays to them, behind and ahead of them hit; 0 for others; or -1.
-
-    A ray to a place on a curve meets a triangle there, or passes by. Where an outline turns back and forth within less than
-    rounding, it does not tell which of the pieces it meets, of which only one has a jump. Pieces that run back are known by
-    their surface, which lies on the other side. They count as -1, so that one remains. Where coordinates are so large that
-    rays miss places by more than `USUAL`, it does not tell triangles apart either, and what rays on either side meet counts.
-    """
-    distances = [dot(places.p - sample.ray.o, sample.ray.d) for sample in samples]
-    off = [missed(places, distance).clamp_min(1.0) for distance in distances]
-    near = [(NEARER * times).clamp_max(MOST) for times in off]
-    shown = [past(hit, distance * (1.0 - share)) for hit, distance, share in zip(hits, distances, near)]
-    here = [clear & ~past(hit, distance * (1.0 + share))
-            for clear, hit, distance, share in zip(shown, hits, distances, near)]
-    reach = [distance * (GRAZING * torch.sqrt(times)).clamp_max(MOST) + places.depth
-             for distance, times in zip(distances, off)]
-    turning = [past(hit, distance - most) & ~past(hit, distance + most)
-               for hit, distance, most in zip(hits, distances, reach)]
-    blurred = off[0] > 1.0
-    own = [is_one_of(places, hit) & ~blurred for hit in hits]
-    kind, ahead = places.kind, places.side > 0
-    ends = ((kind == SILHOUETTE) | (kind == FAR)) & (own[0] | shown[0] | blurred)
-    seen = ends & torch.where(ahead, shown[1] & turning[2], shown[2] & turning[1])
-    turned = ends & ~seen & torch.where(ahead, shown[2] & turning[1], shown[1] & turning[2])
-    seen |= (kind == CREASE) & (here[1] & here[2] | own[0]) | (kind == NEAR)
-    seen |= (kind == RIM) & ~blurred & rim_in_sight(places, own, hits[0], distances[0])
-    if bool((blurred & (kind == RIM)).any()):
-        fronts = [is_in_front(integrand.scene, sample.ray, hit) for sample, hit in zip(samples[1:], hits[1:])]
-        # Beyond a narrow band of the other side there is none: the silhouette has the whole jump.
-        jumps = blurred & (kind == RIM) & turning[1] & turning[2] & (fronts[0] != fronts[1])
-        seen |= jumps & (fronts[1] == ahead)
-        turned |= jumps & (fronts[1] != ahead)
-    return (seen.double() - turned.double()) * ((places.normal.x != 0) | (places.normal.y != 0))
-
-
-def missed(places: Places, distance: Tensor) -> Tensor:
-    """(N,) how far off places rays lie, in units of what is usual; `distance` (N,) of the places."""
-    return apart_at(places, distance) / (USUAL * distance.clamp_min(TINY))
-
-
-def rim_in_sight(places: Places, own: list[Tensor], hit: Hit, distance: Tensor) -> Tensor:
-    """(N,) bool: nothing hides the places, if they are on rims.
-
-    Args:
-        own: of the rays to them, behind and ahead of them, whether they meet the triangle of the rim.
-        hit, distance: of the ray to them, and how far they are.
-    """
-    inside = torch.minimum(torch.minimum(places.u, places.v), 1.0 - places.u - places.v) > ALONG_EDGE
-    nearby, clear = own[1] | own[2], past(hit, distance * (1.0 - SAME))
-    return (own[0] | clear & ~past(hit, distance * (1.0 + SAME))) & (inside | nearby) | clear & nearby
-
-
-def is_one_of(places: Places, hit: Hit) -> Tensor:
-    """(N,) bool: a triangle at the place was hit."""
-    found = (hit.prim >= 0) & ((hit.prim == places.behind.prim) | (hit.prim == places.ahead.prim))
-    return found if places.instance is None else found & (hit.instance == places.instance)
-
-
-def of_curve(places: Places, times: Tensor) -> tuple[Tensor, Tensor]:
-    """(N,) bool each: behind and ahead of a curve lies the surface that it is on, by what `in_sight` says."""
-    both, outline = (places.kind == RIM) | (places.kind == CREASE), places.kind == SILHOUETTE
-    ahead = (places.side > 0) == (times > 0)
-    return both | outline & ~ahead, both | outline & ahead
-
-
-def on_curve(places: Places, sample: CameraSample, glued: Glued, own: Tensor, hit: Hit) -> Hit:
-    """What a ray beside a curve hits, but the place on the curve itself where it is known and on its `own` surface.
-
-    Beside it another curve may lie, or the surface may end: what jumps there is counted there.
-    """
-    distance = dot(places.p - sample.ray.o, sample.ray.d)
-    own = own & (glued.prim >= 0) & (missed(places, distance) <= 1.0)
-    place = Hit(glued.prim, glued.u, glued.v, distance, places.instance)
-    return Hit(*(None if there is None else torch.where(own, here.to(there.dtype), there)
-                 for here, there in zip(place, hit)))
-
-
-def past(hit: Hit, distance: Tensor) -> Tensor:
-    """True where nothing is hit up to some distance, (N,) bool."""
-    return (hit.prim < 0) | (hit.t > distance)
-
-
+    return shown, jump * (turns[:, None] | (rows(places.kind, shown) != RIM))

@@ -38,9 +38,10 @@ class Rendering:
     sights: Sequence[CameraSight]  # one for each sensor
     caster: RayCaster  # of the scene as it is now
     sampling: str  # "detached", "hybrid" or "attached"
-    kept: PackCache  # of this rendering
+    cache: PackCache  # of this rendering
     instances: Instances | None  # of the scene as it is now
     primary: bool  # derivatives have what edges in view contribute
+    shadows: bool  # and what borders of shadows do
     max_depth: int  # of paths, as the renderer has it
     tensors: SceneTensors  # of the scene as it is now, attached
 
@@ -73,11 +74,11 @@ class Rendering:
     @cached_property
     def sizes(self) -> list[int]:
         """The number of triangles of each shape; the caster has them in the order of the shapes."""
-        return [number_of_triangles(self.kept, shape) for shape in self.shapes]
+        return [number_of_triangles(self.cache, shape) for shape in self.shapes]
 
     def placed(self, number: int) -> PlacedShape:
         """A shape as triangles; in the frame of its group if it is in one."""
-        return placed_shape(self.kept, self.shapes[number], self.scene.shown_by[number] is not None, self.scene.dtype)
+        return placed_shape(self.cache, self.shapes[number], self.scene.shown_by[number] is not None, self.scene.dtype)
 
     @cached_property
     def shape_of(self) -> Tensor:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges
-from torch_radbp.boundary.silhouette import CameraSight, crosses_view, is_silhouette
+from torch_radbp.boundary.silhouette import CameraSight, crosses_view, outlines_seen
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.vec import Ray, Vec3
 
@@ -44,8 +44,7 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
     extent = (vertices.amax(0) - vertices.amin(0)).max().double()
     vertices = vertices.double()
     light, position = light.double(), viewpoint(light.double(), vertices)
-    vertices = vertices[edges.vertex]
-    outline = is_silhouette(edges, vertices, light).nonzero().squeeze(1)
+    outline = outlines_seen(edges, vertices, light).nonzero().squeeze(1)
     edge = outline[::max(1, -(-len(outline) // MOST_EDGES))].repeat(len(PLACES))
     share = vertices.new_tensor(PLACES).repeat_interleave(len(edge) // len(PLACES))[:, None]
     place = vertices[edges.a[edge]] * (1.0 - share) + vertices[edges.b[edge]] * share
@@ -62,8 +61,8 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
     hit = caster.intersect(ray_from(place + d * APART * extent, d))
     border = place + d * (APART * extent + hit.t[:, None].double())
     falls = (lit & (hit.prim >= 0)).nonzero().squeeze(1)
-    points = Edges(falls, falls, falls, falls[:0], falls[:0], falls[:0])
-    seen = torch.stack([crosses_view(points, border, sight) for sight in sights])
+    points = Vec3.of(border[falls])
+    seen = torch.stack([crosses_view(points, points, sight) for sight in sights])
     falls, seen = falls[seen.any(0)], seen[:, seen.any(0)]
     return Shadows(edge[falls], hit.prim[falls].long(), seen)
 

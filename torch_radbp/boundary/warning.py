@@ -63,7 +63,7 @@ class JumpWatch:
         # Those that have not warned yet.
         self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over,
                       self.edges_far_off]
-        self.known: dict[object, tuple[Tensor, Edges]] = {}  # faces and edges of the meshes examined so far
+        self.edges_of_shapes: dict[object, tuple[Tensor, Edges]] = {}  # faces and edges of the meshes examined so far
         self.said: dict[str, Warning] = {}  # by their messages
         # Looks at the image that are due: one at the first rendering is enough.
         self.of_images: list[Callable] = [unfound_caustics, unmapped_textures, inward_faces]
@@ -110,16 +110,18 @@ class JumpWatch:
         """The warning about shadows that move because a light, the shape that casts them, the shape below or the camera
         moves, or None.
 
-        Parameters that move silhouettes too are left out. Shadows are searched once for each parameter, by casting rays
-        from some of the lights, and towards the sky.
+        None where that is computed. Parameters that move silhouettes too are left out. Shadows are searched once for each
+        parameter, by casting rays from some of the lights, and towards the sky.
         """
+        if rendering.shadows and rendering.sampling != "attached":
+            return self.sharp_shadows_in_mirrors(rendering)
         cameras = [rendering.moving(sensor) for sensor in rendering.sensors]
         names = {name for plugin in rendering.scene.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
         names = names.union(*rendering.movers, *cameras)
         if names <= self.looked_at:
             return None
         self.looked_at |= names
-        lights = some_of(list(lights_of(rendering)))
+        lights = some_of([light for light in lights_of(rendering) if light.shape is not None or not rendering.shadows])
         of_lights = self.borders_of_shadows(rendering, lights, cameras) if lights else set()
         of_sky = soft_shadows(rendering, cameras)
         named = self.missing(rendering).keys()
@@ -131,7 +133,22 @@ class JumpWatch:
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(missing))} lack the contribution of the "
                                  f"borders of shadows: some in view move over the image, or over the surface on which "
                                  f"they fall.{soft} A loss that depends on where shadows lie has a biased gradient; "
-                                 f"check_gradient measures by how much")
+                                 f"check_gradient measures by how much. The default terms, with sampling='hybrid', have it")
+
+    def sharp_shadows_in_mirrors(self, rendering: Rendering) -> SilhouetteWarning | None:
+        """The warning about shadows of lights without extent that may be seen in ideal mirrors and glass, or None."""
+        ideal = [bsdf for bsdf, kind in rendering.materials() if followed(kind, "hybrid")]
+        lights = [emitter for emitter in rendering.scene.emitters if emitter.kind().delta]
+        names = {name for emitter in lights for name in rendering.moving(emitter, MOVE_LIGHTS)}
+        names = names.union(*rendering.movers, *(rendering.moving(sensor) for sensor in rendering.sensors))
+        if not (ideal and lights and names) or rendering.max_depth < 3 or names <= self.looked_at:
+            return None
+        self.looked_at |= names
+        return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack the contribution of the borders "
+                                 f"of shadows that `{rendering.scene.name_of(lights[0])}`, a light without extent, casts, "
+                                 f"where they are seen in `{rendering.scene.name_of(ideal[0])}`, an ideal mirror or glass. "
+                                 f"Give the light an extent, such as a small sphere with an area emitter; check_gradient "
+                                 f"measures how much that matters")
 
     def borders_of_shadows(self, rendering: Rendering, lights: list[ShadowingLight], cameras: list[list[str]]) -> set[str]:
         """The parameters that move borders of shadows in view, of lights with a position or a direction.
@@ -152,7 +169,7 @@ class JumpWatch:
             emitters = [place for place, shape in enumerate(owners) if shape is light.shape]
             own = torch.isin(shape_of, torch.tensor(emitters, device=shape_of.device)) if emitters else None
             found = shadows_in_view(edges, vertices, rendering.caster, light.place, light.axis, rendering.sights, own)
-            casting = shape_at[edges.vertex[edges.a[found.edge]]]
+            casting = shape_at[edges.a[found.edge].long()]
             pairs = torch.stack([casting, shape_of[found.receiver]], 1).unique(dim=0)
             for casts, catches in pairs.tolist():
                 if owners[casts] is not light.shape:
@@ -231,7 +248,8 @@ class JumpWatch:
         limit, far = FARTHEST[rendering.scene.dtype], {}
         for movers, own in zip(rendering.movers, faces.split(counts)):
             if movers and len(own):
-                far |= dict.fromkeys(movers, times_as_far(vertices[own.flatten().long()]))
+                used = vertices.new_zeros(len(vertices), dtype=torch.bool).index_fill(0, own.flatten().long(), True)
+                far |= dict.fromkeys(movers, times_as_far(vertices[used]))
         far |= dict.fromkeys(cameras, times_as_far(vertices))
         far = {name: times for name, times in far.items() if times > limit}
         if not far:
@@ -269,9 +287,9 @@ class JumpWatch:
             faces: (F, 3) of all these shapes.
             counts: the number of triangles of each.
         """
-        known = self.known.get(key)
+        known = self.edges_of_shapes.get(key)
         if known is None or not same(known[0], faces):  # a caster's faces are never written into
-            known = self.known[key] = (faces, edges_of(vertices, faces, spread(counts, faces.device)))
+            known = self.edges_of_shapes[key] = (faces, edges_of(vertices, faces, spread(counts, faces.device)))
         return known[1]
 
 

@@ -15,7 +15,7 @@ from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere
-from torch_radbp.shape.surface import affine
+from torch_radbp.transforms import affine
 from torch_radbp.vec import Vec3
 
 
@@ -28,6 +28,9 @@ class ConstantTable(NamedTuple):
 @dataclass(frozen=True)
 class ConstantKind(SurroundKind):
     """The same radiance from every direction."""
+
+    def even(self, table: ConstantTable) -> bool:
+        return True
 
     def aim(self, table: ConstantTable, proposal: ConstantTable, p: Vec3, pick: Pick) -> Aim:
         d = square_to_uniform_sphere(unit(pick.u, p.x.dtype), unit(pick.v, p.x.dtype))

@@ -14,7 +14,7 @@ from torch_radbp.emitter.kind import Aim, Light, LightKind, Pick, ShadowSource
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
 from torch_radbp.pose import look_at
-from torch_radbp.shape.surface import transform
+from torch_radbp.transforms import transform
 from torch_radbp.vec import Vec3
 
 
@@ -30,6 +30,7 @@ class DirectionalKind(LightKind):
 
     delta: ClassVar[bool] = True
     distant: ClassVar[bool] = True
+    parallel: ClassVar[bool] = True
 
     def aim(self, table: DirectionalTable, proposal: DirectionalTable, p: Vec3, pick: Pick) -> Aim:
         return Aim(lookup(table.towards, pick.row), pick.pmf)

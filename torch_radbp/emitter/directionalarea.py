@@ -20,6 +20,7 @@ class DirectionalAreaKind(SurfaceKind):
     """Light along the normals of triangles: what reaches a point starts where the perpendicular from it meets one."""
 
     delta: ClassVar[bool] = True
+    parallel: ClassVar[bool] = True
 
     def check(self, triangles: EmittingTriangles) -> None:
         if triangles.shading is not None:

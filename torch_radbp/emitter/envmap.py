@@ -8,6 +8,7 @@ that add up to 1 are right, so they are made of a continuous density, `EnvmapKin
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,33 +17,38 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.differentiated import primal
 from torch_radbp.domain import AMOUNT, POSE, Domain
 from torch_radbp.emitter.attributes import FACTOR, factor, linear_inverse, weight
 from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
 from torch_radbp.emitter.latitude_longitude import latitude_longitude, local_direction, texels_around
+from torch_radbp.interleaved import columns_of_rows
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Filename, Matrix4, register
 from torch_radbp.sampling.grid import GridDistribution, grid_distribution
 from torch_radbp.sampling.sampler import fine_unit
-from torch_radbp.shape.surface import transform
 from torch_radbp.texture.bitmap import IMAGES, LUMINANCE, linear_image
+from torch_radbp.transforms import transform
 from torch_radbp.vec import TINY, Frame, Vec2, Vec3, dot
 
+EVEN = 30.0  # the mean square of light, over the square of its mean, up to which it is even
 LEAST_WEIGHING = 1e-7  # per steradian; keeps quotients of densities finite
 
 
 class EnvmapTable(NamedTuple):
     """An image of the surroundings: R rows of texels, C columns; cells lie between the centres of four texels."""
 
-    texels: Vec3  # (R C,) radiance, attached
+    texels: Vec3  # (R C,) radiance but for the scale, attached
+    scale: Tensor  # (1,) attached
     to_local: Frame  # (1,) rows of the matrix from world directions to the image's; attached
     to_world: Frame  # () rows of its inverse, detached
     volume: Tensor  # () absolute value of the determinant of `to_local`, detached
     rows: Tensor  # () int32, R
     columns: Tensor  # () int32, C
     pick: GridDistribution  # of the cells
-    density: Tensor  # (cells,) over the solid angle of local directions, with which a cell is sampled
-    at_texels: Tensor  # (R C,) density at the texels themselves, for weights; 0 beside a cell that is never picked
+    brightness: Tensor  # (cells,) in proportion to which directions in a cell are sampled
+    at_texels: Tensor | None  # (R C,) a quarter of that at the texels themselves, for weights; None: their luminance
+    to_density: Tensor  # () from that to a density over the solid angle of local directions
     edges: Tensor  # (R,) sin^2(theta / 2) of the rows of texels, from pole to pole
 
     def place(self, d: Vec3) -> tuple[Vec2, Tensor]:
@@ -59,6 +65,13 @@ class EnvmapKind(SurroundKind):
         emitter, = emitters
         return envmap_table(emitter, like)
 
+    def even(self, table: EnvmapTable) -> bool:
+        brightness, total = table.brightness.double(), table.pick.rows[-1].double()
+        mean = total / (4.0 * math.pi)  # over the solid angle
+        solid_angle = latitudes(int(table.rows), int(table.columns), table.brightness.dtype, brightness.device).solid_angle
+        square = (brightness.view(-1, int(table.columns)).square() * solid_angle).sum() / (4.0 * math.pi)
+        return bool(square <= EVEN * mean * mean)
+
     def aim(self, table: EnvmapTable, proposal: EnvmapTable, p: Vec3, pick: Pick) -> Aim:
         # An image has more texels than 24 bits tell apart.
         d, density = sample_direction(proposal, fine_unit(pick.u), fine_unit(pick.v))
@@ -67,7 +80,9 @@ class EnvmapKind(SurroundKind):
     def radiance(self, table: EnvmapTable, d: Vec3) -> Vec3:
         """Radiance that arrives from directions, bilinearly interpolated."""
         uv, _ = table.place(d)
-        return texels_around(uv, table.rows, table.columns).interpolated(lambda texel: lookup(table.texels, texel))
+        around = texels_around(uv, table.rows, table.columns)
+        scale = lookup(table.scale, torch.zeros_like(d.x, dtype=torch.int32))
+        return around.interpolated(lambda texel: lookup(table.texels, texel)) * scale
 
     def weighing(self, proposal: EnvmapTable, d: Vec3) -> Tensor:
         """A continuous substitute for `density`.
@@ -76,7 +91,12 @@ class EnvmapKind(SurroundKind):
         """
         uv, jacobian = proposal.place(d)
         around = texels_around(uv, proposal.rows, proposal.columns)
-        return (around.interpolated(lambda texel: lookup(proposal.at_texels, texel)) * jacobian).clamp_min(LEAST_WEIGHING)
+        if proposal.at_texels is None:
+            seen = around.interpolated(lambda texel: lookup(proposal.texels, texel))
+            found = sum(part * share for part, share in zip(seen, LUMINANCE)).abs()
+        else:
+            found = around.interpolated(lambda texel: lookup(proposal.at_texels, texel))
+        return (found * (4.0 * proposal.to_density) * jacobian).clamp_min(LEAST_WEIGHING)
 
 
 def density(table: EnvmapTable, d: Vec3) -> Tensor:
@@ -86,7 +106,7 @@ def density(table: EnvmapTable, d: Vec3) -> Tensor:
     column = torch.remainder(torch.floor(uv.x * columns - 0.5).to(torch.int32), columns)
     cells = (table.rows - 1).clamp_min(1)  # from pole to pole
     row = torch.minimum((uv.y * cells).to(torch.int32), cells - 1).clamp_min(0)
-    return lookup(table.density, row * columns + column) * jacobian
+    return lookup(table.brightness, row * columns + column) * table.to_density * jacobian
 
 
 def sample_direction(table: EnvmapTable, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:
@@ -97,7 +117,7 @@ def sample_direction(table: EnvmapTable, u: Tensor, v: Tensor) -> tuple[Vec3, Te
         u, v: (N,) uniform numbers, float64 with 32 random bits.
     """
     cell = table.pick.sample(u, v)
-    dtype, columns = table.density.dtype, table.columns
+    dtype, columns = table.brightness.dtype, table.columns
     # Uniform over solid angle: uniform in sin^2(theta / 2), and in longitude from the centre of a column to the next.
     upper = lookup(table.edges, cell.row)
     h = upper + (lookup(table.edges, cell.row + 1) - upper) * cell.down.to(dtype)
@@ -106,8 +126,34 @@ def sample_direction(table: EnvmapTable, u: Tensor, v: Tensor) -> tuple[Vec3, Te
     local = Vec3(across * torch.sin(phi), 1.0 - 2.0 * h, -across * torch.cos(phi))
     d = table.to_world.to_local(local)
     squared = dot(d, d).clamp_min(TINY)
-    found = lookup(table.density, cell.row * columns + cell.column)
+    found = lookup(table.brightness, cell.row * columns + cell.column) * table.to_density
     return d * torch.rsqrt(squared), found * table.volume * squared * torch.sqrt(squared)
+
+
+class Latitudes(NamedTuple):
+    """What is the same of all images of one size."""
+
+    edges: Tensor  # as of `EnvmapTable`
+    solid_angle: Tensor  # (rows of cells, 1) of a cell
+    rows: Tensor  # as of `EnvmapTable`
+    columns: Tensor
+
+
+@functools.lru_cache(maxsize=64)
+def latitudes(height: int, width: int, dtype: torch.dtype, device: torch.device) -> Latitudes:
+    """The rows of images of this size."""
+    edges = torch.sin(torch.linspace(0, math.pi / 2, max(height, 2), dtype=torch.float64, device=device)) ** 2
+    return Latitudes(edges.to(dtype), ((4 * math.pi / width) * edges.diff()[:, None]).to(dtype),
+                     *(torch.tensor(count, dtype=torch.int32, device=device) for count in (height, width)))
+
+
+def between_neighbours(texel: Tensor) -> Tensor:
+    """(rows of cells, W) the sum over the corners of each cell between the centres of texels (H, W)."""
+    pairs = texel[:-1] + texel[1:] if len(texel) > 1 else texel + texel
+    cells = torch.empty_like(pairs)
+    torch.add(pairs[:, :-1], pairs[:, 1:], out=cells[:, :-1])
+    torch.add(pairs[:, -1], pairs[:, 0], out=cells[:, -1])
+    return cells
 
 
 def envmap_table(emitter: Envmap, like: Tensor) -> EnvmapTable:
@@ -120,36 +166,32 @@ def envmap_table(emitter: Envmap, like: Tensor) -> EnvmapTable:
 
     Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section 12.5.
     """
-    data = emitter.data.detach().to(like).expand(-1, -1, 3)
+    data = emitter.data.to(like).expand(-1, -1, 3)
     height, width = data.shape[:2]
-    half = torch.linspace(0, math.pi / 2, max(height, 2), dtype=torch.float64, device=like.device)
-    edges = torch.sin(half) ** 2
-    solid_angle = ((4 * math.pi / width) * edges.diff()[:, None]).to(like)
-    texel = data.abs() @ like.new_tensor(LUMINANCE)
-    luminance = texel.expand(max(height, 2), width)
-    luminance = luminance[:-1] + luminance[1:]
-    luminance = luminance + luminance.roll(-1, 1)
-    if emitter.mis_compensation:
-        average = (luminance * solid_angle).sum() / (4 * math.pi)
-        average = average * (1 + 1e-6)  # a map of one value has nothing above it
-        luminance, texel = (luminance - average).clamp_min(0.0), (texel - 0.25 * average).clamp_min(0.0)
-    if not luminance.any():
-        luminance, texel = torch.ones_like(luminance), torch.full_like(texel, 0.25)
-    pick, pmf = grid_distribution(luminance * solid_angle)
-    picked = pmf.reshape(-1, width) > 0
-    picked = picked & picked.roll(1, 1)
-    picked = torch.cat([picked[:1], picked[:-1] & picked[1:], picked[-1:]])[:height]  # all cells around a texel
-    at_texels = torch.where(picked, 4 * texel / (luminance * solid_angle).sum(), 0.0)
-    integer = {"dtype": torch.int32, "device": like.device}
+    edges, solid_angle, rows, columns = latitudes(height, width, like.dtype, like.device)
+    with torch.no_grad():
+        texel, at_texels = (primal(data) @ like.new_tensor(LUMINANCE)).abs_(), None
+        brightness = between_neighbours(texel)
+        if emitter.mis_compensation:
+            average = (brightness * solid_angle).sum() / (4 * math.pi)
+            average = average * (1 + 1e-6)  # a map of one value has nothing above it
+            brightness, at_texels = (brightness - average).clamp_min(0.0), (texel - 0.25 * average).clamp_min(0.0)
+            picked = brightness > 0
+            picked = picked & picked.roll(1, 1)
+            picked = torch.cat([picked[:1], picked[:-1] & picked[1:], picked[-1:]])[:height]  # all cells around a texel
+            at_texels = at_texels * picked
+        pick = grid_distribution(brightness * solid_angle)
+        if not pick.rows[-1] > 0:
+            brightness, at_texels = torch.ones_like(brightness), torch.full_like(texel, 0.25)
+            pick = grid_distribution(brightness * solid_angle)
     to_local = linear_inverse("to_world of the envmap", emitter.to_world).to(like)
     return EnvmapTable(
-        texels=Vec3.of(emitter.texels().to(like).reshape(-1, 3)),
+        texels=Vec3(*columns_of_rows(data.reshape(-1, 3))), scale=emitter.scale.to(like).reshape(1),
         to_local=Frame(*(Vec3.of(row[None]) for row in to_local.unbind())),
         to_world=Frame(*(Vec3.of(row) for row in emitter.to_world.detach()[:3, :3].to(like).unbind())),
-        volume=torch.linalg.det(to_local.detach()).abs(),
-        rows=torch.tensor(height, **integer), columns=torch.tensor(width, **integer), pick=pick,
-        density=(pmf.reshape(-1, width) / solid_angle).reshape(-1).to(like), at_texels=at_texels.reshape(-1).to(like),
-        edges=edges.to(like))
+        volume=torch.linalg.det(to_local.detach()).abs(), rows=rows, columns=columns, pick=pick,
+        brightness=brightness.reshape(-1), at_texels=None if at_texels is None else at_texels.reshape(-1),
+        to_density=pick.rows[-1].reciprocal().to(like), edges=edges)
 
 
 @register("emitter", "envmap")
@@ -190,12 +232,11 @@ class Envmap(Light):
     def domains(self) -> dict[str, Domain]:
         return {"data": IMAGES[self.channels]._replace(low=0.0), "scale": FACTOR, "to_world": POSE}
 
-    def texels(self) -> Tensor:
-        """(H, W, 3) radiance, linear RGB, attached."""
-        return (self.data * self.scale).expand(-1, -1, 3)
-
     def up(self) -> Tensor:
         return self.to_world.detach()[:3, 1]
+
+    def sampled_whole(self) -> bool:
+        return super().sampled_whole() and not self.mis_compensation
 
     def kind(self) -> EnvmapKind:
         return EnvmapKind()

@@ -81,6 +81,7 @@ class LightKind(ABC):
 
     delta: ClassVar[bool] = False  # it has no extent, or shines in one direction: only `aim` finds it
     distant: ClassVar[bool] = False  # a direction rather than a point
+    parallel: ClassVar[bool] = False  # what was picked shines in one direction, the same everywhere; such are all `distant`
     surround: ClassVar[bool] = False  # see `SurroundKind`
     on_surface: ClassVar[bool] = False  # see `SurfaceKind`
     bounded: ClassVar[bool] = False  # it lies in a place, and its light falls with the square of the distance: see `bounds`
@@ -110,7 +111,12 @@ class SurroundKind(LightKind):
     """Light that arrives from everywhere: rays that leave the scene meet it. A scene has at most one such emitter."""
 
     distant: ClassVar[bool] = True
+    parallel: ClassVar[bool] = True
     surround: ClassVar[bool] = True
+
+    def even(self, table: Table) -> bool:
+        """True if no small part of the directions sends most of the light; `table`: detached."""
+        return False
 
     @abstractmethod
     def radiance(self, table: Table, d: Vec3) -> Vec3:
@@ -180,6 +186,10 @@ class Light(Emitter):
     def source(self) -> ShadowSource | None:
         """The light as a caster of shadows, detached; None: shadows have no borders, or the surface knows them."""
         return None
+
+    def sampled_whole(self) -> bool:
+        """True if samples of the light reach all that it sends; False: some of it is found by BSDF sampling alone."""
+        return self.kind().delta or self.sampling_weight > 0
 
 
 def stacked(records: Sequence[Table], like: Tensor) -> Table:

@@ -14,7 +14,7 @@ from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, at
 from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
-from torch_radbp.shape.surface import affine, transform_points
+from torch_radbp.transforms import affine, transform_points
 from torch_radbp.vec import Vec3
 
 

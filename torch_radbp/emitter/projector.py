@@ -16,8 +16,8 @@ from torch_radbp.emitter.kind import Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.sensor.perspective import field_of_view, horizontal_fov
-from torch_radbp.shape.surface import transform
 from torch_radbp.texture.rgb import as_texture
+from torch_radbp.transforms import transform
 from torch_radbp.vec import Frame, Vec2, Vec3, normalize
 
 

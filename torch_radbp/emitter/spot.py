@@ -15,8 +15,8 @@ from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction
 from torch_radbp.plugin import Matrix4, Texture, register
-from torch_radbp.shape.surface import transform
 from torch_radbp.texture.rgb import as_texture
+from torch_radbp.transforms import transform
 from torch_radbp.vec import Frame, Vec2, Vec3, normalize
 
 CUTOFF = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, unit=" degrees")

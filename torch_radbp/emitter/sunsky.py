@@ -30,8 +30,8 @@ from torch_radbp.emitter.sun_position import DAY, check_place_and_time, sun_posi
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Matrix4, Point3, SceneWarning, Texture, finite, register
 from torch_radbp.sampling.sampler import fine_unit
-from torch_radbp.shape.surface import affine
 from torch_radbp.texture.bitmap import LUMINANCE
+from torch_radbp.transforms import affine
 from torch_radbp.vec import Frame, Vec3, dot, where
 
 DATA = Path(__file__).with_name("sunsky_data.npz")  # its origin: sunsky_data.md

@@ -70,7 +70,7 @@ class Development:
     """
 
     def __init__(self, grid: Grid):
-        self.grid, self.done, self.known = grid, 0, 0
+        self.grid, self.done, self.received = grid, 0, 0
         self.waiting: Tensor | None = None  # (R, 1 + C, n, columns) of the last rows, which count in some to come
         self.total: Tensor | None = None  # (1 + C, rows, columns), of which `done` rows are done
 
@@ -81,9 +81,9 @@ class Development:
             self.total = sums.new_zeros(sums.shape[1], rows, self.grid.columns)
         else:
             sums = torch.cat([self.waiting, sums], 2)
-        start = self.known - (0 if self.waiting is None else self.waiting.shape[2])  # the row of its first
-        self.known = start + sums.shape[2]
-        last = rows if self.known == rows else max(self.done, self.known - reach)
+        start = self.received - (0 if self.waiting is None else self.waiting.shape[2])  # the row of its first
+        self.received = start + sums.shape[2]
+        last = rows if self.received == rows else max(self.done, self.received - reach)
         for offset in range(-reach, reach + 1):
             first, end = max(self.done, offset), min(last, rows + offset)
             if first < end:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from torch_radbp.film.gaussian import Gaussian
@@ -64,4 +65,5 @@ class HDRFilm(Film):
         kernel = self.rfilter.kernel()
         border = self.border()
         inside = (kernel.inside(size, border).to(like) for size in (self.crop_width, self.crop_height))
-        return FilmTensors(*(like.new_tensor(float(number)) for number in numbers), kernel, border, *inside)
+        size = (like.new_tensor(pixels, dtype=torch.int32) for pixels in (self.crop_width, self.crop_height))
+        return FilmTensors(*(like.new_tensor(float(number)) for number in numbers), kernel, border, *inside, *size)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.film.filter import Kernel
+from torch_radbp.lookup import lookup
 from torch_radbp.vec import Vec2
 
 
@@ -22,6 +23,8 @@ class FilmTensors(NamedTuple):
     border: int  # pixels around the window in which there are samples, too
     inside_x: Tensor  # (W,) for each column of pixels: the integral of the filter over where there are samples
     inside_y: Tensor  # (H,) for each row
+    columns: Tensor  # () int32, W
+    rows: Tensor  # () int32, H
 
     def position(self, column: Tensor, row: Tensor, place: Vec2) -> Vec2:
         """Points inside of pixels as fractions of the whole image, (N,).
@@ -33,32 +36,37 @@ class FilmTensors(NamedTuple):
         return Vec2((column - self.border + self.crop_x + place.x) / self.size_x,
                     (row - self.border + self.crop_y + place.y) / self.size_y)
 
-    def around(self, place: Vec2) -> tuple[Tensor, Tensor]:
+    def around(self, place: Vec2) -> list[tuple[Tensor, Tensor]]:
         """The pixels in which points of the film count, and how much: the filter over its integral where there are samples.
 
         Args:
             place: (N,) points, pixels from the upper left corner of the crop window; float64.
 
         Returns:
-            (N, P) row-major numbers of pixels of the window, int64, and what a point counts there, 0 where it does not.
+            For each pixel around them its row-major number in the window, (N,) int32, and what a point counts there, (N,)
+            float64, 0 where it does not.
         """
-        (column, across), (row, down) = (counted(self.kernel, inside.double(), self.border, own)
-                                         for inside, own in ((self.inside_x, place.x), (self.inside_y, place.y)))
-        pixel = row[:, :, None] * len(self.inside_x) + column[:, None, :]
-        return pixel.flatten(1), (down[:, :, None] * across[:, None, :]).flatten(1)
+        columns = counted(self.kernel, self.inside_x, self.columns, self.border, place.x)
+        rows = counted(self.kernel, self.inside_y, self.rows, self.border, place.y)
+        return [(row * self.columns + column, down * across) for row, down in rows for column, across in columns]
 
 
-def counted(kernel: Kernel, inside: Tensor, border: int, place: Tensor) -> tuple[Tensor, Tensor]:
-    """The columns (or rows) of pixels in which points count, and how much, (N, 2 reach + 1).
+def counted(kernel: Kernel, inside: Tensor, size: Tensor, border: int, place: Tensor) -> list[tuple[Tensor, Tensor]]:
+    """The columns (or rows) of pixels in which points count, (N,) int32, and how much; from the first to the last.
 
     Args:
         kernel: the filter.
         inside: (W,) its integral for each column.
+        size: () int32, W.
         border: pixels around the window in which there are samples.
         place: (N,) pixels from the border of the window.
     """
-    index = torch.floor(place)[:, None] + torch.arange(-kernel.reach, kernel.reach + 1, device=place.device)
-    column = index.long().clamp(0, len(inside) - 1)
-    sampled = (place >= -border) & (place < len(inside) + border)
-    counts = torch.where((index == column) & sampled[:, None], kernel(place[:, None] - 0.5 - index), 0.0)
-    return column, counts / inside[column]
+    own = torch.floor(place)
+    sampled = (place >= -border) & (place < size + border)
+    own = torch.where(sampled, own, 0.0)
+    found = []
+    for step, value in enumerate(kernel.around(torch.where(sampled, place - own, 0.0))):
+        index = own.to(torch.int32) + (step - kernel.reach)
+        column = torch.minimum(index.clamp_min(0), size - 1)
+        found.append((column, torch.where((index == column) & sampled, value / lookup(inside, column), 0.0)))
+    return found

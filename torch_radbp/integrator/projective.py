@@ -30,15 +30,15 @@ def sampling_of_boundaries(name: str, plain: str, sppc: int | None, sppp: int | 
     settings: dict[str, Any] = {key: value if value is None else integer(key, value, 0) for key, value in counts.items()}
     settings |= {"guiding": guiding, "guiding_proj": boolean("guiding_proj", guiding_proj),
                  "guiding_rounds": integer("guiding_rounds", guiding_rounds, 1), "project_seed": project_seed}
-    warnings.warn(f"{name} is rendered as {plain}: derivatives have the interior and the edges in view, as Renderer(terms=) "
-                  "says; what borders of shadows and edges seen by reflection contribute is missing, and Renderer warns "
-                  "where it does; sppc, sppp, sppi, guiding and project_seed are without effect", stacklevel=3)
+    warnings.warn(f"{name} is rendered as {plain}: derivatives have the interior, the edges in view and the borders of "
+                  "shadows, as Renderer(terms=) says; what edges seen by reflection contribute is missing, and Renderer "
+                  "warns where it does; sppc, sppp, sppi, guiding and project_seed are without effect", stacklevel=3)
     return settings
 
 
 @register("integrator", "prb_projective")
 class ProjectivePathReplay(PathReplay):
-    """`prb`, with the boundary terms that `Renderer` has: those of edges in view.
+    """`prb`, with the boundary terms that `Renderer` has: those of edges in view and of borders of shadows.
 
     Args:
         max_depth, rr_depth, hide_emitters, block_size, samples_per_pass, timeout: as of `prb`.
@@ -57,7 +57,7 @@ class ProjectivePathReplay(PathReplay):
 
 @register("integrator", "direct_projective")
 class ProjectiveDirect(IntegratorSettings):
-    """`direct`, with the boundary terms that `Renderer` has: those of edges in view.
+    """`direct`, with the boundary terms that `Renderer` has: those of edges in view and of borders of shadows.
 
     Args:
         hide_emitters, block_size, samples_per_pass, timeout: see `IntegratorSettings`.

@@ -27,8 +27,8 @@ from torch_radbp.io.volume import write_volume
 from torch_radbp.plugin import REGISTRY, Filename, Matrix4, Plugin, Point3, SceneError, attributes
 from torch_radbp.public_call import public_call
 from torch_radbp.scene.scene import Scene
-from torch_radbp.shape.surface import transform_normals, transform_points
 from torch_radbp.texture.rgb import RGB
+from torch_radbp.transforms import transform_normals, transform_points
 
 VERSION = "3.0.0"
 FILED = ("data", "grid")  # attributes that are written as files

@@ -9,10 +9,13 @@ In the order of data:
    `inference.py` tells the dtypes of results, `operations.py` says what each is in terms of some forty operations, and
    `elementary.py` writes sin, exp, ... with them.
 2. `graph.py` is the program that results: values, each computed from others.
-3. `emit.py` writes it as LLVM's text, for vectors of any width or for single lanes; `instructions.py` has the tables, and
-   `prefetch.py` hints at the memory that will be needed.
-4. `machine.py` makes machine code of that, `run.py` calls it on tensors, `team.py` on several threads.
-5. `compiled.py` keeps it for later processes: on disk (`kept_code.py`), by what it depends on (`fingerprint.py`).
+3. `emit.py` writes it as LLVM's text, for vectors of any width or for single lanes; `instructions.py` has the tables.
+   Tables that are read at one index are read together: `window.py` permutes entries that lie close to each other,
+   `row_reads.py` reads tables that are columns of the same rows. `prefetch.py` hints at the memory that will be needed.
+4. `machine.py` makes machine code of that, `run.py` calls it on tensors, `team.py` on several threads; `allocator.py` has
+   them write into memory that was used before.
+   `dual.py` has a loop compute tangents beside values, in forward mode.
+5. `compiled.py` keeps it for later processes: on disk (`code_cache.py`), by what it depends on (`fingerprint.py`).
 
 It knows torch and LLVM, and nothing of rendering.
 """

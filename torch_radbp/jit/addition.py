@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-PAGE_BITS = 9  # of a table that is noted as touched: 512 entries, 4 KiB
+PAGE_BITS = 4  # of a table that is noted as touched: 16 entries, two lines of the cache
 MOST_TABLES = 3  # of an addition
 SCALARS = {torch.float32: "float", torch.float64: "double"}
 
@@ -18,8 +18,8 @@ class Sums:
 
     Args:
         totals: of each table, (K, C) float64, written into: the sum over the C copies, a power of 2, counts; at most
-            MOST_TABLES.
-        touched: (ceil(K / 512),) bool, set for pages of 512 entries that were added to.
+            MOST_TABLES. All of one stride: contiguous, or columns of rows.
+        touched: (ceil(K / 16),) bool, set for pages of 16 entries that were added to.
 
     Raises:
         ValueError: if these do not go together, or are not contiguous.
@@ -30,16 +30,17 @@ class Sums:
     def __init__(self, totals: Sequence[Tensor], touched: Tensor):
         shape, self.device = totals[0].shape, touched.device
         right = (len(totals) <= MOST_TABLES and len(shape) == 2 and shape[1] & (shape[1] - 1) == 0
-                 and all(total.dtype == torch.float64 and total.shape == shape and total.is_contiguous() for total in totals)
+                 and all(total.dtype == torch.float64 and total.shape == shape and (shape[1] == 1 or total.stride(1) == 1)
+                         and total.stride(0) == totals[0].stride(0) >= shape[1] for total in totals)
                  and touched.dtype == torch.bool and touched.is_contiguous() and touched.numel() << PAGE_BITS >= shape[0]
                  and all(total.device == self.device for total in totals))
         if not right:
             found = [(tuple(tensor.shape), tensor.dtype, str(tensor.device)) for tensor in (*totals, touched)]
             raise ValueError(f"sums are up to {MOST_TABLES} totals (K, C) of float64, C a power of 2, and bools for all "
-                             f"pages of {1 << PAGE_BITS} entries, contiguous and on one device; got {found}")
+                             f"pages of {1 << PAGE_BITS} entries, of one stride and on one device; got {found}")
         self.totals, self.touched, self.copies = tuple(totals), touched, shape[1]
-        # For machine code: the pages, the binary logarithm of the number of copies, that number less 1; and the totals.
-        self.words = touched.data_ptr(), self.copies.bit_length() - 1, self.copies - 1
+        # For machine code: the pages, the distance from entry to entry, the number of copies less 1; and the totals.
+        self.words = touched.data_ptr(), totals[0].stride(0), self.copies - 1
         self.addresses = [total.data_ptr() for total in totals]
 
 

@@ -59,8 +59,10 @@ class AnyDevice:
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
         """Neighbouring lanes take different copies; in order if torch is told to be deterministic."""
         for index, numbers, sums in additions:
-            copies = sums.copies
-            place = index if copies == 1 else index.long() * copies + torch.arange(lanes, device=index.device) % copies
+            copy = torch.arange(lanes, device=index.device) % sums.copies
             for number, total in zip(numbers, sums.totals):
-                total.view(-1).index_add_(0, place, number.to(total.dtype))
+                if sums.copies == 1:
+                    total.squeeze(1).index_add_(0, index, number.to(total.dtype))
+                else:
+                    total.index_put_((index.long(), copy), number.to(total.dtype), accumulate=True)
             sums.touched.fill_(True)

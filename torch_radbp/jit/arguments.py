@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import operator
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,10 +18,11 @@ from torch_radbp.jit.graph import LANES, NUMBER, TABLE
 from torch_radbp.jit.structure import flatten, unpacker
 
 MOST_FORMS = 64  # that are looked through
+MOST_COLUMNS = 64  # of a table in rows; what lies farther apart is copied
 
 # Structures have the same number wherever they stand, so that an argument that is taken apart fits every function.
 NUMBERS: dict[tuple, int] = {}
-FORMS: dict[tuple, Form] = {}  # by structure, types of the tensors, and whether these are tables
+FORMS: dict[tuple, Form] = {}  # by structure, types of the tensors, whether these are tables, and which are columns
 counter = itertools.count()
 
 
@@ -32,14 +33,18 @@ class Form:
         argument: one that has it.
         leaves: the tensors of the argument.
         structure: as `flatten` tells it.
-        number: by which the structure is told from others.
+        number: by which the structure, and how columns lie, are told from others.
         table: whether tensors of shape (N,) are tables.
+        columns: as of `columns_of`.
     """
 
-    __slots__ = ("structure", "number", "table", "unpack", "types", "dtypes", "itemsizes", "dimensions", "kinds", "lanes")
+    __slots__ = ("structure", "number", "table", "columns", "unpack", "types", "dtypes", "itemsizes", "dimensions", "kinds",
+                 "lanes")
 
-    def __init__(self, argument: Any, leaves: Sequence[Tensor], structure: tuple, number: int, table: bool):
+    def __init__(self, argument: Any, leaves: Sequence[Tensor], structure: tuple, number: int, table: bool,
+                 columns: tuple[Column | None, ...]):
         self.structure, self.number, self.table, self.unpack = structure, number, table, unpacker(argument)
+        self.columns = columns
         self.types, self.dtypes = list(map(type, leaves)), [leaf.dtype for leaf in leaves]
         self.itemsizes = [leaf.itemsize for leaf in leaves]
         self.dimensions = [leaf.dim() for leaf in leaves]
@@ -47,10 +52,11 @@ class Form:
         self.lanes = [place for place, kind in enumerate(self.kinds) if kind == LANES]
 
     def tensors(self, argument: Any) -> Sequence[Tensor] | None:
-        """The tensors of an argument, or None if it has another structure."""
+        """The tensors of an argument, or None if it has another structure, or columns that lie otherwise."""
         leaves = self.unpack(argument)
         same = (leaves is not None and list(map(type, leaves)) == self.types
-                and [leaf.dtype for leaf in leaves] == self.dtypes and [leaf.dim() for leaf in leaves] == self.dimensions)
+                and [leaf.dtype for leaf in leaves] == self.dtypes and [leaf.dim() for leaf in leaves] == self.dimensions
+                and (not self.table or columns_of(leaves) == self.columns))
         return leaves if same else None
 
 
@@ -86,14 +92,48 @@ class Parameter:
         for leaf in leaves:
             if leaf.dim() > 1:
                 raise ValueError(f"{self.function} takes tensors of shape () and (N,), got {tuple(leaf.shape)}")
-        structure, types = tuple(items), tuple(map(type, leaves))
-        key = structure, types, self.table
+        structure, types, columns = tuple(items), tuple(map(type, leaves)), columns_of(leaves) if self.table else ()
+        key = structure, types, self.table, columns
         form = FORMS.get(key)
         if form is None:
-            number = NUMBERS.setdefault(structure, next(counter))
-            form = FORMS.setdefault(key, Form(argument, leaves, structure, number, self.table))
+            number = NUMBERS.setdefault((structure, columns), next(counter))
+            form = FORMS.setdefault(key, Form(argument, leaves, structure, number, self.table, columns))
         self.ring, self.place = (form, *ring[first:], *ring[:first])[:MOST_FORMS], 0
         return form, leaves
+
+
+class Column(NamedTuple):
+    """A table that is a column of others, whose rows stand one after the other (`interleaved.py`)."""
+
+    block: int  # number of these, among those of an argument
+    width: int  # entries from one row to the next
+    place: int  # in a row
+
+
+def columns_of(leaves: Sequence[Tensor]) -> tuple[Column | None, ...]:
+    """Of each table the column that it is, None of one whose entries stand one after the other; () if so do all."""
+    if all([leaf.is_contiguous() for leaf in leaves]):
+        return ()
+    blocks: dict[tuple[int, int, int], int] = {}
+    found = tuple([column_of(leaf, blocks) for leaf in leaves])
+    return found if any(found) else ()
+
+
+def column_of(leaf: Tensor, blocks: dict[tuple[int, int, int], int]) -> Column | None:
+    """The column that a table is; None if it is none, or of rows that are long or not whole.
+
+    Args:
+        leaf: any tensor.
+        blocks: the numbers of rows that were met, by address of the memory, first row in it and width; added to.
+    """
+    if leaf.is_contiguous() or leaf.dim() != 1 or leaf.itemsize != 4 or leaf.data_ptr() % 4:
+        return None
+    width, offset, memory = leaf.stride(0), leaf.storage_offset(), leaf.untyped_storage()
+    place = offset % max(1, width)
+    end = offset - place + len(leaf) * width
+    if not 1 < width <= MOST_COLUMNS or 4 * end > memory.nbytes() or end >= 1 << 31:
+        return None
+    return Column(blocks.setdefault((memory.data_ptr(), offset - place, width), len(blocks)), width, place)
 
 
 class Taken:
@@ -118,7 +158,8 @@ class Taken:
         self.pointers, self.sizes = [leaf.data_ptr() for leaf in self.leaves], [leaf.numel() for leaf in self.leaves]
         if not all([leaf.is_contiguous() for leaf in self.leaves]) or any(
                 map(operator.mod, self.pointers, self.form.itemsizes)):
-            self.read = tuple([laid_out(leaf) for leaf in self.leaves])
+            columns = self.form.columns or itertools.repeat(None)
+            self.read = tuple([laid_out(leaf) if column is None else leaf for leaf, column in zip(self.leaves, columns)])
             self.pointers = [leaf.data_ptr() for leaf in self.read]
         self.lanes = self.sizes[self.form.lanes[0]] if self.form.lanes else None
         for place in self.form.lanes:
@@ -208,6 +249,17 @@ class Arguments:
         """Of each tensor, whether it is of the lanes, a table, or a number."""
         return [kind for form in self.forms for kind in form.kinds]
 
+    @property
+    def columns(self) -> dict[int, Column]:
+        """By the place of the tensor, the columns among the tables, with blocks counted through all arguments."""
+        found, place, blocks = {}, 0, 0
+        for form in self.forms:
+            for number, column in enumerate(form.columns):
+                if column is not None:
+                    found[place + number] = column._replace(block=blocks + column.block)
+            place, blocks = place + len(form.kinds), blocks + len(form.columns)
+        return found
+
     def sharing(self) -> tuple[tuple[int, int], ...]:
         """The places of tensors that are the same as one before, each with the place of the first.
 
@@ -216,7 +268,8 @@ class Arguments:
         firsts: dict[object, int] = {}
         found = []
         for place, (leaf, kind, pointer, size) in enumerate(zip(self.leaves, self.kinds, self.pointers, self.sizes)):
-            first = firsts.setdefault((pointer, size, leaf.dtype) if kind == TABLE and size else id(leaf), place)
+            alike = (pointer, size, leaf.dtype, leaf.stride()) if kind == TABLE and size else id(leaf)
+            first = firsts.setdefault(alike, place)
             if first != place:
                 found.append((place, first))
         return tuple(found)

@@ -14,8 +14,8 @@ import llvmlite
 import torch
 from torch import Tensor
 
-from torch_radbp.jit import kept_code
-from torch_radbp.jit.arguments import Arguments
+from torch_radbp.jit import code_cache
+from torch_radbp.jit.arguments import Arguments, Column
 from torch_radbp.jit.fingerprint import Opaque, fingerprint
 from torch_radbp.jit.structure import assembler
 from torch_radbp.jit.target import Loop, Target
@@ -66,11 +66,16 @@ def name_of(function: Callable, tables: tuple[str, ...], given: Arguments, targe
         given: arguments of the structure in question.
         target: that it is compiled for.
     """
-    structures = tuple(form.structure for form in given.forms)
+    structures = tuple((form.structure, *map(plain, form.columns)) for form in given.forms)
     try:
         return fingerprint(function, tables, structures, given.shared, target.platform, compiler())
     except Opaque:
         return None
+
+
+def plain(column: Column | None) -> tuple[int, ...] | None:
+    """How a table lies, as a tuple."""
+    return None if column is None else tuple(column)
 
 
 @functools.cache
@@ -84,7 +89,7 @@ def compiler() -> tuple[str, ...]:
 
 def read(name: str, target: Target) -> Compiled | None:
     """What `write` kept under this name, also in an earlier process; None if there is nothing."""
-    found = kept_code.read(name)
+    found = code_cache.read(name)
     if found is None:
         return None
     try:
@@ -105,4 +110,4 @@ def write(name: str, interface: Interface, code: bytes) -> None:
         contents = pickle.dumps((interface, code))
     except (pickle.PicklingError, AttributeError, TypeError):  # constants that only this process has
         return
-    kept_code.write(name, contents)
+    code_cache.write(name, contents)

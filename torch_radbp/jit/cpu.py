@@ -20,9 +20,10 @@ from torch_radbp.jit.emit import Body, emit
 from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.instructions import alignment
 from torch_radbp.jit.loops import TAKE_PARTS, few_lanes
-from torch_radbp.jit.machine import MachineCode, host, host_width, object_code
+from torch_radbp.jit.machine import MachineCode, host, host_features, host_width, object_code
 from torch_radbp.jit.prefetch import DECLARATION, prefetches
 from torch_radbp.jit.team import run_lanes
+from torch_radbp.jit.window import window_of
 
 COPIES, SMALL = 4, 1 << 12  # copies of the totals of `scatter.py`, for tables with at most so many entries
 
@@ -41,7 +42,7 @@ class Cpu:
     def text(self, program: Program) -> str:
         """The module of a program."""
         width = self.width or host_width() * vectors(program)
-        return framed(emit(program, width), width)
+        return framed(emit(program, width, window_of(host_features())), width)
 
     @property
     def platform(self) -> str:
@@ -95,9 +96,9 @@ def framed(body: Body, width: int) -> str:
         TAKE_PARTS.format(width=width), few_lanes(*sizes, width),
         "define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {", "entry:",
         *indented([*pointers(body.program, len(outputs)), *body.before]), f"  %final = sub i64 %last, {width}",
-        "  br label %loop", "loop:", "  %at = phi i64 [ %first, %entry ], [ %next, %loop ]",
+        "  br label %loop", "loop:", "  %at = phi i64 [ %first, %entry ], [ %next, %turn ]",
         "  %over = icmp sgt i64 %at, %final", "  %i = select i1 %over, i64 %final, i64 %at",
-        *indented([*body.block, *hints]),
+        *indented(body.block), "  br label %turn", "turn:", *indented(hints),
         f"  %next = add i64 %at, {width}", "  %more = icmp slt i64 %next, %last",
         "  br i1 %more, label %loop, label %done", "done:", "  ret void", "}", *body.functions,
         *([DECLARATION] if width > 1 else []), ""])

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import kept, made_once
+from torch_radbp.jit.machine import cached_code, made_once
 
 # The body may begin with values that are carried from turn to turn.
 LOOP = """\
@@ -31,22 +31,31 @@ done:
 }}
 """
 # A counter of each queue: begun at 0, it ends at the number of lanes; begun where the queue begins, it is each lane's place.
+# Each lane waits for the counter that the last one has left, so that several runs of lanes, with counters of their own, are
+# taken abreast.
 COUNT = """\
-  %number_at = getelementptr {scalar}, ptr %numbers, i64 %i
-  %number = load {scalar}, ptr %number_at
-  %queue = {wide}
-  %place_at = getelementptr i64, ptr %places, i64 %queue
-  %place = load i64, ptr %place_at, align 8
-  %after = add i64 %place, 1
-  store i64 %after, ptr %place_at, align 8"""
+  %run{k} = mul i64 %count, {k}
+  %first{k} = add i64 %run{k}, %first
+  %lane{k} = add i64 %first{k}, %i
+  %number_at{k} = getelementptr {scalar}, ptr %numbers, i64 %lane{k}
+  %number{k} = load {scalar}, ptr %number_at{k}
+  %queue{k} = {wide} %number{k}{as_wide}
+  %own{k} = mul i64 %queues, {k}
+  %counter{k} = add i64 %own{k}, %queue{k}
+  %place_at{k} = getelementptr i64, ptr %places, i64 %counter{k}
+  %place{k} = load i64, ptr %place_at{k}, align 8
+  %after{k} = add i64 %place{k}, 1
+  store i64 %after{k}, ptr %place_at{k}, align 8"""
 STORE_LANE = """\
+  %lane_at{k} = getelementptr i32, ptr %order, i64 %place{k}
+  %stored{k} = trunc i64 %lane{k} to i32
+  store i32 %stored{k}, ptr %lane_at{k}, align 4"""
+# Without a branch: a lane that is not chosen is overwritten by the next.
+CHOOSE = """\
+  %place = phi i64 [ 0, %entry ], [ %after, %turn ]
   %lane_at = getelementptr i32, ptr %order, i64 %place
   %lane = trunc i64 %i to i32
-  store i32 %lane, ptr %lane_at, align 4"""
-# Without a branch: a lane that is not chosen is overwritten by the next.
-CHOOSE = f"""\
-  %place = phi i64 [ 0, %entry ], [ %after, %turn ]
-{STORE_LANE}
+  store i32 %lane, ptr %lane_at, align 4
   %flag_at = getelementptr i8, ptr %flags, i64 %i
   %flag = load i8, ptr %flag_at, align 1
   %one = zext i8 %flag to i64
@@ -71,6 +80,8 @@ PUT_ALL = """\
   %to = load ptr, ptr %to_at, align 8
   call void @put_{scalar}(ptr %places, ptr %from, ptr %to, i64 %lanes)"""
 BITS = (8, 32, 64)  # of an element
+ABREAST = 4  # runs of lanes
+COUNTERS = "ptr %places, i64 %queues, i64 %first"
 
 
 def loop(name: str, arguments: str, body: str, result: str = "void", end: str = "  ret void") -> str:
@@ -83,10 +94,14 @@ def text() -> str:
     functions = [loop("choose", "ptr %flags, ptr %order", CHOOSE, "i64", CHOSEN)]
     for bits in BITS:
         scalar = f"i{bits}"
-        count = COUNT.format(scalar=scalar, wide="add i64 %number, 0" if bits == 64 else f"zext {scalar} %number to i64")
+        wide, as_wide = ("add i64", ", 0") if bits == 64 else (f"zext {scalar}", " to i64")
+        for name, runs in (("abreast", range(ABREAST)), ("rest", range(1))):
+            counts = [COUNT.format(scalar=scalar, wide=wide, as_wide=as_wide, k=k) for k in runs]
+            stores = [STORE_LANE.format(k=k) for k in runs]
+            functions += [
+                loop(f"count_{name}_{scalar}", f"ptr %numbers, {COUNTERS}", "\n".join(counts)),
+                loop(f"partition_{name}_{scalar}", f"ptr %order, ptr %numbers, {COUNTERS}", "\n".join([*counts, *stores]))]
         functions += [
-            loop(f"count_{scalar}", "ptr %numbers, ptr %places", count),
-            loop(f"partition_{scalar}", "ptr %numbers, ptr %places, ptr %order", f"{count}\n{STORE_LANE}"),
             loop(f"put_{scalar}", "ptr %places, ptr %from, ptr %to", PUT.format(scalar=scalar)),
             loop(f"put_all_{scalar}", "ptr %places, i64 %lanes, ptr %jobs", PUT_ALL.format(scalar=scalar)),
         ]
@@ -97,11 +112,12 @@ class Code:
     """The machine code of `text`: functions by the bytes of an element."""
 
     def __init__(self) -> None:
-        self.module = kept(text(), entry="choose")
+        self.module = cached_code(text(), entry="choose")
         self.choose = self.function("choose", "ppn", ctypes.c_int64)
-        self.count, self.partition, self.put_all = (
+        self.count, self.count_rest, self.partition, self.partition_rest, self.put_all = (
             {bits // 8: self.function(f"{name}_i{bits}", arguments) for bits in BITS}
-            for name, arguments in (("count", "ppn"), ("partition", "pppn"), ("put_all", "pnpn")))
+            for name, arguments in (("count_abreast", "ppnnn"), ("count_rest", "ppnnn"), ("partition_abreast", "pppnnn"),
+                                    ("partition_rest", "pppnnn"), ("put_all", "pnpn")))
 
     def function(self, name: str, arguments: str, result: type | None = None) -> Callable:
         """A function of the module; of each of its arguments whether it is a pointer (p) or a number (n)."""
@@ -123,14 +139,19 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
     """See `order.partition`."""
     number, lanes, size = number.contiguous(), number.numel(), number.element_size()
     order = number.new_empty(lanes, dtype=torch.int32)
-    counts = array("q", bytes(8 * queues))
-    address = counts.buffer_info()[0]
-    code().count[size](number.data_ptr(), address, lanes)
-    found, first = counts.tolist(), 0
-    for queue, count in enumerate(found):
-        counts[queue] = first
-        first += count
-    code().partition[size](number.data_ptr(), address, order.data_ptr(), lanes)
+    counts = array("q", bytes(8 * queues * ABREAST))  # of all queues for each run; what is left over goes on with the last
+    numbers, counters, run = number.data_ptr(), counts.buffer_info()[0], lanes // ABREAST
+    last, first, rest = counters + 8 * queues * (ABREAST - 1), ABREAST * run, lanes % ABREAST
+    code().count[size](numbers, counters, queues, 0, run)
+    code().count_rest[size](numbers, last, queues, first, rest)
+    found, place = [], 0
+    for queue in range(queues):
+        begins = place
+        for counter in range(queue, len(counts), queues):
+            counts[counter], place = place, place + counts[counter]
+        found.append(place - begins)
+    code().partition[size](order.data_ptr(), numbers, counters, queues, 0, run)
+    code().partition_rest[size](order.data_ptr(), numbers, last, queues, first, rest)
     return order, found
 
 

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import torch
 
 from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition
-from torch_radbp.jit.machine import kept, made_once
+from torch_radbp.jit.machine import cached_code, made_once
 
 BLOCK = 2048  # lanes
 
-# A job is an array of 64-bit words: the function, the index, the pages, the binary logarithm of the number of copies, the
+# A job is an array of 64-bit words: the function, the index, the pages, the distance from entry to entry of the totals, the
 # number of copies less 1, then the numbers of each table, then the totals of each.
 HEAD = 5
 JOB = HEAD + 2 * MOST_TABLES
@@ -27,7 +27,7 @@ define void @scatter_{scalar}_{tables}(ptr %job, i64 %first, i64 %last) {{
 entry:
   %index = call ptr @pointer(ptr %job, i64 1)
   %pages = call ptr @pointer(ptr %job, i64 2)
-  %bits = call i64 @word(ptr %job, i64 3)
+  %step = call i64 @word(ptr %job, i64 3)
   %mask = call i64 @word(ptr %job, i64 4)
   {pointers}
   br label %lane
@@ -40,8 +40,8 @@ lane:
   %page = getelementptr i8, ptr %pages, i64 %page_number
   store i8 1, ptr %page, align 1
   %copy = and i64 %i, %mask
-  %copies = shl i64 %number, %bits
-  %place = or i64 %copies, %copy
+  %copies = mul i64 %number, %step
+  %place = add i64 %copies, %copy
   {additions}
   %next = add i64 %i, 1
   %more = icmp slt i64 %next, %last
@@ -117,7 +117,7 @@ class Code:
     """The machine code of `text`."""
 
     def __init__(self) -> None:
-        self.module = kept(text(), entry="scatter")
+        self.module = cached_code(text(), entry="scatter")
         self.loops = {(dtype, tables): self.module.address_of(f"scatter_{scalar}_{tables}")
                       for dtype, scalar in SCALARS.items() for tables in range(1, MOST_TABLES + 1)}
         self.run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.module.address)

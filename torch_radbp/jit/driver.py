@@ -1,7 +1,7 @@
 """Kernels on a device of NVIDIA's, by CUDA's driver: loaded once, launched on torch's current stream.
 
 Machine code is made of PTX by the driver's own assembler, which takes seconds for the longest kernels; so it is kept on disk
-(`kept_code.py`). Not yet run on a GPU; `tests/jit/test_driver.py` holds what is asked of the driver.
+(`code_cache.py`). Not yet run on a GPU; `tests/jit/test_driver.py` holds what is asked of the driver.
 
 Reference: NVIDIA, CUDA Driver API.
 """
@@ -18,7 +18,7 @@ from typing import Any
 
 import torch
 
-from torch_radbp.jit import kept_code
+from torch_radbp.jit import code_cache
 from torch_radbp.jit.nvptx import ptx
 
 # CU_LAUNCH_PARAM_BUFFER_POINTER, _BUFFER_SIZE and _END: a launch hands over its parameters as one piece of memory.
@@ -65,7 +65,7 @@ class Driver:
     def load(self, text: str, name: str) -> Any:
         """The kernel `name` of a module in LLVM's text."""
         with self.current():
-            code = kept_code.machine_code(text, self.architecture, self.assembled)
+            code = code_cache.machine_code(text, self.architecture, self.assembled)
             module = self.ask(self.driver.cuModuleLoadData, code)  # stays until the process ends
             return self.ask(self.driver.cuModuleGetFunction, module, name.encode())
 

@@ -38,7 +38,9 @@ from torch_radbp.jit.instructions import (
     scalar_suffix,
 )
 from torch_radbp.jit.loops import SEARCH
+from torch_radbp.jit.row_reads import RowReading, in_rows
 from torch_radbp.jit.schedule import few_alive
+from torch_radbp.jit.window import Window, WindowReading, at_one_index
 
 
 class Body(NamedTuple):
@@ -52,10 +54,13 @@ class Body(NamedTuple):
 
 
 class Emitter:
-    """The text of one program for blocks of `width` lanes."""
+    """The text of one program for blocks of `width` lanes; `window`: in which entries of tables may lie together."""
 
-    def __init__(self, program: Program, width: int):
+    def __init__(self, program: Program, width: int, window: Window | None = None):
         self.program, self.width = program, width
+        self.window = window if window is not None and window.fits(width) else None
+        self.near = at_one_index(program, self.window)  # gathers that are read together
+        self.rows = in_rows(program, width)
         self.entry: list[str] = []  # before the loop
         self.body: list[str] = []
         self.here = self.body  # where the value that is emitted now is computed
@@ -69,6 +74,8 @@ class Emitter:
             waiting.setdefault(value, []).append(number)
         for value in (few_alive if self.width == 1 else gathers_first)(self.program.values):
             self.here = self.entry if value.kind == NUMBER else self.body
+            if value in self.names:  # read together with another
+                continue
             self.names[value] = self.emit(value)
             if self.width == 1 and value.kind == LANES:  # a thread has no register to spare for what is done
                 self.store(value, waiting.pop(value, ()))
@@ -112,7 +119,7 @@ class Emitter:
             return self.load(value)
         names = [self.names[argument] for argument in value.arguments]
         if operation == "gather":
-            return self.gather(value)
+            return self.read(value)
         if operation == "search":
             return self.search(value)
         working = value.arguments[-1].dtype  # of the operands; of a comparison the result is bool
@@ -211,17 +218,38 @@ class Emitter:
         loaded = self.line(f"load {kind}, ptr {place}, align {alignment(value.dtype)}")
         return self.line(f"trunc {kind} {loaded} to {self.vector('i1')}") if value.dtype == torch.bool else loaded
 
+    def read(self, value: Value) -> str:
+        """Entries of a table, and of those that are read with it at the same index."""
+        table, index = value.arguments
+        column, place = self.program.column(table), (self.names[index], SCALARS[index.dtype])
+        gathers = self.near.get(index, ()) if column is None else self.rows.get((index, column.block), ())
+        if value not in gathers:
+            return self.gather(value)
+        self.names |= {gather.arguments[0]: self.load(gather.arguments[0]) for gather in gathers}
+        reading = WindowReading(self, self.window, *place) if column is None else RowReading(self, *place)
+        self.names |= zip(gathers, reading.emit(gathers))
+        return self.names[value]
+
+    def length(self, number: int) -> str:
+        """The number of entries of an input, i64."""
+        place = self.line(f"getelementptr i64, ptr %inputs, i64 {len(self.program.inputs) + number}", self.entry)
+        return self.line(f"load i64, ptr {place}, align 8", self.entry)
+
     def gather(self, value: Value) -> str:
         """Entries of a table: base and 32-bit index, which is one instruction where there is one."""
         table, index = value.arguments
+        at, column = self.names[index], self.program.column(table)
+        if column is not None:
+            at = self.line(f"mul {self.vector(SCALARS[index.dtype])} {at}, "
+                           f"{self.everywhere(SCALARS[index.dtype], str(column.width))}")
         if self.width == 1:
             scalar = memory(table.dtype)
-            place = self.line(f"getelementptr {scalar}, ptr {self.names[table]}, {SCALARS[index.dtype]} {self.names[index]}")
+            place = self.line(f"getelementptr {scalar}, ptr {self.names[table]}, {SCALARS[index.dtype]} {at}")
             entry = self.line(f"load {scalar}, ptr {place}, align {alignment(table.dtype)}")
             return self.line(f"trunc i8 {entry} to i1") if table.dtype == torch.bool else entry
         if table.dtype == torch.bool:
-            return self.gather_bits(self.names[table], self.names[index], SCALARS[index.dtype])
-        return self.gather_words(SCALARS[table.dtype], self.names[table], self.names[index], SCALARS[index.dtype])
+            return self.gather_bits(self.names[table], at, SCALARS[index.dtype])
+        return self.gather_words(SCALARS[table.dtype], self.names[table], at, SCALARS[index.dtype])
 
     def gather_words(self, scalar: str, table: str, index: str, index_scalar: str) -> str:
         """Entries of a table of 4 or 8 bytes each."""
@@ -305,6 +333,6 @@ def gathers_first(values: Sequence[Value]) -> list[Value]:
         value for value in values if value not in needed]
 
 
-def emit(program: Program, width: int) -> Body:
-    """The instructions of `program` for blocks of `width` lanes; 1 is a lane at a time."""
-    return Emitter(program, width).instructions()
+def emit(program: Program, width: int, window: Window | None = None) -> Body:
+    """The instructions of `program` for blocks of `width` lanes; 1 is a lane at a time. `window`: as for `Emitter`."""
+    return Emitter(program, width, window).instructions()

@@ -1,6 +1,6 @@
 """What functions and values mean, as a digest that is the same in every process that has the same source.
 
-Compiled code outlives its process (`kept_code.py`), so its name must change with whatever it depends on: not only with the
+Compiled code outlives its process (`code_cache.py`), so its name must change with whatever it depends on: not only with the
 function that was compiled, but with each function, class and constant that this one may reach. These are found as Python
 finds them: from the code of a function through the globals, defaults and closures that it names, from a class through its
 attributes and bases, whatever stands there now. So functions that were exchanged while the program runs, and those of

@@ -6,6 +6,7 @@ some forty operations; whatever torch has beyond them is written in terms of the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -54,6 +55,11 @@ class Program(NamedTuple):
     inputs: tuple[Value, ...]  # those that are used
     values: tuple[Value, ...]  # all that are used, inputs among them
     outputs: tuple[Value | None, ...]  # in the order of the function's results; None where it returns None
+    columns: Mapping[int, Any] = {}  # of tables that are columns of others, by the place of the argument; see `arguments.py`
+
+    def column(self, table: Value) -> Any:
+        """The column that a table is; None if its entries stand one after the other."""
+        return self.columns.get(table.static) if table.operation == "input" else None
 
     @property
     def searched(self) -> tuple[int, ...]:
@@ -70,7 +76,7 @@ class Builder:
     """Makes values; the same operation on the same values is one value."""
 
     def __init__(self) -> None:
-        self.known: dict[tuple, Value] = {}
+        self.values: dict[tuple, Value] = {}
 
     def value(self, operation: str, arguments: tuple[Value, ...], dtype: torch.dtype, kind: str | None = None,
               static: Any = None) -> Value:
@@ -79,9 +85,9 @@ class Builder:
             kind = NUMBER if all(argument.kind == NUMBER for argument in arguments) else LANES
         assert len(arguments) == OPERATIONS[operation], (operation, arguments)
         key = (operation, arguments, dtype, kind, static if not isinstance(static, float) else (static.hex(), "float"))
-        if key not in self.known:
-            self.known[key] = Value(operation, arguments, dtype, kind, static, len(self.known))
-        return self.known[key]
+        if key not in self.values:
+            self.values[key] = Value(operation, arguments, dtype, kind, static, len(self.values))
+        return self.values[key]
 
     def constant(self, number: bool | int | float, dtype: torch.dtype) -> Value:
         """A number that is known now, rounded to `dtype`."""

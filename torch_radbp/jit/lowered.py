@@ -28,7 +28,8 @@ def without_library(given: Program) -> Program:
     builder = Builder()
     made = inlined(builder, given, {})
     lowered = program(tuple(None if value is None else made[value] for value in given.outputs))
-    return lowered._replace(inputs=tuple(made[value] for value in given.inputs))  # in the same order, all of them
+    inputs = tuple(made[value] for value in given.inputs)  # in the same order, all of them
+    return lowered._replace(inputs=inputs, columns=given.columns)
 
 
 def inlined(builder: Builder, given: Program, made: dict[Value, Value]) -> dict[Value, Value]:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from llvmlite import binding as llvm
 
-from torch_radbp.jit import kept_code
+from torch_radbp.jit import code_cache
 
 Made = TypeVar("Made")
 
@@ -100,6 +100,6 @@ class MachineCode:
         return self.engine.get_function_address(function)
 
 
-def kept(text: str, entry: str = "lanes_of_job") -> MachineCode:
+def cached_code(text: str, entry: str = "lanes_of_job") -> MachineCode:
     """The machine code of a module in LLVM's text, from disk if it was made before."""
-    return MachineCode(kept_code.machine_code(text, host(), object_code), entry)
+    return MachineCode(code_cache.machine_code(text, host(), object_code), entry)

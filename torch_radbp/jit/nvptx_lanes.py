@@ -32,8 +32,8 @@ ADDRESS = """\
 %page{k} = getelementptr i8, ptr %pages{k}, i64 %page{k}.number
 store i8 1, ptr %page{k}, align 1
 %copy{k} = and i64 %i, %mask{k}
-%copies{k} = shl i64 %number{k}, %bits{k}
-%place{k} = or i64 %copies{k}, %copy{k}"""
+%copies{k} = mul i64 %number{k}, %step{k}
+%place{k} = add i64 %copies{k}, %copy{k}"""
 ADD = """\
 %from{k}.{t}.at = getelementptr {type}, ptr %from{k}.{t}, i64 %i
 %found{k}.{t} = load {type}, ptr %from{k}.{t}.at, align {size}
@@ -58,12 +58,12 @@ def put_text(dtypes: Sequence[torch.dtype]) -> str:
 def scatter_text(additions: Sequence[tuple[torch.dtype, int]]) -> str:
     """The kernel for additions of which these are the dtype of the numbers and the number of tables.
 
-    Its parameters, of each addition: index, pages, the binary logarithm of the number of copies, that number less 1, then
-    of each table the numbers and the totals. Totals of several additions may be the same.
+    Its parameters, of each addition: index, pages, the distance from entry to entry, the number of copies less 1, then of
+    each table the numbers and the totals. Totals of several additions may be the same.
     """
     parameters, body = [], []
     for k, (dtype, tables) in enumerate(additions):
-        parameters += [f"ptr readonly %index{k}", f"ptr %pages{k}", f"i64 %bits{k}", f"i64 %mask{k}"]
+        parameters += [f"ptr readonly %index{k}", f"ptr %pages{k}", f"i64 %step{k}", f"i64 %mask{k}"]
         body += ADDRESS.format(k=k, page_bits=PAGE_BITS).splitlines()
         for t in range(tables):
             parameters += [f"ptr readonly %from{k}.{t}", f"ptr %totals{k}.{t}"]

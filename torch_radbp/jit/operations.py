@@ -139,7 +139,7 @@ def clamp(x: Tensor, min=None, max=None) -> Tensor:
 # -- What is not computed --------------------------------------------------------------------------------------------------
 
 
-@handles("zeros", "ones", "zeros_like", "ones_like", "new_zeros", "new_ones", "zero")
+@handles("zeros", "ones", "_efficientzerotensor", "zeros_like", "ones_like", "new_zeros", "new_ones", "zero")
 def zero_or_one(tracer, result: Tensor, *arguments, name: str, **options) -> Value:
     return tracer.builder.constant(int("one" in name), result.dtype)
 

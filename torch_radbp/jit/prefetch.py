@@ -2,7 +2,7 @@
 
 A block of lanes reads and writes dozens of arrays, more than a processor follows by itself, and is so long that it never
 looks ahead into the next block. So each block asks for what one of the next will touch: its parts of the arrays of lanes,
-and of tables that are read at indices from such an array, the entries of some of its lanes.
+and of tables that are read at indices from such an array, the entries of some of its lanes, or rows of all.
 """
 
 from __future__ import annotations
@@ -35,9 +35,12 @@ def prefetches(program: Program, tables: dict[Value, str], width: int) -> Iterat
         yield from prefetch(f"%ahead{pointer[1:]}", pointer, memory(value.dtype), "i64 %ahead", purpose)
     indices = [(k, value) for k, value in enumerate(program.inputs) if value.kind == LANES and value.dtype == torch.int32]
     for k, index in indices:
-        read = [value.arguments[0] for value in program.values
-                if value.operation == "gather" and value.arguments[1] is index]
-        for lane in range(0, width if read else 0, APART):
+        found = [value.arguments[0] for value in program.values
+                 if value.operation == "gather" and unclamped(value.arguments[1]) is index]
+        # Neighbours rarely share a row, and a row may lie in two lines of the cache.
+        of_rows = [ends for rows in in_blocks(program, found) for ends in dict.fromkeys((rows[0], rows[-1]))]
+        others = [table for table in found if program.column(table) is None]
+        for lane in range(0, width if found else 0, 1 if of_rows else APART):
             name = f"%index{k}.{lane}"
             # A hint may point anywhere, but the index itself is read: no later than of the last lane.
             yield from (f"{name}.lane = add i64 %ahead, {lane}", f"{name}.last = sub i64 %last, 1",
@@ -45,8 +48,26 @@ def prefetches(program: Program, tables: dict[Value, str], width: int) -> Iterat
                         f"{name}.inside = select i1 {name}.over, i64 {name}.last, i64 {name}.lane",
                         f"{name}.at = getelementptr {SCALARS[index.dtype]}, ptr %in{k}, i64 {name}.inside",
                         f"{name} = load {SCALARS[index.dtype]}, ptr {name}.at, align 4")
-            for number, table in enumerate(read):
-                yield from prefetch(f"{name}.{number}", tables[table], memory(table.dtype), f"i32 {name}", READ)
+            for number, table in enumerate(of_rows + others if lane % APART == 0 else of_rows):
+                column, entry = program.column(table), f"{name}.{number}.entry"
+                yield f"{entry} = mul i32 {name}, {1 if column is None else column.width}"
+                yield from prefetch(f"{name}.{number}", tables[table], memory(table.dtype), f"i32 {entry}", READ)
+
+
+def unclamped(index: Value) -> Value:
+    """An index before what is negative becomes 0."""
+    condition, *_, value = index.arguments if index.operation == "select" else (index, index)
+    clamps = condition is not value and condition.operation == "lt" and condition.arguments[0] is value
+    return value if clamps else index
+
+
+def in_blocks(program: Program, tables: list[Value]) -> list[list[Value]]:
+    """Those tables that are columns of rows, by the rows."""
+    blocks: dict[int, list[Value]] = {}
+    for table in tables:
+        if program.column(table) is not None:
+            blocks.setdefault(program.column(table).block, []).append(table)
+    return list(blocks.values())
 
 
 def prefetch(name: str, pointer: str, element: str, index: str, purpose: int) -> tuple[str, str]:

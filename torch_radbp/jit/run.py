@@ -56,7 +56,7 @@ class LaneFunction:
         self.named = dict(zip(names, self.parameters))
         self.results = Parameter(self.name, table=True)  # of `into`
         self.compiled: dict[tuple, Compiled | str] = {}  # by structure of the arguments; or why it cannot be
-        self.known: Arguments | None = None
+        self.first_arguments: Arguments | None = None
 
     def knowing(self, *arguments) -> LaneFunction:
         """The same function, which need not take these first arguments apart in every call that gets the very same.
@@ -64,7 +64,7 @@ class LaneFunction:
         It keeps them alive. With others it does what this one does; what is compiled serves both.
         """
         other = copy(self)
-        other.known = Arguments(self.parameters, arguments)
+        other.first_arguments = Arguments(self.parameters, arguments)
         return other
 
     def taken(self, **arguments) -> tuple[Taken, ...]:
@@ -113,10 +113,10 @@ class LaneFunction:
         """The arguments taken apart, and the function compiled for such."""
         if len(arguments) != len(self.parameters):
             raise TypeError(f"{self.name} takes {len(self.parameters)} arguments by position, got {len(arguments)}")
-        known = self.known
-        if known is not None and all(map(operator.is_, known.given, arguments)):
-            skipped = len(known.given)
-            given = Arguments(self.parameters[skipped:], arguments[skipped:], known)
+        first = self.first_arguments
+        if first is not None and all(map(operator.is_, first.given, arguments)):
+            skipped = len(first.given)
+            given = Arguments(self.parameters[skipped:], arguments[skipped:], first)
         else:
             given = Arguments(self.parameters, arguments)
         if given.lanes is None:
@@ -141,7 +141,8 @@ class LaneFunction:
             compiled.structure = structure  # the very same object, which is quickly compared
         if room.read is not room.leaves or room.device != given.device or (room.sizes and min(room.sizes) < entries):
             leaf = next(leaf for leaf, read in zip(room.leaves, room.read)
-                        if leaf.numel() < entries or read is not leaf or leaf.device != given.device)
+                        if leaf.numel() < entries or read is not leaf or not leaf.is_contiguous()
+                        or leaf.device != given.device)
             raise ValueError(f"{self.name} writes into aligned, contiguous tensors of at least {entries} entries on "
                              f"{given.device}, got one of {len(leaf)} with stride {leaf.stride(0)} on {leaf.device} "
                              f"at {leaf.data_ptr():#x}")
@@ -186,6 +187,7 @@ class LaneFunction:
             return results
 
         program = trace(flat, [leaf.dtype for leaf in given.leaves], given.kinds, given.firsts)
+        program = program._replace(columns=given.columns)
         passed = [value.operation == "input" and value.kind == LANES for value in program.outputs]
         outputs = tuple(dict.fromkeys(value for value, whole in zip(program.outputs, passed) if not whole))
         results = tuple(~value.static if whole else outputs.index(value) for value, whole in zip(program.outputs, passed))

@@ -13,7 +13,7 @@ import os
 import threading
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from queue import SimpleQueue
 from typing import TypeVar
@@ -22,7 +22,7 @@ import torch
 
 from torch_radbp.jit.torch_internals import operations_on_this_thread
 
-Item = TypeVar("Item")
+Item, Result = TypeVar("Item"), TypeVar("Result")
 PART = 4096  # lanes that a thread takes at a time
 
 
@@ -180,6 +180,21 @@ def together(work: Callable[[Task], None], threads: int) -> None:
             raise error
     finally:
         del error  # whose traceback holds this frame
+
+
+def each(work: Callable[[Item], Result], items: Sequence[Item], threads: int) -> list[Result]:
+    """`work` on each item, by at most so many threads; the results in the order of the items."""
+    recorded, left, results = torch.is_grad_enabled(), deque(enumerate(items)), {}
+
+    def take_items(task: Task) -> None:
+        with torch.set_grad_enabled(recorded):
+            for number, item in until_none_is_left(left):
+                if task.error is not None:
+                    return
+                results[number] = work(item)
+
+    together(take_items, min(threads, len(items)))
+    return [results[number] for number in range(len(items))]
 
 
 def until_none_is_left(items: deque[Item]) -> Iterator[Item]:

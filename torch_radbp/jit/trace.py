@@ -18,6 +18,7 @@ from torch_radbp.jit.operations import DECOMPOSED, HANDLERS
 from torch_radbp.jit.refusal import refusal
 from torch_radbp.jit.torch_internals import TorchDispatchMode, functions_of_torch_only
 
+QUESTIONS = ("is_same_size", "_has_same_storage_numel")  # about shapes; what is answered is no tensor
 SIZE = 1_000_003  # of lanes while tracing; what they are is known by their kind, not by their size
 
 
@@ -100,6 +101,8 @@ class Tracer(TorchDispatchMode):
         name = func.overloadpacket.__name__
         in_place = name.endswith("_") and not name.endswith("__")  # then the tensor has another value from here on
         name = name.removesuffix("_") if in_place else name
+        if name in QUESTIONS:
+            return func(*args, **kwargs)
         if name not in HANDLERS:
             with self:  # what is called now is traced too
                 answer = DECOMPOSED.get(name, func.decompose)(*args, **kwargs)

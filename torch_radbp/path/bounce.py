@@ -55,7 +55,7 @@ from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_
 from torch_radbp.scene.outgoing_ray import outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.texture.reader import Given, Place
+from torch_radbp.texture.reader import Place, TextureValue
 from torch_radbp.vec import Ray, Vec2, Vec3, masked, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
@@ -136,7 +136,7 @@ def place_in_pixel(key: BounceKey, dtype: torch.dtype) -> Vec2:
 
 
 def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, settings: Settings) -> tuple[Place, ...]:
-    """The places of the values to be given, see `places_of`; detached. Args as for `bounce`."""
+    """The places of the values of textures that are read outside, see `places_of`; detached. Args as for `bounce`."""
     return places_of(scene, scene, rows(arrival, lanes), at, Settings(nee=settings.nee))
 
 
@@ -172,16 +172,16 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
 
 
 def ending(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
-           settings: Settings, given: tuple[Given, ...]) -> Vec3:
+           settings: Settings, texture_values: tuple[TextureValue, ...]) -> Vec3:
     """The end of the recursion, L_k = E_k, where nothing is scattered: the light that the M paths meet; attached to `scene`.
 
     Args as for `bounce`; `scene` is a part where nothing is scattered.
     """
-    return scattering(scene, proposal, rows(arrival, lanes), at, settings, given).Le
+    return scattering(scene, proposal, rows(arrival, lanes), at, settings, texture_values).Le
 
 
 def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
-           settings: Settings, given: tuple[Given, ...]) -> Vertex:
+           settings: Settings, texture_values: tuple[TextureValue, ...]) -> Vertex:
     """One step of the recursion L_k = E_k + F_k L_{k+1}: what happens at the vertex, and where the path goes from there.
 
     Args:
@@ -191,14 +191,14 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
         lanes: (M,) int32, those of them that are computed, in this order.
         at: the depth of this bounce.
         settings: the integrand.
-        given: (M,) the values of textures that are read outside.
+        texture_values: (M,) the values of textures that are read outside.
 
     Returns:
         The M vertices. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
     """
     arrival = rows(arrival, lanes)
     state = arrival.state
-    local = scattering(scene, proposal, arrival, at, settings, given)
+    local = scattering(scene, proposal, arrival, at, settings, texture_values)
 
     # Aim the shadow ray at the light sample.
     shadow, distance = state.ray, torch.zeros_like(state.pdf)
@@ -232,20 +232,20 @@ def followed_by(material: Material, state: PathState, settings: Settings) -> Ten
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
-               given: tuple[Given, ...], here: Corners | None = None) -> Scattering:
+               texture_values: tuple[TextureValue, ...], here: Corners | None = None) -> Scattering:
     """The vertex without its outgoing ray, of lanes as they are. Args as for `bounce` and `surface_interaction`."""
     # Find the surface that the ray meets.
     state = arrival.state
     si = surface_met(scene, arrival, settings, here)
-    given, given_met, given_sampled = shares_of(scene, given)
+    of_material, of_met, of_sampled = shares_of(scene, texture_values)
 
     # Add the light that comes from there, weighted against the chance that next-event estimation finds it.
     zero = torch.zeros_like(state.pdf)
     none = Vec3(zero, zero, zero)
     Le = none
     if not settings.hide_emitters:
-        Le = (emitted(scene, state.ray, si, given_met) if scene.layout.scatterer is None
-              else emitted_by_surface(scene, si, given_met))
+        Le = (emitted(scene, state.ray, si, of_met) if scene.layout.scatterer is None
+              else emitted_by_surface(scene, si, of_met))
     if settings.nee:
         follows = settings.following and settings.moving
         geometry = scene if settings.sampling == "attached" or follows else proposal
@@ -257,14 +257,14 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
         return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
 
     # Look up the material.
-    material = material_at(scene, si, given)
+    material = material_at(scene, si, of_material)
 
     # Connect to a point on a light.
     key = bounce_key(state.key, at.counter)
     number = partial(uniform, key, dtype=zero.dtype)
     light, Ld = None, none
     if settings.nee:
-        light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, given_sampled)
+        light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, of_sampled)
         light, Ld = next_event(material, si, light, settings)
 
     # Sample the BSDF for the next direction.
@@ -278,11 +278,11 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     return Scattering(Le, Ld, si, light, material, chosen, 1.0 / survival, survives)
 
 
-def shares_of(scene: SceneTensors, given: tuple[Given, ...]) -> tuple[tuple[Given, ...], ...]:
-    """The values that are given: those of the material, of emitters that rays meet, and of light samples."""
+def shares_of(scene: SceneTensors, texture_values: tuple[TextureValue, ...]) -> tuple[tuple[TextureValue, ...], ...]:
+    """The shares of the material, of emitters that rays meet, and of light samples."""
     of_material = 0 if scene.layout.scatterer is None else len(scene.layout.scatterer.outside)
     met = of_material + len(scene.layout.lit)
-    return given[:of_material], given[of_material:met], given[met:]
+    return texture_values[:of_material], texture_values[of_material:met], texture_values[met:]
 
 
 def light_numbers(key: BounceKey) -> LightNumbers:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.path.event import Ends, Event
+from torch_radbp.path.queues import ImageLanes
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.sampling.sampler import depth_counter
@@ -31,6 +32,7 @@ class Stages(NamedTuple):
     asked: Callable
     bounce: Callable
     ending: Callable
+    local_map: Callable
     bounce_adjoint: Callable
     places: Callable
     pick_light: Callable
@@ -40,8 +42,23 @@ class Stages(NamedTuple):
     shines: Callable
     rows: Callable
     brightened: Callable
+    direct_light: Callable
+    scattered: Callable
     surface_values: Callable
     material_value: Callable
+    edge_weight: Callable
+    edge_place: Callable
+    crosses: Callable
+    contour_length: Callable
+    contour_place: Callable
+    rays_beside: Callable
+    in_sight: Callable
+    paths_beside: Callable
+    swept: Callable
+    slopes: Callable
+    asked_of_places: Callable
+    angle_seen: Callable
+    edge_passed: Callable
 
     def eager(self) -> Stages:
         """The same in plain torch."""
@@ -65,6 +82,13 @@ class Part(NamedTuple):
     proposal: SceneTensors  # the same, detached
     evaluate: Callable  # the stage of what happens to them, prepared for both
     tables: Any  # `proposal`, prepared for stages
+    prepared: dict[Callable, Callable]  # other stages, for calls that begin with `proposal`
+
+    def call(self, stage: Callable, *arguments):
+        """What a stage returns of `proposal` and other arguments."""
+        if stage not in self.prepared:
+            self.prepared[stage] = knowing(stage, self.tables)
+        return self.prepared[stage](self.proposal, *arguments)
 
 
 class Integrand(NamedTuple):
@@ -95,15 +119,15 @@ class Integrand(NamedTuple):
             stage = event.stage(self.stages)
             tables, = taken(stage, proposal=proposal)
             prepared = knowing(stage, tables if scene is proposal else scene, tables)
-            self.parts[event] = Part(scene, proposal, prepared, tables)
+            self.parts[event] = Part(scene, proposal, prepared, tables, {})
         return self.parts[event]
 
     def places(self, event: Event, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
-        """The places of the values to be given to these lanes; see `path.bounce.places`."""
+        """The places of the values of textures that are read outside, of these lanes; see `path.bounce.places`."""
         scatterer = self.scatterer(event)
         if not self.scene.layout.lit and (scatterer is None or not scatterer.outside):
             return ()
-        return self.stages.places(self.part(event).proposal, arrival, lanes, self.at(depth), self.settings_at(depth))
+        return self.part(event).call(self.stages.places, arrival, lanes, self.at(depth), self.settings_at(depth))
 
     def at(self, depth: int) -> Position:
         """The position on the path as tensors."""
@@ -114,9 +138,11 @@ class Integrand(NamedTuple):
         """The settings with what is special at the first bounce."""
         return self.settings._replace(hide_emitters=self.settings.hide_emitters and depth == 0)
 
-    def image_only(self, state: PathState) -> Tensor | None:
-        """Which paths are not differentiated, (N,) bool; None: all may be."""
-        return None if self.differentiated is None else state.lane >= self.differentiated
+    def image_lanes(self, state: PathState) -> ImageLanes | None:
+        """The paths that are not differentiated; None: all may be."""
+        if self.differentiated is None:
+            return None
+        return ImageLanes(state.lane, state.lane.new_full((), self.differentiated))
 
     def is_last(self, depth: int) -> bool:
         """True if paths end at this bounce: nothing is scattered any more."""

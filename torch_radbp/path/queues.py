@@ -25,37 +25,48 @@ class Queue(NamedTuple):
     differentiated: int  # the place after its last lane that the backward pass differentiates; such lanes come first
 
 
+class ImageLanes(NamedTuple):
+    """The lanes that the backward pass does not differentiate: those that have this place in their chunk, or a later one."""
+
+    lane: Tensor  # (N,) int32, see `PathState`
+    first: Tensor  # () int32
+
+
 EMPTY = Queue(Ends.SURROUNDINGS, 0, 0, 0)  # of no lanes
 
 
-def one_queue(event: Event, flags: Tensor, image_only: Tensor | None) -> tuple[Tensor, tuple[Queue, ...]]:
-    """`Step.order` and `Step.queues` of the lanes whose flag is set, to all of which the same happens.
+def halved(number: Tensor, image_lanes: ImageLanes | None) -> Tensor:
+    """(N,) int32, numbers of queues, each of which has two halves if some lanes are of the image alone: 2 n, and 2 n + 1 of
+    these."""
+    return number if image_lanes is None else 2 * number + (image_lanes.lane >= image_lanes.first).to(torch.int32)
+
+
+def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
+    """`Step.order` and `Step.queues` of some lanes, to all of which the same happens.
 
     Args:
         event: what happens.
-        flags: (N,) bool.
-        image_only: as in `queues_by`.
+        found: of `shines`.
     """
-    if image_only is None:
-        order = chosen(flags)
+    if found.dtype == torch.bool:
+        order = chosen(found)
         return order, (Queue(event, 0, len(order), len(order)),)
-    order, (differentiated, others, _) = partition(torch.where(flags, image_only.to(torch.int32), 2), 3)
+    order, (differentiated, others, *_) = partition(found, 4)
     count = differentiated + others
     return order[:count], (Queue(event, 0, count, differentiated),)
 
 
-def queues_by(number: Tensor, appearances: int, surround: bool,
-              image_only: Tensor | None) -> tuple[Tensor, tuple[Queue, ...]]:
+def queues_by(number: Tensor, appearances: int, surround: bool, halves: bool) -> tuple[Tensor, tuple[Queue, ...]]:
     """`Step.order` and `Step.queues`.
 
     Args:
-        number: (N,) int32, the appearance that each lane meets; `appearances` where it meets none.
+        number: (N,) int32, the appearance that each lane meets, `appearances` where it meets none; as of `halved`.
         appearances: how many there are.
         surround: whether lanes that meet none count.
-        image_only: (N,) bool, the lanes that the backward pass does not differentiate; None: it differentiates all.
+        halves: whether some lanes are of the image alone.
     """
-    kinds = 1 if image_only is None else 2  # of lanes, in each queue
-    order, counts = partition(number if image_only is None else 2 * number + image_only, kinds * (appearances + 1))
+    kinds = 2 if halves else 1  # of lanes, in each queue
+    order, counts = partition(number, kinds * (appearances + 1))
     queues, first = [], 0
     for appearance in range(appearances + 1):
         differentiated, *others = counts[kinds * appearance:kinds * (appearance + 1)]
@@ -67,38 +78,51 @@ def queues_by(number: Tensor, appearances: int, surround: bool,
     return order[:first], tuple(queues) or (EMPTY,)
 
 
-def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor) -> tuple[Tensor, Tensor | None]:
+def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor,
+                   image_lanes: ImageLanes | None) -> tuple[Tensor, Tensor | None]:
     """The number of the appearance that each ray meets if it comes from the front, (N,) int32, and where it matters.
 
     Args:
         scene: detached; any part of it.
         hit: (N,).
         nothing: () int32, the number where there is none.
+        image_lanes: those of the image alone; None: there are none.
 
     Returns:
-        Also (N,) bool, where that from behind is another; None: nowhere.
+        Numbers as of `halved`. Also (N,) bool, where that from behind is another; None: nowhere.
     """
     row, met = lookup(scene.triangles.material, hit.prim.clamp_min(0)), hit.prim >= 0
     differs = None if scene.materials.differs is None else met & lookup(scene.materials.differs, row)
-    return torch.where(met, lookup(scene.materials.appearance, row), nothing), differs
+    return halved(torch.where(met, lookup(scene.materials.appearance, row), nothing), image_lanes), differs
 
 
-def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor) -> tuple[Tensor, Tensor]:
+def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor,
+             image_lanes: ImageLanes | None) -> tuple[Tensor, Tensor]:
     """The number of the appearance of the side that rays meet, (M,) int32, and whether that is the front, (M,) bool.
 
     Args:
         scene: detached; any part of it.
         ray, hit: (N,).
         lanes: (M,) int32, those that meet a surface.
+        image_lanes: as for `appearance_met`, (N,).
     """
     ray, hit = rows((ray, hit), lanes)
     front = is_in_front(scene, ray, hit)
     row = lookup(scene.triangles.material, hit.prim)
-    return lookup(scene.materials.appearance, row + (~front).to(row.dtype) * scene.materials.count), front
+    number = lookup(scene.materials.appearance, row + (~front).to(row.dtype) * scene.materials.count)
+    image_lanes = None if image_lanes is None else image_lanes._replace(lane=rows(image_lanes.lane, lanes))
+    return halved(number, image_lanes), front
 
 
-def shines(scene: SceneTensors, hit: Hit) -> Tensor:
-    """(N,) bool: rays meet a light, on a surface or around the scene; `scene`: any part."""
+def shines(scene: SceneTensors, hit: Hit, image_lanes: ImageLanes | None) -> Tensor:
+    """(N,) bool: rays meet a light, on a surface or around the scene. If some lanes are of the image alone, int32 instead: 0
+    where they do, 1 in these lanes, at least 2 elsewhere.
+
+    Args:
+        scene: detached; any part of it.
+        hit, image_lanes: as for `appearance_met`.
+    """
     met = hit.prim >= 0
     lit = met & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0)
-    return lit | ~met if scene.layout.surround else lit
+    found = lit | ~met if scene.layout.surround else lit
+    return found if image_lanes is None else halved((~found).to(torch.int32), image_lanes)

@@ -1,14 +1,14 @@
-"""Values that are computed outside of the functions of a bounce, and given to them: those of modules."""
+"""Values that are computed outside of the functions of a bounce, and handed to them: those of modules."""
 
 from __future__ import annotations
 
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import Given, Place
-from torch_radbp.vec import Vec3
+from torch_radbp.texture.reader import Place, TextureValue
 
 
-def given_values(scene: SceneTensors, scatterer: Appearance | None, places: tuple[Place, ...]) -> tuple[Given, ...]:
+def texture_values_at(scene: SceneTensors, scatterer: Appearance | None,
+                      places: tuple[Place, ...]) -> tuple[TextureValue, ...]:
     """The values of the textures that are read outside, as autograd records them if it does.
 
     Args:
@@ -17,7 +17,7 @@ def given_values(scene: SceneTensors, scatterer: Appearance | None, places: tupl
         places: one for each of these textures, attached or detached.
     """
     banks = banks_outside(scene, scatterer) if places else ()
-    return tuple(Given(Vec3.of(bank.values(place.row, place.at.stack()))) for bank, place in zip(banks, places))
+    return tuple(TextureValue(bank.values(place.row, place.at)) for bank, place in zip(banks, places))
 
 
 def banks_outside(scene: SceneTensors, scatterer: Appearance | None) -> list:

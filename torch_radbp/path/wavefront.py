@@ -13,24 +13,26 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import any_differentiated
+from torch_radbp.differentiated import any_differentiated, recording
 from torch_radbp.jit.order import chosen, put
+from torch_radbp.jit.torch_internals import inside_dual_level
 from torch_radbp.lookup import lookup
 from torch_radbp.path.bounce import Vertex, gathered
 from torch_radbp.path.event import Ends, Scatters
 from torch_radbp.path.integrand import Integrand, taken
-from torch_radbp.path.queues import Queue, one_queue, queues_by
+from torch_radbp.path.queues import ImageLanes, Queue, one_queue, queues_by
 from torch_radbp.path.state import Arrival, PathState
-from torch_radbp.path.texture_networks import given_values
+from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.record import joined, leaves_of
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
+from torch_radbp.texture.reader import TextureValue
 from torch_radbp.vec import Ray, Vec3, masked, rows
 
 
 class Step(NamedTuple):
-    """The decisions of a bounce: those that would cost rays to repeat, and who goes on.
+    """The decisions of a bounce: those that would cost rays or networks to repeat, and who goes on.
 
     Whoever takes the bounce again goes by this record, so that all agree even where rounding would decide otherwise (of
     another device, another number of threads, a compiled function and an eager one).
@@ -43,6 +45,8 @@ class Step(NamedTuple):
     visible: Tensor  # (K,) bool: the shadow ray was free; of the first K, which meet an appearance: the others end here
     survives: Tensor  # (K,) bool: the path goes on
     picked: LightPick | None = None  # (N,) None: lights are picked by probabilities that are the same everywhere
+    # Of each queue those of textures that are read outside; None: not computed. In a forward pass attached to the scene.
+    texture_values: tuple[tuple[TextureValue, ...] | None, ...] = ()
 
     @property
     def scattered(self) -> int:
@@ -66,8 +70,11 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
-        queues = queued(integrand, state.ray, hit, integrand.is_last(depth), integrand.image_only(state))
+        queues = queued(integrand, state.ray, hit, integrand.is_last(depth), integrand.image_lanes(state))
         step = Step(hit, *queues, undecided, undecided, picked_lights(integrand, state, hit, depth))
+        step = step._replace(texture_values=tuple(
+            texture_values_of(integrand, step.arrival(state), depth, queue, step.order)
+            if with_light or queue.event.scatters else None for queue in step.queues))
         vertex, light = bounce_queues(integrand, state, depth, step, with_light)
         connects = integrand.settings.nee and not integrand.is_last(depth)
         visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
@@ -80,13 +87,13 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
                   with_light: bool) -> tuple[Vertex, Vec3 | None]:
     """The vertices of the lanes that meet an appearance, each queue by its functions, and the light that others meet."""
     settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
-    arrival, at = step.arrival(state), integrand.at(depth)
+    arrival, at, known = step.arrival(state), integrand.at(depth), dict(zip(step.queues, step.texture_values))
 
     def arguments(queue: Queue, reached, at, settings) -> tuple:
-        part, lanes = integrand.part(queue.event), step.order[queue.first:queue.last]
-        given = given_values(integrand.scene, integrand.scatterer(queue.event),
-                             integrand.places(queue.event, arrival, lanes, depth))
-        return part.scene, part.proposal, reached, lanes, at, settings, given
+        part, texture_values = integrand.part(queue.event), known[queue]
+        if texture_values is None:
+            texture_values = texture_values_of(integrand, arrival, depth, queue, step.order)
+        return part.scene, part.proposal, reached, step.order[queue.first:queue.last], at, settings, texture_values
 
     *_, last = step.queues
     ends = with_light and not last.event.scatters
@@ -96,13 +103,20 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     if not bounces:
         return room_for_vertices(state, 0), light
     same = taken(bounces[0], arrival=arrival, at=at, settings=settings)
-    if len(bounces) == 1 or not hasattr(bounces[0], "into"):
+    if len(bounces) == 1 or not hasattr(bounces[0], "into") or inside_dual_level():
         return joined([bounce(*arguments(queue, *same)) for bounce, queue in zip(bounces, queues)]), light
     vertices = room_for_vertices(state, step.scattered)
     room = bounces[0].room(vertices)
     for bounce, queue in zip(bounces, queues):
         bounce.into(room, queue.first, *arguments(queue, *same))
     return vertices, light
+
+
+def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queue: Queue,
+                      order: Tensor) -> tuple[TextureValue, ...]:
+    """The values of the textures that the lanes of a queue read outside; `order`: see `Step`."""
+    places = integrand.places(queue.event, arrival, order[queue.first:queue.last], depth)
+    return texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
 
 
 def room_for_vertices(state: PathState, lanes: int) -> Vertex:
@@ -124,37 +138,37 @@ def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) 
     choice = integrand.proposal.lights.choice
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:
         return None
-    scene, arrival = integrand.part(Ends.SURROUNDINGS).proposal, Arrival(state, hit, None)
+    part, arrival = integrand.part(Ends.SURROUNDINGS), Arrival(state, hit, None)
     chance = torch.zeros_like(state.pdf)
-    lit = chosen((hit.prim >= 0) & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0))
+    lit = chosen((hit.prim >= 0) & (lookup(part.proposal.triangles.emitter, hit.prim.clamp_min(0)) >= 0))
     if len(lit) and depth > 0:
-        chance.index_copy_(0, lit.long(), integrand.stages.chance_of_light(scene, choice, arrival, lit))
+        chance.index_copy_(0, lit.long(), part.call(integrand.stages.chance_of_light, choice, arrival, lit))
     if integrand.is_last(depth):
         return LightPick(torch.zeros_like(hit.prim), chance, chance)
-    return LightPick(*integrand.stages.pick_light(scene, choice, arrival, integrand.at(depth)), chance)
+    return LightPick(*part.call(integrand.stages.pick_light, choice, arrival, integrand.at(depth)), chance)
 
 
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
-           image_only: Tensor | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
+           image_lanes: ImageLanes | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
     """`Step.front`, `Step.order` and `Step.queues` of rays that met `hit`.
 
     Args:
         ray, hit: (N,).
         last: whether only what is emitted counts.
-        image_only: as in `queues_by`.
+        image_lanes: those of the image alone; None: there are none.
     """
-    layout, scene = integrand.proposal.layout, integrand.part(Ends.SURROUNDINGS).proposal
+    layout, part, stages = integrand.proposal.layout, integrand.part(Ends.SURROUNDINGS), integrand.stages
     if last:
-        return None, *one_queue(Ends.LAST_BOUNCE, integrand.stages.shines(scene, hit), image_only)
-    nothing = len(layout.appearances)
-    if nothing == 1 and not layout.surround:
-        return None, *one_queue(Scatters(0), hit.prim >= 0, image_only)
-    absent = hit.prim.new_full((), nothing)
-    number, differs = integrand.stages.appearance_met(scene, hit, absent)
+        return None, *one_queue(Ends.LAST_BOUNCE, part.call(stages.shines, hit, image_lanes))
+    appearances = len(layout.appearances)
+    if appearances == 1 and not layout.surround and image_lanes is None:
+        return None, *one_queue(Scatters(0), hit.prim >= 0)
+    nothing = hit.prim.new_full((), appearances)
+    number, differs = part.call(stages.appearance_met, hit, nothing, image_lanes)
     front = None if differs is None else torch.zeros_like(differs)
     if differs is not None and len(lanes := chosen(differs)):
-        put_rows((number, front), lanes, integrand.stages.side_met(scene, ray, hit, lanes))
-    return front, *queues_by(number, nothing, layout.surround is not None, image_only)
+        put_rows((number, front), lanes, part.call(stages.side_met, ray, hit, lanes, image_lanes))
+    return front, *queues_by(number, appearances, layout.surround is not None, image_lanes is not None)
 
 
 def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
@@ -212,7 +226,7 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
 
 
 def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None] | None = None,
-          hit: Hit | None = None) -> Vec3:
+          hit: Hit | None = None, depth: int = 0) -> Vec3:
     """The radiance L_1 along each lane's camera ray: the sum of beta_k E_k over bounces.
 
     Args:
@@ -220,13 +234,14 @@ def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathStat
         start: from `start_path`.
         visit: called at every depth with the state that reached it and what was decided there.
         hit: of the camera rays, if it is known.
+        depth: of the first bounce to take; later ones begin in the middle of a path.
 
     Returns:
         (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
     """
     L = Vec3.buffer(start.beta.x)
     brightened = integrand.stages.brightened
-    for bounce in bounces(integrand, start, hit=hit):
+    for bounce in bounces(integrand, start, depth, hit=hit):
         (depth, state, vertex, light, step), count = bounce, bounce.step.scattered
         if visit is not None:
             visit(depth, state, step)
@@ -259,7 +274,7 @@ def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: V
 def put_rows(record, place: Tensor, entries) -> None:
     """Overwrites the entries at `place`, (N,) int32 without repetition, of every tensor of a record in nested tuples."""
     targets, found = ([leaf for leaf in leaves_of(part) if leaf is not None] for part in (record, entries))
-    if any_differentiated(found):
+    if recording() and any_differentiated(found):
         for target, new in zip(targets, found):
             target.index_copy_(0, place.long(), new)
     else:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import importlib
 from functools import partial
 
-import torch
 from torch import Tensor
 
-from torch_radbp.raycast.ball import castable, other_triangles
+from torch_radbp.raycast.ball import castable
 from torch_radbp.raycast.expanded import ExpandedCaster
-from torch_radbp.raycast.mesh import checked_faces
 from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
+from torch_radbp.raycast.runs import MOST_TRIANGLES
 from torch_radbp.shape.ball import TRIANGLES, Balls
 from torch_radbp.shape.placement import Instances
 
@@ -19,9 +18,9 @@ __all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 
 # Imported when asked for: each has dependencies that the others do not need.
 CASTERS = {"embree": "Embree", "direct": "Direct", "brute": "Brute", "warp": "Warp"}
-# What a path's rays test one by one faster than a tree finds the right triangles, in tests of a triangle: scattered boxes
-# about 230, small lamps in a large room, which a tree hardly meets, 145. A corner costs less than a triangle.
-FEW_TESTS, CORNER = 180, 0.6
+# What a path's rays cost at most, in tests of a triangle, to be cast faster without a tree: scattered boxes are three to
+# eight times as fast, even a thousand triangles of them; scattered triangles, whose runs are not compact, begin to lose.
+FEW_TESTS = 160
 FEW_BALLS = 128  # likewise; of incoherent rays, 256 take half of the time that a tree of their triangles does
 
 
@@ -45,9 +44,18 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
     """
     if balls is not None and (len(balls.first) > FEW_BALLS or not bool(castable(balls).all())):
         balls = None
-    if name is None:
-        on_cpu = vertices.device.type == "cpu"
-        name = "warp" if not on_cpu else "direct" if few(vertices, faces, balls, instances) else "embree"
+    if name is None and vertices.device.type == "cpu":
+        if few(faces, balls, instances):
+            direct = made("direct", vertices, faces, balls, instances)
+            if (direct if instances is None else direct.caster).cost <= FEW_TESTS:
+                return direct
+        name = "embree"
+    return made(name or "warp", vertices, faces, balls, instances, last)
+
+
+def made(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None,
+         last: RayCaster | None = None) -> RayCaster:
+    """The caster called `name`. Args: as for `make_caster`."""
     if name not in CASTERS:
         raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))}")
     caster = getattr(importlib.import_module(f"torch_radbp.raycast.{name}"), CASTERS[name])
@@ -58,12 +66,7 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
     return ExpandedCaster(partial(caster, balls=balls), vertices, faces, instances)
 
 
-def few(vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None) -> bool:
-    """True if rays test all triangles but those of balls faster than a tree finds the right ones. Args: as `make_caster`."""
+def few(faces: Tensor, balls: Balls | None, instances: Instances | None) -> bool:
+    """True if triangles are so few that it is worth looking what they cost without a tree. Args: as for `make_caster`."""
     seen = len(faces) if instances is None else instances.triangles()
-    seen -= 0 if balls is None else TRIANGLES * len(balls.first)
-    if seen > FEW_TESTS:
-        return False
-    others = checked_faces(faces if balls is None else other_triangles(faces, balls)[0], len(vertices), vertices.device)
-    corners = len(torch.unique(vertices[others.long()].flatten(0, 1), dim=0))
-    return seen * (1 + CORNER * corners / max(1, len(others))) <= FEW_TESTS
+    return seen - (0 if balls is None else TRIANGLES * len(balls.first)) <= MOST_TRIANGLES

@@ -1,8 +1,4 @@
-"""Ray casting for small meshes: every triangle is tested, without a tree, a vector of rays at a time.
-
-A tree spends most of its time on branches that a processor cannot foresee; `every_triangle.py` has none. What a ray costs
-grows with the number of triangles.
-"""
+"""Ray casting for small meshes: without a tree, batches of rays against runs of triangles, see `batches.py`."""
 
 from __future__ import annotations
 
@@ -14,22 +10,22 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, host_width, kept, made_once
+from torch_radbp.jit.machine import MachineCode, cached_code, host_width, made_once
 from torch_radbp.jit.team import run_lanes
-from torch_radbp.raycast import every_ball, every_triangle, queries
-from torch_radbp.raycast.ball import other_triangles, tables
+from torch_radbp.raycast import ball, batches, runs
+from torch_radbp.raycast.ball import other_triangles
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
+from torch_radbp.raycast.runs import MOST_TRIANGLES
 from torch_radbp.raycast.vectors import Vectors
 from torch_radbp.shape.ball import Balls
 
 CPU = torch.device("cpu")
-MOST_TRIANGLES = 1000  # their corners, a vector of each, must fit on the stack of a thread
 
 
 class Direct:
-    """A `RayCaster` for tensors on the CPU, in the dtype of the rays. Time grows with rays times triangles.
+    """A `RayCaster` for tensors on the CPU, in the dtype of the rays. What a ray costs, in tests of a triangle, is `cost`.
 
     No ray slips between two triangles that share an edge, or whose corners are in the same places. A copied or unpickled
     caster counts its rays from zero.
@@ -52,6 +48,8 @@ class Direct:
         if len(self._others) > MOST_TRIANGLES:
             raise ValueError(f"the ray caster 'direct' takes at most {MOST_TRIANGLES} triangles, got {len(self._others)}; "
                              "use 'embree'")
+        firsts, self.cost = runs.runs_of(self.vertices[self._others.long()])
+        self._runs = torch.tensor(firsts[:-1], device=CPU)
         self.rays_cast = 0
         self._counting = Lock()
         self._meshes: dict[torch.dtype, tuple[Tensor, ...]] = {}  # by the dtype of rays, made when it is first needed
@@ -61,7 +59,7 @@ class Direct:
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         hit = Hit(torch.empty(shape, dtype=torch.int32, device=CPU),
                   *(torch.empty(shape, dtype=dtype, device=CPU) for _ in range(3)))
-        self._run(queries.closest_hit, [*ray.o, *ray.d], hit[:4])
+        self._run(batches.closest_hit, [*ray.o, *ray.d], hit[:4])
         # The vertices of a ball are on the sphere only up to the rounding of float32, in which a scene may have been loaded.
         exact = self.balls is None or dtype == torch.float32
         return hit if exact else refined(self.vertices, self.faces, ray, hit)
@@ -69,19 +67,25 @@ class Direct:
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
         hidden = torch.empty(ray.o.x.shape, dtype=torch.bool, device=CPU)
-        self._run(queries.any_hit, [*ray.o, *ray.d, tmax], [hidden])
+        self._run(batches.any_hit, [*ray.o, *ray.d, tmax], [hidden])
         return hidden
 
     def _run(self, loop: Callable, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
-        """Runs a loop of `queries` over all lanes."""
+        """Runs a loop of `batches` over all lanes."""
         dtype, lanes = columns[0].dtype, columns[0].numel()
-        if dtype not in self._meshes:
-            balls = () if self.balls is None else (*tables(self.balls, dtype), self._numbers)
-            self._meshes[dtype] = *mesh_in_units(self.vertices, self._others, dtype), *balls
-        inputs = [*columns_of(columns, dtype), *self._meshes[dtype]]
+        inputs = [*columns_of(columns, dtype), *self.tables(dtype)]
         run_lanes(machine_code(loop, dtype, self.balls is not None).address, lanes, addresses(inputs), addresses(answers))
         with self._counting:
             self.rays_cast += lanes
+
+    def tables(self, dtype: torch.dtype) -> tuple[Tensor, ...]:
+        """What the loops read of the mesh, for rays of a dtype."""
+        if dtype not in self._meshes:
+            p = self.vertices.to(dtype)[self._others.long()]
+            placements, of_balls = (None, ()) if self.balls is None else (self.balls.placement, (
+                *ball.tables(self.balls, dtype), self._numbers))
+            self._meshes[dtype] = *runs.tables(p, self._runs, unit_of(p.flatten(0, 1)), placements), *of_balls
+        return self._meshes[dtype]
 
     def __reduce__(self):
         return Direct, (self.vertices, self.faces, self.balls)
@@ -89,24 +93,20 @@ class Direct:
 
 @made_once
 def machine_code(loop: Callable, dtype: torch.dtype, balls: bool = False, width: int | None = None) -> MachineCode:
-    """A loop of `queries` for numbers of a dtype and vectors of a width; None: what the processor has."""
+    """A loop of `batches` for numbers of a dtype and vectors of a width; None: what the processor has."""
     width = width or host_width() * torch.float32.itemsize // dtype.itemsize
     code = Vectors(width, "float" if dtype == torch.float32 else "double")
-    return kept(loop(code, every_ball.beside(every_triangle.KERNEL) if balls else every_triangle.KERNEL))
+    return cached_code(loop(code, balls))
 
 
-def mesh_in_units(vertices: Tensor, faces: Tensor, dtype: torch.dtype) -> tuple[Tensor, ...]:
-    """What the loops read of a mesh, see `every_triangle.INPUTS`; coordinates are scaled by a power of two.
+def unit_of(vertices: Tensor) -> Tensor:
+    """() what coordinates are multiplied by to be in units of the mesh: a power of two.
 
-    Products of three coordinates then neither overflow nor underflow, and nothing is rounded. Corners in the same place are
-    one.
+    Products of three coordinates then neither overflow nor underflow, and nothing is rounded.
     """
-    corners, names = torch.unique(vertices.to(dtype)[faces.long()].reshape(-1, 3), dim=0, return_inverse=True)
-    extent = float((corners.amax(dim=0) - corners.amin(dim=0)).max())
+    extent = float((vertices.amax(0) - vertices.amin(0)).max())
     exponent = math.frexp(extent)[1] if extent > 0 else 0
-    scale = corners.new_tensor(2.0 ** max(-120, min(120, -exponent)))
-    triangles = names.reshape(-1, 3).to(torch.int32)
-    return corners * scale, triangles, names.new_tensor(len(corners)), names.new_tensor(len(faces)), scale
+    return vertices.new_tensor(2.0 ** max(-120, min(120, -exponent)))
 
 
 def addresses(tensors: Iterable[Tensor]) -> array:

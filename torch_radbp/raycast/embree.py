@@ -13,7 +13,7 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, kept, made_once
+from torch_radbp.jit.machine import MachineCode, cached_code, made_once
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import every_ball, library, packets, queries
 from torch_radbp.raycast.ball import other_triangles, tables
@@ -119,4 +119,4 @@ class Embree:
 def machine_code(loop: Callable, balls: bool, instances: bool = False) -> MachineCode:
     """A loop of `queries` over packets."""
     kernel = packets.OF_INSTANCES if instances else packets.KERNEL
-    return kept(loop(Vectors(packets.WIDTH, "float"), every_ball.beside(kernel) if balls else kernel))
+    return cached_code(loop(Vectors(packets.WIDTH, "float"), every_ball.beside(kernel) if balls else kernel))

@@ -61,8 +61,7 @@ def beside(kernel: Kernel) -> Kernel:
 
     def closest(code: Vectors, rays: Rays) -> tuple[str, ...]:
         prim, u, v, t, *instance = kernel.closest(code, rays)
-        found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
-        prim = code.choose(found, code.gather("i32", "%numbers", prim, found), prim, "i32")
+        found, prim = code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), numbers_of(code, prim)
         farthest = code.choose(found, t, code.choose(rays.valid, code.constant(INFINITY), ZERO))
         answer = closest_ball(code, rays, (farthest, prim, u, v))
         kept = code.line(f"icmp eq {code.integers} {prim}, {answer[0]}")  # balls are in no group
@@ -72,11 +71,22 @@ def beside(kernel: Kernel) -> Kernel:
         met = kernel.occluded(code, rays, tmax)
         return any_ball(code, rays, met, code.choose(rays.valid, tmax, ZERO))
 
-    def prepare(code: Vectors) -> None:
+    def prepare_both(code: Vectors) -> None:
         kernel.prepare(code)
-        code.lay("%ball_count = load i64, ptr %ball_count_at", f"%starts = alloca {code.numbers}, i64 %ball_count")
+        prepare(code)
 
-    return Kernel((*kernel.inputs, *INPUTS), prepare, closest, occluded, kernel.instances)
+    return Kernel((*kernel.inputs, *INPUTS), prepare_both, closest, occluded, kernel.instances)
+
+
+def prepare(code: Vectors) -> None:
+    """Lays what comes before the loop."""
+    code.lay("%ball_count = load i64, ptr %ball_count_at", f"%starts = alloca {code.numbers}, i64 %ball_count")
+
+
+def numbers_of(code: Vectors, prim: str) -> str:
+    """The numbers in the mesh of triangles that were found among the others; -1 stays."""
+    found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    return code.choose(found, code.gather("i32", "%numbers", prim, found), prim, "i32")
 
 
 def closest_ball(code: Vectors, rays: Rays, before: tuple[str, str, str, str]) -> tuple[str, str, str, str]:
@@ -85,29 +95,39 @@ def closest_ball(code: Vectors, rays: Rays, before: tuple[str, str, str, str]) -
     carried = [("ball.t", code.numbers, farthest),
                *((f"ball.{name}", code.integers, "splat (i32 -1)") for name in ("met", "row", "column"))]
     begin_search(code, rays, carried)
-    ball = next_ball(code, "%ball.t")
-    _, hit, t, facet = meet_ball(code, rays, ball, "%ball.t")
-    for (name, kind, _), new in zip(carried, (t, ball.number, facet.row, facet.column)):
+    hit, t, facet = meet_nearest(code, rays, next_ball(code, "%ball.t"), "%ball.t")
+    for (name, kind, _), new in zip(carried, (t, "%near.ball.next", facet.row, facet.column)):
         code.lay(f"%{name}.next = select {code.flags} {hit}, {kind} {new}, {kind} %{name}")
     code.lay("br label %search", "all_balls:")
-    met = code.line(f"icmp sge {code.integers} %ball.met, {ZERO}")
-    branch_if_any(code, met, "place", "placed")
-    ball = Nearest(code.choose(met, "%ball.met", ZERO, "i32"), met)
-    found = place_on_facet(code, local_of(code, rays, ball).at(code, "%ball.t"), ball.number,
-                           *(code.choose(met, f"%ball.{name}", ZERO, "i32") for name in ("row", "column")))
+    return placed(code, rays, ("%ball.met", "%ball.row", "%ball.column"), "%ball.t", others, "all_balls")
+
+
+def placed(code: Vectors, rays: Rays, met: tuple[str, str, str], t: str, others: list[str], before: str
+           ) -> tuple[str, str, str, str]:
+    """prim, u, v and t of rays, from what they have met at `t`.
+
+    Args:
+        met: i32, the ball, negative where it is none, and row and column of its facet.
+        others: prim, u and v of what is no ball.
+        before: the label of this block.
+    """
+    ball, row, column = met
+    on_ball = code.line(f"icmp sge {code.integers} {ball}, {ZERO}")
+    branch_if_any(code, on_ball, "place", "placed")
+    ball, row, column = (code.choose(on_ball, number, ZERO, "i32") for number in (ball, row, column))
+    found = place_on_facet(code, local_of(code, rays, Nearest(ball, on_ball)).at(code, t), ball, row, column)
     kinds = ("i32", code.scalar, code.scalar)
-    found = [code.choose(met, *values, kind) for *values, kind in zip(found, others, kinds)]
+    found = [code.choose(on_ball, *values, kind) for *values, kind in zip(found, others, kinds)]
     code.lay("br label %placed", "placed:")
-    prim, u, v = (code.line(f"phi {code.vector(kind)} [ {old}, %all_balls ], [ {new}, %place ]")
+    prim, u, v = (code.line(f"phi {code.vector(kind)} [ {old}, %{before} ], [ {new}, %place ]")
                   for old, new, kind in zip(others, found, kinds))
-    struck = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
-    return prim, u, v, code.choose(struck, "%ball.t", ZERO)
+    return prim, u, v, code.choose(code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), t, ZERO)
 
 
 def any_ball(code: Vectors, rays: Rays, before: str, tmax: str) -> str:
     """Flags of rays that were met before, or meet a ball at 0 < t <= tmax."""
     begin_search(code, rays, [("left", code.numbers, code.choose(before, ZERO, tmax))])
-    _, hit, _, _ = meet_ball(code, rays, next_ball(code, "%left"), "%left")
+    hit, _, _ = meet_nearest(code, rays, next_ball(code, "%left"), "%left")
     code.lay(f"%left.next = select {code.flags} {hit}, {code.numbers} {ZERO}, {code.numbers} %left",
              "br label %search", "all_balls:")
     return code.either(before, code.both(code.compare("%left", "oeq", ZERO), code.compare(tmax, "ogt", ZERO)))
@@ -188,26 +208,37 @@ def meet_sphere(code: Vectors, local: Local) -> Sphere:
     return Sphere(start, leave, near, code.both(code.compare(inside, "ogt", ZERO), ahead))
 
 
-def meet_ball(code: Vectors, rays: Rays, ball: Nearest, end: str) -> tuple[Local, str, str, Facet]:
-    """Lays the meeting of each ray with a ball; from the label `meet` to `settled`.
+def meet_nearest(code: Vectors, rays: Rays, ball: Nearest, end: str) -> tuple[str, str, Facet]:
+    """The meeting of each ray with a ball of its own; args and results as for `meet_ball`."""
+    local = local_of(code, rays, ball)
+    return meet_ball(code, local, meet_sphere(code, local), ball.some, end)
+
+
+def meet_ball(code: Vectors, local: Local, sphere: Sphere, some: str, end: str) -> tuple[str, str, Facet]:
+    """Lays the meeting of rays with balls; up to the label `settled`.
+
+    Args:
+        local: the rays, each relative to its ball.
+        sphere: where they meet the sphere around it.
+        some: flags of rays that do.
+        end: t where they end.
 
     Returns:
-        The rays; flags of those that hit at 0 < t <= `end`; t, and the facet that is hit.
+        Flags of those that hit at 0 < t <= `end`; t, and the facet that is hit.
     """
-    local, one = local_of(code, rays, ball), code.constant("1.0")
-    sphere = meet_sphere(code, local)
-    near = code.both(ball.some, sphere.near)
+    one, near = code.constant("1.0"), code.both(some, sphere.near)
+    code.lay("br label %begin_ball", "begin_ball:")
 
     # Rays that start inside look for the exit, from the other side.
     branch_if_any(code, near, "close", "aim")
     facet = facet_of(code, local.at(code, sphere.start), near)
     within = code.both(near, code.compare(code.dot(facet.n, local.o), "ole", one))
-    code.lay("br label %aim", "aim:", f"%out = phi {code.flags} [ {ZERO}, %meet ], [ {within}, %close ]")
+    code.lay("br label %aim", "aim:", f"%out = phi {code.flags} [ {ZERO}, %begin_ball ], [ {within}, %close ]")
     begin = code.choose("%out", sphere.leave, sphere.start)
     code.lay("br label %step", "step:", f"%reached = phi {code.numbers} [ {begin}, %aim ], [ %further, %step ]",
              f"%row = phi {code.integers} [ splat (i32 -1), %aim ], [ %row.next, %step ]",
              f"%column = phi {code.integers} [ splat (i32 -1), %aim ], [ %column.next, %step ]",
-             f"%meeting = phi {code.flags} [ {ball.some}, %aim ], [ %meeting.next, %step ]",
+             f"%meeting = phi {code.flags} [ {some}, %aim ], [ %meeting.next, %step ]",
              "%steps = phi i64 [ 1, %aim ], [ %steps.next, %step ]")
     facet = facet_of(code, local.at(code, "%reached"), "%meeting")
     slope = code.dot(facet.n, local.d)
@@ -221,11 +252,11 @@ def meet_ball(code: Vectors, rays: Rays, ball: Nearest, end: str) -> tuple[Local
              f"%further = select {code.flags} {same}, {code.numbers} %reached, {code.numbers} {crossing}",
              "%steps.next = add i64 %steps, 1")
     moving = code.both("%meeting.next", code.line(f"xor {code.flags} {same}, splat (i1 true)"))
-    some = code.line(f"icmp ne i64 {code.bits(moving)}, 0")
-    again = code.line(f"and i1 {some}, {code.line(f'icmp slt i64 %steps, {STEPS}')}")
+    left = code.line(f"icmp ne i64 {code.bits(moving)}, 0")
+    again = code.line(f"and i1 {left}, {code.line(f'icmp slt i64 %steps, {STEPS}')}")
     code.lay(f"br i1 {again}, label %step, label %settled", "settled:")
     hit = code.both(code.compare("%further", "ogt", ZERO), code.compare("%further", "ole", end))
-    return local, code.both("%meeting.next", hit), "%further", facet
+    return code.both("%meeting.next", hit), "%further", facet
 
 
 def branch_if_any(code: Vectors, flags: str, to: str, otherwise: str) -> None:

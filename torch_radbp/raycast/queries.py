@@ -72,6 +72,23 @@ def closest_hit(code: Vectors, kernel: Kernel) -> str:
     return code.text()
 
 
+def write_hidden(code: Vectors, hidden: str, lanes: str, then: str) -> None:
+    """Lays the loop that writes 1 into `%hidden` at those lanes whose flags are set, and then the label `then`.
+
+    Args:
+        hidden: the flags.
+        lanes: the address of the numbers of the lanes, i32.
+    """
+    bits = code.bits(hidden)
+    code.lay("br label %answered", "answered:", f"%any = icmp ne i64 {bits}, 0", f"br i1 %any, label %set, label %{then}",
+             "set:", f"%bits = phi i64 [ {bits}, %answered ], [ %bits.next, %set ]")
+    first = code.call("llvm.cttz.i64", "i64", ("i64", "%bits"), ("i1", "true"))
+    lane = code.line(f"zext i32 {code.load('i32', lanes, first)} to i64")
+    code.lay(f"store i8 1, ptr {code.at('i8', '%hidden', lane)}",
+             "%lower = sub i64 %bits, 1", "%bits.next = and i64 %bits, %lower", "%bits.more = icmp ne i64 %bits.next, 0",
+             f"br i1 %bits.more, label %set, label %{then}", f"{then}:")
+
+
 def any_hit(code: Vectors, kernel: Kernel) -> str:
     """The text of the loop for occlusion: 1 in every lane with a triangle at 0 < t <= tmax, else 0, as bytes.
 
@@ -88,12 +105,9 @@ def any_hit(code: Vectors, kernel: Kernel) -> str:
     mask = lanes_before(code, "%lanes", "%at")
     segment = code.both(mask, code.compare(code.load_where(mask, columns[6], "%at"), "ogt", ZERO))
     code.store_where(mask, "i8", ZERO, "%hidden", "%at")
-    lanes = code.line(f"add {code.integers} {code.steps('i32')}, {code.splat(code.line('trunc i64 %at to i32'), 'i32')}")
-    packed = code.call(f"llvm.experimental.vector.compress.v{width}i32", code.integers, (code.integers, lanes),
-                       (code.flags, segment), (code.integers, ZERO))
-    code.lay(f"store {code.integers} {packed}, ptr {code.at('i32', '%queue', '%waiting')}, align 4")
-    count = code.call("llvm.ctpop.i64", "i64", ("i64", code.bits(segment)))
-    queued = code.line(f"add i64 %waiting, {count}")
+    lanes = code.compressed(code.counted("%at"), segment)
+    code.lay(f"store {code.integers} {lanes}, ptr {code.at('i32', '%queue', '%waiting')}, align 4")
+    queued = code.line(f"add i64 %waiting, {code.count(segment)}")
     code.lay(f"%at.next = add i64 %at, {width}", "%at.more = icmp slt i64 %at.next, %lanes", "br label %decide")
 
     # Cast a full vector, and in the end what is left.
@@ -107,14 +121,7 @@ def any_hit(code: Vectors, kernel: Kernel) -> str:
     hidden = kernel.occluded(code, rays_of(code, rays[:6], mask), rays[6])
 
     # Only lanes that are hidden have to be written.
-    bits = code.bits(hidden)
-    code.lay("br label %answered", "answered:", f"%any = icmp ne i64 {bits}, 0", "br i1 %any, label %write, label %shift",
-             "write:", f"%bits = phi i64 [ {bits}, %answered ], [ %bits.next, %write ]")
-    first = code.call("llvm.cttz.i64", "i64", ("i64", "%bits"), ("i1", "true"))
-    lane = code.line(f"zext i32 {code.load('i32', '%queue', first)} to i64")
-    code.lay(f"store i8 1, ptr {code.at('i8', '%hidden', lane)}",
-             "%lower = sub i64 %bits, 1", "%bits.next = and i64 %bits, %lower", "%bits.more = icmp ne i64 %bits.next, 0",
-             "br i1 %bits.more, label %write, label %shift", "shift:")
+    write_hidden(code, hidden, "%queue", "shift")
     behind = code.line(f"load {code.integers}, ptr {code.at('i32', '%queue', width)}, align 4")
     left = code.call("llvm.smax.i64", "i64", ("i64", code.line(f"sub i64 %length, {width}")), ("i64", "0"))
     code.lay(f"store {code.integers} {behind}, ptr %queue, align 4", f"%rest = add i64 {left}, 0", "br label %decide")

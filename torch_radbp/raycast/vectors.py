@@ -82,6 +82,11 @@ class Vectors:
         """0, 1, 2, ..."""
         return "<" + ", ".join(f"{kind} {lane}" for lane in range(self.width)) + ">"
 
+    def counted(self, first: str) -> str:
+        """The i32 that follow each other from an i64 on."""
+        first = self.line(f"trunc i64 {first} to i32")
+        return self.line(f"add {self.integers} {self.steps('i32')}, {self.splat(first, 'i32')}")
+
     def splat(self, name: str, kind: str) -> str:
         """One value in every lane."""
         vector = self.vector(kind)
@@ -159,6 +164,22 @@ class Vectors:
         vector = self.vector(kind or self.scalar)
         return self.line(f"select {self.flags} {flags}, {vector} {a}, {vector} {b}")
 
+    def lesser(self, a: str, b: str) -> str:
+        """The lesser; `b` if one is NaN. As `greater`."""
+        return self.choose(self.compare(a, "olt", b), a, b)
+
+    def greater(self, a: str, b: str) -> str:
+        return self.choose(self.compare(a, "ogt", b), a, b)
+
+    def count(self, flags: str) -> str:
+        """How many flags are set, i64."""
+        return self.call("llvm.ctpop.i64", "i64", ("i64", self.bits(flags)))
+
+    def compressed(self, integers: str, flags: str) -> str:
+        """The i32 whose flags are set, from lane 0 on, in their order."""
+        return self.call(f"llvm.experimental.vector.compress.{self.suffix('i32')}", self.integers, (self.integers, integers),
+                         (self.flags, flags), (self.integers, ZERO))
+
     def bits(self, flags: str) -> str:
         """The flags as an i64, lane 0 in its lowest bit."""
         packed = self.line(f"bitcast {self.flags} {flags} to i{self.width}")
@@ -194,3 +215,9 @@ class Vectors:
         return self.call(f"llvm.masked.gather.{self.suffix(kind)}.v{self.width}p0", self.vector(kind),
                          (self.vector("ptr"), places), ("i32", str(SIZES[kind])), (self.flags, mask),
                          (self.vector(kind), ZERO))
+
+    def scatter(self, kind: str, value: str, base: str, indices: str, mask: str) -> None:
+        """Stores values at i32 indices of an array where the mask is set."""
+        places = self.line(f"getelementptr {kind}, ptr {base}, {self.integers} {indices}")
+        self.call(f"llvm.masked.scatter.{self.suffix(kind)}.v{self.width}p0", "void", (self.vector(kind), value),
+                  (self.vector("ptr"), places), ("i32", str(SIZES[kind])), (self.flags, mask))

@@ -16,13 +16,16 @@ from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 from torch_radbp.adjoint.attached import trace_attached
-from torch_radbp.adjoint.outside import OutsideValues
+from torch_radbp.adjoint.outside import add_adjoint, values_that_move
 from torch_radbp.adjoint.scatter import Gradients
-from torch_radbp.adjoint.sweep import PathRecord, Sweep
+from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
+from torch_radbp.jit.team import alone_in_torch
 from torch_radbp.jit.torch_internals import TorchDispatchMode, tree_flatten, tree_map_only
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.state import Arrival, PathState
+from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, take_step
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.module_bank import ModuleBank
 from torch_radbp.vec import Vec3
 
 LANES = (1024, 3072)  # of the two measurements
@@ -51,7 +54,8 @@ class BounceMemory(NamedTuple):
     bounce: LinearSize
     adjoint: LinearSize
     tape: LinearSize | None  # that autograd keeps of whole paths; None if nothing is recorded
-    outside: LinearSize = NOTHING  # the part of the adjoint that modules need, whether the rest is compiled or not
+    outside: LinearSize = NOTHING  # that modules need beside, of the lanes that they compute at a time,
+    at_once: float = 0.0  # which are so many at the most, in each thread
     tables: Tables = Tables()
 
 
@@ -61,11 +65,11 @@ class AllocatedBytes(TorchDispatchMode):
     def __init__(self):
         super().__init__()
         self.alive = self.peak = 0
-        self.known = WeakIdKeyDictionary()
+        self.counted = WeakIdKeyDictionary()
 
     def __torch_dispatch__(self, function, types, args=(), kwargs=None):
         kwargs = kwargs or {}
-        tree_map_only(Tensor, lambda tensor: self.known.setdefault(tensor.untyped_storage(), True), (args, kwargs))
+        tree_map_only(Tensor, lambda tensor: self.counted.setdefault(tensor.untyped_storage(), True), (args, kwargs))
         made = function(*args, **kwargs)
         tree_map_only(Tensor, self.add, made)
         return made
@@ -73,8 +77,8 @@ class AllocatedBytes(TorchDispatchMode):
     def add(self, tensor: Tensor) -> None:
         """Counts what a tensor rests on, if it is new, until nothing rests on it any more."""
         storage = tensor.untyped_storage()
-        if storage not in self.known:
-            self.known[storage] = True
+        if storage not in self.counted:
+            self.counted[storage] = True
             self.alive += storage.nbytes()
             self.peak = max(self.peak, self.alive)
             weakref.finalize(storage, self.take_off, storage.nbytes())
@@ -110,22 +114,24 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         start: makes so many camera paths.
         wanted: of each leaf of the scene, whether its derivative is.
     """
+    numbered = numbered_leaves(integrand.scene, wanted)
+
     def of_bounce(lanes: int) -> float:
         state = start(lanes)
         with torch.no_grad(), AllocatedBytes() as allocated:
             take_step(integrand, state, 0)
         return allocated.peak
 
-    def sweep_of(state: PathState, step: Step) -> tuple[Gradients, Sweep]:
+    def sweep_of(state: PathState, step: Step, numbered: SceneTensors) -> tuple[Gradients, Sweep]:
         record = PathRecord(lambda: state, None, {}, {0: step}, 1)
         gradients = Gradients([leaf for leaf, want in zip(tree_flatten(integrand.scene)[0], wanted) if want])
-        return gradients, Sweep(integrand, record, Vec3.full(state.pdf, 1.0), wanted, gradients)
+        return gradients, Sweep(integrand, record, Vec3.full(state.pdf, 1.0), numbered, gradients)
 
     def of_adjoint(lanes: int) -> float:
         state = start(lanes)
         with torch.no_grad():
             step = take_step(integrand, state, 0)[-1]
-            _, sweep = sweep_of(state, step)
+            _, sweep = sweep_of(state, step, without_modules(numbered))
             with AllocatedBytes() as allocated:
                 sweep.adjoint(state, 0)
         return allocated.peak
@@ -134,13 +140,14 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         state, peak = start(lanes), 0.0
         with torch.no_grad():
             step = take_step(integrand, state, 0)[-1]
-            gradients, sweep = sweep_of(state, step)
+            gradients, _ = sweep_of(state, step, numbered)
             for queue in step.queues:
-                arrival = Arrival(state, step.hit, step.front)
-                places = integrand.places(queue.event, arrival, step.order[queue.first:queue.last], 0)
+                places = integrand.places(queue.event, step.arrival(state), step.order[queue.first:queue.last], 0)
                 with AllocatedBytes() as allocated:
-                    outside = OutsideValues(integrand, sweep.numbered, queue.event, places, integrand.settings.moving)
-                    outside.add_adjoint(tuple(given.value for given in outside.given), gradients)
+                    if integrand.settings.moving:
+                        values_that_move(integrand, queue.event, places)
+                    ones = tuple(Vec3.full(place.at.x, 1.0) for place in places)
+                    add_adjoint(integrand, numbered, queue.event, places, ones, gradients)
                 peak = max(peak, allocated.peak)
         return peak
 
@@ -152,5 +159,22 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         del recorded
         return alive
 
-    return BounceMemory(linear_size(of_bounce), linear_size(of_adjoint), None if attached is None else linear_size(of_tape),
-                      linear_size(of_outside) if integrand.scene.layout.reads_outside else NOTHING)
+    with alone_in_torch(threads=1):  # what others allocate is not counted
+        outside = (linear_size(of_outside), at_once(integrand.scene)) if integrand.scene.layout.reads_outside else ()
+        return BounceMemory(linear_size(of_bounce), linear_size(of_adjoint),
+                            None if attached is None else linear_size(of_tape), *outside)
+
+
+def without_modules(numbered: SceneTensors) -> SceneTensors:
+    """The numbers of leaves, see `numbered_leaves`, without those of modules."""
+    def emptied(bank):
+        return bank._replace(parameters=tuple((None,) * len(own) for own in bank.parameters)) if (
+            isinstance(bank, ModuleBank)) else bank
+
+    return numbered._replace(textures=tuple(map(emptied, numbered.textures)), lit=tuple(map(emptied, numbered.lit)))
+
+
+def at_once(scene: SceneTensors) -> float:
+    """The most lanes that a module of a scene computes at a time."""
+    return max(bank.size(module, scene.device) for bank in (*scene.textures, *scene.lit) if isinstance(bank, ModuleBank)
+               for module in range(len(bank.functions)))

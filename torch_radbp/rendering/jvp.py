@@ -27,7 +27,8 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
     any image w, <w, jvp(tangents)> is the sum over parameters of <tangent, gradient of <w, image>>.
 
     `torch.func.jvp` and dual tensors of `torch.autograd.forward_ad` work through `torch.func.functional_call(renderer, ...)`
-    too, with the same result; the other transforms of `torch.func` raise.
+    too, with the same result; the other transforms of `torch.func` raise. In a loop that is faster: one renderer keeps what
+    has not changed since its last call.
 
     Args:
         scene: left as it is; no parameter needs `requires_grad`.
@@ -35,7 +36,7 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
         seed: of the random numbers, as in `Renderer`.
         sensors: indices of the sensors to render; None: all.
         aovs: names of quantities whose derivatives to return beside that of the image; see `Renderer.aovs`.
-        **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` and `compile` have no effect here.
+        **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` has no effect here.
 
     Returns:
         (B, 3, H, W), detached, linear RGB per unit of `tangents`; if `aovs` are asked for, that and the derivatives of these

@@ -3,7 +3,7 @@
 Dead lanes leave the wavefront, so that the need depends on the scene: a pilot of a few thousand paths tells how many lanes
 reach each depth, and one of its bounces what a lane needs while it is computed (`bounce_memory.py`). What is counted: the
 states and hits that the forward pass keeps for the backward pass, and the working memory of the bounce that is being
-computed, with the allocator's waste. What is not: the scene itself and compiled code.
+computed, or of the places at which images jump, with the allocator's waste. What is not: the scene itself and compiled code.
 """
 
 from __future__ import annotations
@@ -109,6 +109,8 @@ def record_sizes(integrand: Integrand, pilot: PathState, triangles: bool) -> Rec
     """
     with torch.no_grad():
         step = take_step(integrand, pilot, 0)[-1]
+    most = max(step.texture_values, key=lane_bytes)  # each lane is in one queue
+    step = step._replace(texture_values=(most,))
     memo = empty_memo(pilot.pdf, integrand.settings.moving, triangles, integrand.scene)
     return RecordSizes(*map(lane_bytes, (pilot, step, memo)))
 
@@ -137,6 +139,7 @@ class Workload(NamedTuple):
     measured: BounceMemory | None = None  # of a bounce; None: the least that it may be
     least: int = 1  # lanes of a chunk, whatever is asked for
     row: int = 1  # lanes of a row of pixels
+    jumps: int = 0  # bytes of the curves at which images jump, and of places on them; 0: these are not looked for
 
     @property
     def bounce_memory(self) -> BounceMemory:
@@ -161,10 +164,10 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     chunk = min(max(chunk, work.least), lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
-    bounce, sweep, tape, outside, tables = work.bounce_memory
+    bounce, sweep, tape, outside, at_once, tables = work.bounce_memory
     if adjoint.taped:
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
-        working = together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize)
+        working = max(together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize), work.jumps)
         return MemoryPlan(chunk, adjoint, False, kept, int(working) + work.images)
     depths = adjoint.kept(bounces, work.max_depth)
     per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * state
@@ -172,12 +175,14 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
     held = radiance + memo + state + step * (not adjoint.keep_hits)
     share, waste, spare = (COMPILED, WASTE_COMPILED, SPARE_COMPILED) if work.compiled else (1.0, WASTE, SPARE)
-    swept = share * (sweep.per_lane - outside.per_lane) + WASTE / waste * outside.per_lane
-    busy = waste * max(swept + held, share * bounce.per_lane) + spare * dtype.itemsize
+    busy = waste * max(share * sweep.per_lane + held, share * bounce.per_lane) + spare * dtype.itemsize
     # A chunk of few rows is not like the image: measured, up to half of its lanes meet more than in the mean.
     unlike = 1.0 + 1.0 / (1.0 + chunk / work.row)
     working = together * unlike * (busy * max(fractions) + replayed) + work.workers * sweep.fixed
+    working += work.workers * (WASTE * outside.per_lane * min(chunk, at_once) + outside.fixed)
     working = max(working, WASTE * tables.packing)
+    if work.jumps:  # paths beside curves are traced as the others are
+        working = max(working, work.jumps + together * unlike * waste * share * bounce.per_lane)
     working += work.workers * tables.totals
     # What is traced again is recorded chunk by chunk; and what is kept, chunk by chunk, too.
     kept = min(lanes * per_lane, max(record_bytes, together * per_lane))

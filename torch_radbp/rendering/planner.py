@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import partial
 from math import inf
 
 from torch import Tensor
 
+from torch_radbp.boundary import bytes_of_edges
 from torch_radbp.differentiated import any_differentiated, detached, differentiable
 from torch_radbp.film.splat import TOGETHER
 from torch_radbp.jit.torch_internals import tree_flatten
@@ -14,6 +16,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
 from torch_radbp.rendering.call.render_call import RenderCall, pilot_paths
 from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching, record_sizes
+from torch_radbp.rendering.settings import PRIMARY, SHADOW
 from torch_radbp.rendering.stages import EAGER
 
 PILOT_LANES = 4096  # paths that predict the memory of a call
@@ -27,15 +30,18 @@ class MemoryPlanner:
     def __init__(self):
         self.measured: dict[tuple, BounceMemory] = {}  # by kind of call
 
-    def plan(self, call: RenderCall, budget: str | int | None, adjoint_is_chosen: bool) -> MemoryPlan:
+    def plan(self, call: RenderCall, budget: str | int | None, adjoint_is_chosen: bool,
+             terms: Collection[str]) -> MemoryPlan:
         """The chunk and the strategy of a call, with its predicted memory, by a pilot of its paths.
 
         Args:
             call: with the chunks and the strategy that it would have without a budget.
             budget: bytes, or a string such as "2GiB"; None: the call is left as it is.
             adjoint_is_chosen: within a budget the strategy of the call is kept, too.
+            terms: of derivatives, that are asked for.
         """
         work = self.workload(call)
+        work = work._replace(jumps=bytes_of_edges(call, PRIMARY in terms, SHADOW in terms))
         chunk = max(part.lanes for part in call.chunks)
         if budget is None:
             if call.together:  # lanes of image and derivative, and all that is recorded
@@ -47,16 +53,17 @@ class MemoryPlanner:
     def workload(self, call: RenderCall) -> Workload:
         """What a call has to compute, and what each bounce of it needs."""
         scene = detached(call.scene)
-        integrand = call.make_integrand(scene).with_stages(EAGER)
+        integrand = call.integrand.with_stages(EAGER)
         lanes = call.spp * sum(view.grid.columns * view.grid.rows for view in call.views)
         image_bytes = 3 * (lanes // call.spp) * scene.dtype.itemsize
         columns = max(view.grid.columns for view in call.views)
         moving = integrand.settings.moving
         triangles = (moving and integrand.settings.sampling != "attached"
                      and any_differentiated(call.scene.triangles.vertices.p))
-        return Workload(reaching(integrand, pilot_paths(call, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
+        still = call.still()
+        return Workload(reaching(integrand, pilot_paths(still, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
                         call.stages is not EAGER, call.workers, moving,
-                        record_sizes(integrand, pilot_paths(call, FEW_LANES), triangles), IMAGE_COPIES * image_bytes,
+                        record_sizes(integrand, pilot_paths(still, FEW_LANES), triangles), IMAGE_COPIES * image_bytes,
                         self.bounce_memory_of(call, integrand, triangles),
                         columns * min(call.spp, TOGETHER), columns * call.spp)
 
@@ -74,6 +81,6 @@ class MemoryPlanner:
         if case not in self.measured:
             attached = call.make_integrand(call.scene).with_stages(EAGER) if taped else None
             tables = tables_of(differentiable(call.scene), list(call.parameters.values()))
-            found = measured(integrand, attached, partial(pilot_paths, call), wanted)
+            found = measured(integrand, attached, partial(pilot_paths, call if taped else call.still()), wanted)
             self.measured[case] = found._replace(tables=tables)
         return self.measured[case]

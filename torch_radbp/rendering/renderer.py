@@ -12,9 +12,9 @@ from torch.func import functional_call
 from torch_radbp.adjoint import MemoizedAdjoint
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms
 from torch_radbp.adjoint.images import render_detached
-from torch_radbp.aov.images import aov_jumps, render_aovs
+from torch_radbp.aov.images import aov_jumps, beside_image, render_aovs
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
-from torch_radbp.boundary import CameraSight, Jumps, JumpWatch, Outlines, Rendering, image_jumps, moves
+from torch_radbp.boundary import CameraSight, EdgesOfCall, JumpWatch, Rendering, edges_of_call
 from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal, with_derivative_of
 from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
@@ -26,6 +26,7 @@ from torch_radbp.raycast.caster_cache import CachedCaster, CastTriangles
 from torch_radbp.rendering.call.chunks import fair_chunk, plan_chunks
 from torch_radbp.rendering.call.render_call import RenderCall
 from torch_radbp.rendering.call.view import view_of
+from torch_radbp.rendering.call.zeroed_memory import ZeroedMemory
 from torch_radbp.rendering.cost import (
     Request,
     bytes_of_records,
@@ -40,6 +41,7 @@ from torch_radbp.rendering.planner import MemoryPlanner
 from torch_radbp.rendering.settings import (
     INTERIOR,
     PRIMARY,
+    SHADOW,
     TERMS,
     SensorChoice,
     check_settings,
@@ -82,16 +84,16 @@ class Renderer(nn.Module):
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
         compile: fuse the functions of a bounce into loops of vector instructions, once a process for each kind of material
             and dtype, in seconds. On the CPU, and on CUDA, where they are kernels of PTX, not yet run on a GPU; elsewhere,
-            with `TapeAdjoint` and in forward mode rendering is eager all the same. False: the eager reference, in plain
-            torch.
+            and with `TapeAdjoint`, rendering is eager all the same. False: the eager reference, in plain torch.
         caster: "embree", "direct", "warp" or "brute"; None picks by device and number of triangles.
         light_choice: how next-event estimation picks one of the emitters. "uniform": by their `sampling_weight`, the same
             everywhere, as Mitsuba. "tree": also by what they contribute to the point that is to be illuminated, by a tree of
             their bounds; what surrounds the scene, comes from far away or is a beam stands beside it. None: "tree" in scenes
             of many emitters, where it is less noisy on diffuse surfaces; on glossy ones compare it with "uniform".
-        terms: of derivatives, which to compute: "interior", of radiance where the image is continuous, and "primary", of the
+        terms: of derivatives, which to compute: "interior", of radiance where the image is continuous; "primary", of the
             curves at which the image jumps: silhouettes, creases where surfaces meet that are shaded differently, rims
-            where shading normals turn away from the camera, and cuts by its near and far plane.
+            where shading normals turn away from the camera, and cuts by its near and far plane; and "shadow", of the borders
+            of shadows, direct and indirect, sharp and soft.
         share_samples: differentiate the very samples of the image, which saves a pass over the scene. By default the
             derivative has samples of its own, since the noise that image and derivative share biases the gradient of every
             loss that is not linear in the image. It does not where two independent images take each other's part:
@@ -100,12 +102,11 @@ class Renderer(nn.Module):
             backward pass as takes an eighth of the machine's memory; the rest is traced again.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
-    so far, what the borders of shadows contribute and edges that are seen by reflection; a `SilhouetteWarning` says so,
-    once, if shadows that move with a light or a shape fall into the view, or if edges may be slid over by directions that
-    follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal mirrors and glass).
-    Without the primary term it says so if silhouettes that move are in view. The samplings that are not attached miss a
-    jump of GGX rough glass; a `JumpWarning` says so. No warning tells of edges that move in reflections, or before light
-    from all around, out of view.
+    so far, edges that are seen by reflection; a `SilhouetteWarning` says so, once, if edges may be slid over by directions
+    that follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal mirrors and
+    glass). With attached sampling they also lack soft shadows and those of indirect light, and without the terms of edges
+    what these contribute: it says so if silhouettes or shadows that move are in view. The samplings that are not attached
+    miss a jump of GGX rough glass; a `JumpWarning` says so. No warning tells of edges that move in reflections out of view.
 
     Several threads may render with one renderer. Each call takes the parameters as it finds them, and its image keeps the
     geometry that it shows: what moves later changes neither it nor its derivatives. `torch.autocast` and torch's default
@@ -133,9 +134,9 @@ class Renderer(nn.Module):
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
         self.known_caster: CachedCaster | None = None
-        self.kept, self.kept_for_aovs = PackCache(), PackCache()
-        self.jump_watch, self.outlines = JumpWatch(), Outlines()
-        self.planner, self.noise_watch = MemoryPlanner(), NoiseWatch()
+        self.cache, self.cache_for_aovs = PackCache(), PackCache()
+        self.jump_watch = JumpWatch()
+        self.planner, self.noise_watch, self.memory = MemoryPlanner(), NoiseWatch(), ZeroedMemory()
         check_settings(self)
 
     @property
@@ -187,14 +188,18 @@ class Renderer(nn.Module):
         call = self.prepare(seed, sensors, spp, seed_grad, aovs=aovs is not None)
         if seed is None:
             self.noise_watch.look(call.parameters)
-        outlines = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        edges = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        if outputs is not None:
+            call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
         images = self.images(call)
+        channels = None if outputs is None else images[:, 3:].detach()
+        images = images if outputs is None else images[:, :3].clone(memory_format=torch.contiguous_format)
         images = images if INTERIOR in self.terms else primal(images)
-        images = images if outlines is None else images + image_jumps(call, outlines)
-        return images if outputs is None else (images, self.quantities(call, outlines, outputs))
+        images = edges.added_to(images, call)
+        return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
 
     def images(self, call: RenderCall) -> Tensor:
-        """The images with the derivatives of what is seen inside of their edges."""
+        """The images with the derivatives of what is seen inside of their edges, and with the quantities of the call."""
         record = call.scene, [view.camera for view in call.views]
         forward_mode = has_tangents(record)
         if not forward_mode and not (torch.is_grad_enabled() and differentiable(record)):
@@ -238,8 +243,8 @@ class Renderer(nn.Module):
         """
         outputs = self.outputs(names)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs=True)
-        outlines = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
-        return self.quantities(call, outlines, outputs)
+        edges = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        return self.quantities(call, edges, outputs)
 
     def outputs(self, names: Sequence[str] | None) -> dict[str, str]:
         """The quantities that are asked for, by the names of the outputs; errors as for `aovs`."""
@@ -248,30 +253,28 @@ class Renderer(nn.Module):
             raise ValueError("the scene's integrator lists no outputs; name some, such as renderer.aovs([\"depth\"])")
         return found
 
-    def quantities(self, call: RenderCall, outlines: list[Jumps] | None, outputs: dict[str, str]) -> dict[str, Tensor]:
-        """The images of quantities by the names of outputs; `call`: prepared for them, `outlines`: as of `look`."""
+    def quantities(self, call: RenderCall, edges: EdgesOfCall, outputs: dict[str, str],
+                   channels: Tensor | None = None) -> dict[str, Tensor]:
+        """Images of quantities by the names of outputs; `call`, `channels`: as for `render_aovs`, `edges`: of `look`."""
         quantities = tuple(dict.fromkeys(outputs.values()))
         if call.scene.layout.surround is not None and not self.hide_emitters:
             self.jump_watch.say(alpha_of_surroundings(quantities))
-        images = render_aovs(call, quantities)
+        images = render_aovs(call, quantities, channels)
         images = images if INTERIOR in self.terms else {name: primal(image) for name, image in images.items()}
-        if outlines is not None:
-            images |= {name: images[name] + jump for name, jump in aov_jumps(call, outlines, quantities).items()}
+        if edges.in_view is not None:
+            images |= {name: images[name] + jump for name, jump in aov_jumps(call, edges.in_view, quantities).items()}
         return {output: images[quantity] for output, quantity in outputs.items()}
 
-    def look(self, call: RenderCall, sensors: SensorChoice, seed: int) -> list[Jumps] | None:
-        """The edges at which the images of a call jump, view by view, if they are asked for and something moves them.
-
-        Warns of what derivatives and the image lack.
-        """
+    def look(self, call: RenderCall, sensors: SensorChoice, seed: int) -> EdgesOfCall:
+        """The edges at which the images of a call jump. Warns of what derivatives and the image lack."""
         seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
         sights = [CameraSight(detached(view.camera), view.width, view.height) for view in call.views]
         instances = call.scene.triangles.instances
-        rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, PackCache(self.kept),
+        rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, PackCache(self.cache),
                               None if instances is None else instances.casting, PRIMARY in self.terms,
-                              UNLIMITED if self.max_depth == -1 else self.max_depth, call.scene)
+                              SHADOW in self.terms, self.depth_limit, call.scene)
         self.jump_watch.look(rendering)
-        return self.outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
+        return edges_of_call(rendering, self.scene, call, seed)
 
     def prepare(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                 aovs: bool = False) -> RenderCall:
@@ -291,8 +294,8 @@ class Renderer(nn.Module):
         grids = [sensor.film.sampled() for sensor in seen]
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
-        max_depth = UNLIMITED if self.max_depth == -1 else self.max_depth
-        fused = self.runs_compiled([value for _, value in own])
+        max_depth = self.depth_limit
+        fused = self.runs_compiled()
         parameters = {name: value for name, value in own if value.requires_grad}
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
@@ -306,14 +309,14 @@ class Renderer(nn.Module):
             traced_together(self.adjoint, paths, max_depth, self.rr_depth, self.scene.dtype))
         check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
                            self.adjoint if differentiating else None, record_bytes, fused))
-        kept = PackCache(self.kept_for_aovs if aovs else self.kept)
-        scene = pack(self.scene, kept, self.light_choice, aovs, [names[index] for index in indices])
+        cache = PackCache(self.cache_for_aovs if aovs else self.cache)
+        scene = pack(self.scene, cache, self.light_choice, aovs, [names[index] for index in indices])
         caster = self.caster_of(scene)
-        views = [view_of(sensor, index, seeds, scene, kept) for index, sensor in zip(indices, seen)]
+        views = [view_of(sensor, index, seeds, scene, cache) for index, sensor in zip(indices, seen)]
         if aovs:
-            self.kept_for_aovs = kept.close()
+            self.cache_for_aovs = cache.close()
         else:
-            self.kept = kept.close()
+            self.cache = cache.close()
         moving = self.sampling == "attached" or any_differentiated((scene.triangles, [view.camera for view in views])) or (
             self.sampling == "hybrid" and scene.layout.bending)
         following = moving and self.sampling == "hybrid" and any(look.kind.follows for look in scene.layout.appearances)
@@ -325,19 +328,24 @@ class Renderer(nn.Module):
             return Integrand(tensors, proposal_of(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
 
         chunks = plan_chunks(grids, spp, lanes, workers)
-        call = RenderCall(scene, caster, make_integrand, stages, self.adjoint, views, chunks, spp, seeds[0] == seeds[1],
-                          record_bytes, together, workers, following, self.scene, parameters)
+        integrand = make_integrand(detached(scene))
+        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views, chunks, spp,
+                          seeds[0] == seeds[1], record_bytes, together, workers, self.memory, following, self.scene,
+                          parameters)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)
         chunks = plan_chunks(grids, spp, plan.chunk, workers)
         return call._replace(adjoint=plan.adjoint, chunks=chunks, record_bytes=0.0 if plan.retrace else inf)
 
-    def runs_compiled(self, parameters: list[Tensor]) -> bool:
-        """True if a call that depends on these parameters would run fused loops: those are for the CPU and for CUDA, and
-        autograd, backward or forward, records nothing of them."""
-        return (self.compile_stages and self.scene.device.type in COMPILED and not self.adjoint.taped
-                and not has_tangents(parameters))
+    @property
+    def depth_limit(self) -> int:
+        """The bounces that a path may have."""
+        return UNLIMITED if self.max_depth == -1 else self.max_depth
+
+    def runs_compiled(self) -> bool:
+        """True if calls run fused loops: those are for the CPU and for CUDA, and autograd records nothing of them."""
+        return self.compile_stages and self.scene.device.type in COMPILED and not self.adjoint.taped
 
     @public_call
     def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None) -> MemoryPlan:
@@ -346,7 +354,7 @@ class Renderer(nn.Module):
 
     def plan(self, call: RenderCall) -> MemoryPlan:
         """The chunk and the strategy of a call, with its predicted memory; within the budget, if there is one."""
-        return self.planner.plan(call, self.memory_budget, self.adjoint_is_chosen)
+        return self.planner.plan(call, self.memory_budget, self.adjoint_is_chosen, self.terms)
 
     def caster_of(self, scene: SceneTensors) -> RayCaster:
         """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one.

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from torch import nn
 
-from torch_radbp import adjoint
+import torch_radbp.adjoint as adjoint
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.integrator.settings import depths
 from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
@@ -17,8 +17,8 @@ from torch_radbp.scene.light_choice import CHOICES
 
 SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
 
-INTERIOR, PRIMARY = "interior", "primary"
-TERMS = (INTERIOR, PRIMARY)  # of derivatives
+INTERIOR, PRIMARY, SHADOW = "interior", "primary", "shadow"
+TERMS = (INTERIOR, PRIMARY, SHADOW)  # of derivatives
 SAMPLINGS = ("hybrid", "detached", "attached")
 OF_DERIVATIVE = 0x3F84D5B5B5470917  # what the seed of a derivative differs by: digits of pi, so far from any counter
 

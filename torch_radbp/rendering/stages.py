@@ -11,31 +11,51 @@ from collections.abc import Callable
 from copy import copy
 
 from torch_radbp.adjoint.bounce import bounce_adjoint
+from torch_radbp.adjoint.local_map import local_map
 from torch_radbp.aov.material import material_value
 from torch_radbp.aov.surface import surface_values
+from torch_radbp.boundary.contour import contour_length, contour_place, crosses
+from torch_radbp.boundary.edge_places import edge_place, edge_weight
+from torch_radbp.boundary.in_sight import in_sight, paths_beside
+from torch_radbp.boundary.motion import asked_of_places, slopes, swept
+from torch_radbp.boundary.places import rays_beside
+from torch_radbp.boundary.shadows.seen_edges import angle_seen, edge_passed
+from torch_radbp.differentiated import any_differentiated
 from torch_radbp.film.splat import asked, deposited
 from torch_radbp.jit import LaneFunction, UnknownOperation
+from torch_radbp.jit.allocator import keep_freed_memory
 from torch_radbp.jit.arguments import Taken
+from torch_radbp.jit.dual import DualFunction
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.target import Target
+from torch_radbp.jit.torch_internals import inside_dual_level
 from torch_radbp.path.bounce import bounce, chance_of_light, ending, film_place, pick_light, places, sample_camera
+from torch_radbp.path.direct_light import direct_light, scattered
 from torch_radbp.path.integrand import Stages
 from torch_radbp.path.queues import appearance_met, shines, side_met
 from torch_radbp.path.wavefront import brightened
 from torch_radbp.record import leaves_of
 from torch_radbp.vec import rows
 
-EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, bounce_adjoint, places, pick_light,
-               chance_of_light, appearance_met, side_met, shines, rows, brightened, surface_values, material_value)
+EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, local_map, bounce_adjoint, places, pick_light,
+               chance_of_light, appearance_met, side_met, shines, rows, brightened, direct_light, scattered, surface_values,
+               material_value, edge_weight, edge_place, crosses, contour_length, contour_place, rays_beside, in_sight,
+               paths_beside, swept, slopes, asked_of_places, angle_seen, edge_passed)
 
 
-PATH = "scene", "proposal", "arrival"
+PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
+EYES = "geometry", "outline", "eyes"
 TABLES = Stages(  # of each stage the arguments that are read at indices
     sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels", "place"), bounce=PATH,
-    ending=PATH, bounce_adjoint=("scene", "arrival", "adj_L", "memo"), places=("scene", "arrival"),
-    pick_light=("scene", "choice"), chance_of_light=("scene", "choice", "arrival"), appearance_met=("scene",),
-    side_met=("scene", "ray", "hit"), shines=("scene",), rows=("record",), brightened=("L", "beta"),
-    surface_values=("scene",), material_value=("scene",))
+    ending=PATH, local_map=("scene", "proposal"), bounce_adjoint=("scene", "arrival", "adj_L", "memo"),
+    places=("scene", "arrival"), pick_light=("scene", "choice"), chance_of_light=("scene", "choice", "arrival"),
+    appearance_met=("scene",), side_met=("scene", "ray", "hit", "image_lanes"), shines=("scene",), rows=("record",),
+    brightened=("L", "beta"), direct_light=("scene", "arrival", "draw"), scattered=("scene", "arrival", "d"),
+    surface_values=("scene",), material_value=("scene",), edge_weight=CURVES, edge_place=(*CURVES, "outline", "lot"),
+    crosses=CURVES, contour_length=CURVES, contour_place=(*CURVES, "faces", "lot"),
+    rays_beside=("sight", "places", "chosen"), in_sight=("geometry", "places", "sent"),
+    paths_beside=("places", "chosen", "sent", "times", "shown"), swept=MOTION, slopes=MOTION,
+    asked_of_places=("camera", "pixels", "film"), angle_seen=EYES, edge_passed=(*EYES, "lot"))
 
 
 def fused(target: Target | None = None) -> Stages:
@@ -46,11 +66,14 @@ def fused(target: Target | None = None) -> Stages:
 @made_once
 def compiled() -> Stages:
     """The stages as fused loops; one set for the whole process."""
+    keep_freed_memory()
     return fused()
 
 
 class CompiledStage:
     """A stage that is compiled for each kind of scene that it meets, or runs eagerly where it cannot be, and says so once.
+
+    Of dual tensors, in forward mode, values and tangents are computed in one loop.
 
     Args:
         stage: the function.
@@ -60,6 +83,7 @@ class CompiledStage:
 
     def __init__(self, stage: Callable, tables: tuple[str, ...], target: Target | None = None):
         self.stage, self.fused = stage, LaneFunction(stage, tables, target)
+        self.dual = DualFunction(stage, tables, target)
         self.told: list[str] = []  # why it could not be compiled, once said; one list for all copies
 
     def knowing(self, *arguments) -> CompiledStage:
@@ -78,6 +102,8 @@ class CompiledStage:
 
     def __call__(self, *arguments):
         try:
+            if inside_dual_level() and any_differentiated(given := tuple(map(as_it_is, arguments))):
+                return self.dual(*given)
             return self.fused(*arguments)
         except UnknownOperation as error:
             return self.eagerly(error, arguments)

@@ -20,26 +20,27 @@ class GridSample(NamedTuple):
 
 
 class GridDistribution(NamedTuple):
-    """Probabilities of R x C cells: first a row, then a cell of it. The tables are float64 whatever the scene's dtype.
+    """Weights of R x C cells, by which first a row is picked, then a cell of it. Float64 whatever the scene's dtype.
 
-    `cells` is one sorted table for all rows, so that one search serves lanes in different rows: the number of the row plus
-    the cumulative probability in it.
+    One running sum over all cells, row by row, serves both searches.
     """
 
-    rows: Tensor  # (R + 1,) cumulative probability of the rows above
-    cells: Tensor  # (1 + R C,) 0, then row + cumulative probability in the row up to and with the cell
+    rows: Tensor  # (R + 1,) sum of the weights of the rows above
+    cells: Tensor  # (1 + R C,) sum of the weights of the cells before
     size: tuple[Tensor, Tensor]  # () int64 each, R and C
 
     def sample(self, u: Tensor, v: Tensor) -> GridSample:
         """Cells for uniform float64 numbers `u` (rows) and `v` (columns) in [0, 1), (N,)."""
         count, columns = self.size
+        u = u * self.rows.index_select(0, torch.zeros_like(u, dtype=torch.int64) + count)
         row = torch.minimum(torch.searchsorted(self.rows, u.contiguous(), right=True) - 1, count - 1)
         above, below = self.rows.index_select(0, row), self.rows.index_select(0, row + 1)
-        v = v + row
-        # The end of a row is the start of the next, so that the lower bound of a cell is always the entry before it.
-        cell = torch.minimum(torch.searchsorted(self.cells, v, right=True) - 1, count * columns - 1)
+        v = above + v * (below - above)
+        first = row * columns
+        cell = torch.searchsorted(self.cells, v, right=True) - 1
+        cell = torch.minimum(torch.maximum(cell, first), first + columns - 1)  # where a row is so dark that v is rounded
         left, right = self.cells.index_select(0, cell), self.cells.index_select(0, cell + 1)
-        return GridSample(row, cell - row * columns, within(u, above, below), within(v, left, right))
+        return GridSample(row, cell - first, within(u, above, below), within(v, left, right))
 
 
 def within(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
@@ -47,22 +48,10 @@ def within(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
     return ((u - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
 
 
-def grid_distribution(weights: Tensor) -> tuple[GridDistribution, Tensor]:
-    """The distribution proportional to weights, and the probability of every cell.
-
-    Args:
-        weights: (R, C), non-negative, not all zero.
-
-    Returns:
-        The distribution, and its (R C,) float64 probabilities.
-    """
-    weights = weights.detach().to(torch.float64)
-    inside = running_sum(weights, 1)
-    total = inside[:, -1:]
-    rows = torch.nn.functional.pad(running_sum(total[:, 0]), (1, 0))
-    # A row that is never picked gets any increasing table.
-    inside = torch.where(total > 0, inside / total.clamp_min(1e-300), 1.0)
-    first = torch.arange(len(weights), dtype=torch.float64, device=weights.device)[:, None]
-    cells = torch.nn.functional.pad((inside + first).reshape(-1), (1, 0))
-    size = tuple(torch.tensor(length, device=weights.device) for length in weights.shape)
-    return GridDistribution(rows / rows[-1], cells, size), (weights / rows[-1]).reshape(-1)
+def grid_distribution(weights: Tensor) -> GridDistribution:
+    """The distribution proportional to weights (R, C), non-negative, not all zero; detached."""
+    (rows, columns), cells = weights.shape, weights.new_empty(1 + weights.numel(), dtype=torch.float64)
+    cells[0], cells[1:] = 0.0, weights.detach().flatten()
+    running_sum(cells, out=cells)
+    return GridDistribution(cells[::columns].contiguous(), cells,
+                            tuple(torch.tensor(length, device=weights.device) for length in (rows, columns)))

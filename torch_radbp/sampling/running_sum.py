@@ -11,19 +11,21 @@ def sums_in_any_order(device: torch.device) -> bool:
     return device.type != "cpu"
 
 
-def running_sum(weights: Tensor, dim: int = 0) -> Tensor:
+def running_sum(weights: Tensor, dim: int = 0, out: Tensor | None = None) -> Tensor:
     """Running sums along a dimension, the same each time under `torch.use_deterministic_algorithms`.
 
     Args:
         weights: non-negative, of any shape.
         dim: along which dimension.
+        out: written into if given; it may be the weights.
 
     Reference: Hillis and Steele 1986, "Data parallel algorithms" (sums of 2, 4, 8, ... neighbours).
     """
     if not (torch.are_deterministic_algorithms_enabled() and sums_in_any_order(weights.device)):
-        return weights.cumsum(dim)
+        return torch.cumsum(weights, dim, out=out)
     sums, step = weights.movedim(dim, -1), 1
     while step < sums.shape[-1]:
         sums = torch.cat([sums[..., :step], sums[..., step:] + sums[..., :-step]], -1)
         step *= 2
-    return sums.cummax(-1).values.movedim(-1, dim)  # neighbours are rounded differently, but a search needs them sorted
+    sums = sums.cummax(-1).values.movedim(-1, dim)  # neighbours are rounded differently, but a search needs them sorted
+    return sums if out is None else out.copy_(sums)

@@ -26,6 +26,7 @@ from torch import Tensor
 MULTIPLIERS = tuple(
     int.from_bytes(hashlib.sha256(f"torch_radbp dimension {k}".encode()).digest()[:4], "little", signed=True) | 1
     for k in range(16))
+SCRAMBLERS = (0x21F0AAAD, -0x2CA5D269)  # of `hash32`
 LATTICE = (182667, 469891)  # of the third and fourth dimension
 HALVES = ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF))  # distance and lower one
 DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
@@ -59,17 +60,25 @@ def hash32(x: Tensor) -> Tensor:
     Reference: C. Wellons 2018, "Prospecting for Hash Functions" (`lowbias32`: constants 0x21f0aaad, 0xd35a2d97 of the
     later search, shifts 16, 15, 15).
     """
-    x = (x ^ ((x >> 16) & 0xFFFF)) * 0x21F0AAAD
-    x = (x ^ ((x >> 15) & 0x1FFFF)) * -0x2CA5D269
+    x = (x ^ ((x >> 16) & 0xFFFF)) * SCRAMBLERS[0]
+    x = (x ^ ((x >> 15) & 0x1FFFF)) * SCRAMBLERS[1]
     return x ^ ((x >> 15) & 0x1FFFF)
 
 
 def seed_key(seed: int, sensor: int) -> int:
     """Folds a 64-bit seed and the index of a sensor into one int32."""
-    folded = torch.tensor([seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, sensor + 1], dtype=torch.int64,
-                          device="cpu")
-    low, high, sensor_key = folded.to(torch.int32)
-    return int(hash32(hash32(hash32(low) + high) + sensor_key))
+    folded = 0
+    for part in (seed, seed >> 32, sensor + 1):
+        folded = hash_of(folded + part)
+    return folded - (folded >> 31 << 32)
+
+
+def hash_of(x: int) -> int:
+    """`hash32` of a number, whose bits beyond the lowest 32 do not count; without sign."""
+    x &= 0xFFFFFFFF
+    x = (x ^ x >> 16) * SCRAMBLERS[0] & 0xFFFFFFFF
+    x = (x ^ x >> 15) * SCRAMBLERS[1] & 0xFFFFFFFF
+    return x ^ x >> 15
 
 
 def sample_key(seed: int, sensor: int, low_discrepancy: bool, device: torch.device) -> SampleKey:

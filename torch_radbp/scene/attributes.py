@@ -47,7 +47,7 @@ def leaves(texture: Texture) -> Iterator[Texture]:
         yield texture
 
 
-def check_attributes(scene: Scene, kept: PackCache) -> None:
+def check_attributes(scene: Scene, cache: PackCache) -> None:
     """Checks the attributes that textures read.
 
     Raises:
@@ -58,7 +58,7 @@ def check_attributes(scene: Scene, kept: PackCache) -> None:
             for name, domain, texture in attributes_read(owner):
                 values = attribute(scene, shape, name).detach()
                 values = values * texture.scale.detach().to(values)
-                least, greatest = kept(extremes, kept.frozen((id(shape), id(texture), name), values))
+                least, greatest = cache(extremes, cache.frozen((id(shape), id(texture), name), values))
                 domain.check_range(f"{scene.name_of(shape)}.{name}", values, least, greatest, LEEWAY)
                 domain.warn(f"{scene.name_of(shape)}.{name}", greatest)
 

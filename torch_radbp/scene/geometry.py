@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.differentiated import differentiated
+from torch_radbp.interleaved import interleaved
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.placement import InstanceTable, boxes, instance_table
@@ -54,33 +55,33 @@ class Columns(NamedTuple):
     numbers: tuple[Numbers, ...] | None = None  # of each shape, for AOVs
 
 
-def placed_shape(kept: PackCache, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:
+def placed_shape(cache: PackCache, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:
     """A shape as it is now; if instances show it, in the frame of its group, and as triangles only."""
-    surface = kept(without_flat_normals, kept(oriented, kept.twin(id(shape), shape), connections(kept, shape)))
+    surface = cache(without_flat_normals, cache(oriented, cache.twin(id(shape), shape), connections(cache, shape)))
     place = id(shape)
-    return PlacedShape(surface, kept.frozen((place, "vertices"), surface.vertices.to(dtype)),
-                       kept.frozen((place, "faces"), surface.faces),
-                       None if instanced else frozen_ball(kept, place, surface.ball))
+    return PlacedShape(surface, cache.frozen((place, "vertices"), surface.vertices.to(dtype)),
+                       cache.frozen((place, "faces"), surface.faces),
+                       None if instanced else frozen_ball(cache, place, surface.ball))
 
 
-def frozen_ball(kept: PackCache, place: Hashable, ball: Ball | None) -> Ball | None:
+def frozen_ball(cache: PackCache, place: Hashable, ball: Ball | None) -> Ball | None:
     """The ball that a shape is, detached; `place` tells which of the last rendering to compare with."""
-    return None if ball is None else kept(Ball, kept.frozen((place, "ball"), ball.placement), ball.turned)
+    return None if ball is None else cache(Ball, cache.frozen((place, "ball"), ball.placement), ball.turned)
 
 
-def connections(kept: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
+def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
     """What a shape's triangles are to be told, see `Surface.connections`; found anew only if its values have changed."""
     recipe = shape.connections()
     if recipe is None:
         return ()
     make, arguments = recipe
-    return (kept(make, *(kept.frozen((id(shape), make, number), value) if isinstance(value, Tensor) else value
+    return (cache(make, *(cache.frozen((id(shape), make, number), value) if isinstance(value, Tensor) else value
                          for number, value in enumerate(arguments))),)
 
 
-def number_of_triangles(kept: PackCache, shape: Surface) -> int:
+def number_of_triangles(cache: PackCache, shape: Surface) -> int:
     """The number of a shape's triangles."""
-    found = connections(kept, shape)
+    found = connections(cache, shape)
     return len(found[0].faces if found else shape.faces)
 
 
@@ -104,38 +105,37 @@ def flat_normals(surface: Triangles, faces: Tensor) -> bool:
     return bool((surface.normals[faces] - normals.stack()[:, None]).abs().max() < FLAT)
 
 
-
-def triangle_table(kept: PackCache, shapes: Sequence[PlacedShape], columns: Columns, dtype: torch.dtype,
+def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Columns, dtype: torch.dtype,
                    device: torch.device, instances: InstanceTable | None = None) -> TriangleTable:
     """The triangles of all shapes, in order."""
     counts = tuple(len(shape.faces) for shape in shapes)
     surfaces = tuple(shape.surface for shape in shapes)
-    vertices = kept(vertex_table, surfaces, columns.normals, columns.uv or columns.tangents, columns.attributes, dtype,
+    vertices = cache(vertex_table, surfaces, columns.normals, columns.uv or columns.tangents, columns.attributes, dtype,
                     device)
-    corners = kept(concatenated_faces, tuple(shape.faces for shape in shapes),
-                   tuple(len(shape.vertices) for shape in shapes), device)
-    n, clearances = kept(concatenated, tuple(kept(normals_and_clearances, shape.vertices, shape.faces) for shape in shapes),
+    corners, material, emitter = cache(triangle_rows, tuple(shape.faces for shape in shapes),
+                                      tuple(len(shape.vertices) for shape in shapes), columns.material, columns.emitting,
+                                      device)
+    n, clearances = cache(concatenated,
+                          tuple(cache(normals_and_clearances, shape.vertices, shape.faces) for shape in shapes),
                          dtype, device)
     smooth = tuple(shape.surface.normals is not None for shape in shapes)
-    smooth = None if all(smooth) or not columns.normals else kept(of_each, smooth, counts, torch.bool, device)
-    along = kept(tangents, vertices, corners) if columns.tangents else None
+    smooth = None if all(smooth) or not columns.normals else cache(of_each, smooth, counts, torch.bool, device)
+    along = cache(tangents, vertices, corners) if columns.tangents else None
     if not columns.uv:
-        vertices = kept(VertexTable, vertices.p, vertices.n, None, vertices.attributes)
-    return TriangleTable(vertices, corners, n, smooth, clearances, along,
-                         material=kept(of_each, columns.material, counts, torch.int32, device),
-                         emitter=kept(emitter_rows, columns.emitting, counts, device),
-                         balls=kept(balls_among, tuple(shape.ball for shape in shapes), counts, device),
-                         attributes=kept(face_table, surfaces, counts, columns.face_attributes, dtype, device),
-                         numbers=None if columns.numbers is None else kept(numbers, columns.numbers, counts, device),
+        vertices = cache(VertexTable, vertices.p, vertices.n, None, vertices.attributes)
+    return TriangleTable(vertices, corners, n, smooth, clearances, along, material=material, emitter=emitter,
+                         balls=cache(balls_among, tuple(shape.ball for shape in shapes), counts, device),
+                         attributes=cache(face_table, surfaces, counts, columns.face_attributes, dtype, device),
+                         numbers=None if columns.numbers is None else cache(numbers, columns.numbers, counts, device),
                          instances=instances)
 
 
-def shown_instances(kept: PackCache, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,
+def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,
                     numbers: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> InstanceTable | None:
     """The instances of a scene, attached to their poses; None if it has none.
 
     Args:
-        kept: what is known from the last rendering.
+        cache: what is known from the last rendering.
         groups: the instances of each group.
         shapes: of the scene, then of each group.
         normals: whether a vertex has a normal.
@@ -145,11 +145,11 @@ def shown_instances(kept: PackCache, groups: Sequence[Sequence[Instance]], shape
     if not groups:
         return None
     members = [len(instances[0].shapegroup.shapes) for instances in groups]
-    poses = kept(stacked, tuple(kept.part((id(instance), "to_world"), instance.to_world)
+    poses = cache(stacked, tuple(cache.part((id(instance), "to_world"), instance.to_world)
                                 for instances in groups for instance in instances), dtype)
-    casting = kept(casting_of, kept.frozen("poses of instances", poses), tuple(map(len, groups)), tuple(members),
+    casting = cache(casting_of, cache.frozen("poses of instances", poses), tuple(map(len, groups)), tuple(members),
                    tuple(shape.vertices for shape in shapes), tuple(shape.faces for shape in shapes))
-    return kept(instance_table, poses, normals, casting, numbers)
+    return cache(instance_table, poses, normals, casting, numbers)
 
 
 def stacked(poses: tuple[Tensor, ...], dtype: torch.dtype) -> Tensor:
@@ -210,10 +210,11 @@ def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, attribu
                 for surface, part in zip(surfaces, parts)]
         return torch.cat([none[:, :width], *(row.to(dtype) for row in rows)])
 
-    return VertexTable(Vec3.of(column([surface.vertices for surface in surfaces], 3)),
-                       Vec3.of(column([surface.normals for surface in surfaces], 3)) if normals else None,
-                       Vec2.of(column([surface.uv for surface in surfaces], 2)) if uv else None,
-                       tuple(Vec3.of(column(channels(surfaces, name), 3)) for name in attributes))
+    return interleaved(VertexTable(
+        Vec3(*column([surface.vertices for surface in surfaces], 3).unbind(1)),
+        Vec3(*column([surface.normals for surface in surfaces], 3).unbind(1)) if normals else None,
+        Vec2(*column([surface.uv for surface in surfaces], 2).unbind(1)) if uv else None,
+        tuple(Vec3(*column(channels(surfaces, name), 3).unbind(1)) for name in attributes)))
 
 
 def face_table(surfaces: Sequence[Triangles], counts: Sequence[int], attributes: tuple[str, ...], dtype: torch.dtype,
@@ -233,19 +234,23 @@ def channels(surfaces: Sequence[Triangles], name: str) -> list[Tensor | None]:
     return [None if values is None else values.expand(-1, 3) for values in found]
 
 
-def concatenated_faces(faces: Sequence[Tensor], counts: Sequence[int],
-                       device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """The corners of all triangles, (T,) int32 rows of the concatenated vertices.
+def triangle_rows(faces: Sequence[Tensor], vertices: Sequence[int], material: Sequence[int], emitting: Sequence[bool],
+                  device: torch.device) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor, Tensor]:
+    """The corners of all triangles as rows of the concatenated vertices, their materials, and their numbers among those that
+    belong to an emitter; (T,) int32 each.
 
     Args:
         faces: (F, 3) of each shape.
-        counts: the number of vertices of each.
+        vertices: the number of vertices of each.
+        material: the row of each in the table of materials.
+        emitting: whether each belongs to an emitter.
         device: of the result.
     """
-    firsts = itertools.accumulate(counts, initial=0)
+    firsts, counts = itertools.accumulate(vertices, initial=0), tuple(map(len, faces))
     none = torch.zeros(0, 3, dtype=torch.int32, device=device)
     rows = torch.cat([none, *(own.to(torch.int32) + first for own, first in zip(faces, firsts))])
-    return tuple(corner.contiguous() for corner in rows.unbind(1))
+    materials = of_each(material, counts, torch.int32, device)
+    return interleaved((rows.unbind(1), materials, emitter_rows(emitting, counts, device)))
 
 
 def of_each(values: Sequence[int | bool], counts: Sequence[int], dtype: torch.dtype, device: torch.device) -> Tensor:
@@ -287,7 +292,7 @@ def concatenated(parts: Sequence[tuple[Vec3, Tensor]], dtype: torch.dtype, devic
     """The normals and clearances of all shapes, (T,) each, from those of each."""
     none = torch.zeros(0, dtype=dtype, device=device)
     *n, clearances = (torch.cat([none, *column]) for column in zip((none,) * 4, *((*n, own) for n, own in parts)))
-    return Vec3(*n), clearances
+    return interleaved((Vec3(*n), clearances))
 
 
 def tangents(vertices: VertexTable, corners: tuple[Tensor, Tensor, Tensor]) -> Vec3:

@@ -16,7 +16,7 @@ from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import Given, Place, TexturePoint
+from torch_radbp.texture.reader import Place, TexturePoint, TextureValue
 from torch_radbp.vec import TINY, Ray, Vec3, dot, masked, where
 
 SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends just before its light
@@ -68,20 +68,20 @@ def rows_of(scene: SceneTensors, element: Tensor, case: Case) -> Tensor:
     return torch.where(case.mask, lookup(scene.lights.row, element), 0)
 
 
-def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, given: tuple[Given, ...] = ()) -> Vec3:
+def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, texture_values: tuple[TextureValue, ...] = ()) -> Vec3:
     """Radiance that leaves the surface, or the surround, towards the ray's origin; attached to texels, pose and `ray.d`.
 
     Args:
         scene, ray, si: what the ray meets.
-        given: the values of emitters' textures that are read outside, at the `emission_places`.
+        texture_values: the values of emitters' textures that are read outside, at the `emission_places`.
     """
-    radiance = emitted_by_surface(scene, si, given)
+    radiance = emitted_by_surface(scene, si, texture_values)
     if scene.layout.surround is None:
         return radiance
     return where(si.valid, radiance, emitted_by_surround(scene, ray))
 
 
-def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction, given: tuple[Given, ...] = ()) -> Vec3:
+def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction, texture_values: tuple[TextureValue, ...] = ()) -> Vec3:
     """Radiance that leaves the surfaces that rays have met, towards the rays' origins; 0 where they met none. Attached.
 
     Args as for `emitted`.
@@ -93,20 +93,21 @@ def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction, given: tuple
     emits = si.valid & functools.reduce(torch.logical_or, sends) & (si.emitter >= 0)
     # Next-event estimation finds the same point by no cone: emitters look the same however they are found.
     point = si.point._replace(uv=si.point.uv if scene.layout.radiance_bitmaps else None, footprint=None)
-    return masked(emits, texture_of_light(scene, element, si.p, point, given))
+    return masked(emits, texture_of_light(scene, element, si.p, point, texture_values))
 
 
-def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: TexturePoint, given: tuple[Given, ...]) -> Vec3:
+def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: TexturePoint,
+                     texture_values: tuple[TextureValue, ...]) -> Vec3:
     """The textures of elements of the light table at points; attached.
 
     Args:
         scene, element: the elements.
         p: world positions of the points.
         point: the points.
-        given: for each of `Layout.lit` its values there.
+        texture_values: for each of `Layout.lit` its values there.
     """
     value = scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point)
-    for reader, rows, own in zip(scene.layout.lit, scene.lights.outside, given):
+    for reader, rows, own in zip(scene.layout.lit, scene.lights.outside, texture_values):
         value = where(lookup(rows, element) >= 0, own.at(reader.place(p, point.uv)), value)
     return value
 
@@ -212,7 +213,7 @@ def sample_places(scene: SceneTensors, aims: Aims) -> tuple[Place, ...]:
 
 
 def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, numbers: LightNumbers,
-                 picked: LightPick | None = None, given: tuple[Given, ...] = ()) -> LightSample:
+                 picked: LightPick | None = None, texture_values: tuple[TextureValue, ...] = ()) -> LightSample:
     """Picks a light element, and a point on it.
 
     Element and point, or direction, are decided by `proposal`; the point then moves with `scene`.
@@ -223,7 +224,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, n
         reference: (N,) world positions of the points where light is wanted, attached or not.
         numbers: decide.
         picked: the element, if that has been decided before.
-        given: the values of emitters' textures that are read outside, at the `sample_places`.
+        texture_values: the values of emitters' textures that are read outside, at the `sample_places`.
     """
     samples = light_aims(scene, proposal, reference, numbers, picked)
     element, found, aims, target = samples
@@ -235,10 +236,10 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, n
     # Look up what is sent from there.
     delta, distant = (among(found, [getattr(case.kind, name) for case in found], element) for name in ("delta", "distant"))
     findable = 1.0 if delta is None else (~delta).to(pdf.dtype)
-    return LightSample(d, sent(scene, samples, given), pdf, weighing, findable, target, distant)
+    return LightSample(d, sent(scene, samples, texture_values), pdf, weighing, findable, target, distant)
 
 
-def sent(scene: SceneTensors, samples: Aims, given: tuple[Given, ...]) -> Vec3:
+def sent(scene: SceneTensors, samples: Aims, texture_values: tuple[TextureValue, ...]) -> Vec3:
     """The radiance of light samples: a texture times its factor, or what the kind has computed."""
     element, found, aims, p = samples
     computed = samples("radiance")
@@ -246,7 +247,7 @@ def sent(scene: SceneTensors, samples: Aims, given: tuple[Given, ...]) -> Vec3:
         return computed
     uv = samples("uv") if scene.layout.radiance_bitmaps else None
     point = TexturePoint(uv, dict(zip(scene.layout.radiance.attributes, samples("attributes") or ())))
-    radiance = texture_of_light(scene, element, p, point, given)
+    radiance = texture_of_light(scene, element, p, point, texture_values)
     if any(aim.strength is not None for aim in aims):
         radiance = radiance * chosen(found, [strength(aim) for aim in aims])
     if computed is None:

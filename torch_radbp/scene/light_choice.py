@@ -205,8 +205,8 @@ def mean_luminance(kind: LightKind, table: Table, textures: Textures, texture: T
         light = reader.read(textures.bank, texture, point)
         for other, bank, rows in zip(textures.outside, textures.banks, outside):
             with torch.no_grad():
-                values = bank.values(rows, other.place(p, point.uv).stack())
-            light = where(rows >= 0, Vec3.of(values), light)
+                values = bank.values(rows, other.place(p, point.uv))
+            light = where(rows >= 0, values, light)
         total += sum(factor * channel.double() for factor, channel in zip(LUMINANCE, light))
     return total / len(points)
 

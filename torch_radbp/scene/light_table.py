@@ -37,12 +37,12 @@ class Emission(NamedTuple):
     triangles: int | None  # that it has; None: it is on no surface
 
 
-def light_table(kept: PackCache, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
+def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
                 layout: Layout, radiance: Any, lit: tuple[Any, ...], light_choice: str | None) -> LightTable:
     """The elements that next-event estimation picks from.
 
     Args:
-        kept: what is known from the last rendering.
+        cache: what is known from the last rendering.
         triangles: of all shapes, attached; says which belong to an emitter.
         emissions: of all emitters, those on surfaces first.
         lamps: twins of the others.
@@ -54,22 +54,22 @@ def light_table(kept: PackCache, triangles: TriangleTable, emissions: tuple[Emis
     Raises:
         ValueError: if no emitter can be picked, or a surface cannot carry its emitter.
     """
-    surfaces, area = kept(emitting_triangles, triangles, layout)
-    weights = kept(weights_of, emissions, kept.frozen("areas of emitters", area))
-    surfaces = kept(with_inverse_areas, surfaces, area, weights)
-    kind, row, texture, outside = kept(element_columns, layout.lights, emissions, area.device)
-    tables = tuple(kept(surface_table, each, surfaces, kind, number) if each.on_surface else
-                   kept(lamp_table, each, tuple(lamp for lamp in lamps if lamp.kind() == each), weights)
+    surfaces, area = cache(emitting_triangles, triangles, layout)
+    weights = cache(weights_of, emissions, cache.frozen("areas of emitters", area))
+    surfaces = cache(with_inverse_areas, surfaces, area, weights)
+    kind, row, texture, outside = cache(element_columns, layout.lights, emissions, area.device)
+    tables = tuple(cache(surface_table, each, surfaces, kind, number) if each.on_surface else
+                   cache(lamp_table, each, tuple(lamp for lamp in lamps if lamp.kind() == each), weights)
                    for number, each in enumerate(layout.lights))
     if takes_tree(light_choice, emissions):
         textures = Textures(layout.radiance, radiance, layout.lit, lit)
-        bounds = kept(bounds_of_lights, layout.lights, textures, tables, kind, texture, outside)
-        bounds = tuple(each and LightBounds(*frozen(kept, ("bounds of lights", number), each))
+        bounds = cache(bounds_of_lights, layout.lights, textures, tables, kind, texture, outside)
+        bounds = tuple(each and LightBounds(*frozen(cache, ("bounds of lights", number), each))
                        for number, each in enumerate(bounds))
-        choice = kept(choice_by_tree, bounds, emissions, kind, weights)
-        return LightTable(choice, kind, row, texture, tables, kept(pmf_of_surround_beside, emissions, choice), outside)
-    choice = kept(alias_table, weights)
-    return LightTable(choice, kind, row, texture, tables, kept(pmf_of_surround, emissions, choice.pmf), outside)
+        choice = cache(choice_by_tree, bounds, emissions, kind, weights)
+        return LightTable(choice, kind, row, texture, tables, cache(pmf_of_surround_beside, emissions, choice), outside)
+    choice = cache(alias_table, weights)
+    return LightTable(choice, kind, row, texture, tables, cache(pmf_of_surround, emissions, choice.pmf), outside)
 
 
 def takes_tree(light_choice: str | None, emissions: tuple[Emission, ...]) -> bool:
@@ -78,10 +78,10 @@ def takes_tree(light_choice: str | None, emissions: tuple[Emission, ...]) -> boo
     return bounded > 0 and (light_choice == "tree" or (light_choice is None and bounded >= MANY))
 
 
-def frozen(kept: PackCache, place: Hashable, record: tuple) -> tuple:
-    """A record with the copies of its tensors that `kept` has."""
-    return tuple(type(part)(*frozen(kept, (place, number), part)) if isinstance(part, tuple) else
-                 kept.frozen((place, number), part) for number, part in enumerate(record))
+def frozen(cache: PackCache, place: Hashable, record: tuple) -> tuple:
+    """A record with the copies of its tensors that `cache` has."""
+    return tuple(type(part)(*frozen(cache, (place, number), part)) if isinstance(part, tuple) else
+                 cache.frozen((place, number), part) for number, part in enumerate(record))
 
 
 def bounds_of_lights(kinds: tuple[LightKind, ...], textures: Textures, tables: tuple[Table, ...], kind: Tensor,

@@ -12,7 +12,7 @@ from torch_radbp.differentiated import settled
 from torch_radbp.lookup import lookup
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import Given, Place
+from torch_radbp.texture.reader import Place, TextureValue
 from torch_radbp.vec import Vec3, where
 
 LEAST_DENSITY = 1e-15  # of a direction that can be drawn; the square of its reciprocal is finite in float32
@@ -36,16 +36,16 @@ class BSDFSample(NamedTuple):
     pdf: Tensor  # density over solid angle; infinite for ideal specular scattering; 0: the path ends
 
 
-def material_at(scene: SceneTensors, si: SurfaceInteraction, given: tuple[Given, ...]) -> Material:
+def material_at(scene: SceneTensors, si: SurfaceInteraction, texture_values: tuple[TextureValue, ...]) -> Material:
     """Reads the textures of the material at a surface point, on the side that the ray meets.
 
     Args:
         scene: the part that these lanes read.
         si: the surface point.
-        given: the values of the textures that are read outside, in order.
+        texture_values: the values of the textures that are read outside, in order.
     """
     readers, appearance = scene.layout.readers, scene.layout.scatterer
-    values, of_others = [], iter(given)
+    values, of_others = [], iter(texture_values)
     for reader, slot in zip(appearance.readers, scene.materials.slots):
         if reader.outside:
             values.append(reader.value(next(of_others).at(reader.place(si.p, si.point.uv)), si.point))

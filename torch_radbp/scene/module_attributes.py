@@ -1,6 +1,6 @@
 """The attributes of modules: compared with those of the last rendering, and put together to copies of modules.
 
-See `scene.kept`, which keeps such copies.
+See `scene.pack_cache`, which keeps such copies.
 """
 
 from __future__ import annotations

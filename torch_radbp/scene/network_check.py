@@ -18,7 +18,9 @@ from torch import Tensor, nn
 from torch_radbp.differentiated import differentiated, primal
 from torch_radbp.jit.torch_internals import inside_dual_level
 from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.texture.neural import PLACES, ModuleBank, ModuleFunction, Use
+from torch_radbp.texture.module_bank import ModuleBank
+from torch_radbp.texture.module_function import ModuleFunction, Use
+from torch_radbp.texture.neural import PLACES
 from torch_radbp.texture.reader import Reader
 
 ROWS = 64  # places; dropout of a small part of a few values shows in one of them
@@ -30,12 +32,12 @@ EVAL = "call .eval() on the module, and again after Renderer.train() or Scene.tr
 REENTRANT = "CheckpointFunctionBackward"  # the node of torch.utils.checkpoint(use_reentrant=True)
 
 
-def check_networks(kept: PackCache, readers: Sequence[Reader], banks: Sequence[Any], dtype: torch.dtype,
+def check_networks(cache: PackCache, readers: Sequence[Reader], banks: Sequence[Any], dtype: torch.dtype,
                    device: torch.device) -> None:
     """Checks the modules that are read, each when its attributes have changed.
 
     Args:
-        kept: what is known from the last rendering.
+        cache: what is known from the last rendering.
         readers: of textures.
         banks: of the readers; attached.
         dtype, device: of the scene.
@@ -50,7 +52,7 @@ def check_networks(kept: PackCache, readers: Sequence[Reader], banks: Sequence[A
         for function, parameters in zip(bank.functions, bank.parameters) if isinstance(bank, ModuleBank) else ():
             trained = tuple(map(differentiated, parameters)) if records else None
             check = NetworkCheck(function.module, function.use.name, PLACES[reader.of], dtype, device, trained)
-            kept.structure(check, function.module)
+            cache.structure(check, function.module)
 
 
 @dataclass(frozen=True)

@@ -56,13 +56,13 @@ class BankBuilder:
         return any(reader_of(texture).needs_uv for texture in self.textures)
 
 
-def pack(scene: Scene, kept: PackCache | None = None, light_choice: str | None = None, aovs: bool = False,
+def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None = None, aovs: bool = False,
          seen: Collection[str] | None = None) -> SceneTensors:
     """The tensors of a scene, attached to its parameters.
 
     Args:
         scene: as it is now.
-        kept: what is known from the last rendering.
+        cache: what is known from the last rendering.
         light_choice: how next-event estimation picks a light; see `Renderer`.
         aovs: with coordinates and numbers, which quantities may be about that no image needs.
         seen: the names of the sensors that are rendered, whose parameters are checked; None: all.
@@ -71,16 +71,16 @@ def pack(scene: Scene, kept: PackCache | None = None, light_choice: str | None =
         ValueError: if a parameter is not in its domain, or derivatives of a module would be wrong; the message names it.
         TypeError: if the parameters are not of one dtype, or a module has been compiled.
     """
-    kept = PackCache() if kept is None else kept
-    check_parameters(scene, kept, scene.named_sensors if seen is None else seen)
+    cache = PackCache() if cache is None else cache
+    check_parameters(scene, cache, scene.named_sensors if seen is None else seen)
     dtype, device = scene.dtype, scene.device
     radiance = BankBuilder()
     bsdfs, shapes, emitters = list(scene.bsdfs()), scene.shapes, scene.emitters  # once: a scene may have many objects
-    materials = material_tables(kept, bsdfs, dtype, device)
+    materials = material_tables(cache, bsdfs, dtype, device)
     appearances, readers = materials.appearances, materials.readers
     groups = list(scene.groups.values())
-    placed = [placed_shape(kept, shape, instances is not None, dtype) for shape, instances in zip(shapes, scene.shown_by)]
-    check_extent(scene, shapes, [kept(largest_coordinate, shape.vertices) for shape in placed])
+    placed = [placed_shape(cache, shape, instances is not None, dtype) for shape, instances in zip(shapes, scene.shown_by)]
+    check_extent(scene, shapes, [cache(largest_coordinate, shape.vertices) for shape in placed])
     radiated = {id(emitter): emitter.radiated() for emitter in emitters}
     outside = {name: texture for name, texture in radiated.items() if texture is not None and reader_of(texture).outside}
     textures = {name: 0 if texture is None or name in outside else radiance.add(texture)
@@ -89,7 +89,7 @@ def pack(scene: Scene, kept: PackCache | None = None, light_choice: str | None =
     named = {name for reader in (*readers, radiance.reader) for name in reader.attributes}
     attributes = tuple(sorted(named))
     if attributes:
-        check_attributes(scene, kept)
+        check_attributes(scene, cache)
     layout = Layout(
         bending=materials.bending or any_differentiated(scene, attributes),
         shading_normals=any(shape.surface.normals is not None for shape in placed),
@@ -103,11 +103,11 @@ def pack(scene: Scene, kept: PackCache | None = None, light_choice: str | None =
                       tuple(row[id(shape.bsdf)] for shape in shapes),
                       tuple(shape.emitter is not None for shape in shapes),
                       numbers_of(scene, shapes) if aovs else None)
-    instances = shown_instances(kept, groups, placed, layout.shading_normals,
+    instances = shown_instances(cache, groups, placed, layout.shading_normals,
                                 instance_numbers(scene, groups) if aovs else (0,) * sum(map(len, groups)), dtype, device)
     if instances is not None:
         check_places(scene, groups, instances.casting.boxes)
-    triangles = triangle_table(kept, placed, columns, dtype, device, instances)
+    triangles = triangle_table(cache, placed, columns, dtype, device, instances)
 
     def emission(emitter: Light, count: int | None) -> Emission:
         return Emission(emitter.kind(), emitter.type, emitter.sampling_weight, textures[id(emitter)],
@@ -116,10 +116,10 @@ def pack(scene: Scene, kept: PackCache | None = None, light_choice: str | None =
     carriers = [emission(shape.emitter, len(own.faces)) for shape, own in zip(shapes, placed)
                 if shape.emitter is not None]
     lamps = [emitter for emitter in emitters if not emitter.kind().on_surface]
-    bank = kept(bank_of, layout.radiance, twins(kept, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
-    lights = light_table(kept, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
-                         tuple(kept.twin(id(lamp), lamp) for lamp in lamps), layout, bank, lit_banks, light_choice)
-    check_networks(kept, (*readers, *lit), (*materials.textures, *lit_banks), dtype, device)
+    bank = cache(bank_of, layout.radiance, twins(cache, "radiance", radiance.textures or [RGB(value=0.0)]), dtype, device)
+    lights = light_table(cache, triangles, (*carriers, *(emission(lamp, None) for lamp in lamps)),
+                         tuple(cache.twin(id(lamp), lamp) for lamp in lamps), layout, bank, lit_banks, light_choice)
+    check_networks(cache, (*readers, *lit), (*materials.textures, *lit_banks), dtype, device)
     return SceneTensors(triangles, materials.table, materials.textures, lights, bank, lit_banks, layout)
 
 
@@ -157,9 +157,9 @@ def numbers_in(scene: Scene) -> dict[int, int]:
     return {place: count for count, place in enumerate(places, 1)}
 
 
-def twins(kept: PackCache, place: Hashable, textures: Iterable[Texture]) -> tuple[Texture, ...]:
+def twins(cache: PackCache, place: Hashable, textures: Iterable[Texture]) -> tuple[Texture, ...]:
     """The twins of some textures; see `PackCache.twin`."""
-    return tuple(kept.twin((place, number), texture) for number, texture in enumerate(textures))
+    return tuple(cache.twin((place, number), texture) for number, texture in enumerate(textures))
 
 
 def bank_of(reader: Reader, textures: tuple[Texture, ...], dtype: torch.dtype, device: torch.device) -> Any:
@@ -178,7 +178,7 @@ class Materials(NamedTuple):
     back_sides: bool  # whether a material looks the same from behind as from the front, seen from there
 
 
-def material_tables(kept: PackCache, bsdfs: list[BSDF], dtype: torch.dtype, device: torch.device) -> Materials:
+def material_tables(cache: PackCache, bsdfs: list[BSDF], dtype: torch.dtype, device: torch.device) -> Materials:
     """The rows of all materials, their appearances, and their textures."""
     two_sided = tuple(isinstance(bsdf, TwoSided) for bsdf in bsdfs)
     sides = one_sided(bsdfs)
@@ -196,13 +196,13 @@ def material_tables(kept: PackCache, bsdfs: list[BSDF], dtype: torch.dtype, devi
     columns = [[appearances.index(look) for look in looks],
                *([own[k] if k < len(own) else 0 for own in slots] for k in range(max(map(len, slots), default=0)))]
     differs = tuple(front != back for front, back in zip(looks, looks[len(bsdfs):]))
-    appearance, *values = (kept(column, tuple(each), torch.int32, device) for each in columns)
-    table = MaterialTable(appearance, tuple(values), kept(column, (False,) * len(bsdfs) + two_sided, torch.bool, device),
-                          kept(column, differs, torch.bool, device) if any(differs) else None,
-                          kept(column, len(bsdfs), torch.int32, device))
+    appearance, *values = (cache(column, tuple(each), torch.int32, device) for each in columns)
+    table = MaterialTable(appearance, tuple(values), cache(column, (False,) * len(bsdfs) + two_sided, torch.bool, device),
+                          cache(column, differs, torch.bool, device) if any(differs) else None,
+                          cache(column, len(bsdfs), torch.int32, device))
     # A module that is read outside is taken as it is: only it knows what its values depend on.
     banks = tuple(reader.bank(list(of_reader[reader].values()), dtype, device) if reader.outside else
-                  kept(bank_of, reader, twins(kept, reader, of_reader[reader].values()), dtype, device)
+                  cache(bank_of, reader, twins(cache, reader, of_reader[reader].values()), dtype, device)
                   for reader in readers)
     bending = any(differentiated(source) for kind, own in zip(kinds, textures) for slot in kind.bending
                   for source in own[slot].sources())

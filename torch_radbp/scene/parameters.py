@@ -1,7 +1,7 @@
 """The current parameters of a scene by name, and the check that each is in its domain.
 
-Parameters change between renderings. So all are compared with those of the last one (see `scene.kept`), and what has changed
-is checked: first the shapes, then the extremes.
+Parameters change between renderings. So all are compared with those of the last one (see `scene.pack_cache`), and what has
+changed is checked: first the shapes, then the extremes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
 from torch_radbp.texture.bitmap import reader_of
-from torch_radbp.texture.neural import Use
+from torch_radbp.texture.module_function import Use
 
 DTYPES = (torch.float32, torch.float64)
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
@@ -118,12 +118,12 @@ def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
         texture.use = Use(names[id(texture)], tuple(dict.fromkeys(domains)))
 
 
-def check_parameters(scene: Scene, kept: PackCache, seen: Collection[str]) -> None:
+def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str]) -> None:
     """Checks the current parameters of a scene. The values of modules are checked where they are computed.
 
     Args:
         scene: as it is now.
-        kept: what is known from the last rendering.
+        cache: what is known from the last rendering.
         seen: the names of the sensors that are rendered; the others are not looked at.
 
     Raises:
@@ -134,16 +134,16 @@ def check_parameters(scene: Scene, kept: PackCache, seen: Collection[str]) -> No
         views = scene.named_sensors
         found = {}
         for name in dict.fromkeys(seen):
-            found |= kept.structure(held_in, views[name], name)
-        found |= kept.structure(held_in, scene, without=set(views.values()))
+            found |= cache.structure(held_in, views[name], name)
+        found |= cache.structure(held_in, scene, without=set(views.values()))
         values = {name: held.value for name, held in found.items()}
         check_types(scene, found, values)
         for name, held in found.items():
             for domain in held.domains:
                 domain.check_shape(f"parameter {name!r}", values[name])
         for name, held in found.items():
-            value = primal(values[name]) if differentiated(values[name]) else kept.frozen(name, values[name])
-            kept(check_values, name, value, tuple(dict.fromkeys(held.domains)))
+            value = primal(values[name]) if differentiated(values[name]) else cache.frozen(name, values[name])
+            cache(check_values, name, value, tuple(dict.fromkeys(held.domains)))
 
 
 def check_values(name: str, value: Tensor, domains: tuple[Domain, ...]) -> None:

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Plugin, Sampler, nearest, positive, register
 from torch_radbp.sensor.distortion import BrownConrady, Distortion, KannalaBrandt
+from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera, number
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
@@ -91,23 +92,26 @@ class CalibratedKind(CameraKind):
         origin = torch.stack(tuple(lens.origin)).double()
         return torch.cat([origin, origin.new_ones(1)])
 
-    def frustum(self, lens: CalibratedLens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
+    def frustum(self, lens: CalibratedLens, x: Tensor, y: Tensor) -> Frustum:
         """A pyramid around the view, which is curved; all of space around one that reaches far to the side."""
-        along_x, along_y, ahead = lens.axes.to_local(p - lens.origin)
         rows, columns = torch.meshgrid(*(torch.linspace(0, 1, GRID, dtype=torch.float64, device=x.device) * (b - a) + a
                                          for a, b in (y, x)), indexing="ij")
         d, seen = lens.distortion.direction(lens.point(Vec2(columns.flatten(), rows.flatten())))
         d = d if seen is None else Vec3(*(component[seen] for component in d))
         if len(d.x) == 0 or normalize(d).z.min() < GRAZING:
-            return torch.ones(6, len(along_x), dtype=torch.float64, device=x.device)
+            nothing = torch.zeros_like(x[0])
+            return Frustum.of([Plane(Vec3(nothing, nothing, nothing), torch.ones_like(nothing))] * 6)
         (left, right), (top, bottom) = (around(slope / d.z) for slope in (d.x, d.y))
-        near, far = (lens.near * d.z.min() if self.fisheye else lens.near), lens.far
-        return torch.stack([along_x - left * ahead, right * ahead - along_x, along_y - top * ahead, bottom * ahead - along_y,
-                            ahead - near, far - ahead])
+        axes, origin, near, far = (doubled(part) for part in (lens.axes, lens.origin, lens.near, lens.far))
+        near = near * d.z.min() if self.fisheye else near
+        across, down, ahead = axes
+        return Frustum.of([Plane.through(origin, across - ahead * left), Plane.through(origin, ahead * right - across),
+                           Plane.through(origin, down - ahead * top), Plane.through(origin, ahead * bottom - down),
+                           Plane.through(origin, ahead, -near), Plane.through(origin, -ahead, far)])
 
     def crosses_view(self, lens: CalibratedLens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
         """Whether one of some points of a segment, within the pyramid, is projected into the view."""
-        enters, leaves = self.clipped(lens, x, y, a, b)
+        enters, leaves = self.frustum(lens, x, y).clipped(a, b)
         crosses = enters < leaves
         points = POINTS if any(bool((start != end).any()) for start, end in zip(a, b)) else 1
         share = torch.linspace(0, 1, points, dtype=torch.float64, device=x.device)

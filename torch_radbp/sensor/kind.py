@@ -17,8 +17,9 @@ from torch_radbp.domain import POSE, Domain
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.position import FilmTensors
 from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, positive
+from torch_radbp.sensor.frustum import Frustum
 from torch_radbp.sensor.sampler import LowDiscrepancy
-from torch_radbp.shape.surface import transform
+from torch_radbp.transforms import transform
 from torch_radbp.vec import Ray, Vec2, Vec3
 
 Lens = Any  # a NamedTuple of tensors, attached
@@ -81,31 +82,22 @@ class CameraKind(ABC):
         return None
 
     @abstractmethod
-    def frustum(self, lens: Lens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
-        """Distances to the six planes that bound the view, of any scale, positive inside; (6, N), linear in p.
+    def frustum(self, lens: Lens, x: Tensor, y: Tensor) -> Frustum:
+        """What contains all that is in view.
 
         Args:
             lens: of the camera, detached.
-            x, y: (2,) the left and the right, the upper and the lower border of the view, as positions on the image.
-            p: (N,) world points.
+            x, y: (2,) the left and the right, the upper and the lower border of the view, positions on the image; float64.
         """
 
     def crosses_view(self, lens: Lens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
-        """True if part of a segment from `a` to `b`, (E,) world points, is in view; args as for `frustum`."""
-        enters, leaves = self.clipped(lens, x, y, a, b)
-        return enters < leaves
+        """True if part of a segment from `a` to `b`, (E,) world points, is in view; (E,) bool.
 
-    def clipped(self, lens: Lens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
-        """The shares of segments at which they enter and leave the frustum; the first is greater if they miss it.
-
-        Reference: Cyrus and Beck 1978, "Generalized Two- and Three-Dimensional Clipping".
+        Args:
+            lens, x, y: as for `frustum`.
         """
-        start, end = self.frustum(lens, x, y, a), self.frustum(lens, x, y, b)
-        crossing = start / torch.where(start == end, 1.0, start - end)
-        zero = torch.zeros_like(crossing)
-        enters = torch.where(start < 0, torch.where(end < 0, 2.0, crossing), zero).amax(0)
-        leaves = torch.where(end < 0, torch.where(start < 0, -1.0, crossing), zero + 1.0).amin(0)
-        return enters, leaves
+        enters, leaves = self.frustum(lens, x, y).clipped(a, b)
+        return enters < leaves
 
 
 class Camera(NamedTuple):

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.plugin import Film, Matrix4, Sampler, register
+from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera
 from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
@@ -53,13 +54,16 @@ class OrthographicKind(CameraKind):
         towards = -torch.stack(tuple(normalize(lens.z)))
         return torch.cat([towards, towards.new_zeros(1)]).double()
 
-    def frustum(self, lens: OrthographicLens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
-        columns = torch.stack([torch.stack(tuple(column)).double() for column in (lens.x, lens.y, lens.z)], 1)
-        reach = torch.stack(tuple(p - near_corner(lens)))
-        along_x, along_y, _ = torch.linalg.inv(columns) @ reach
-        ahead = dot(p - near_corner(lens), normalize(lens.z))
+    def frustum(self, lens: OrthographicLens, x: Tensor, y: Tensor) -> Frustum:
+        lens = doubled(lens)
+        corner, axes = near_corner(lens), (lens.x, lens.y, lens.z)
+        inverse = torch.linalg.inv(torch.stack([axis.stack() for axis in axes], 1))
+        along_x, along_y, _ = map(Vec3.of, inverse)
+        ahead = normalize(lens.z)
         (left, right), (top, bottom) = 1.0 - 2.0 * x, (1.0 - 2.0 * y) / lens.aspect
-        return torch.stack([left - along_x, along_x - right, top - along_y, along_y - bottom, ahead, lens.depth - ahead])
+        return Frustum.of([Plane.through(corner, -along_x, left), Plane.through(corner, along_x, -right),
+                           Plane.through(corner, -along_y, top), Plane.through(corner, along_y, -bottom),
+                           Plane.through(corner, ahead), Plane.through(corner, -ahead, lens.depth)])
 
 
 def near_corner(lens: OrthographicLens) -> Vec3:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register
+from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera, number
 from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
@@ -37,8 +38,8 @@ class PinholeLens(NamedTuple):
 
     def position(self, slopes: Vec2) -> Vec2:
         """The positions on the image at which local directions with these slopes x / z and y / z are seen."""
-        return Vec2(0.5 - 0.5 * slopes.x / self.tan_x - self.shift_x,
-                    0.5 - 0.5 * slopes.y * self.aspect / self.tan_x - self.shift_y)
+        scale = 0.5 / self.tan_x
+        return Vec2(0.5 - slopes.x * scale - self.shift_x, 0.5 - slopes.y * (scale * self.aspect) - self.shift_y)
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class PinholeKind(CameraKind):
 
     def project(self, lens: PinholeLens, p: Vec3, aperture: None) -> Vec2:
         local = lens.axes.coordinates(p - lens.origin)
-        return lens.position(Vec2(local.x / local.z, local.y / local.z))
+        return lens.position(Vec2(local.x, local.y) * (1.0 / local.z))
 
     def beyond_far_plane(self, lens: PinholeLens, p: Vec3) -> Tensor:
         return dot(p - lens.origin, lens.axes.n) > lens.far
@@ -70,11 +71,13 @@ class PinholeKind(CameraKind):
         origin = torch.stack(tuple(lens.origin)).double()
         return torch.cat([origin, origin.new_ones(1)])
 
-    def frustum(self, lens: PinholeLens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
-        along_x, along_y, ahead = lens.axes.to_local(p - lens.origin)
+    def frustum(self, lens: PinholeLens, x: Tensor, y: Tensor) -> Frustum:
+        lens = doubled(lens)
         (left, right), (top, bottom) = lens.slopes(Vec2(x, y))
-        return torch.stack([left * ahead - along_x, along_x - right * ahead, top * ahead - along_y,
-                            along_y - bottom * ahead, ahead - lens.near, lens.far - ahead])
+        across, up, ahead = lens.axes
+        inwards = ahead * left - across, across - ahead * right, ahead * top - up, up - ahead * bottom
+        return Frustum.of([*(Plane.through(lens.origin, n) for n in inwards),
+                           Plane.through(lens.origin, ahead, -lens.near), Plane.through(lens.origin, -ahead, lens.far)])
 
 
 class FieldOfViewCamera(ProjectiveCamera):

@@ -11,9 +11,10 @@ from torch import Tensor
 from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Sampler, positive, register
 from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
+from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import CameraKind, number
 from torch_radbp.sensor.perspective import FieldOfViewCamera, PinholeKind, PinholeLens
-from torch_radbp.vec import Ray, Vec2, Vec3, normalize
+from torch_radbp.vec import Ray, Vec2, Vec3, dot, normalize
 
 LENGTH = NUMBER._replace(low=0.0, low_is_in=False)
 
@@ -67,12 +68,13 @@ class ThinLensKind(CameraKind):
     def aperture_radius(self, lens: ThinLensLens) -> Tensor:
         return lens.radius.detach()
 
-    def frustum(self, lens: ThinLensLens, x: Tensor, y: Tensor, p: Vec3) -> Tensor:
+    def frustum(self, lens: ThinLensLens, x: Tensor, y: Tensor) -> Frustum:
         """What is seen from anywhere on the lens, and a little more: the blur has at most radius (1 + z / focus)."""
-        planes = PinholeKind().frustum(lens.pinhole, x, y, p)
-        _, _, ahead = lens.pinhole.axes.to_local(p - lens.pinhole.origin)
-        blur = lens.radius * (1.0 + ahead / lens.focus)
-        return torch.cat([planes[:4] + blur, planes[4:]])
+        *sides, near, far = PinholeKind().frustum(lens.pinhole, x, y)
+        pinhole, radius, focus = doubled(lens)
+        n = pinhole.axes.n * (radius / focus)
+        blurred = [Plane(side.n + n, side.d + radius - dot(pinhole.origin, n)) for side in sides]
+        return Frustum(*blurred, near, far)
 
 
 @register("sensor", "thinlens")

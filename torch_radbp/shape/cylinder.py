@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.plugin import BSDF, Emitter, Matrix4, Point3, finite, positive, register
-from torch_radbp.shape.surface import Tessellated, Triangles, affine, grid
+from torch_radbp.shape.surface import Tessellated, Triangles, grid
+from torch_radbp.transforms import affine
 from torch_radbp.vec import Frame, Vec3
 
 SECTORS = 512

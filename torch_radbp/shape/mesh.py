@@ -8,8 +8,9 @@ from torch import Tensor, nn
 from torch_radbp.domain import LARGEST_COORDINATE, POSE, Domain
 from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, register
 from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
-from torch_radbp.shape.surface import Surface, Triangles, affine, transform_normals, transform_points
+from torch_radbp.shape.surface import Surface, Triangles
 from torch_radbp.texture.mesh_attribute import PREFIXES as ATTRIBUTE_PREFIXES
+from torch_radbp.transforms import affine, transform_normals, transform_points
 from torch_radbp.vec import attached
 
 

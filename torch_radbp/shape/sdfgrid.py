@@ -11,8 +11,9 @@ from torch import Tensor
 from torch_radbp.differentiated import primal
 from torch_radbp.domain import LARGEST_AMOUNT, POSE, Domain
 from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, nearest, register
-from torch_radbp.shape.surface import Surface, Triangles, mirrors, transform, transform_normals, transform_points, turned
+from torch_radbp.shape.surface import Surface, Triangles, turned
 from torch_radbp.shape.zero_set import Net, check_grid, smooth_normal, unit, vertices, voxel_gradient, zero_net
+from torch_radbp.transforms import mirrors, transform, transform_normals, transform_points
 
 GRID = Domain(shapes=(("Z", "Y", "X", 1),), limit=LARGEST_AMOUNT)
 NORMALS = ("analytic", "smooth")

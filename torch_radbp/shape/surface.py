@@ -10,8 +10,9 @@ from torch import Tensor
 
 from torch_radbp.bsdf.diffuse import Diffuse
 from torch_radbp.domain import POSE, Domain
-from torch_radbp.plugin import BSDF, Emitter, Shape, finite
+from torch_radbp.plugin import BSDF, Emitter, Shape
 from torch_radbp.shape.ball import Ball
+from torch_radbp.transforms import mirrors, transform, transform_normals, transform_points
 
 
 class Triangles(NamedTuple):
@@ -23,51 +24,6 @@ class Triangles(NamedTuple):
     uv: Tensor | None  # (V, 2)
     ball: Ball | None = None  # what they tessellate, if it is a sphere; or several, one after the other
     attributes: tuple[tuple[str, Tensor], ...] = ()  # (V, 1 or 3) or (F, 1 or 3), by names that begin with vertex_ or face_
-
-
-def transform(name: str, matrix: Tensor | None) -> Tensor:
-    """The (4, 4) transform that an attribute gives; the identity for None. `Plugin.freeze` checks that it is a pose.
-
-    Raises:
-        ValueError: if it has another shape, or is not finite.
-    """
-    dtype = torch.get_default_dtype()
-    return torch.eye(4, dtype=dtype) if matrix is None else finite(name, matrix, (4, 4)).to(dtype)
-
-
-def affine(name: str, matrix: Tensor | None) -> Tensor:
-    """As `transform`, of an attribute that does not become a parameter itself.
-
-    Raises:
-        ValueError: if it has another shape, is not finite, not affine, or cannot be inverted.
-    """
-    matrix = transform(name, matrix)
-    POSE.check(name, matrix)
-    return matrix
-
-
-def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
-    """(V, 3) points under an affine (4, 4) matrix.
-
-    Sums instead of a matrix product: that would be rounded to bfloat16 by a backward pass under `torch.autocast`, and by
-    `torch.set_float32_matmul_precision("medium")`.
-    """
-    x, y, z = points.unbind(1)
-    rows = (row.unbind() for row in matrix[:3].unbind())
-    return torch.stack([a * x + b * y + c * z + d for a, b, c, d in rows], 1)
-
-
-def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
-    """(V, 3) normals under an affine (4, 4) matrix, normalised."""
-    inverse = torch.linalg.inv(matrix[:3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
-    x, y, z = normals.unbind(1)
-    columns = (column.unbind() for column in inverse.unbind(1))
-    return torch.nn.functional.normalize(torch.stack([a * x + b * y + c * z for a, b, c in columns], 1), dim=1)
-
-
-def mirrors(matrix: Tensor) -> bool:
-    """True if an affine (4, 4) matrix exchanges left and right."""
-    return bool(torch.linalg.det(matrix.detach()[:3, :3]) < 0)
 
 
 def turned(faces: Tensor) -> Tensor:

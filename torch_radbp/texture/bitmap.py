@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.domain import Domain
+from torch_radbp.interleaved import columns_of_rows
 from torch_radbp.plugin import Filename, Matrix4, Plugin, Texture, finite, nearest, register
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
 from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
@@ -130,8 +131,9 @@ def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.
     def integers(values: Sequence[int]) -> Tensor:
         return torch.as_tensor(values, dtype=torch.int32, device=device)
 
+    rows = [image.reshape(-1, 3) for image in images]
     return TextureBank(
-        texels=Vec3.of(torch.cat([image.reshape(-1, 3) for image in images])), offset=integers(offsets),
+        texels=Vec3(*columns_of_rows(rows[0] if len(rows) == 1 else torch.cat(rows))), offset=integers(offsets),
         width=integers([width for _, width in sizes]), height=integers([height for height, _ in sizes]),
         wrap=integers([WRAP_MODES.index(getattr(texture, "wrap_mode", "repeat")) for texture in textures]),
         nearest=torch.tensor([getattr(texture, "filter_type", "nearest") == "nearest" for texture in textures],

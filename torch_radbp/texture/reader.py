@@ -99,7 +99,7 @@ class Place(NamedTuple):
     at: Vec2 | Vec3  # what it is a function of
 
 
-class Given(NamedTuple):
+class TextureValue(NamedTuple):
     """The values of a texture that is read outside, (N,) each."""
 
     value: Vec3  # attached to the texture's parameters, if derivatives are recorded

@@ -18,7 +18,8 @@ from torch_radbp.path.state import Arrival, Position
 from torch_radbp.plugin import Plugin, Texture
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.neural import SMOOTH, NeuralTexture
+from torch_radbp.texture.module_function import SMOOTH
+from torch_radbp.texture.neural import NeuralTexture
 from torch_radbp.vec import rows
 
 ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) and smaller steps"
@@ -34,8 +35,9 @@ class NonFiniteError(FloatingPointError):
 
 def finite(tensors: list[Tensor]) -> bool:
     """True if every value is finite."""
-    flags = [torch.isfinite(tensor).all() for tensor in tensors]
-    return not flags or bool(torch.stack(flags).all())  # the host waits for the device once
+    # The extremes of a tensor are infinite or NaN if any value is, and are found in one pass over it.
+    extremes = [torch.stack(tensor.detach().aminmax()).double() for tensor in tensors if tensor.numel()]
+    return not extremes or bool(torch.isfinite(torch.cat(extremes)).all())  # the host waits for the device once
 
 
 def count_of_bad(tensor: Tensor) -> str:

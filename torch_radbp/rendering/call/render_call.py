@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 import torch
@@ -13,13 +13,15 @@ from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.raycast import RayCaster
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.call.chunks import Chunk
 from torch_radbp.rendering.call.view import View
 from torch_radbp.rendering.call.workers import in_turns
+from torch_radbp.rendering.call.zeroed_memory import ZeroedMemory
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Vec2
+from torch_radbp.vec import Vec2, Vec3
 
 Result = TypeVar("Result")
 
@@ -30,6 +32,7 @@ class RenderCall(NamedTuple):
     scene: SceneTensors
     caster: RayCaster | None  # of its triangles; as the next one, None where the integrand is made
     make_integrand: Callable[[SceneTensors], Integrand] | None
+    integrand: Integrand | None  # of the detached scene, made once for all that is traced
     stages: Stages
     adjoint: object  # the strategy
     views: list[View]
@@ -39,9 +42,13 @@ class RenderCall(NamedTuple):
     record_bytes: float  # of these that are kept for it at most; it traces the others again
     together: bool  # samples of its own are traced beside those of the image, which takes half as many calls
     workers: int  # chunks that are traced side by side
+    memory: ZeroedMemory  # for the totals of gradients
     following: bool = False  # see `Settings.following`
     module: Scene | None = None  # whose tensors these are; gives names to errors
     parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
+    # What of camera paths is shown beside the image, C of (N,), detached: of the integrand, the paths, what their rays meet
+    # (None: not known), and their radiance.
+    quantities: Callable[[Integrand, PathState, Hit | None, Vec3], Sequence[Tensor]] | None = None
 
     def still(self) -> RenderCall:
         """The call without derivatives."""

@@ -33,13 +33,13 @@ class View(NamedTuple):
         return Grid(film.kernel, self.width + 2 * film.border, self.height + 2 * film.border, film.border)
 
 
-def view_of(sensor: Sensor, index: int, seeds: tuple[int, int], scene: SceneTensors, kept: PackCache) -> View:
+def view_of(sensor: Sensor, index: int, seeds: tuple[int, int], scene: SceneTensors, cache: PackCache) -> View:
     """What a sensor, number `index` of the scene's, sees in a call with these seeds, forwards and backwards."""
     sampler, film = sensor.sampler, sensor.film
-    camera = kept(camera_of, kept.twin(id(sensor), sensor))
+    camera = cache(camera_of, cache.twin(id(sensor), sensor))
     keys = tuple(sample_key(seed + sampler.seed, index, sampler.low_discrepancy, scene.device) for seed in seeds)
     instances = scene.triangles.instances
-    reaches = kept(reaches_beyond, scene.triangles.vertices.p, None if instances is None else instances.casting, camera)
+    reaches = cache(reaches_beyond, scene.triangles.vertices.p, None if instances is None else instances.casting, camera)
     return View(camera, film.crop_width, film.crop_height, keys, reaches)
 
 

@@ -250,7 +250,7 @@ def test_a_copy_starts_anew_and_is_independent(copied):
     renderer = rb.Renderer(scene_of(), **SETTINGS)
     before = renderer(seed=3)
     other = copied(renderer)
-    assert not other.kept.results and not other.kept.copies
+    assert not other.cache.results and not other.cache.copies
     assert torch.equal(other(seed=3), before)
     other.scene.get_parameter("hills.vertex_positions").data.mul_(0.9)
     assert_nothing_is_stale(other)
@@ -269,17 +269,17 @@ def test_what_is_no_longer_there_is_let_go():
     scene = scene_of()
     renderer = rb.Renderer(scene, **SETTINGS)
     renderer()
-    gone = [weakref.ref(value) for place, value in renderer.kept.copies.items() if len(value.shape) and len(value) > 3000]
+    gone = [weakref.ref(value) for place, value in renderer.cache.copies.items() if len(value.shape) and len(value) > 3000]
     assert gone  # the ball's
     del scene._modules["ball"]
     renderer()
     gc.collect()
     assert all(reference() is None for reference in gone)
-    count = len(renderer.kept.results), len(renderer.kept.copies)
+    count = len(renderer.cache.results), len(renderer.cache.copies)
     for _ in range(3):
         write("hills.vertex_positions", lambda p: p.mul_(0.9))(scene)
         renderer()
-    assert (len(renderer.kept.results), len(renderer.kept.copies)) == count
+    assert (len(renderer.cache.results), len(renderer.cache.copies)) == count
 
 
 class Striped(Texture):

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from tests.jit.test_functions import arguments, mixed
-from torch_radbp.jit import LaneFunction, kept_code, run
+from torch_radbp.jit import LaneFunction, code_cache, run
 
 ROOT = Path(__file__).parents[2]
 RENDER = """
@@ -156,7 +156,7 @@ def test_code_that_others_may_write_is_not_run(folder):
     call()
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     folder.chmod(0o777)
-    kept_code.own.cache_clear()
+    code_cache.own.cache_clear()
     _, traced = call()
     assert traced
 
@@ -166,25 +166,25 @@ def test_off_keeps_nothing(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     call()
     _, traced = call()
-    assert traced and not list(tmp_path.iterdir()) and kept_code.clear() == (0, 0)
+    assert traced and not list(tmp_path.iterdir()) and code_cache.clear() == (0, 0)
 
 
 def test_what_was_not_used_for_longest_goes_first(folder, monkeypatch):
     for k in range(8):
-        kept_code.write(f"{k}", os.urandom(1000))
+        code_cache.write(f"{k}", os.urandom(1000))
         os.utime(folder / f"{k}.code", (k, k))
-    assert kept_code.read("0") is not None  # used now
-    monkeypatch.setattr(kept_code, "LIMIT", 5000)
-    kept_code.make_room.cache_clear()
-    kept_code.make_room(folder)
+    assert code_cache.read("0") is not None  # used now
+    monkeypatch.setattr(code_cache, "LIMIT", 5000)
+    code_cache.make_room.cache_clear()
+    code_cache.make_room(folder)
     assert sorted(path.stem for path in entries(folder)) == ["0", "6", "7"]
-    assert kept_code.clear()[0] == 3 and not entries(folder)
+    assert code_cache.clear()[0] == 3 and not entries(folder)
 
 
 def test_machine_code_is_told_by_its_text_and_by_the_architecture(folder):
     for text, architecture, code in (("a", "sm_80", b"1"), ("a", "sm_90", b"2"), ("b", "sm_90", b"3")):
-        assert kept_code.machine_code(text, architecture, lambda text, code=code: code) == code
-    assert kept_code.machine_code("b", "sm_90", lambda text: b"other") == b"3"
+        assert code_cache.machine_code(text, architecture, lambda text, code=code: code) == code
+    assert code_cache.machine_code("b", "sm_90", lambda text: b"other") == b"3"
     assert len(entries(folder)) == 3
 
 
@@ -194,4 +194,4 @@ def test_the_folder_is_that_of_the_platform(monkeypatch, tmp_path, platform, var
     monkeypatch.delenv("RADBP_KERNEL_CACHE")
     monkeypatch.setenv(variable, str(tmp_path))
     monkeypatch.setattr(sys, "platform", platform)
-    assert kept_code.folder() == tmp_path / place
+    assert code_cache.folder() == tmp_path / place

@@ -1,0 +1,90 @@
+"""How curves of the film move that are places of the scene, and the derivative of that by what the places are made of."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.bounce import TableAdjoint, table_adjoints, vector_jacobian_product, zeros_unless
+from torch_radbp.boundary.contour import LEVELS, level_at
+from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.places import Places
+from torch_radbp.differentiated import primal
+from torch_radbp.lookup import Tap, tapped
+from torch_radbp.record import leaves_of, with_leaves
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.vec import Vec2, rows
+
+
+def swept(geometry: Geometry, camera: Camera, places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Tensor:
+    """(K,) zeros, attached: the areas of the film that pieces of curves sweep, pixels.
+
+    Args:
+        geometry: of the scene, attached.
+        camera: attached.
+        places: of which some are meant.
+        chosen: (K,) int32, which.
+        kinds: of curves, of which some may be among them.
+    """
+    area = signed_area(geometry, camera, rows(places, chosen), kinds)
+    return area - primal(area)
+
+
+def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple[int, ...]) -> Tensor:
+    """What `swept` says, up to a constant, of places as they are."""
+    seen = camera.kind.project(camera.lens, places.at(geometry), places.aperture)
+    area = seen.x * camera.film.size_x * places.normal.x + seen.y * camera.film.size_y * places.normal.y
+    for kind in kinds:
+        if kind in LEVELS:
+            level = level_at(geometry, camera, places, kind)
+            area = area + torch.where(places.kind == kind, places.drift * level, 0.0)
+    return area
+
+
+class Slopes(NamedTuple):
+    """The derivatives of swept areas, (K,) each."""
+
+    tables: list[list[TableAdjoint]]  # for each wanted leaf of the geometry, by the numbers that were read from it
+    lens: list[Tensor]  # by each wanted leaf of the camera
+
+
+def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_of_camera: tuple[bool, ...],
+           places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Slopes:
+    """The derivatives of what `swept` gives.
+
+    Args:
+        geometry, camera: detached; the rest as for `swept`.
+        wanted, wanted_of_camera: of each leaf, as `leaves_of` counts them, whether to differentiate by it.
+    """
+    places = rows(places, chosen)
+    taps: list[Tap] = []
+    attached, _ = tapped(geometry, wanted, 0, taps)
+    none = torch.zeros_like(places.u)
+    numbers = [(none + leaf).requires_grad_() if want else leaf for leaf, want in zip(leaves_of(camera), wanted_of_camera)]
+    lens = [leaf for leaf, want in zip(numbers, wanted_of_camera) if want]
+    with torch.enable_grad():
+        area = signed_area(attached, with_leaves(camera, numbers), places, kinds)
+        reads = [read.leaf for tap in taps for read in tap.reads]
+        adjoints = iter(vector_jacobian_product([area], [*reads, *lens], [torch.ones_like(area)]))
+    tables = [table_adjoints(tap, adjoints) for tap in taps]
+    return Slopes(tables, [zeros_unless(next(adjoints), leaf) for leaf in lens])
+
+
+def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], film: Vec2, strength: tuple[Tensor, ...],
+                    chosen: Tensor) -> Tensor:
+    """The derivative of the loss by swept areas, (K,) float64.
+
+    Args:
+        camera: detached.
+        pixels: (H * W,) of each channel of the image, the derivative of the loss by it, row-major.
+        film: of all places.
+        strength: (K,) of each channel, by how much it jumps at places.
+        chosen: (K,) int32, the places that are meant.
+    """
+    total = torch.zeros_like(strength[0])
+    for pixel, count in camera.film.around(rows(film, chosen)):
+        for channel, jump in zip(pixels, strength):
+            total = total + jump * count * rows(channel, pixel)
+    return total

@@ -1,0 +1,79 @@
+"""What edges add to derivatives by the light that they keep from surfaces: borders of shadows, direct and indirect.
+
+Three integrals are cut off at edges. Direct light on surfaces that the camera sees, at borders on the film (`border.py`);
+light without extent on surfaces that paths meet later (`bounced.py`); and all other light that vertices of paths receive
+(`hidden_light.py`). In each, places are sampled on edges that are silhouettes, from a light or from a vertex of a path; what
+the border sweeps follows from the points that move.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.places import FEWEST
+from torch_radbp.boundary.shadows import border, bounced, hidden_light
+from torch_radbp.boundary.shadows.film_jumps import image_of
+from torch_radbp.boundary.shadows.seen_edges import BLOCK
+from torch_radbp.differentiated import any_differentiated, detached
+from torch_radbp.rendering.call.render_call import RenderCall
+
+BYTES_OF_PAIR = 24  # of a light sample or a vertex of a path and an edge: how it is seen, and sums
+BYTES_OF_EAGER_PAIR = 800  # while it is computed by operations of torch
+BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves
+
+
+def shadows_move(call: RenderCall) -> bool:
+    """True if a vertex, an instance, a camera, or the place or direction of a light has derivatives."""
+    triangles, tables = call.scene.triangles, zip(call.scene.layout.lights, call.scene.lights.tables)
+    return any_differentiated((triangles.vertices.p, triangles.instances, [view.camera.lens for view in call.views],
+                               [table for kind, table in tables if not (kind.surround or kind.on_surface)]))
+
+
+def bytes_of_shadows(call: RenderCall) -> int:
+    """The most that places on borders of shadows may take of memory."""
+    paths = call.spp * max(view.width * view.height for view in call.views)
+    edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
+    pairs = max(min(border.EXAMINED, edges * max(border.FEWEST_POINTS, paths // border.SHARE)),
+                min(hidden_light.EXAMINED, edges * max(hidden_light.FEWEST_PATHS, paths // hidden_light.SHARE)))
+    places = max(FEWEST, min(border.MOST, paths // border.SHARE))
+    eager = 0 if hasattr(call.stages.angle_seen, "fused") else min(pairs, BLOCK) * BYTES_OF_EAGER_PAIR
+    return pairs * BYTES_OF_PAIR + eager + places * BYTES_OF_PLACE * (1 + len(call.views))
+
+
+def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
+    """(B, 3, H, W) zeros whose derivative is what borders of shadows contribute to the image.
+
+    Where directions follow parameters (`sampling` "attached"), points that they lead to are not glued to surfaces: then it
+    is that of lights without extent on surfaces in view alone. Those have shadows where lights are sampled. What light
+    samples miss of the others is found by vertices of paths, and what comes evenly from all around, with a hundredth of the
+    variance.
+
+    Args:
+        call: of which something moves.
+        casting: the edges of all that casts shadows.
+    """
+    settings, max_depth = call.integrand.settings, call.integrand.max_depth
+    glued, (surfaces, around) = settings.sampling != "attached", aimed_at(call)
+    parts = [partial(border.jumps_in_view, lights=border.Lights(settings.nee, glued and surfaces, glued and around))]
+    if glued and (max_depth > 2 or not (surfaces and around)):
+        first = hidden_light.FirstVertex(not surfaces, not around)
+        parts.append(partial(hidden_light.jumps_in_view, first=first))
+    if glued and max_depth > 2 and settings.nee:
+        parts.append(bounced.jumps_in_view)
+    return torch.stack([image_of(view, [jumps for part in parts if (jumps := part(call, number, casting))], call.scene.dtype)
+                        for number, view in enumerate(call.views)])
+
+
+def aimed_at(call: RenderCall) -> tuple[bool, bool]:
+    """Whether shadows of lights on surfaces, and of what surrounds the scene, are looked for from light samples."""
+    emitters, lights = call.module.emitters, call.scene.lights
+    surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
+                        for around in (False, True))
+    if call.scene.layout.surround is None:
+        return surfaces, True
+    number, kind = call.scene.layout.surround
+    return surfaces, around and not kind.even(detached(lights.tables[number]))

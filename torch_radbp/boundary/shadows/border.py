@@ -1,0 +1,242 @@
+"""What borders of shadows add to the derivative of an image: those of direct light, on surfaces that the camera sees.
+
+The image is the mean over random numbers of what one light sample each adds to it. For given numbers a sample is a point of
+a light, glued to it, or a direction; it lights a part of what is seen, and at the border of the shadow that an edge casts
+the image of this light jumps. There it changes as at any curve on the film (`primary.py`): by
+
+    dI = integral of h (L_behind - L_ahead) v . n dl
+
+with v the velocity of the border on the film. It follows from the points that move: the border lies where the line from the
+light's point y through the point p of the edge meets the plane of the receiver, and is seen by the camera. So it is the same
+for moving lights, blockers, receivers and cameras, and for all samplings but those whose directions towards a light of some
+extent carry derivatives.
+
+Light samples are few, and each has many places on the edges that are silhouettes from there: so all edges are examined for
+each sample, but no edge for each place.
+
+References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
+Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5 (samples that start at edges).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import Geometry, geometry_of
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.places import APART, APERTURE_COUNTER, FEWEST, counts_somewhere, on_film
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.light_points import light_line, light_points
+from torch_radbp.boundary.shadows.seen_edges import (
+    BEFORE,
+    BESIDE,
+    beyond,
+    corners_of,
+    crossed_at,
+    extent_of,
+    pace,
+    places_seen,
+    point_of_edge,
+    salted,
+)
+from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
+from torch_radbp.path.direct_light import LightDraw, light_sent_back
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.wavefront import first_hit
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.rendering.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.rendering.call.view import View
+from torch_radbp.sampling.sampler import LaneKey, bounce_key, fine_unit, random_bits
+from torch_radbp.scene.cone import camera_cone
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
+
+SALT = 0x1F83D9AB  # tells the random numbers of borders from others
+SHARE, MOST = 4, 1 << 17  # one place for so many paths of the image; and at most
+EXAMINED = 1 << 18  # pairs of light samples and edges that are examined
+FEWEST_POINTS = 16  # light samples
+ALIKE = 0.9  # cosine between normals of triangles of one surface
+
+
+class Lights(NamedTuple):
+    """Of which lights the shadows are meant."""
+
+    sharp: bool  # those without extent
+    soft: bool  # on surfaces
+    around: bool  # around the scene
+
+    def of(self, scene: SceneTensors) -> Tensor:
+        """For each kind of light in a scene, 1 if it is meant, else 0; float64."""
+        return torch.tensor([self.sharp if kind.delta else self.around if kind.surround else self.soft
+                             for kind in scene.layout.lights], dtype=torch.float64, device=scene.device)
+
+
+class Borders(NamedTuple):
+    """N places on borders of shadows; detached."""
+
+    edge: Tensor  # (N,) int32, of the outline, which casts it
+    along: Tensor  # (N,) share of the way from the edge's a to b; float64
+    draw: LightDraw
+    receiver: Hit  # where the border falls
+
+
+class CastShadows(NamedTuple):
+    """N places on borders of shadows, and what is known of them."""
+
+    borders: Borders
+    inwards: Vec3  # by which points right beside the edges lie in the shade
+    times: Tensor  # how many edges in the mean of all light samples a place stands for
+    key: LaneKey
+
+
+def jumps_in_view(call: RenderCall, number: int, casting: Outline, lights: Lights) -> FilmJumps | None:
+    """What borders of shadows of direct light that view `number` sees add to its derivative; None: nothing.
+
+    Args:
+        call: of which something moves.
+        casting: the edges of all that casts shadows.
+        lights: whose shadows are meant.
+    """
+    with torch.no_grad():
+        found = borders_in_view(call.still(), number, casting, lights)
+    if found is None:
+        return None
+    borders, place, aperture, normal, strength = found
+    on_border = border(call.scene, attached_geometry(call.scene), casting, borders)
+    return FilmJumps(place, strength * swept(on_film(call.views[number].camera, on_border, aperture), normal))
+
+
+def border(scene: SceneTensors, geometry: Geometry, casting: Outline, borders: Borders, step: Tensor | float = 0.0,
+           off: Vec3 | None = None) -> Vec3:
+    """Where shadows end on the planes of their receivers, (N,) world, attached.
+
+    Args:
+        scene: attached.
+        geometry: its.
+        casting: the edges.
+        borders: the places.
+        step: by which share of the edges' lengths others lie that are meant.
+        off: (N,) by which others lie off the edges; None: by nothing.
+    """
+    corners = corners_of(geometry, borders.receiver)
+    return interpolated(corners, *crossed_at(corners, light_through(scene, geometry, casting, borders, step, off)))
+
+
+def light_through(scene: SceneTensors, geometry: Geometry, casting: Outline, borders: Borders, step: Tensor | float,
+                  off: Vec3 | None) -> Ray:
+    """The light that passes edges on its way to the borders; args as for `border`."""
+    p = point_of_edge(geometry, casting, borders.edge, borders.along + step)
+    start, d, _ = light_line(scene, p if off is None else p + off, borders.draw)
+    return Ray(start, d)
+
+
+def borders_of(call: RenderCall, number: int, casting: Outline, lights: Lights, share: int = SHARE) -> CastShadows | None:
+    """Places on borders of shadows, whether view `number` sees them or not; None: there are none.
+
+    Args:
+        call: detached.
+        casting: the edges.
+        lights: whose shadows are meant.
+        share: one place for so many paths of the image.
+    """
+    view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
+    count = max(FEWEST, min(MOST, view.width * view.height * call.spp // share))
+    points = light_points(scene, view, max(FEWEST_POINTS, min(count, EXAMINED // len(casting.crease))))
+    meant = lights.of(scene)[points.kind]
+    passed = places_seen(call.stages, geometry, casting, points.eyes, meant, salted(view, SALT), count, EXAMINED)
+    if passed is None:
+        return None
+    receiver, free = beyond(call.integrand, passed)
+    borders = Borders(passed.edge, passed.along, rows(points.draw, passed.eye), receiver)
+    inwards = passed.outwards * (-BESIDE * extent_of(geometry))
+    found = CastShadows(borders, inwards, passed.times / len(points.kind), passed.key)
+    return rows(found, (free & (receiver.prim >= 0)).nonzero().squeeze(1))
+
+
+def borders_in_view(call: RenderCall, number: int, casting: Outline,
+                    lights: Lights) -> tuple[Borders, Vec2, Vec2 | None, Vec2, Tensor] | None:
+    """Places on borders that a view sees; args as for `jumps_in_view`.
+
+    Returns:
+        K borders; where they lie on the film, and on the lens; their normals there, as long as the piece that a place stands
+        for; and (3, K) float64 the differences of what is seen behind and ahead.
+    """
+    view, scene = call.views[number], call.scene
+    found = borders_of(call, number, casting, lights)
+    if found is None:
+        return None
+    borders, inwards, times, key = found
+    integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
+    geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, key)
+    on_border = border(scene, geometry, casting, borders)
+    film, along = pace(lambda step: on_film(camera, border(scene, geometry, casting, borders, step), aperture), times)
+    shade = on_film(camera, border(scene, geometry, casting, borders, off=inwards), aperture)
+    normal = Vec2(-along.y * times, along.x * times)
+    aside = Vec2(shade.x - film.x, shade.y - film.y)
+    ahead = aside.x * normal.x + aside.y * normal.y > 0
+    counted = (counts_somewhere(camera, film) & torch.isfinite(normal.x) & torch.isfinite(normal.y)).nonzero().squeeze(1)
+    if not len(counted):
+        return None
+    borders, on_border, film, aperture, normal, aside, ahead, key = rows(
+        (borders, on_border, film, aperture, normal, aside, ahead, key), counted)
+    sample = camera_sample(call, view, film, aperture, key)
+    in_shade = camera_sample(call, view, into_shade(view, film, aside), aperture, key)
+    shown = (sees(integrand, in_shade.ray, borders.receiver, on_border)
+             & sees(integrand, sample.ray, borders.receiver, on_border))
+    kept = shown.nonzero().squeeze(1)
+    if not len(kept):
+        return None
+    borders, on_border, film, aperture, normal, ahead, sample = rows(
+        (borders, on_border, film, aperture, normal, ahead, sample), kept)
+    light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, on_border), borders.draw)
+    light = light if sample.weight is None else light * sample.weight
+    strength = torch.stack(tuple(light)).double()
+    return borders, film, aperture, normal, torch.where(ahead, strength, -strength)
+
+
+def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
+    """Points of the lens, as of `CameraKind.sample_ray`."""
+    if not view.camera.kind.has_aperture:
+        return None
+    more = bounce_key(key, APERTURE_COUNTER)
+    return Vec2(*(fine_unit(random_bits(more, dimension)) for dimension in (APERTURE_U, APERTURE_V)))
+
+
+def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:
+    """The rays through points of the film, pixels from the upper left corner of the crop window."""
+    camera, dtype = view.camera, call.scene.dtype
+    position = Vec2(*(((place + crop) / size).to(dtype) for place, crop, size in (
+        (film.x, camera.film.crop_x, camera.film.size_x), (film.y, camera.film.crop_y, camera.film.size_y))))
+    aperture = None if aperture is None else aperture.map(lambda part: part.to(dtype))
+    ray, weight = camera.kind.sample_ray(camera.lens, position, aperture)
+    ray = Ray(*(part.map(torch.Tensor.contiguous) for part in ray))
+    cone = camera_cone(camera, ray, position, aperture) if call.scene.layout.traces_cones else None
+    return CameraSample(ray, key, weight, cone, None)
+
+
+def seen_at(hit: Hit, ray: Ray, p: Vec3) -> Hit:
+    """What is hit, as rays meet it at p, (N,) float64."""
+    reach = p - ray.o.map(torch.Tensor.double)
+    return hit._replace(t=torch.sqrt(dot(reach, reach)).to(ray.o.x.dtype))
+
+
+def into_shade(view: View, film: Vec2, aside: Vec2) -> Vec2:
+    """Points of the film a little beside borders, in the shade."""
+    length = torch.hypot(aside.x, aside.y).clamp_min(TINY)
+    reach = 4.0 * APART * float(max(view.width, view.height)) / length
+    return Vec2(film.x + aside.x * reach, film.y + aside.y * reach)
+
+
+def sees(integrand: Integrand, ray: Ray, receiver: Hit, p: Vec3) -> Tensor:
+    """True where camera rays meet what the borders fall on, (N,) bool; `p` (N,) these."""
+    hit = first_hit(integrand, ray, 0)
+    reach = p - ray.o.map(torch.Tensor.double)
+    distance = torch.sqrt(dot(reach, reach))
+    geometry = geometry_of(integrand.proposal)
+    n = [unit_normal(corners[1] - corners[0], corners[2] - corners[0])
+         for corners in (corners_of(geometry, hit), corners_of(geometry, receiver))]
+    near = ((hit.t - distance).abs() < BEFORE * distance) & (dot(*n).abs() > ALIKE)
+    return (hit.prim >= 0) & ((hit.prim == receiver.prim) | near)

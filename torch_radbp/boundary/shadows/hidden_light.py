@@ -1,0 +1,178 @@
+"""What edges add to the derivative of an image by the light that they hide from the surfaces of paths.
+
+At a vertex x of a path, surfaces around it end at edges, and what lies behind appears. Paths that are scattered there go on
+to points z that are glued to surfaces; as an integral over the surfaces of z,
+
+    L(x) = integral of f |cos x| |cos z| / r^2  L(z, x) dA
+
+is cut off where an edge hides z from x. The border of the cut lies where the line from x through the point p of the edge
+meets the surface of z. It moves over the points that are glued there, and changes L by
+
+    dL = - integral of f |cos x| |cos z| / r^2  L(z, x)  v . n dl
+
+with n into what is hidden no longer and v its velocity. What hides z has no part in this: its own points move with its edge.
+Where nothing lies behind, directions take the place of the points.
+
+Light that the first surface receives straight from lamps is counted in `border.py`; but what no light sample finds, and
+what comes evenly from all around, is better found here.
+
+References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
+Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import Geometry, geometry_of
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.places import FEWEST
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.seen_edges import (
+    BESIDE,
+    Eyes,
+    Passed,
+    beyond,
+    corners_of,
+    crossed_at,
+    extent_of,
+    pace,
+    places_seen,
+    point_of_edge,
+    salted,
+)
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.path.direct_light import scattered_light
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.wavefront import trace
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.rendering.call.render_call import RenderCall, integrand_of
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, max_component, normalize, rows
+
+SALT = 0x3C6EF372  # tells the random numbers of these places from others
+SHARE, MOST = 32, 1 << 14  # one path for so many of the image; and at most
+PLACES = 8  # on edges that are seen from each
+EXAMINED = 1 << 20  # pairs of paths and edges that are examined
+FEWEST_PATHS = 16
+
+
+class FirstVertex(NamedTuple):
+    """Which lights count that the first vertex of a path receives straight."""
+
+    surfaces: bool
+    surroundings: bool
+
+
+class Cuts(NamedTuple):
+    """N places where edges cut off what is seen from viewpoints; detached."""
+
+    viewpoint: Tensor  # (N,) int32
+    edge: Tensor  # (N,) int32, of the outline
+    along: Tensor  # (N,) share of the way from the edge's a to b; float64
+    hit: Hit  # what lies beyond; triangle -1: nothing
+    basis: tuple[Vec3, Vec3]  # across the line of sight
+
+
+def jumps_in_view(call: RenderCall, number: int, casting: Outline, first: FirstVertex) -> FilmJumps | None:
+    """What edges hide from paths adds to the derivative of view `number`; result as of `border.jumps_in_view`.
+
+    Args:
+        call, number, casting: as there.
+        first: what the first vertices of paths receive straight from lights.
+    """
+    with torch.no_grad():
+        found = cuts_of_view(call.still(), number, casting, first)
+    if found is None:
+        return None
+    points, cuts, normal, strength = found
+    geometry = attached_geometry(call.scene)
+    seen = cut_at(geometry, casting, vertex_at(call, geometry, number, points), cuts)
+    return FilmJumps(rows(points.place, cuts.viewpoint), strength * swept(seen, normal))
+
+
+def cut_at(geometry: Geometry, casting: Outline, vertices: Vec3, cuts: Cuts, step: Tensor | float = 0.0,
+           off: Vec3 | None = None) -> Vec2:
+    """Where lines from viewpoints through edges meet what lies beyond, (N,) barycentric coordinates there; attached.
+
+    Where nothing lies beyond: the direction of the line, by its coordinates across the line of sight.
+
+    Args:
+        geometry: attached.
+        casting: the edges.
+        vertices: (M,) the viewpoints, attached.
+        cuts: the places.
+        step, off: as for `border`.
+    """
+    start, p = rows(vertices, cuts.viewpoint), point_of_edge(geometry, casting, cuts.edge, cuts.along + step)
+    reach = (p if off is None else p + off) - start
+    met, d = crossed_at(corners_of(geometry, cuts.hit), Ray(start, reach)), normalize(reach)
+    return Vec2(*(torch.where(cuts.hit.prim >= 0, inside, dot(d, across)) for inside, across in zip(met, cuts.basis)))
+
+
+def cuts_of_view(call: RenderCall, number: int, casting: Outline,
+                 first: FirstVertex) -> tuple[Viewpoints, Cuts, Vec2, Tensor] | None:
+    """Places where edges cut off light from paths of a view; args as for `jumps_in_view`.
+
+    Returns:
+        The viewpoints; K cuts; their normals in the coordinates of `cut_at`, as long as the piece that a place stands for;
+        and (3, K) float64 what is lost where the border moves along them by one.
+    """
+    view, geometry = call.views[number], geometry_of(call.scene)
+    integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
+    paths = min(MOST, view.width * view.height * call.spp // SHARE)
+    points = viewpoints(call, number, integrand, max(FEWEST_PATHS, min(paths, EXAMINED // len(casting.crease))))
+    if not len(points.depth):
+        return None
+    at = vertex_at(call, geometry, number, points)
+    eyes, promise = Eyes(at, torch.ones_like(at.x)), max_component(points.beta).double()
+    passed = places_seen(call.stages, geometry, casting, eyes, promise, salted(view, SALT),
+                         max(FEWEST, PLACES * len(points.depth)), EXAMINED)
+    if passed is None:
+        return None
+    hit, free = beyond(call.integrand, passed)
+    passed, hit = rows((passed, hit), free.nonzero().squeeze(1))
+    viewpoint = passed.eye
+    sight = normalize(passed.p - rows(at, viewpoint))
+    side = normalize(cross(passed.outwards, sight))
+    cuts = Cuts(viewpoint, passed.edge, passed.along, hit, (cross(sight, side), side))
+    here, along = pace(lambda step: cut_at(geometry, casting, at, cuts, step), passed.times)
+    open_at = cut_at(geometry, casting, at, cuts, off=passed.outwards * (BESIDE * extent_of(geometry)))
+    normal = Vec2(-along.y * passed.times, along.x * passed.times)
+    opens_ahead = (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y > 0
+    light = light_beyond(call, integrand, points, cuts, passed, at, first)
+    light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
+    kept = (light != 0).any(0).nonzero().squeeze(1)
+    if not len(kept):
+        return None
+    cuts, normal, opens_ahead, light = rows(cuts, kept), rows(normal, kept), opens_ahead[kept], light[:, kept]
+    return points, cuts, normal, torch.where(opens_ahead, -light, light)
+
+
+def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, cuts: Cuts, passed: Passed, at: Vec3,
+                 first: FirstVertex) -> Tensor:
+    """(3, N) float64 what the view sees of the light that passes edges, for each unit of `cut_at`'s coordinates."""
+    scene = integrand.proposal
+    own, start = rows((points, at), cuts.viewpoint)
+    d, key = passed.onwards.d, passed.key
+    beta = scattered_light(integrand, path_of(call, own.ray, own.key), own.hit, d)
+    reach = passed.p - start
+    ray = Ray(start.map(lambda c: c.to(scene.dtype)), d)
+    hit = cuts.hit._replace(t=cuts.hit.t + torch.sqrt(dot(reach, reach)).to(scene.dtype))
+    L = torch.zeros(3, len(cuts.edge), dtype=torch.float64, device=scene.device)
+    for depth in own.depth.unique().tolist():
+        lanes = (own.depth == depth).nonzero().squeeze(1)
+        state, met = path_of(call, *rows((ray, key), lanes)), rows(hit, lanes)
+        found = trace(integrand, state, hit=met, depth=depth + 1)
+        if depth == 0 and not all(first):
+            straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1)
+            found = found - masked(torch.where(met.prim >= 0, not first.surfaces, not first.surroundings), straight)
+        L[:, lanes] = torch.stack(tuple(found)).double()
+    corners = corners_of(geometry_of(scene), hit)
+    n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
+    fine = d.map(torch.Tensor.double)
+    distance = hit.t.double().clamp_min(TINY)
+    geometry = torch.where(hit.prim >= 0, dot(n, fine).abs() / (distance * distance), 1.0)
+    return torch.stack(tuple(own.beta * beta)).double() * L * geometry

@@ -1,0 +1,64 @@
+"""Light samples, from which edges are looked at."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.shadows.seen_edges import Eyes, salted
+from torch_radbp.path.bounce import light_numbers
+from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.rendering.call.view import View
+from torch_radbp.sampling.sampler import bounce_key, fine_unit, lane_key, unit
+from torch_radbp.scene.light import among, light_aims
+from torch_radbp.scene.light_choice import LightPick, TreeChoice
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import Vec3, where
+
+SALT = 0x1F83D9AC  # tells the random numbers of these samples from others
+
+
+class LightPoints(NamedTuple):
+    """M light samples."""
+
+    draw: LightDraw
+    eyes: Eyes  # where they are, detached
+    kind: Tensor  # (M,) int64, of the light, its number in `Layout.lights`
+
+
+def light_points(scene: SceneTensors, view: View, count: int) -> LightPoints:
+    """So many light samples, picked by the probabilities with which lights are picked that are the same everywhere."""
+    key, device = salted(view, SALT), scene.device
+    number = torch.arange(count, dtype=torch.int32, device=device)
+    key = key._replace(shared=torch.full_like(key.shared, -1))
+    numbers = light_numbers(bounce_key(lane_key(key, torch.zeros_like(number), number), SALT))
+    choice = scene.lights.choice
+    if isinstance(choice, TreeChoice):
+        emitters = int(choice.cumulative[-1].round())
+        emitter = (fine_unit(numbers.choice) * emitters).floor()
+        element = torch.searchsorted(choice.cumulative, emitter + fine_unit(numbers.split), right=True)
+        element = torch.minimum(element, choice.last).to(torch.int32)
+        pmf = choice.pmf[element.long()] / emitters
+    else:
+        element = choice.sample(numbers.choice, unit(numbers.split, scene.dtype))
+        pmf = choice.pmf[element.long()]
+    draw = LightDraw(numbers, LightPick(element, pmf, torch.zeros_like(pmf)))
+    nowhere = torch.zeros(count, dtype=torch.float64, device=device)
+    start, d, parallel = light_line(scene, Vec3(nowhere, nowhere, nowhere), draw)
+    eyes = Eyes(where(parallel, -d, start), (~parallel).double())
+    return LightPoints(draw, eyes, scene.lights.kind[element.long()].long())
+
+
+def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec3, Tensor]:
+    """Where the light of samples comes from on its way through points p, and the direction in which it goes; attached.
+
+    (N,) world; the point is p itself where light is parallel, the direction is of any length. And where it is so, (N,) bool.
+    """
+    aims = light_aims(scene, scene, p.map(lambda c: c.to(scene.dtype)), draw.numbers, draw.picked)
+    parallel = among(aims.cases, [case.kind.parallel for case in aims.cases], aims.element)
+    target, towards = (aims(name) for name in ("target", "d"))
+    target = p if target is None else target.map(torch.Tensor.double)
+    parallel = torch.zeros_like(aims.element, dtype=torch.bool) if parallel is None else parallel
+    return where(parallel, p, target), where(parallel, -towards.map(torch.Tensor.double), p - target), parallel

@@ -1,0 +1,144 @@
+"""Vertices of paths, from which edges are looked at."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.attached import trace_attached
+from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.shadows.seen_edges import corners_of, numbers, salted
+from torch_radbp.differentiated import any_differentiated
+from torch_radbp.path.bounce import CameraSample, sample_camera
+from torch_radbp.path.event import Scatters
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import Step, bounces
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.record import joined
+from torch_radbp.rendering.call.render_call import RenderCall, started
+from torch_radbp.sampling.sampler import LaneKey
+from torch_radbp.scene.cone import Cone
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
+
+SALT = 0x5BE0CD19  # tells the random numbers of these paths from others
+
+
+class Viewpoints(NamedTuple):
+    """M vertices of paths; detached."""
+
+    pixel: Tensor  # (M,) int32 of the grid, which the path began in
+    sample: Tensor  # (M,) int32
+    place: Vec2  # of the path on the film, pixels from the upper left corner of the crop window; float64
+    depth: Tensor  # (M,) int64, from 0; -1: the path has none
+    ray: Ray  # that meets it
+    hit: Hit
+    slides: Tensor  # (M,) bool: the ray's direction is not left to chance, or is followed, so that the vertex slides
+    beta: Vec3  # throughput before it, over the probability of this vertex
+    key: LaneKey
+
+
+def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) -> Viewpoints:
+    """One vertex each of so many camera paths, picked in proportion to their throughput; of those that have one."""
+    view, grid, device = call.views[number], call.views[number].grid, call.scene.device
+    cells = grid.columns * grid.rows
+    sample = torch.arange(count, dtype=torch.int32, device=device)
+    key = salted(view, SALT)
+    jitter = numbers(key, sample, SALT, torch.float64)
+    pixel = ((sample + jitter) * (cells / count)).floor().clamp_max(cells - 1).to(torch.int32)
+    width = torch.full((), grid.columns, dtype=torch.int32, device=device)
+    camera = call.stages.sample_camera(view.camera, width, pixel, sample, key, call.scene.layout.traces_cones)
+    row = torch.div(pixel, grid.columns, rounding_mode="floor")
+    place = Vec2((pixel - row * grid.columns - grid.border) + camera.place.x.double(),
+                 row - grid.border + camera.place.y.double())
+    state = started(call, camera)
+    zero = torch.zeros_like(state.pdf)
+    total, depth = zero.clone(), torch.full((count,), -1, dtype=torch.int64, device=device)
+    nothing = torch.zeros_like(sample)
+    instance = None if call.scene.triangles.instances is None else nothing.clone()
+    hit = Hit(nothing - 1, *(zero.clone() for _ in range(3)), instance)
+    ray, beta, promise = Ray(Vec3.buffer(zero), Vec3.buffer(zero)), Vec3.buffer(zero), zero.clone()
+    slides = torch.zeros_like(depth, dtype=torch.bool)
+    for bounce in bounces(integrand, state):
+        for queue in bounce.step.queues:
+            if not queue.event.scatters or not glues(integrand, queue.event):
+                continue
+            own = bounce.step.order[queue.first:queue.last].long()
+            lane = bounce.state.lane[own].long()
+            weight = max_component(bounce.state.beta)[own]
+            total[lane] += weight
+            draw = numbers(key, lane.to(torch.int32), SALT + 1 + bounce.depth, zero.dtype)
+            taken = draw * total[lane] < weight
+            own, lane = own[taken], lane[taken]
+            followed = bounce.state.followed
+            depth[lane], slides[lane] = bounce.depth, torch.isinf(bounce.state.pdf[own])
+            if followed is not None:
+                slides[lane] |= followed[own]
+            for target, found in zip((*ray.o, *ray.d, *beta, promise, *hit[:4]),
+                                     (*bounce.state.ray.o, *bounce.state.ray.d, *bounce.state.beta,
+                                      max_component(bounce.state.beta), *bounce.step.hit[:4])):
+                target[lane] = found[own]
+            if hit.instance is not None:
+                hit.instance[lane] = bounce.step.hit.instance[own]
+    area = cells / count  # of the film, for which each path stands
+    beta = beta * (area * total / promise.clamp_min(TINY))
+    if camera.weight is not None:
+        beta = beta * camera.weight
+    found = Viewpoints(pixel, sample, place, depth, ray, hit, slides, beta, camera.key)
+    return rows(found, (depth >= 0).nonzero().squeeze(1))
+
+
+def glues(integrand: Integrand, event: Scatters) -> bool:
+    """True if paths are scattered so that the points that they meet next are glued to surfaces."""
+    kind = integrand.scatterer(event).kind
+    return kind.smooth and not (integrand.settings.following and kind.follows)
+
+
+def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoints) -> Vec3:
+    """The viewpoints, (M,) world, attached: they slide along their rays, or are glued."""
+    corners = corners_of(geometry, points.hit)
+    glued = interpolated(corners, points.hit.u.double(), points.hit.v.double())
+    ray = Ray(*(part.map(torch.Tensor.double) for part in arriving(call, number, points)))
+    n = cross(corners[1] - corners[0], corners[2] - corners[0])
+    facing = dot(ray.d, n)
+    slides = points.slides & (facing != 0)
+    slid = ray.o + ray.d * (dot(corners[0] - ray.o, n) / torch.where(slides, facing, 1.0))
+    return where(slides, slid, glued)
+
+
+def arriving(call: RenderCall, number: int, points: Viewpoints) -> Ray:
+    """The rays that meet the viewpoints, attached where they are not left to chance."""
+    view, cones = call.views[number], call.scene.layout.traces_cones
+    width = torch.full((), view.grid.columns, dtype=torch.int32, device=call.scene.device)
+
+    def begun(chosen: Viewpoints) -> CameraSample:
+        return sample_camera(view.camera, width, chosen.pixel, chosen.sample, salted(view, SALT), cones)
+
+    first = points.depth == 0
+    ray = begun(points).ray
+    ray = Ray(*(where(first, *parts) for parts in zip(ray, points.ray)))
+    later = (points.slides & ~first).nonzero().squeeze(1)
+    integrand = call.make_integrand(call.scene)
+    if not len(later) or not integrand.settings.moving or not any_differentiated((call.scene, view.camera)):
+        return ray
+    chosen, rays, lanes = rows(points, later), [], []
+
+    def visit(depth: int, state: PathState, step: Step) -> None:
+        own = (chosen.depth[state.lane.long()] == depth).nonzero().squeeze(1)
+        rays.append(rows(state.ray, own))
+        lanes.append(later[state.lane[own].long()])
+
+    integrand = integrand._replace(max_depth=int(chosen.depth.max()) + 2).with_stages(call.stages.eager())
+    trace_attached(integrand, started(call, begun(chosen)), visit)
+    place, found = torch.cat(lanes), joined(rays)
+    return Ray(*(Vec3(*(old.index_copy(0, place, new) for old, new in zip(*parts))) for parts in zip(ray, found)))
+
+
+def path_of(call: RenderCall, ray: Ray, key: LaneKey) -> PathState:
+    """Paths that begin with rays whose directions are not left to chance."""
+    cone = None
+    if call.scene.layout.traces_cones:
+        cone = Cone(torch.zeros_like(ray.d.x), torch.zeros_like(ray.d.x))
+    return started(call, CameraSample(ray, key, None, cone, None))

@@ -1,0 +1,51 @@
+"""The edges of a rendering, and what they add to derivatives of its images."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torch_radbp.boundary.outline import Jumps, Outline, outlines_of
+from torch_radbp.boundary.primary import bytes_of_jumps, image_jumps, moves
+from torch_radbp.boundary.rendering import Rendering
+from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move
+from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.scene import Scene
+
+
+class EdgesOfCall(NamedTuple):
+    """Where images jump; None where that is not asked for, or nothing moves."""
+
+    in_view: list[Jumps] | None  # of each view
+    casting: Outline | None  # the edges of all that casts shadows
+
+    def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
+        """The images, (B, 3, H, W), with the derivatives of their jumps."""
+        if self.in_view is not None:
+            images = images + image_jumps(call, self.in_view)
+        if self.casting is not None:
+            images = images + shadow_jumps(call, self.casting)
+        return images
+
+
+def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
+    """The most that a call may take of memory for edges in view, and for those that cast shadows, if they are asked for."""
+    in_view = bytes_of_jumps(call) if primary and moves(call) else 0
+    return max(in_view, bytes_of_shadows(call) if shadows and shadows_move(call) else 0)
+
+
+def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: int) -> EdgesOfCall:
+    """The edges that the terms of a rendering ask for.
+
+    Args:
+        rendering: the call's.
+        scene: that is rendered.
+        call: about to start.
+        seed: of the choice of instances.
+    """
+    outlines = outlines_of(scene)
+    in_view = outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
+    casts = rendering.shadows and rendering.max_depth > 1 and shadows_move(call)
+    casting = outlines.of_everything(rendering, call, seed) if casts else None
+    return EdgesOfCall(in_view, casting)

@@ -1,0 +1,115 @@
+"""The light of given samples that surfaces send back: next-event estimation without weights, and without shadows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.path.bounce import shares_of, surface_met
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import Arrival, PathState, Settings
+from torch_radbp.path.texture_networks import texture_values_at
+from torch_radbp.path.wavefront import queued
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.light import emission_places, light_aims, sample_light, sample_places
+from torch_radbp.scene.light_choice import LightNumbers, LightPick
+from torch_radbp.scene.material import evaluate, material_at, material_places
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.texture.reader import Place, TextureValue
+from torch_radbp.vec import Vec3, masked, rows
+
+
+class LightDraw(NamedTuple):
+    """The decisions behind light samples, (N,)."""
+
+    numbers: LightNumbers
+    picked: LightPick
+
+
+def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw,
+                 texture_values: tuple[TextureValue, ...]) -> Vec3:
+    """What surfaces send back along the rays that meet them of the light of one sample each, over its density; (M,).
+
+    Args:
+        scene: the part that these lanes read, detached.
+        arrival: the rays and what they meet, (N,).
+        lanes: (M,) int32, those of them that are computed.
+        draw: the samples, of all N.
+        texture_values: (M,) the values of textures that are read outside, at the `direct_light_places`.
+    """
+    arrival, draw = rows((arrival, draw), lanes)
+    si = surface_met(scene, arrival, Settings())
+    of_material, _, of_sampled = shares_of(scene, texture_values)
+    material = material_at(scene, si, of_material)
+    light = sample_light(scene, scene, si.p, draw.numbers, draw.picked, of_sampled)
+    reflected, _ = evaluate(material, si.wi, si.frame.to_local(light.d))
+    connects = si.valid & (light.pdf > 0)
+    return reflected * light.radiance * (connects.to(light.pdf.dtype) / torch.where(connects, light.pdf, 1.0))
+
+
+def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw) -> tuple[Place, ...]:
+    """The places of `direct_light`'s textures that are read outside, as `path.bounce.places_of`; args as there."""
+    arrival, draw = rows((arrival, draw), lanes)
+    si = surface_met(scene, arrival, Settings())
+    found = material_places(scene, si)
+    if scene.layout.lit:
+        found += emission_places(scene, si)
+        found += sample_places(scene, light_aims(scene, scene, si.p, draw.numbers, draw.picked))
+    return found
+
+
+def scattered_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3) -> tuple[Place, ...]:
+    """The places of `scattered`'s textures that are read outside; args as there."""
+    si = surface_met(scene, rows(arrival, lanes), Settings())
+    return material_places(scene, si) + emission_places(scene, si)
+
+
+def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
+              texture_values: tuple[TextureValue, ...]) -> Vec3:
+    """What surfaces send back along the rays that meet them of light from given directions: BSDF times cosine, (M,).
+
+    Args:
+        d: (N,) unit, towards the light; the rest as for `direct_light`.
+    """
+    arrival, d = rows((arrival, d), lanes)
+    si = surface_met(scene, arrival, Settings())
+    of_material, *_ = shares_of(scene, texture_values)
+    reflected, _ = evaluate(material_at(scene, si, of_material), si.wi, si.frame.to_local(d))
+    return masked(si.valid, reflected)
+
+
+def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: LightDraw) -> Vec3:
+    """`direct_light` of all rays, each surface by its own functions; 0 where nothing scatters.
+
+    Args:
+        integrand: of a detached scene.
+        state: of the rays, (N,).
+        hit: what they meet.
+        draw: the light samples.
+    """
+    return of_surfaces(integrand, integrand.stages.direct_light, state, hit, draw, direct_light_places)
+
+
+def scattered_light(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Vec3:
+    """`scattered` of all rays, as `light_sent_back`."""
+    return of_surfaces(integrand, integrand.stages.scattered, state, hit, d, scattered_places)
+
+
+def of_surfaces(integrand: Integrand, stage: Callable, state: PathState, hit: Hit, asked, places_of: Callable) -> Vec3:
+    """What a stage says of all rays, (N,), each surface by its own functions; 0 where nothing scatters."""
+    front, order, queues = queued(integrand, state.ray, hit, False)
+    arrival, found = Arrival(state, hit, front), Vec3.buffer(state.pdf)
+    for queue in queues:
+        if not queue.event.scatters:
+            continue
+        lanes, part = order[queue.first:queue.last], integrand.part(queue.event)
+        scatterer, places = integrand.scatterer(queue.event), ()
+        if part.proposal.layout.lit or scatterer.outside:
+            places = places_of(part.proposal, arrival, lanes, asked)
+        values = texture_values_at(integrand.proposal, scatterer, places)
+        for total, own in zip(found, part.call(stage, arrival, lanes, asked, values)):
+            total.index_copy_(0, lanes.long(), own)
+    return found

@@ -1,0 +1,171 @@
+"""Modules, each on the lanes that need its values, in batches.
+
+Between its layers a module writes and reads some hundred numbers for each place. Of a hundred thousand places at once they
+go to memory and come back: an MLP 2-64-64-3 then takes three times as long as on batches whose numbers stay in the cache of
+a core (`python -m benchmarks.networks`). So a queue of lanes is computed batch by batch, and its batches side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.order import partition
+from torch_radbp.jit.team import each, threads
+from torch_radbp.record import rows_between
+from torch_radbp.texture.module_function import ModuleFunction
+from torch_radbp.vec import Vec2, Vec3, rows
+
+BATCH = 1 << 12  # places, on the CPU; fewer, and calls from Python take a part of the time
+PARAMETERS = 64  # a place, of a batch that is differentiated at the most: each batch has a gradient of all of them
+
+
+class Batch(NamedTuple):
+    """Lanes that one module computes at a time: a part of `Sorted.order`."""
+
+    module: int
+    first: int
+    last: int  # the place after its last lane
+
+
+class Sorted(NamedTuple):
+    """Lanes module by module, first those of none."""
+
+    order: Tensor | None  # (N,) int32; None: they are so already
+    batches: list[Batch]
+
+    def rows(self, record):
+        """Of a record of the lanes, in this order."""
+        return record if self.order is None else rows(record, self.order)
+
+    def back(self, found: Tensor) -> Tensor:
+        """Columns, (..., N), for lanes in this order as they were before."""
+        if self.order is None:
+            return found
+        order = self.order.long()
+        return found.index_select(-1, torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order)))
+
+
+class ModuleBank(NamedTuple):
+    """Some modules, with the tensors that they are differentiated with respect to."""
+
+    functions: tuple[ModuleFunction, ...]
+    parameters: tuple[tuple[Tensor, ...], ...]  # of each; attached
+
+    def values(self, row: Tensor, at: Vec2 | Vec3) -> Vec3:
+        """(N,) values, attached. Each module runs on its own lanes.
+
+        Args:
+            row: (N,) int32, which of the modules gives each lane its value; -1: none, and the value is 0.
+            at: (N,) where.
+        """
+        def of_batch(module: int, place: Tensor) -> Tensor:
+            return self.functions[module](self.parameters[module], place).t()
+
+        return Vec3(*self.found(row, at, of_batch, (3,)))
+
+    def values_and_slopes(self, row: Tensor, at: Vec2 | Vec3) -> tuple[Vec3, ...]:
+        """(N,) values, and their derivatives by each coordinate of the places; detached. Args as for `values`.
+
+        Each value must depend on its own place only.
+        """
+        def of_batch(module: int, place: Tensor) -> Tensor:
+            place = place.detach().requires_grad_()
+            with torch.enable_grad():
+                values = self.functions[module]([parameter.detach() for parameter in self.parameters[module]], place)
+            return torch.stack([values.detach(), *slopes(values, place)]).transpose(1, 2)
+
+        return tuple(Vec3(*part) for part in self.found(row, at, of_batch, (1 + len(at), 3)))
+
+    def gradients(self, wanted: Sequence[Sequence[bool]], row: Tensor, at: Vec2 | Vec3,
+                  adjoint: Vec3) -> Iterator[tuple[int, int, Tensor]]:
+        """The gradients of parameters: module, number of the parameter, and its gradient, float64.
+
+        Args:
+            wanted: of each module and each of its parameters.
+            row, at: as for `values`.
+            adjoint: (N,) of the values; modules run where it is not 0.
+        """
+        row = torch.where((adjoint.x != 0) | (adjoint.y != 0) | (adjoint.z != 0), row, -1)
+        own = [[parameter.detach().requires_grad_(want) for parameter, want in zip(*pair)]
+               for pair in zip(self.parameters, wanted)]
+        leaves = [[parameter for parameter in parameters if parameter.requires_grad] for parameters in own]
+        lanes = self.sorted(row, PARAMETERS)
+        at, adjoint = lanes.rows((at, adjoint))
+
+        def of_batch(batch: Batch) -> Sequence[Tensor | None]:
+            module, *between = batch
+            with torch.enable_grad():
+                values = self.functions[module](own[module], rows_between(at, *between).stack(), known=True)
+            if not values.requires_grad:
+                return [None for _ in leaves[module]]
+            return torch.autograd.grad(values, leaves[module], rows_between(adjoint, *between).stack(), allow_unused=True)
+
+        batches = [batch for batch in lanes.batches if leaves[batch.module]]
+        found = each(of_batch, batches, threads_for(row))
+        for module, wants in enumerate(wanted):
+            numbers = [number for number, want in enumerate(wants) if want]
+            of_batches = [gradients for batch, gradients in zip(batches, found) if batch.module == module]
+            for number, parts in zip(numbers, zip(*of_batches)):
+                parts = [part for part in parts if part is not None]
+                if parts:
+                    yield module, number, torch.stack(parts).sum(0, dtype=torch.float64)
+
+    def found(self, row: Tensor, at: Vec2 | Vec3, of_batch: Callable[[int, Tensor], Tensor],
+              shape: tuple[int, ...]) -> Tensor:
+        """(*shape, N) what is found for each lane, batch by batch; 0 for lanes of no module.
+
+        Args:
+            row, at: as for `values`.
+            of_batch: from a module and M places, (M, 2) or (M, 3), to (*shape, M).
+        """
+        lanes = self.sorted(row)
+        at = lanes.rows(at)
+        parts = each(lambda batch: of_batch(batch.module, rows_between(at, *batch[1:]).stack()).contiguous(), lanes.batches,
+                     threads_for(row))
+        nothing = lanes.batches[0].first if lanes.batches else len(row)
+        return lanes.back(torch.cat([at.x.new_zeros(*shape, nothing), *parts], -1))
+
+    def sorted(self, row: Tensor, parameters: float = torch.inf) -> Sorted:
+        """Lanes module by module, in batches.
+
+        Args:
+            row: as for `values`.
+            parameters: a place that a batch may have at the most.
+        """
+        order, counts = partition(row + 1, len(self.functions) + 1)
+        batches, first = [], counts[0]
+        for module, count in enumerate(counts[1:]):
+            size, last = int(min(self.size(module, row.device, parameters), max(1, count))), first + count
+            batches += [Batch(module, start, min(start + size, last)) for start in range(first, last, size)]
+            first = last
+        return Sorted(None if len(row) in counts else order, batches)
+
+    def size(self, module: int, device: torch.device, parameters: float = PARAMETERS) -> float:
+        """The most places of a batch of a module; args as for `sorted`."""
+        if device.type != "cpu":
+            return torch.inf
+        return max(BATCH, sum(map(Tensor.numel, self.parameters[module])) / parameters)
+
+
+def threads_for(lanes: Tensor) -> int:
+    """The threads that compute batches: one for those on a device, which knows their streams."""
+    return threads() if lanes.is_cpu else 1
+
+
+def slopes(values: Tensor, place: Tensor) -> list[Tensor]:
+    """The derivatives, (N, 3) each and detached, of values by each coordinate of the places that they were computed from.
+
+    Args:
+        values: (N, 3).
+        place: (N, D).
+    """
+    if not values.requires_grad:
+        return [torch.zeros_like(values) for _ in range(place.shape[1])]
+    found = [torch.autograd.grad(values, place, channel.expand_as(values), retain_graph=True, allow_unused=True)[0]
+             for channel in torch.eye(values.shape[1]).to(values)]
+    of_channel = [torch.zeros_like(place) if slope is None else slope for slope in found]
+    return list(torch.stack(of_channel, 2).unbind(1))

@@ -1,0 +1,128 @@
+"""A module as a function of its parameters and of places, whose results are checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torch_radbp.domain import LEEWAY, Domain
+from torch_radbp.texture.bitmap import LUMINANCE
+
+SMOOTH = "keep square roots, norms, logarithms and quotients in the module away from 0"
+OUTSIDE = "; let it end with a function onto that range, such as nn.Sigmoid()"
+
+
+class Use(NamedTuple):
+    """What is made of a texture in a scene."""
+
+    name: str  # of the texture, in the scene
+    domains: tuple[Domain, ...]  # that its values must be in
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleFunction:
+    """The values of a module as a function of its parameters and of places."""
+
+    module: nn.Module
+    use: Use
+    as_number: bool = False  # values are read as numbers: the luminance if there are three channels, as in Mitsuba
+    as_slope: bool = False  # their derivatives by the place are read instead
+
+    def __call__(self, parameters: Sequence[Tensor], place: Tensor, known: bool = False) -> Tensor:
+        """(N, 3) values, attached; of slopes the derivatives of the first channel by the place, and zeros.
+
+        Args:
+            parameters: instead of those of the module, in their order.
+            place: (N, 2) or (N, 3).
+            known: its values at these places have been checked.
+
+        Raises:
+            TypeError: if the module returns no tensor, or one of another dtype or device.
+            ValueError: if it returns a wrong shape, or a value is not finite or not in its domain.
+        """
+        return self.slopes(parameters, place, known) if self.as_slope else self.values(parameters, place, known)
+
+    def slopes(self, parameters: Sequence[Tensor], place: Tensor, known: bool) -> Tensor:
+        """(N, 3) derivatives of the first channel by the place. Args as for a call.
+
+        Raises:
+            ValueError: if one is not finite, or the values do not depend on the place.
+        """
+        recorded = torch.is_grad_enabled()
+        with torch.enable_grad():
+            step = torch.zeros_like(place).requires_grad_()  # not the place itself, which may be a dual tensor
+            height = self.values(parameters, place + step, known)[:, 0]
+            found = torch.autograd.grad(height.sum(), step, create_graph=recorded, allow_unused=True)[0] if (
+                height.requires_grad) else None
+        if found is None:
+            raise ValueError(f"the heights that the module of the texture {self.use.name!r} returns do not depend on what "
+                             f"it gets, as far as autograd can tell, so that they have no slope: compute them from the "
+                             f"place, without .detach() and torch.no_grad(), or leave the bumpmap out")
+        if not known and not bool(torch.isfinite(found).all()):
+            bad = int((~torch.isfinite(found)).sum())
+            raise ValueError(f"the slopes of the texture {self.use.name!r}, derivatives of its module by the place, have "
+                             f"{bad} of {found.numel()} values that are NaN or infinite; {SMOOTH}")
+        return torch.cat([found, found.new_zeros(len(found), 3 - found.shape[1])], 1)
+
+    def values(self, parameters: Sequence[Tensor], place: Tensor, known: bool) -> Tensor:
+        """(N, 3) values of the module. Args as for a call."""
+        values = self.run(parameters, place)
+        if not known:
+            self.check(values, place)
+        if self.as_number and values.shape[1] == 3:
+            values = (values * values.new_tensor(LUMINANCE)).sum(1, keepdim=True)
+        return values.expand(-1, 3)
+
+    def run(self, parameters: Sequence[Tensor], place: Tensor):
+        """What the module returns. Args as for a call.
+
+        Raises:
+            RuntimeError: naming the texture, if the module raises anything but lack of memory.
+        """
+        standing_in = dict(zip(map(id, self.module.parameters()), parameters))
+        try:
+            return with_parameters(self.module, standing_in, {})(place)
+        except torch.OutOfMemoryError:
+            raise
+        except Exception as error:
+            raise RuntimeError(f"the module of the texture {self.use.name!r} has failed on places of shape "
+                               f"{tuple(place.shape)} in {place.dtype}, which are (N, 2) with of=\"uv\" and (N, 3) with "
+                               f"of=\"position\": {type(error).__name__}: {error}") from error
+
+    def check(self, values: Tensor, place: Tensor) -> None:
+        """Raises as a call does."""
+        lanes, name = len(place), f"the texture {self.use.name!r}"
+        if not isinstance(values, Tensor):
+            raise TypeError(f"the module of {name} must return a tensor, got {type(values).__name__}")
+        if tuple(values.shape) not in ((lanes, 1), (lanes, 3)):
+            raise ValueError(f"the module of {name} must return shape ({lanes}, 1) or ({lanes}, 3) for places of shape "
+                             f"{tuple(place.shape)}, got {tuple(values.shape)}")
+        if (values.dtype, values.device) != (place.dtype, place.device):
+            raise TypeError(f"the module of {name} must return {place.dtype} on {place.device}, as the scene is, got "
+                            f"{values.dtype} on {values.device}")
+        least, greatest = torch.stack(values.detach().aminmax()).tolist()
+        for domain in self.use.domains:
+            finite = abs(greatest - least) < torch.inf
+            domain.check_range(name, values, least, greatest, LEEWAY, OUTSIDE if finite else f"; {SMOOTH}")
+            domain.warn(name, greatest)
+
+
+def with_parameters(module: nn.Module, parameters: dict[int, Tensor], known: dict[int, nn.Module]) -> nn.Module:
+    """A shallow copy of a module with other parameters, which other threads do not see.
+
+    Args:
+        module: left as it is.
+        parameters: by the ids of those that they replace.
+        known: copies so far, by the ids of their originals; filled in.
+    """
+    if id(module) not in known:
+        copy = known[id(module)] = type(module).__new__(type(module))
+        vars(copy).update(vars(module))
+        vars(copy)["_parameters"] = {name: parameters.get(id(own), own) for name, own in module._parameters.items()}
+        vars(copy)["_modules"] = {name: None if child is None else with_parameters(child, parameters, known)
+                                  for name, child in module._modules.items()}
+    return known[id(module)]
