@@ -102,6 +102,11 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
     return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
+def angle_between(a: Vec3, b: Vec3) -> Tensor:
+    """(N,) the angle between unit vectors, in [0, pi]; exact also where they are nearly the same, or opposite."""
+    return 2.0 * torch.atan2(*(torch.sqrt(dot(chord, chord)) for chord in (a - b, a + b)))
+
+
 def normalize(a: Vec3) -> Vec3:
     """The unit vector along `a`; a vector of length zero stays zero."""
     return a * torch.rsqrt(dot(a, a).clamp_min(TINY))

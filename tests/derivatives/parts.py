@@ -124,10 +124,13 @@ def turned(at, *angles: float, size: float = 1.0, **attributes: Any) -> dict[str
 
 
 def lamps() -> dict[str, Any]:
-    """More lamps of all kinds than are picked without regard to where they are, in front of the planes of `light`."""
+    """More lamps of all kinds than are picked without regard to where they are, in front of the planes of `light`.
+
+    No two have a coordinate in common, so that their tree does not hang on rounding.
+    """
     found = {}
     for number in range(9):
-        x, y, z = 1.1 * (number % 3 - 1.1), 1.3 + 0.4 * (number // 3), 2.3 - 0.1 * number
+        x, y, z = 1.1 * (number % 3 - 1.1) + 0.013 * number, 1.3 + 0.4 * (number // 3) + 0.017 * number, 2.3 - 0.1 * number
         name, pose = f"lamp_{number}", look_at((x, y, z), (0.1 * x, 0.05, 0), (0.1, 1, 0.2))
         found[name] = ({"type": "rectangle", "to_world": pose @ scale((0.2, 0.3, 1)), "bsdf": {"type": "ref", "id": "dark"},
                         "emitter": {"type": "area", "radiance": bitmap(factor=20.0, seed=number)}},

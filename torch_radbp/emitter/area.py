@@ -17,7 +17,7 @@ from torch_radbp.lookup import lookup
 from torch_radbp.plugin import register
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import square_to_uniform_triangle
-from torch_radbp.vec import Vec3, dot, interpolated
+from torch_radbp.vec import Vec3, angle_between, dot, interpolated
 
 SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
 
@@ -45,7 +45,7 @@ class AreaKind(SurfaceKind):
         area = torch.where(area > 0, 1.0 / torch.where(area > 0, area, 1.0), 0.0)
         spread = torch.zeros_like(area)
         for shading in table.shading or ():
-            spread = torch.maximum(spread, torch.acos(dot(fine(shading), n).clamp(-1.0, 1.0)))
+            spread = torch.maximum(spread, angle_between(fine(shading), n))
         return LightBounds(middle, radius, luminance * area, n, spread, torch.full_like(area, math.pi / 2))
 
     def aim(self, table: EmittingTriangles, proposal: EmittingTriangles, p: Vec3, pick: Pick) -> Aim:

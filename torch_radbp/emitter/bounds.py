@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec3, normalize
+from torch_radbp.vec import Vec3, angle_between, normalize
 
 LEEWAY = 1e-3  # relative, of radii, and in radians, of angles: rounding must not put light outside of its bounds
 LEAST_LENGTH = 1e-3  # of the mean of some unit vectors: shorter ones have no axis in common
@@ -62,8 +62,7 @@ def bounds_of_groups(bounds: LightBounds, group: Tensor, count: int) -> LightBou
     mean = (bounds.axis * weight).map(total)
     length = torch.linalg.vector_norm(mean.stack(), dim=-1) / total(weight).clamp_min(1e-300)
     axis = normalize(mean)
-    cosine = (bounds.axis * axis.map(lambda c: c[group]))
-    apart = torch.acos((cosine.x + cosine.y + cosine.z).clamp(-1.0, 1.0))
+    apart = angle_between(bounds.axis, axis.map(lambda c: c[group]))
     spread = least(apart + bounds.spread, largest=True)
     spread = torch.where(length > LEAST_LENGTH, spread, math.pi)
     return LightBounds(middle, radius, total(bounds.intensity), axis, spread.clamp_max(math.pi),
