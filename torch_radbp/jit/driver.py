@@ -1,7 +1,7 @@
 """Kernels on a device of NVIDIA's, by CUDA's driver: loaded once, launched on torch's current stream.
 
 Machine code is made of PTX by the driver's own assembler, which takes seconds for the longest kernels; so it is kept on disk
-(`code_cache.py`). Not yet run on a GPU; `tests/jit/test_driver.py` holds what is asked of the driver.
+(`code_cache.py`). `tests/jit/test_driver.py` holds what is asked of the driver.
 
 Reference: NVIDIA, CUDA Driver API.
 """

@@ -1,6 +1,6 @@
 """A GPU of NVIDIA's as a target: the kernels of `nvptx.py` and `nvptx_lanes.py`, launched by the driver of the device.
 
-Lanes are chosen and partitioned by torch's own operations. Not yet run on a GPU.
+Lanes are chosen and partitioned by torch's own operations.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ Products and sums are fused by LLVM alone, where it finds this worth while. All 
 NVIDIA's assembler to fuse them: what a kernel computes is settled by its PTX, whatever the version of the driver. On a
 processor LLVM fuses others, so that last digits differ; were nothing fused in either, all bits would be the same.
 
-Not yet run on a GPU: what is known of the kernels is that NVIDIA's assembler takes them, that the same text computes the
+`tests/gpu` runs them on a card. Without one it is tested that NVIDIA's assembler takes them, that the same text computes the
 same on a processor, and that an interpreter of PTX finds the same in them.
 
 Reference: NVIDIA, PTX ISA. LLVM project, User Guide for NVPTX Back-end.

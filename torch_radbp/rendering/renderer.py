@@ -83,8 +83,8 @@ class Renderer(nn.Module):
         memory_budget: bytes, or a string such as "2GiB" or "2GB": picks chunk and, unless `adjoint` is given, the stride, so
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.
         compile: fuse the functions of a bounce into loops of vector instructions, once a process for each kind of material
-            and dtype, in seconds. On the CPU, and on CUDA, where they are kernels of PTX, not yet run on a GPU; elsewhere,
-            and with `TapeAdjoint`, rendering is eager all the same. False: the eager reference, in plain torch.
+            and dtype, in seconds. On the CPU, and on CUDA, where they are kernels of PTX; elsewhere, and with
+            `TapeAdjoint`, rendering is eager all the same. False: the eager reference, in plain torch.
         caster: "embree", "direct", "warp" or "brute"; None picks by device and number of triangles.
         light_choice: how next-event estimation picks one of the emitters. "uniform": by their `sampling_weight`, the same
             everywhere, as Mitsuba. "tree": also by what they contribute to the point that is to be illuminated, by a tree of
