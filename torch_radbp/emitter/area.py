@@ -17,7 +17,7 @@ from torch_radbp.lookup import lookup
 from torch_radbp.plugin import register
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import square_to_uniform_triangle
-from torch_radbp.vec import Vec3, angle_between, dot, interpolated
+from torch_radbp.vec import Vec3, angle_between, dot, interpolated, where
 
 SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
 
@@ -55,13 +55,15 @@ class AreaKind(SurfaceKind):
         squared = dot(reach, reach).clamp_min(NEAREST**2)
         d = reach * torch.rsqrt(squared)
         cosine = -dot(d, lookup(table.n, row))
-        facing = cosine > 0
+        axis = lookup(table.n, row)
         if table.shading is not None:
-            seen = dot(interpolated(lookup(table.shading, row), b.x, b.y), d) < 0
-            facing = seen if table.smooth is None else torch.where(lookup(table.smooth, row), seen, facing)
+            shading = interpolated(lookup(table.shading, row), b.x, b.y)
+            axis = shading if table.smooth is None else where(lookup(table.smooth, row), shading, axis)
+        facing = dot(axis, d) < 0
         uv = None if table.uv is None else interpolated(lookup(table.uv, row), b.x, b.y)
         pdf = pick.pmf * lookup(table.inverse_area, row) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
-        return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv, attributes=table.attributes_at(row, b.x, b.y))
+        return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv, attributes=table.attributes_at(row, b.x, b.y),
+                   axis=axis)
 
     def sends(self, front: Tensor) -> Tensor:
         return front

@@ -44,7 +44,7 @@ EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, loca
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
-EYES = "geometry", "outline", "eyes"
+EYES = "geometry", "outline", "eyes", "pairing"
 TABLES = Stages(  # of each stage the arguments that are read at indices
     sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels", "place"), bounce=PATH,
     ending=PATH, local_map=("scene", "proposal"), bounce_adjoint=("scene", "arrival", "adj_L", "memo"),

@@ -17,11 +17,11 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.shadows import border, bounced, hidden_light
 from torch_radbp.boundary.shadows.film_jumps import image_of
-from torch_radbp.boundary.shadows.seen_edges import BLOCK
+from torch_radbp.boundary.shadows.seen_edges import BLOCK, LOOKS
 from torch_radbp.differentiated import any_differentiated, detached
 from torch_radbp.rendering.call.render_call import RenderCall
 
-BYTES_OF_PAIR = 24  # of a light sample or a vertex of a path and an edge: how it is seen, and sums
+BYTES_OF_PAIR = 48  # of a light sample or a vertex of a path and an edge: how it is seen, and sums
 BYTES_OF_EAGER_PAIR = 800  # while it is computed by operations of torch
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves
 
@@ -37,8 +37,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
     """The most that places on borders of shadows may take of memory."""
     paths = call.spp * max(view.width * view.height for view in call.views)
     edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
-    pairs = max(min(border.EXAMINED, edges * max(border.FEWEST_POINTS, paths // border.SHARE)),
-                min(hidden_light.EXAMINED, edges * max(hidden_light.FEWEST_PATHS, paths // hidden_light.SHARE)))
+    pairs = max(min(part.EXAMINED, min(edges, LOOKS) * max(FEWEST, paths // part.SHARE)) for part in (border, hidden_light))
     places = max(FEWEST, min(border.MOST, paths // border.SHARE))
     eager = 0 if hasattr(call.stages.angle_seen, "fused") else min(pairs, BLOCK) * BYTES_OF_EAGER_PAIR
     return pairs * BYTES_OF_PAIR + eager + places * BYTES_OF_PLACE * (1 + len(call.views))

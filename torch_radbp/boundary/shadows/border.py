@@ -37,6 +37,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     corners_of,
     crossed_at,
     extent_of,
+    eyes_at_most,
     pace,
     places_seen,
     point_of_edge,
@@ -144,7 +145,7 @@ def borders_of(call: RenderCall, number: int, casting: Outline, lights: Lights, 
     """
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     count = max(FEWEST, min(MOST, view.width * view.height * call.spp // share))
-    points = light_points(scene, view, max(FEWEST_POINTS, min(count, EXAMINED // len(casting.crease))))
+    points = light_points(scene, view, max(FEWEST_POINTS, min(count, eyes_at_most(casting, EXAMINED))))
     meant = lights.of(scene)[points.kind]
     passed = places_seen(call.stages, geometry, casting, points.eyes, meant, salted(view, SALT), count, EXAMINED)
     if passed is None:

@@ -39,6 +39,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     corners_of,
     crossed_at,
     extent_of,
+    eyes_at_most,
     pace,
     places_seen,
     point_of_edge,
@@ -50,13 +51,14 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.call.render_call import RenderCall, integrand_of
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, max_component, normalize, rows
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, max_component, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 32, 1 << 14  # one path for so many of the image; and at most
 PLACES = 8  # on edges that are seen from each
 EXAMINED = 1 << 20  # pairs of paths and edges that are examined
 FEWEST_PATHS = 16
+FACED = 0.9  # how much the cosine at a vertex decides where it looks; the rest is left to what shading normals turn
 
 
 class FirstVertex(NamedTuple):
@@ -123,11 +125,13 @@ def cuts_of_view(call: RenderCall, number: int, casting: Outline,
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
     paths = min(MOST, view.width * view.height * call.spp // SHARE)
-    points = viewpoints(call, number, integrand, max(FEWEST_PATHS, min(paths, EXAMINED // len(casting.crease))))
+    points = viewpoints(call, number, integrand, max(FEWEST_PATHS, min(paths, eyes_at_most(casting, EXAMINED))))
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)
-    eyes, promise = Eyes(at, torch.ones_like(at.x)), max_component(points.beta).double()
+    one, promise = torch.ones_like(at.x), max_component(points.beta).double()
+    corners = corners_of(geometry, points.hit)
+    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]) * FACED, one)
     passed = places_seen(call.stages, geometry, casting, eyes, promise, salted(view, SALT),
                          max(FEWEST, PLACES * len(points.depth)), EXAMINED)
     if passed is None:

@@ -15,7 +15,7 @@ from torch_radbp.sampling.sampler import bounce_key, fine_unit, lane_key, unit
 from torch_radbp.scene.light import among, light_aims
 from torch_radbp.scene.light_choice import LightPick, TreeChoice
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Vec3, where
+from torch_radbp.vec import Vec3, masked, normalize, where
 
 SALT = 0x1F83D9AC  # tells the random numbers of these samples from others
 
@@ -45,10 +45,21 @@ def light_points(scene: SceneTensors, view: View, count: int) -> LightPoints:
         element = choice.sample(numbers.choice, unit(numbers.split, scene.dtype))
         pmf = choice.pmf[element.long()]
     draw = LightDraw(numbers, LightPick(element, pmf, torch.zeros_like(pmf)))
-    nowhere = torch.zeros(count, dtype=torch.float64, device=device)
-    start, d, parallel = light_line(scene, Vec3(nowhere, nowhere, nowhere), draw)
-    eyes = Eyes(where(parallel, -d, start), (~parallel).double())
+    zero = torch.zeros(count, dtype=torch.float64, device=device)
+    nowhere = Vec3(zero, zero, zero)
+    start, d, parallel = light_line(scene, nowhere, draw)
+    eyes = Eyes(where(parallel, -d, start), (~parallel).double(), axis_of(scene, nowhere, draw), zero)
     return LightPoints(draw, eyes, scene.lights.kind[element.long()].long())
+
+
+def axis_of(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Vec3:
+    """The directions that light samples light the most, (N,) unit, world; 0 where nobody knows. Args as for `light_line`."""
+    aims = light_aims(scene, scene, p.map(lambda c: c.to(scene.dtype)), draw.numbers, draw.picked)
+    axis = aims("axis")
+    if axis is None:
+        return p * 0.0
+    known = among(aims.cases, [aim.axis is not None for aim in aims.of_case], aims.element)
+    return masked(known, normalize(axis.map(torch.Tensor.double)))
 
 
 def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec3, Tensor]:

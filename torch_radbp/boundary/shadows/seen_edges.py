@@ -35,6 +35,10 @@ BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
 FAR = 1e10  # the distance of what is a direction
 BLOCK = 1 << 14  # pairs of points and edges that are examined together
+LOOKS = 128  # edges that an eye looks at, at most
+EVEN = 0.2  # share of them that is drawn evenly, the others where some of the eyes have found something
+FEWEST_PILOTS = 8
+SALT = 0x510E527F  # tells the random numbers by which they are drawn from others
 
 
 class Eyes(NamedTuple):
@@ -42,22 +46,21 @@ class Eyes(NamedTuple):
 
     place: Vec3  # (M,) float64
     w: Tensor  # (M,) 1; 0: `place` is a direction towards the eye
+    axis: Vec3  # (M,) of length l <= 1: directions at the cosine c from it count in proportion to 1 - l + l max(c, 0)
+    behind: Tensor  # (M,) how much those count, instead of 0, in which c is negative; times -c
 
 
 class Pairing(NamedTuple):
-    """Which edges each eye looks at: one of so many that follow each other, chosen at random; () each."""
+    """Which edges each eye looks at: pairs of both, those of an eye together."""
 
-    extent: Tensor  # of the scene, float64
-    looks: Tensor  # int32, how many edges an eye looks at
-    stride: Tensor  # int32, of how many each is one
-    edges: Tensor  # int32, how many there are
-    seed: Tensor  # int32
+    extent: Tensor  # () of the scene, float64
+    looks: Tensor  # () int32, how many edges an eye looks at
+    edge: Tensor  # (P,) int32, of each pair
+    times: Tensor  # (E,) float64, how many edges each stands for: 1 over how often an eye looks at it in the mean
 
-    def __call__(self, pair: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Edges and eyes of pairs, (N,) int32, and whether there is such an edge, (N,) bool."""
-        eye = torch.div(pair, self.looks, rounding_mode="floor")
-        edge = (pair - eye * self.looks) * self.stride + (hash32(eye + self.seed) & 0x7FFFFFFF) % self.stride
-        return torch.minimum(edge, self.edges - 1), eye, edge < self.edges
+    def __call__(self, pair: Tensor) -> tuple[Tensor, Tensor]:
+        """Edges and eyes of pairs, (N,) int32."""
+        return lookup(self.edge, pair), torch.div(pair, self.looks, rounding_mode="floor")
 
 
 class Passed(NamedTuple):
@@ -76,7 +79,7 @@ class Passed(NamedTuple):
 
 
 def angle_seen(geometry: Geometry, outline: Outline, eyes: Eyes, pairing: Pairing, pair: Tensor) -> Tensor:
-    """The angles under which edges are seen that are silhouettes, 0 for others; (N,) float64.
+    """The angles under which edges are seen that are silhouettes, 0 for others; times what counts of them; (N,) float64.
 
     From a direction lengths across it are seen instead, as shares of the extent.
 
@@ -87,14 +90,18 @@ def angle_seen(geometry: Geometry, outline: Outline, eyes: Eyes, pairing: Pairin
         pairing: of both.
         pair: (N,) int32, numbers of pairs.
     """
-    edge, eye, exists = pairing(pair)
+    edge, eye = pairing(pair)
     eye = rows(eyes, eye)
     edges, instance = rows((outline.edges, outline.instance), edge)
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
     from_a, from_b = (end * eye.w - eye.place for end in (a, b))
-    apart, across = normalize(from_a) - normalize(from_b), cross(b - a, eye.place)
+    to_a, to_b, across = normalize(from_a), normalize(from_b), cross(b - a, eye.place)
+    apart = to_a - to_b
+    # Between the ends of an edge no direction lies farther on either side than they do.
+    faced = [torch.maximum(c, -eye.behind * c) for c in (dot(eye.axis, to_a), dot(eye.axis, to_b))]
+    counts = 1.0 - torch.sqrt(dot(eye.axis, eye.axis)).clamp_max(1.0) + torch.maximum(*faced).clamp_min(0.0)
     seen = torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / pairing.extent)
-    return torch.where(exists & is_silhouette(a, b, opposite, from_a), seen, 0.0)
+    return torch.where(is_silhouette(a, b, opposite, from_a), seen * counts * lookup(pairing.times, edge), 0.0)
 
 
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, seed: SampleKey,
@@ -109,7 +116,7 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, seed
     """
     key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
     pair, along, times = picked(lot, place, fine_unit(random_bits(bounce_key(key, CAMERA_COUNTER), ALONG)))
-    edge, eye, _ = pairing(pair.to(torch.int32))
+    edge, eye = pairing(pair.to(torch.int32))
     edges, instance, share = rows((outline.edges, outline.instance, outline.share), edge)
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
     own = rows(eyes, eye)
@@ -125,7 +132,7 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, seed
     d, dtype = away * (1.0 / length), geometry.triangles.n.x.dtype
     o, d = (part.map(lambda c: c.to(dtype)) for part in (start, d))
     distance = torch.where(own.w > 0.0, length * (1.0 - BEFORE), FAR).to(dtype)
-    times = times * pairing.stride
+    times = times * lookup(pairing.times, edge)
     return Passed(edge, eye, along, times if share is None else times / share, p, outwards, Ray(o, -d), Ray(o, d), distance,
                   key)
 
@@ -140,21 +147,51 @@ def places_seen(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
         weight: (M,) float64, how much each eye counts.
         seed: of the random numbers.
         count: how many.
-        examined: pairs of eyes and edges, at most, of more edges some at random for each eye.
+        examined: pairs of eyes and edges, at most, by which is found where edges are that count.
     """
-    size, extent = len(outline.crease), extent_of(geometry).clamp_min(TINY)
-    stride = -(-size * len(weight) // examined)
-    looks = -(-size // stride)
-    pairing = Pairing(extent, *(torch.full((), number, dtype=torch.int32, device=extent.device)
-                                for number in (looks, stride, size)), seed.seed)
-    pairs = torch.arange(looks * len(weight), dtype=torch.int32, device=extent.device)
-    seen = torch.cat([stages.angle_seen(geometry, outline, eyes, pairing, block) for block in pairs.split(BLOCK)])
-    seen = (seen.view(-1, looks) * weight[:, None]).flatten()
-    total = running_sum(seen)
+    def seen(eyes: Eyes, weight: Tensor, pairing: Pairing) -> Tensor:
+        pairs = torch.arange(len(pairing.edge), dtype=torch.int32, device=weight.device)
+        found = torch.cat([stages.angle_seen(geometry, outline, eyes, pairing, block) for block in pairs.split(BLOCK)])
+        return found.view(len(weight), -1) * weight[:, None]
+
+    extent, size, own = extent_of(geometry).clamp_min(TINY), len(outline.crease), len(weight)
+    if size <= LOOKS:
+        pairing = paired(extent, torch.arange(size, device=extent.device).expand(own, size), extent.new_ones(size))
+    else:
+        some = torch.arange(min(own, max(FEWEST_PILOTS, examined // size)), device=extent.device)
+        neighbours = -(-size * len(some) // examined)  # of whom one is looked at
+        first = torch.arange(0, size, neighbours, device=extent.device)
+        edge = (first + (hash32(some.to(torch.int32) + seed.seed) & 0x7FFFFFFF)[:, None] % neighbours).clamp_max(size - 1)
+        pilots = some * (own // len(some))
+        importance = seen(rows(eyes, pilots), weight[pilots], paired(extent, edge, extent.new_ones(size))).sum(0)
+        pairing = drawn(extent, importance.repeat_interleave(neighbours)[:size], own, seed)
+    angles = seen(eyes, weight, pairing).flatten()
+    total = running_sum(angles)
     if not float(total[-1]) > 0.0:
         return None
-    return stages.edge_passed(geometry, outline, eyes, lot_of(seen, count, total), seed, pairing,
+    return stages.edge_passed(geometry, outline, eyes, lot_of(angles, count, total), seed, pairing,
                               torch.arange(count, dtype=torch.int32, device=extent.device))
+
+
+def eyes_at_most(outline: Outline, examined: int) -> int:
+    """How many eyes can look at edges, if so many pairs are examined."""
+    return examined // min(len(outline.crease), LOOKS)
+
+
+def drawn(extent: Tensor, importance: Tensor, eyes: int, seed: SampleKey) -> Pairing:
+    """`LOOKS` edges for each eye, by chance, at equal distances in a sum of how important they are; `importance`: (E,)."""
+    share = EVEN / len(importance) + importance * ((1.0 - EVEN) / importance.sum().clamp_min(TINY))
+    total = running_sum(share)
+    start = numbers(seed, torch.arange(eyes, dtype=torch.int32, device=extent.device), SALT, extent.dtype)
+    place = torch.arange(LOOKS, device=extent.device) + start[:, None]
+    edge = torch.searchsorted(total, place * (total[-1] / LOOKS), right=True).clamp_max(len(share) - 1)
+    return paired(extent, edge, total[-1] / (LOOKS * share))
+
+
+def paired(extent: Tensor, edge: Tensor, times: Tensor) -> Pairing:
+    """Each eye with edges, (M, looks)."""
+    looks = torch.full((), edge.shape[1], dtype=torch.int32, device=extent.device)
+    return Pairing(extent, looks, edge.to(torch.int32).flatten(), times)
 
 
 def salted(view: View, salt: int) -> SampleKey:
