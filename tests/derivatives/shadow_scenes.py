@@ -125,7 +125,7 @@ SHADOWS: dict[str, MovingScene] = {
     "cube, rectangle": moved(lit("rectangle", cube=CUBE), "cube.to_world", PUSH["cube"]),
     "vertices of a cube, directional": moved(lit("directional", cube=CUBE), "cube.vertex_positions", bend(0.4)),
     "instance, rectangle": moved(lit("rectangle", **GROUP), "shown.to_world", PUSH["cube"]),
-    "instance, point": moved(lit("point", **GROUP), "shown.to_world", PUSH["cube"]),
+    "instance, point": moved(lit("point", **GROUP), "shown.to_world", PUSH["cube"])._replace(step=FINE),
     "floor under an instance, spot": moved(lit("spot", **GROUP), "floor.to_world", PUSH["floor"]),
     "ball, rectangle": moved(lit("rectangle", ball=BALL), "ball.to_world", PUSH["cube"]),
     "plate of metal, point": moved(lit("point", plate=PLATE | {"bsdf": {"type": "twosided", "one": METAL}}),
