@@ -153,6 +153,8 @@ class Render(Table):
     memory_budget: Annotated[Whole64 | str, AfterValidator(_check_budget)] | None = None  # bytes, "2GiB" or "2GB"
     compile: Switch = True  # False: in plain torch, slower; nothing is compiled
     caster: str | None = None
+    # What gradients are made of: "interior", "primary" (curves at which the image jumps), "shadow" (borders of shadows).
+    terms: Annotated[list[str], Field(min_length=1)] | None = None  # None: all
     device: Annotated[str, AfterValidator(_check_device)] | None = None  # "cpu", "cuda" or "cuda:1"; None: the CPU
     seed: Whole = Field(0, ge=0)
 

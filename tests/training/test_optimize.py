@@ -137,11 +137,14 @@ def test_seeds_of_a_run_are_all_different():
 
 def test_every_setting_of_render_reaches_the_renderer(folder):
     overrides = [
-        "render={spp=3, max_depth=2, rr_depth=9, chunk=64, caster='brute', adjoint={stride='sqrt', keep_hits=false}}"
+        "render={spp=3, max_depth=2, rr_depth=9, chunk=64, caster='brute', adjoint={stride='sqrt', keep_hits=false}, "
+        "terms=['interior', 'shadow']}"
     ]
     renderer = Recovery(read_recipe(folder / "recipe.toml", overrides)).renderer
     assert (renderer.spp, renderer.max_depth, renderer.rr_depth, renderer.chunk) == (3, 2, 9, 64)
     assert (renderer.adjoint.stride, renderer.adjoint.keep_hits) == ("sqrt", False)
+    assert list(renderer.terms) == ["interior", "shadow"]
+    assert len(Recovery(read_recipe(folder / "recipe.toml", ["render.caster=brute"])).renderer.terms) == 3
 
 
 def test_depth_of_the_scene_is_used_unless_the_recipe_says_one(folder, edit_recipe):

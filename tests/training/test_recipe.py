@@ -78,6 +78,7 @@ MISFITS = {
         "initial = 0.5\nbounds = [0.0, 1.0]", 'parametrisation = "rigid"', ["rigid", "(4, 4)", "(3,)", "to_world"],
     ),
     "no such caster": ('caster = "brute"', 'caster = "brutal"', ["brutal"]),
+    "no such term": ('caster = "brute"', 'caster = "brute"\nterms = ["primry"]', ["primry", "primary", "shadow"]),
     "no such sampling": ('caster = "brute"', 'sampling = "atached"', ["atached"]),
 }  # fmt: skip
 

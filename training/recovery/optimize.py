@@ -136,6 +136,7 @@ def make_renderer(scene, spec: schema.Render) -> rb.Renderer:
         memory_budget=own_budget(spec.memory_budget, scene.device),
         compile=spec.compile,
         caster=spec.caster,
+        **({} if spec.terms is None else {"terms": spec.terms}),
         share_samples=True,  # two independent buffers take each other's part
     )
 
