@@ -8,7 +8,7 @@ from setuptools.command.build_py import build_py
 TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli-w>=1.0", "typer>=0.12"]
 WARP = "warp-lang>=1.19"
 CUDA = [WARP, "cuda-bindings>=12.8"]
-TEST = ["pytest>=8", "pytest-xdist>=3.7", "scipy>=1.11", "trimesh>=4.0", "setuptools>=70.1", WARP,
+TEST = ["pytest>=8", "pytest-xdist>=3.7", "trimesh>=4.0", "setuptools>=70.1", WARP,
         'nvidia-cuda-nvcc-cu12>=12.8; sys_platform != "darwin"']
 
 TRAINING = "torch_radbp.training"
@@ -50,6 +50,7 @@ setup(
         "OpenEXR>=3.3",
         "Pillow>=10",
         "safetensors>=0.4",
+        "scipy>=1.11",
         'tomli>=2; python_version < "3.11"',
         *TRAIN,
     ],

@@ -21,8 +21,8 @@ LAYERS = [
      "transforms", "jit"},
     {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
-    {"raycast"}, {"path"}, {"rendering.call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"}, {"check"}, {"public"},
-    {"training"},
+    {"optim", "raycast"}, {"path"}, {"rendering.call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"}, {"check"},
+    {"public"}, {"training"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 # Reads and writes files for every layer: shapes, textures and emitters import it inside functions.

@@ -117,6 +117,27 @@ class Mesh(Surface):
             self.attribute_names = self.attribute_names[:-1]
             raise
 
+    def replace(self, positions: Tensor, faces: Tensor, columns: dict[str, Tensor]) -> None:
+        """Takes other vertices and faces; what gradients were asked of is not kept.
+
+        Args:
+            positions: (V, 3), as `vertex_positions`.
+            faces: (F, 3).
+            columns: `vertex_normals` and `vertex_texcoords`, if the mesh has them, and its attributes, by name.
+
+        Raises:
+            ValueError: as for the mesh.
+        """
+        faces, positions = vertex_indices("faces", faces).to(self.faces.device), finite("vertex_positions", positions)
+        if faces.ndim != 2 or faces.shape[1:] != (3,) or not len(faces) or faces.min() < 0 or faces.max() >= len(positions):
+            raise ValueError(f"faces must have shape (F, 3) and index vertices 0 to {len(positions) - 1}, got shape "
+                             f"{tuple(faces.shape)}")
+        if not has_area(positions.detach(), faces):
+            raise ValueError(f"all {len(faces)} triangles of the mesh are degenerate (area 0)")
+        self.vertex_count, self.faces = len(positions), faces
+        for name, values in {"vertex_positions": positions, **columns}.items():
+            self.freeze(name, values.detach().clone())
+
     def motion(self) -> Tensor:
         """The (4, 4) transform from the pose at loading to the current one; exactly the identity while they are equal."""
         motion = (self.to_world.double() @ torch.linalg.inv(self.loaded_to_world.double())).to(self.to_world.dtype)

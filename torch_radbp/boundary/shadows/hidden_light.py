@@ -33,6 +33,7 @@ from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
+    LOOKS,
     Eyes,
     Passed,
     beyond,
@@ -133,7 +134,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Outline,
     corners = corners_of(geometry, points.hit)
     eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]) * FACED, one)
     passed = places_seen(call.stages, geometry, casting, eyes, promise, salted(view, SALT),
-                         max(FEWEST, PLACES * len(points.depth)), EXAMINED)
+                         max(FEWEST, PLACES * len(points.depth)), min(EXAMINED, LOOKS * len(points.depth)))
     if passed is None:
         return None
     hit, free = beyond(call.integrand, passed)

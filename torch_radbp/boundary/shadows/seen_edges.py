@@ -34,10 +34,10 @@ from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, crossing, dot, normali
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
 FAR = 1e10  # the distance of what is a direction
-BLOCK = 1 << 14  # pairs of points and edges that are examined together
+BLOCK = 1 << 14  # pairs of points and edges that are examined together, by operations of torch
 LOOKS = 128  # edges that an eye looks at, at most
 EVEN = 0.2  # share of them that is drawn evenly, the others where some of the eyes have found something
-FEWEST_PILOTS = 8
+SHARE_OF_PILOTS, FEWEST_PILOTS = 4, 8  # one pair of these for so many of all; and of eyes at least
 SALT = 0x510E527F  # tells the random numbers by which they are drawn from others
 
 
@@ -151,19 +151,21 @@ def places_seen(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
     """
     def seen(eyes: Eyes, weight: Tensor, pairing: Pairing) -> Tensor:
         pairs = torch.arange(len(pairing.edge), dtype=torch.int32, device=weight.device)
-        found = torch.cat([stages.angle_seen(geometry, outline, eyes, pairing, block) for block in pairs.split(BLOCK)])
+        together = len(pairs) if hasattr(stages.angle_seen, "fused") else BLOCK
+        found = torch.cat([stages.angle_seen(geometry, outline, eyes, pairing, block) for block in pairs.split(together)])
         return found.view(len(weight), -1) * weight[:, None]
 
     extent, size, own = extent_of(geometry).clamp_min(TINY), len(outline.crease), len(weight)
     if size <= LOOKS:
         pairing = paired(extent, torch.arange(size, device=extent.device).expand(own, size), extent.new_ones(size))
     else:
-        some = torch.arange(min(own, max(FEWEST_PILOTS, examined // size)), device=extent.device)
-        neighbours = -(-size * len(some) // examined)  # of whom one is looked at
+        pilots = max(LOOKS, examined // SHARE_OF_PILOTS)
+        some = torch.arange(min(own, max(FEWEST_PILOTS, pilots // size)), device=extent.device)
+        neighbours = -(-size * len(some) // pilots)  # of whom one is looked at
         first = torch.arange(0, size, neighbours, device=extent.device)
         edge = (first + (hash32(some.to(torch.int32) + seed.seed) & 0x7FFFFFFF)[:, None] % neighbours).clamp_max(size - 1)
-        pilots = some * (own // len(some))
-        importance = seen(rows(eyes, pilots), weight[pilots], paired(extent, edge, extent.new_ones(size))).sum(0)
+        pilot = some * (own // len(some))
+        importance = seen(rows(eyes, pilot), weight[pilot], paired(extent, edge, extent.new_ones(size))).sum(0)
         pairing = drawn(extent, importance.repeat_interleave(neighbours)[:size], own, seed)
     angles = seen(eyes, weight, pairing).flatten()
     total = running_sum(angles)

@@ -1,0 +1,13 @@
+"""Optimising shapes: large steps, an optimiser for them, losses of meshes, and another mesh on the way (`rb.optim`).
+
+    mesh = scene.bunny
+    parametrize.register_parametrization(mesh, "vertex_positions", rb.optim.LargeSteps(mesh.faces, mesh.vertex_positions))
+    optimizer = rb.optim.AdamUniform(mesh.parameters(), lr=0.02)
+"""
+
+from torch_radbp.optim.adam_uniform import AdamUniform
+from torch_radbp.optim.large_steps import LargeSteps
+from torch_radbp.optim.mesh_losses import laplacian_loss, normal_consistency_loss
+from torch_radbp.optim.remeshing import remesh
+
+__all__ = ["AdamUniform", "LargeSteps", "laplacian_loss", "normal_consistency_loss", "remesh"]

@@ -1,0 +1,37 @@
+"""What meets what in a mesh."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def welded(vertices: Tensor) -> tuple[Tensor, int]:
+    """The number of each vertex's place, (V,) int64, and how many there are; vertices at equal coordinates are at one."""
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
+        raise ValueError(f"vertices must have shape (V, 3), got {tuple(vertices.shape)}")
+    places, place = torch.unique(vertices.detach(), dim=0, return_inverse=True)
+    return place, len(places)
+
+
+def edges_of(faces: Tensor) -> Tensor:
+    """The edges of triangles, each once, (E, 2) int64, the smaller vertex first. Triangles of two vertices have one."""
+    return torch.unique(sides_of(faces)[0], dim=0)
+
+
+def sides_of(faces: Tensor) -> tuple[Tensor, Tensor]:
+    """The three sides of each triangle, the smaller vertex first, (S, 2) int64, and whose they are, (S,) int64."""
+    faces = faces.long()
+    sides = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).sort(dim=1).values
+    whose = torch.arange(len(faces), device=faces.device).repeat(3)
+    proper = sides[:, 0] != sides[:, 1]
+    return sides[proper], whose[proper]
+
+
+def neighbours_of(faces: Tensor) -> Tensor:
+    """Pairs of triangles that share an edge, (P, 2) int64; of three or more at one edge, each with the next."""
+    sides, whose = sides_of(faces)
+    _, edge = torch.unique(sides, dim=0, return_inverse=True)
+    order = edge.argsort(stable=True)
+    together = edge[order[1:]] == edge[order[:-1]]
+    return torch.stack([whose[order[:-1]], whose[order[1:]]], 1)[together]

@@ -1,0 +1,88 @@
+"""The points of a mesh that are closest to others."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+FIRST = 8  # triangles whose middles are closest, that are looked at first
+
+
+class OnMesh(NamedTuple):
+    """Q points of a mesh."""
+
+    triangle: Tensor  # (Q,) int64
+    weights: Tensor  # (Q, 3) of its corners
+
+    def of_vertices(self, rows: Tensor, faces: Tensor) -> Tensor:
+        """Values of vertices, (V, ...), at the points, (Q, ...); `faces`: (F, 3), which give triangles theirs."""
+        corner, weights = faces[self.triangle].to(rows.device), self.weights.to(rows)
+        return (rows[corner] * weights.view(-1, 3, *[1] * (rows.ndim - 1))).sum(1)
+
+    def of_faces(self, rows: Tensor) -> Tensor:
+        """Values of faces, (F, ...), at the points, (Q, ...)."""
+        return rows[self.triangle.to(rows.device)]
+
+
+def closest_points(points: Tensor, vertices: Tensor, faces: Tensor) -> OnMesh:
+    """The points of a mesh that are closest to (Q, 3) points.
+
+    Of ever more triangles, those whose middles are closest, until no other can be closer: none of the others has a point
+    within the distance of its middle less its radius.
+
+    Args:
+        points: float64, on the CPU, as are the vertices.
+        vertices: (V, 3).
+        faces: (F, 3).
+    """
+    from scipy.spatial import cKDTree
+
+    corners = vertices[faces]
+    middle = corners.mean(1)
+    radius = float((corners - middle[:, None]).norm(dim=2).max())
+    tree = cKDTree(middle.numpy())
+    triangle, weights = torch.zeros(len(points), dtype=torch.int64), points.new_zeros(len(points), 3)
+    open_, looked_at = torch.arange(len(points)), FIRST
+    while len(open_):
+        looked_at = min(looked_at, len(faces))
+        far, found = tree.query(points[open_].numpy(), looked_at)
+        far, found = (torch.from_numpy(part).view(len(open_), looked_at) for part in (far, found))
+        all_weights, distance = closest_in_triangles(points[open_][:, None], corners[found])
+        nearest, best = distance.min(1)
+        rows = torch.arange(len(open_))
+        triangle[open_], weights[open_] = found[rows, best], all_weights[rows, best]
+        unsure = (nearest > far[:, -1] - radius) & (looked_at < len(faces))
+        open_, looked_at = open_[unsure], 4 * looked_at
+    return OnMesh(triangle, weights)
+
+
+def closest_in_triangles(points: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights of the corners of the closest points, and their distances; (..., 3) and (...).
+
+    Args:
+        points: (..., 3).
+        corners: (..., 3, 3).
+    """
+    a, b, c = corners.unbind(-2)
+    points = points.expand_as(a)
+    normal = torch.linalg.cross(b - a, c - a)
+    area = normal.square().sum(-1)
+    inside = torch.stack([(torch.linalg.cross(c - b, points - b) * normal).sum(-1),
+                          (torch.linalg.cross(a - c, points - c) * normal).sum(-1),
+                          (torch.linalg.cross(b - a, points - a) * normal).sum(-1)], -1)
+    inside = inside / torch.where(area > 0, area, 1.0)[..., None]
+    candidates = [torch.where((inside.min(-1).values >= 0) & (area > 0), 1.0, torch.nan)[..., None] * inside]
+    for first in range(3):
+        second = (first + 1) % 3
+        start, along = corners[..., first, :], corners[..., second, :] - corners[..., first, :]
+        length = along.square().sum(-1)
+        share = (((points - start) * along).sum(-1) / torch.where(length > 0, length, 1.0)).clamp(0, 1)
+        side = torch.zeros_like(inside)
+        side[..., first], side[..., second] = 1 - share, share
+        candidates.append(side)
+    weights = torch.stack(candidates, -2)
+    distance = ((weights[..., None] * corners[..., None, :, :]).sum(-2) - points[..., None, :]).norm(dim=-1)
+    distance, best = torch.where(distance.isnan(), torch.inf, distance).min(-1)
+    return weights.gather(-2, best[..., None, None].expand(*best.shape, 1, 3)).squeeze(-2), distance

@@ -1,0 +1,103 @@
+"""Another mesh in the place of one that is being optimised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parametrize
+
+from torch_radbp.optim.adjacency import welded
+from torch_radbp.optim.closest import closest_points
+from torch_radbp.optim.large_steps import LargeSteps
+from torch_radbp.shape.mesh import Mesh
+
+POSITIONS = "vertex_positions"
+
+
+def remesh(mesh: Mesh, remesher: Callable, optimizer: torch.optim.Optimizer | None = None) -> None:
+    """Gives a mesh other triangles, and carries over what belongs to the old ones.
+
+    Normals, surface coordinates and attributes of vertices are those of the closest points of the old mesh, interpolated,
+    and attributes of faces those of the triangles there; so is what the optimizer has of them, such as moments. A
+    `LargeSteps` of the positions is made anew, as smooth as it was. Seams of surface coordinates are not kept: vertices at
+    one place are one before the remesher sees them.
+
+    Args:
+        mesh: of a scene; its group may be shown by instances.
+        remesher: takes vertices (V, 3) and faces (F, 3), numpy arrays of float64 and int64, and returns others; such as
+            `gpytoolbox.remesh_botsch`, or `lambda v, f: trimesh.remesh.subdivide(v, f)`.
+        optimizer: what holds parameters of the mesh; None: nothing does.
+
+    Raises:
+        TypeError: if it is no mesh with vertex positions.
+        ValueError: if what the remesher returns is none, or the positions have another parametrisation than `LargeSteps`.
+
+    Reference: Botsch and Kobbelt 2004, "A Remeshing Approach to Multiresolution Modeling", for what a remesher does.
+    """
+    if not isinstance(mesh, Mesh):
+        raise TypeError(f"remesh takes a mesh with vertex_positions, got {type(mesh).__name__}")
+    steps, held = large_steps_of(mesh), parameters_of(mesh)
+    faces, positions = mesh.faces.cpu(), mesh.vertex_positions.detach().double().cpu()
+    place, count = welded(positions)
+    places = torch.zeros(count, 3, dtype=torch.float64).index_copy_(0, place, positions)
+    vertices, triangles = (torch.as_tensor(part).cpu() for part in remesher(places.numpy(), place[faces].numpy()))
+    vertices, triangles = vertices.double(), triangles.long()
+    at_vertices = closest_points(vertices, positions, faces)
+    at_faces = closest_points(vertices[triangles].mean(1), positions, faces)
+
+    def carried(name: str, rows: Tensor) -> Tensor:
+        """Rows of the old mesh, of vertices or faces, for the new one."""
+        return at_faces.of_faces(rows) if name.startswith("face_") else at_vertices.of_vertices(rows, faces)
+
+    columns = {name: carried(name, parameter.detach()) for name, parameter in held.items() if name != POSITIONS}
+    if "vertex_normals" in columns:
+        columns["vertex_normals"] = torch.nn.functional.normalize(columns["vertex_normals"], dim=1)
+    if steps is not None:
+        parametrize.remove_parametrizations(mesh, POSITIONS)
+    mesh.replace(vertices.to(mesh.vertex_positions), triangles, columns)
+    at_places = at_vertices
+    if steps is not None:
+        made, found = LargeSteps(mesh.faces, mesh.vertex_positions, steps.smoothness), mesh.vertex_positions.detach()
+        found = found.new_zeros(made.count, 3).index_copy_(0, made.place, found)
+        at_places = closest_points(found.double().cpu(), positions, faces)
+        parametrize.register_parametrization(mesh, POSITIONS, made)
+    for name, parameter in parameters_of(mesh).items():
+        parameter.requires_grad_(held[name].requires_grad)
+        if optimizer is not None:
+            smooth = steps is not None and name == POSITIONS
+            exchange(optimizer, held[name], parameter,
+                     (lambda rows: at_places.of_vertices(rows, place[faces])) if smooth else partial(carried, name))
+
+
+def large_steps_of(mesh: Mesh) -> LargeSteps | None:
+    """The parametrisation of a mesh's positions."""
+    if not parametrize.is_parametrized(mesh, POSITIONS):
+        return None
+    found = list(mesh.parametrizations[POSITIONS])
+    if len(found) != 1 or not isinstance(found[0], LargeSteps):
+        raise ValueError(f"the positions have the parametrisation {', '.join(type(each).__name__ for each in found)}; only "
+                         f"LargeSteps is carried over: remove it, and register it again")
+    return found[0]
+
+
+def parameters_of(mesh: Mesh) -> dict[str, nn.Parameter]:
+    """The parameters of a mesh that have a row for each vertex or face, by name; of positions what is optimised."""
+    names = [name for name in (POSITIONS, "vertex_normals", "vertex_texcoords", *mesh.attribute_names)
+             if name in dict(mesh.named_parameters(recurse=False)) or parametrize.is_parametrized(mesh, name)]
+    return {name: mesh.parametrizations[name].original if parametrize.is_parametrized(mesh, name) else getattr(mesh, name)
+            for name in names}
+
+
+def exchange(optimizer: torch.optim.Optimizer, old: nn.Parameter, new: nn.Parameter,
+             carried: Callable[[Tensor], Tensor]) -> None:
+    """Puts a parameter into the place of another that an optimizer may hold, with the state that belongs to its rows."""
+    for group in optimizer.param_groups:
+        group["params"] = [new if parameter is old else parameter for parameter in group["params"]]
+    state = optimizer.state.pop(old, None)
+    if state is not None:
+        rows = {key: carried(value) if isinstance(value, Tensor) and value.shape == old.shape else value
+                for key, value in state.items()}
+        optimizer.state[new] = rows
