@@ -43,6 +43,7 @@ class Outline(NamedTuple):
     crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, `TURNED`
     folds: bool  # some are `FOLD` or `TURNED`
     share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
+    body: Tensor | None = None  # (E,) int32, of everything, the number of the shape, shown by an instance, that has it
 
 
 class Moving(NamedTuple):
@@ -96,8 +97,13 @@ class Outlines:
     def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
         """The edges of all shapes; None: there are none. Args as for `of_views`."""
         everything = Moving(*((True,) * len(part) for part in (rendering.movers, rendering.moving_instances)))
-        generator = torch.Generator("cpu").manual_seed(seed % (1 << 63))
-        return self.of(detached(call.scene), rendering.sizes, everything, generator)
+        generator, sizes = torch.Generator("cpu").manual_seed(seed % (1 << 63)), rendering.sizes
+        found = self.of(detached(call.scene), sizes, everything, generator)
+        if found is None:
+            return None
+        shape = torch.repeat_interleave(torch.tensor(sizes, device=found.crease.device)).int()
+        body = rows(shape, torch.div(found.edges.corner[0], 3, rounding_mode="floor"))
+        return found._replace(body=body if found.instance is None else body + found.instance * len(sizes))
 
     def of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Outline | None:
         """The edges of all that moves; None: there are none.

@@ -17,7 +17,7 @@ from torch_radbp.lookup import lookup
 from torch_radbp.plugin import register
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import square_to_uniform_triangle
-from torch_radbp.vec import Vec3, angle_between, dot, interpolated, where
+from torch_radbp.vec import Vec3, angle_between, dot, interpolated
 
 SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
 
@@ -54,16 +54,15 @@ class AreaKind(SurfaceKind):
         reach = target - p
         squared = dot(reach, reach).clamp_min(NEAREST**2)
         d = reach * torch.rsqrt(squared)
-        cosine = -dot(d, lookup(table.n, row))
-        axis = lookup(table.n, row)
+        n = lookup(table.n, row)
+        cosine = -dot(d, n)
+        facing = cosine > 0
         if table.shading is not None:
-            shading = interpolated(lookup(table.shading, row), b.x, b.y)
-            axis = shading if table.smooth is None else where(lookup(table.smooth, row), shading, axis)
-        facing = dot(axis, d) < 0
+            seen = dot(interpolated(lookup(table.shading, row), b.x, b.y), d) < 0
+            facing = seen if table.smooth is None else torch.where(lookup(table.smooth, row), seen, facing)
         uv = None if table.uv is None else interpolated(lookup(table.uv, row), b.x, b.y)
         pdf = pick.pmf * lookup(table.inverse_area, row) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
-        return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv, attributes=table.attributes_at(row, b.x, b.y),
-                   axis=axis)
+        return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv, attributes=table.attributes_at(row, b.x, b.y), n=n)
 
     def sends(self, front: Tensor) -> Tensor:
         return front

@@ -49,7 +49,7 @@ class Aim(NamedTuple):
     attributes: tuple[Vec3, ...] | None = None  # of the mesh, there; None: it is on no surface
     radiance: Vec3 | None = None  # instead of the texture times its factor
     weighing: Tensor | None = None  # used instead of `pdf` in the weights of multiple importance sampling
-    axis: Vec3 | None = None  # it sends nothing to directions at more than 90 degrees from this; None: it may
+    n: Vec3 | None = None  # unit normal of the surface that the point lies on; None: on none
 
 
 class ShadowSource(NamedTuple):

@@ -55,7 +55,7 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     crosses=CURVES, contour_length=CURVES, contour_place=(*CURVES, "faces", "lot"),
     rays_beside=("sight", "places", "chosen"), in_sight=("geometry", "places", "sent"),
     paths_beside=("places", "chosen", "sent", "times", "shown"), swept=MOTION, slopes=MOTION,
-    asked_of_places=("camera", "pixels", "film"), angle_seen=EYES, edge_passed=(*EYES, "lot"))
+    asked_of_places=("camera", "pixels", "film"), angle_seen=("weight", *EYES), edge_passed=("lot", *EYES))
 
 
 def fused(target: Target | None = None) -> Stages:

@@ -17,7 +17,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.shadows import border, bounced, hidden_light
 from torch_radbp.boundary.shadows.film_jumps import image_of
-from torch_radbp.boundary.shadows.seen_edges import BLOCK, LOOKS
+from torch_radbp.boundary.shadows.seen_edges import BLOCK
 from torch_radbp.differentiated import any_differentiated, detached
 from torch_radbp.rendering.call.render_call import RenderCall
 
@@ -36,8 +36,8 @@ def shadows_move(call: RenderCall) -> bool:
 def bytes_of_shadows(call: RenderCall) -> int:
     """The most that places on borders of shadows may take of memory."""
     paths = call.spp * max(view.width * view.height for view in call.views)
-    edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
-    pairs = max(min(part.EXAMINED, min(edges, LOOKS) * max(FEWEST, paths // part.SHARE)) for part in (border, hidden_light))
+    pairs = max(min(border.EXAMINED, border.EXAMINED_BY_PATH * paths),
+                min(hidden_light.EXAMINED, hidden_light.EXAMINED_BY_PATH * max(FEWEST, paths // hidden_light.SHARE)))
     places = max(FEWEST, min(border.MOST, paths // border.SHARE))
     eager = 0 if hasattr(call.stages.angle_seen, "fused") else min(pairs, BLOCK) * BYTES_OF_EAGER_PAIR
     return pairs * BYTES_OF_PAIR + eager + places * BYTES_OF_PLACE * (1 + len(call.views))

@@ -37,7 +37,6 @@ from torch_radbp.boundary.shadows.seen_edges import (
     corners_of,
     crossed_at,
     extent_of,
-    eyes_at_most,
     pace,
     places_seen,
     point_of_edge,
@@ -58,7 +57,7 @@ from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
 SHARE, MOST = 4, 1 << 17  # one place for so many paths of the image; and at most
 EXAMINED, EXAMINED_BY_PATH = 1 << 18, 4  # pairs of light samples and edges that are examined, at most; for each path
-FEWEST_POINTS = 16  # light samples
+MOST_POINTS = 1 << 13  # light samples
 ALIKE = 0.9  # cosine between normals of triangles of one surface
 
 
@@ -146,7 +145,7 @@ def borders_of(call: RenderCall, number: int, casting: Outline, lights: Lights, 
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     paths = view.width * view.height * call.spp
     count, examined = max(FEWEST, min(MOST, paths // share)), min(EXAMINED, EXAMINED_BY_PATH * paths)
-    points = light_points(scene, view, max(FEWEST_POINTS, min(count, eyes_at_most(casting, examined))))
+    points = light_points(scene, view, min(count, MOST_POINTS))
     meant = lights.of(scene)[points.kind]
     passed = places_seen(call.stages, geometry, casting, points.eyes, meant, salted(view, SALT), count, examined)
     if passed is None:

@@ -33,14 +33,12 @@ from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
-    LOOKS,
     Eyes,
     Passed,
     beyond,
     corners_of,
     crossed_at,
     extent_of,
-    eyes_at_most,
     pace,
     places_seen,
     point_of_edge,
@@ -57,9 +55,9 @@ from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, max_compo
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 32, 1 << 14  # one path for so many of the image; and at most
 PLACES = 8  # on edges that are seen from each
-EXAMINED = 1 << 20  # pairs of paths and edges that are examined
+EXAMINED, EXAMINED_BY_PATH = 1 << 20, 128  # pairs of paths and edges that are examined, at most; for each path
 FEWEST_PATHS = 16
-FACED = 0.9  # how much the cosine at a vertex decides where it looks; the rest is left to what shading normals turn
+EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
 
 
 class FirstVertex(NamedTuple):
@@ -126,15 +124,15 @@ def cuts_of_view(call: RenderCall, number: int, casting: Outline,
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
     paths = min(MOST, view.width * view.height * call.spp // SHARE)
-    points = viewpoints(call, number, integrand, max(FEWEST_PATHS, min(paths, eyes_at_most(casting, EXAMINED))))
+    points = viewpoints(call, number, integrand, max(FEWEST_PATHS, paths))
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)
     one, promise = torch.ones_like(at.x), max_component(points.beta).double()
     corners = corners_of(geometry, points.hit)
-    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]) * FACED, one)
+    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN)
     passed = places_seen(call.stages, geometry, casting, eyes, promise, salted(view, SALT),
-                         max(FEWEST, PLACES * len(points.depth)), min(EXAMINED, LOOKS * len(points.depth)))
+                         max(FEWEST, PLACES * len(points.depth)), min(EXAMINED, EXAMINED_BY_PATH * len(points.depth)))
     if passed is None:
         return None
     hit, free = beyond(call.integrand, passed)

@@ -17,6 +17,7 @@ from torch_radbp.scene.light_choice import LightPick, TreeChoice
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, masked, normalize, where
 
+BEHIND = 0.05  # how much edges count behind a light: interpolated normals may let some light go there
 SALT = 0x1F83D9AC  # tells the random numbers of these samples from others
 
 
@@ -48,18 +49,18 @@ def light_points(scene: SceneTensors, view: View, count: int) -> LightPoints:
     zero = torch.zeros(count, dtype=torch.float64, device=device)
     nowhere = Vec3(zero, zero, zero)
     start, d, parallel = light_line(scene, nowhere, draw)
-    eyes = Eyes(where(parallel, -d, start), (~parallel).double(), axis_of(scene, nowhere, draw), zero)
+    eyes = Eyes(where(parallel, -d, start), (~parallel).double(), normal_at(scene, nowhere, draw), zero + BEHIND, zero)
     return LightPoints(draw, eyes, scene.lights.kind[element.long()].long())
 
 
-def axis_of(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Vec3:
-    """The directions that light samples light the most, (N,) unit, world; 0 where nobody knows. Args as for `light_line`."""
+def normal_at(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Vec3:
+    """The normals of the surfaces that light samples lie on, (N,) unit; 0 of those on none. Args as for `light_line`."""
     aims = light_aims(scene, scene, p.map(lambda c: c.to(scene.dtype)), draw.numbers, draw.picked)
-    axis = aims("axis")
-    if axis is None:
+    n = aims("n")
+    if n is None:
         return p * 0.0
-    known = among(aims.cases, [aim.axis is not None for aim in aims.of_case], aims.element)
-    return masked(known, normalize(axis.map(torch.Tensor.double)))
+    known = among(aims.cases, [aim.n is not None for aim in aims.of_case], aims.element)
+    return masked(known, normalize(n.map(torch.Tensor.double)))
 
 
 def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec3, Tensor]:

@@ -33,12 +33,10 @@ from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, crossing, dot, normali
 
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
+COPLANAR = 1e-9  # a cosine; what lies in the plane of an eye's surface hides nothing from it
 FAR = 1e10  # the distance of what is a direction
 BLOCK = 1 << 14  # pairs of points and edges that are examined together, by operations of torch
-LOOKS = 128  # edges that an eye looks at, at most
-EVEN = 0.2  # share of them that is drawn evenly, the others where some of the eyes have found something
-SHARE_OF_PILOTS, FEWEST_PILOTS = 4, 8  # one pair of these for so many of all; and of eyes at least
-SALT = 0x510E527F  # tells the random numbers by which they are drawn from others
+FEWEST_EYES = 16  # that look at a body
 
 
 class Eyes(NamedTuple):
@@ -46,21 +44,44 @@ class Eyes(NamedTuple):
 
     place: Vec3  # (M,) float64
     w: Tensor  # (M,) 1; 0: `place` is a direction towards the eye
-    axis: Vec3  # (M,) of length l <= 1: directions at the cosine c from it count in proportion to 1 - l + l max(c, 0)
-    behind: Tensor  # (M,) how much those count, instead of 0, in which c is negative; times -c
+    n: Vec3  # (M,) unit normal of the surface that it lies on, 0: on none; directions count by their cosines,
+    behind: Tensor  # (M,) behind the surface so many times less,
+    even: Tensor  # (M,) and so much, whatever the cosine, but along the surface
+
+
+class Bodies(NamedTuple):
+    """B shapes, and how they are looked at; (B,) each."""
+
+    first: Tensor  # int32, where their edges begin in `Pairing.edges`
+    edges: Tensor  # int32, how many they have
+    stride: Tensor  # int32, of how many edges that follow each other an eye looks at one
+    looks: Tensor  # int32, at how many it looks
+    pair: Tensor  # int32, the first of their pairs
+    eyes: Tensor  # float64, of how many eyes one looks at them
+    start: Tensor  # float64, which is the first, of those
+    times: Tensor  # float64, for how many pairs each stands
 
 
 class Pairing(NamedTuple):
-    """Which edges each eye looks at: pairs of both, those of an eye together."""
+    """Which edges each eye looks at: P pairs, of each body about as many, so that few edges are seen by many eyes."""
 
     extent: Tensor  # () of the scene, float64
-    looks: Tensor  # () int32, how many edges an eye looks at
-    edge: Tensor  # (P,) int32, of each pair
-    times: Tensor  # (E,) float64, how many edges each stands for: 1 over how often an eye looks at it in the mean
+    seed: Tensor  # () int32
+    last: Tensor  # () float64, number of the last eye
+    body: Tensor  # (P,) int32
+    bodies: Bodies
+    edges: Tensor  # (E,) int32, in the order of their bodies
 
-    def __call__(self, pair: Tensor) -> tuple[Tensor, Tensor]:
-        """Edges and eyes of pairs, (N,) int32."""
-        return lookup(self.edge, pair), torch.div(pair, self.looks, rounding_mode="floor")
+    def __call__(self, pair: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Edges and eyes of pairs, (N,) int32; whether there is such an edge, (N,) bool; and `Bodies.times`."""
+        body = lookup(self.body, pair)
+        own = rows(self.bodies, body)
+        turn = torch.div(pair - own.pair, own.looks, rounding_mode="floor")
+        place = (pair - own.pair - turn * own.looks) * own.stride
+        place = place + (hash32(turn ^ hash32(body + self.seed)) & 0x7FFFFFFF) % own.stride
+        eye = torch.minimum(torch.floor((turn.double() + own.start) * own.eyes), self.last).to(torch.int32)
+        edge = lookup(self.edges, own.first + torch.minimum(place, own.edges - 1))
+        return edge, eye, place < own.edges, own.times
 
 
 class Passed(NamedTuple):
@@ -78,7 +99,7 @@ class Passed(NamedTuple):
     key: LaneKey  # of random numbers
 
 
-def angle_seen(geometry: Geometry, outline: Outline, eyes: Eyes, pairing: Pairing, pair: Tensor) -> Tensor:
+def angle_seen(geometry: Geometry, outline: Outline, eyes: Eyes, weight: Tensor, pairing: Pairing, pair: Tensor) -> Tensor:
     """The angles under which edges are seen that are silhouettes, 0 for others; times what counts of them; (N,) float64.
 
     From a direction lengths across it are seen instead, as shares of the extent.
@@ -87,21 +108,22 @@ def angle_seen(geometry: Geometry, outline: Outline, eyes: Eyes, pairing: Pairin
         geometry: of the scene, detached.
         outline: its edges.
         eyes: look at them.
+        weight: (M,) float64, how much each eye counts.
         pairing: of both.
         pair: (N,) int32, numbers of pairs.
     """
-    edge, eye = pairing(pair)
-    eye = rows(eyes, eye)
+    edge, eye, exists, times = pairing(pair)
+    eye, times = rows(eyes, eye), times * lookup(weight, eye)
     edges, instance = rows((outline.edges, outline.instance), edge)
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
     from_a, from_b = (end * eye.w - eye.place for end in (a, b))
     to_a, to_b, across = normalize(from_a), normalize(from_b), cross(b - a, eye.place)
     apart = to_a - to_b
     # Between the ends of an edge no direction lies farther on either side than they do.
-    faced = [torch.maximum(c, -eye.behind * c) for c in (dot(eye.axis, to_a), dot(eye.axis, to_b))]
-    counts = 1.0 - torch.sqrt(dot(eye.axis, eye.axis)).clamp_max(1.0) + torch.maximum(*faced).clamp_min(0.0)
+    faced = torch.maximum(*(torch.maximum(c, -eye.behind * c) for c in (dot(eye.n, to_a), dot(eye.n, to_b))))
+    counts = torch.where(faced > COPLANAR, faced + eye.even, torch.where(dot(eye.n, eye.n) > 0.0, 0.0, 1.0))
     seen = torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / pairing.extent)
-    return torch.where(is_silhouette(a, b, opposite, from_a), seen * counts * lookup(pairing.times, edge), 0.0)
+    return torch.where(exists & is_silhouette(a, b, opposite, from_a), seen * counts * times, 0.0)
 
 
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, seed: SampleKey,
@@ -116,7 +138,7 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, seed
     """
     key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
     pair, along, times = picked(lot, place, fine_unit(random_bits(bounce_key(key, CAMERA_COUNTER), ALONG)))
-    edge, eye = pairing(pair.to(torch.int32))
+    edge, eye, _, repeated = pairing(pair.to(torch.int32))
     edges, instance, share = rows((outline.edges, outline.instance, outline.share), edge)
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
     own = rows(eyes, eye)
@@ -132,7 +154,7 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, seed
     d, dtype = away * (1.0 / length), geometry.triangles.n.x.dtype
     o, d = (part.map(lambda c: c.to(dtype)) for part in (start, d))
     distance = torch.where(own.w > 0.0, length * (1.0 - BEFORE), FAR).to(dtype)
-    times = times * lookup(pairing.times, edge)
+    times = times * repeated
     return Passed(edge, eye, along, times if share is None else times / share, p, outwards, Ray(o, -d), Ray(o, d), distance,
                   key)
 
@@ -147,53 +169,44 @@ def places_seen(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
         weight: (M,) float64, how much each eye counts.
         seed: of the random numbers.
         count: how many.
-        examined: pairs of eyes and edges, at most, by which is found where edges are that count.
+        examined: pairs of eyes and edges, about.
     """
-    def seen(eyes: Eyes, weight: Tensor, pairing: Pairing) -> Tensor:
-        pairs = torch.arange(len(pairing.edge), dtype=torch.int32, device=weight.device)
-        together = len(pairs) if hasattr(stages.angle_seen, "fused") else BLOCK
-        found = torch.cat([stages.angle_seen(geometry, outline, eyes, pairing, block) for block in pairs.split(together)])
-        return found.view(len(weight), -1) * weight[:, None]
-
-    extent, size, own = extent_of(geometry).clamp_min(TINY), len(outline.crease), len(weight)
-    if size <= LOOKS:
-        pairing = paired(extent, torch.arange(size, device=extent.device).expand(own, size), extent.new_ones(size))
-    else:
-        pilots = max(LOOKS, examined // SHARE_OF_PILOTS)
-        some = torch.arange(min(own, max(FEWEST_PILOTS, pilots // size)), device=extent.device)
-        neighbours = -(-size * len(some) // pilots)  # of whom one is looked at
-        first = torch.arange(0, size, neighbours, device=extent.device)
-        edge = (first + (hash32(some.to(torch.int32) + seed.seed) & 0x7FFFFFFF)[:, None] % neighbours).clamp_max(size - 1)
-        pilot = some * (own // len(some))
-        importance = seen(rows(eyes, pilot), weight[pilot], paired(extent, edge, extent.new_ones(size))).sum(0)
-        pairing = drawn(extent, importance.repeat_interleave(neighbours)[:size], own, seed)
-    angles = seen(eyes, weight, pairing).flatten()
+    pairing = pairing_of(geometry, outline.body, len(weight), seed, examined)
+    pairs = torch.arange(len(pairing.body), dtype=torch.int32, device=weight.device)
+    together = len(pairs) if hasattr(stages.angle_seen, "fused") else BLOCK
+    angles = torch.cat([stages.angle_seen(geometry, outline, eyes, weight, pairing, block)
+                        for block in pairs.split(together)])
     total = running_sum(angles)
     if not float(total[-1]) > 0.0:
         return None
     return stages.edge_passed(geometry, outline, eyes, lot_of(angles, count, total), seed, pairing,
-                              torch.arange(count, dtype=torch.int32, device=extent.device))
+                              torch.arange(count, dtype=torch.int32, device=weight.device))
 
 
-def eyes_at_most(outline: Outline, examined: int) -> int:
-    """How many eyes can look at edges, if so many pairs are examined."""
-    return examined // min(len(outline.crease), LOOKS)
+def pairing_of(geometry: Geometry, body: Tensor, eyes: int, seed: SampleKey, examined: int) -> Pairing:
+    """Which edges so many eyes look at; args as for `places_seen`, `body`: (E,) whose edges they are."""
+    present, body = torch.unique(body, return_inverse=True)
+    edges = torch.bincount(body)
+    level = filled_to(edges.double() * eyes, float(examined))
+    seeing = torch.floor(level / edges).clamp(min(FEWEST_EYES, eyes), eyes)
+    stride = torch.ceil(seeing * edges / level).clamp_min(1)
+    looks = torch.ceil(edges / stride)
+    pairs = (seeing * looks).long()
+    start = fine_unit(hash32(hash32(present.to(torch.int32)) ^ seed.seed))
+    first, pair = (torch.cat([part.new_zeros(1), part.cumsum(0)[:-1]]) for part in (edges, pairs))
+    whole = [column.to(torch.int32) for column in (first, edges, stride, looks, pair)]
+    return Pairing(extent_of(geometry).clamp_min(TINY), seed.seed, torch.full_like(start[0], eyes - 1),
+                   torch.repeat_interleave(pairs).to(torch.int32),
+                   Bodies(*whole, eyes / seeing, start, stride * (eyes / seeing)), body.argsort(stable=True).to(torch.int32))
 
 
-def drawn(extent: Tensor, importance: Tensor, eyes: int, seed: SampleKey) -> Pairing:
-    """`LOOKS` edges for each eye, by chance, at equal distances in a sum of how important they are; `importance`: (E,)."""
-    share = EVEN / len(importance) + importance * ((1.0 - EVEN) / importance.sum().clamp_min(TINY))
-    total = running_sum(share)
-    start = numbers(seed, torch.arange(eyes, dtype=torch.int32, device=extent.device), SALT, extent.dtype)
-    place = torch.arange(LOOKS, device=extent.device) + start[:, None]
-    edge = torch.searchsorted(total, place * (total[-1] / LOOKS), right=True).clamp_max(len(share) - 1)
-    return paired(extent, edge, total[-1] / (LOOKS * share))
-
-
-def paired(extent: Tensor, edge: Tensor, times: Tensor) -> Pairing:
-    """Each eye with edges, (M, looks)."""
-    looks = torch.full((), edge.shape[1], dtype=torch.int32, device=extent.device)
-    return Pairing(extent, looks, edge.to(torch.int32).flatten(), times)
+def filled_to(wanted: Tensor, supply: float) -> Tensor:
+    """() how much each may have at most, so that together they have no more than there is; `wanted`: (B,) float64."""
+    ascending = wanted.sort().values
+    left = supply - (ascending.cumsum(0) - ascending)  # if all that want less have what they want
+    levels = left / torch.arange(len(wanted), 0, -1, device=wanted.device)
+    enough = levels >= ascending
+    return torch.where(enough.all(), ascending[-1], levels[(~enough).int().argmax()])
 
 
 def salted(view: View, salt: int) -> SampleKey:
