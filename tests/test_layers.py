@@ -1,7 +1,7 @@
 """The order of the package: imports go one way, and what is public is documented."""
 
 import ast
-import importlib
+import importlib.util
 import inspect
 import pkgutil
 from collections.abc import Sequence
@@ -99,6 +99,24 @@ def test_a_part_is_not_asked_of_the_package():
              for node in ast.walk(ast.parse(path.read_text()))
              if isinstance(node, ast.ImportFrom) and node.module == "torch_radbp"]
     assert not wrong, wrong
+
+
+def is_module(name: str) -> bool:
+    """Whether there is a module of that name."""
+    return importlib.util.find_spec(name) is not None
+
+
+def test_what_is_imported_exists():
+    """Inside functions, too, which no other test need run."""
+    wrong = []
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("torch_radbp"):
+                module = importlib.import_module(node.module)
+                for alias in node.names:
+                    if alias.name != "*" and not (hasattr(module, alias.name) or is_module(f"{node.module}.{alias.name}")):
+                        wrong += [f"{path}:{node.lineno}: {node.module} has no {alias.name}"]
+    assert not wrong, "\n".join(wrong)
 
 
 def test_only_training_imports_the_package_as_a_whole():

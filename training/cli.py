@@ -8,6 +8,8 @@ from torch_radbp.training.commands.cache import EPILOG as CACHE_EPILOG
 from torch_radbp.training.commands.cache import cache
 from torch_radbp.training.commands.check import EPILOG as CHECK_EPILOG
 from torch_radbp.training.commands.check import check
+from torch_radbp.training.commands.doctor import EPILOG as DOCTOR_EPILOG
+from torch_radbp.training.commands.doctor import doctor
 from torch_radbp.training.commands.info import EPILOG as INFO_EPILOG
 from torch_radbp.training.commands.info import info
 from torch_radbp.training.commands.optimize import EPILOG as OPTIMIZE_EPILOG
@@ -21,6 +23,7 @@ EPILOG = (
     "radbp render scene.xml -o image.png --spp 64\n\n"
     "radbp optimize recipe.toml --out runs/first  (recover parameters from images)\n\n"
     "radbp check scene.xml --param white.reflectance.value  (is a derivative right?)\n\n"
+    "radbp doctor  (what is installed, and what is missing)\n\n"
     "Every command explains itself: radbp render --help. Completion by the Tab key: radbp --install-completion"
 )
 
@@ -37,6 +40,7 @@ app.command(epilog=INFO_EPILOG)(info)
 app.command(epilog=OPTIMIZE_EPILOG)(optimize)
 app.command(epilog=CHECK_EPILOG)(check)
 app.command(epilog=CACHE_EPILOG)(cache)
+app.command(epilog=DOCTOR_EPILOG)(doctor)
 
 
 def _version(wanted: bool) -> None:

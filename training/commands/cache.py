@@ -21,16 +21,16 @@ def cache(
 ) -> None:
     """Show where compiled code is kept on disk, or delete it."""
     with clear_errors(debug):
-        from torch_radbp.jit import kept_code
+        from torch_radbp.jit import code_cache
 
-        folder = kept_code.folder()
+        folder = code_cache.folder()
         if folder is None:
             words = "Nothing is kept: RADBP_KERNEL_CACHE is off"
         elif clear:
-            count, size = kept_code.clear()
+            count, size = code_cache.clear()
             words = f"{folder}: deleted {count:,} functions, {size / 2**20:.1f} MiB"
         else:
-            sizes = [state.st_size for _, state in kept_code.files(folder)]
+            sizes = [state.st_size for _, state in code_cache.files(folder)]
             words = (f"{folder}: {len(sizes):,} functions, {sum(sizes) / 2**20:.1f} MiB "
-                     f"of at most {kept_code.LIMIT / 2**20:.0f} MiB")
+                     f"of at most {code_cache.LIMIT / 2**20:.0f} MiB")
         Console().print(words, soft_wrap=True, highlight=False)
