@@ -22,6 +22,7 @@ TARGETS = {
     "glass_slab/target.exr": ("glass_slab/scene.xml", 64, 4096),
     "metal_plate/target.exr": ("metal_plate/scene.xml", 64, 8192),
     "point_light/target.exr": ("point_light/scene.xml", 64, 8192),
+    "shadow/target.exr": ("shadow/scene.xml", 64, 8192),
     "lit_balls/front.exr": ("lit_balls/scene.xml", 64, 4096, 0),
     "lit_balls/back.exr": ("lit_balls/scene.xml", 64, 4096, 1),
     "relief/target.exr": ("relief/scene.xml", 64, 1024),
