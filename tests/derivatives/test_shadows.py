@@ -151,8 +151,10 @@ def test_of_many_edges_some_are_looked_at_for_all(monkeypatch):
         return torch.stack([(rb.jvp(scene, tangent, seed=first + seed, spp=64, max_depth=2) * weight).mean()
                             for seed in range(24)])
 
+    monkeypatch.setattr(border, "EXAMINED_BY_PATH", 1 << 10)
+    monkeypatch.setattr(border, "EXAMINED", 1 << 20)
     every = estimates(0)
-    monkeypatch.setattr(border, "EXAMINED", 1 << 12)  # 256 edges for each of 16 light samples, of thousands
+    monkeypatch.setattr(border, "EXAMINED", 1 << 15)  # 2,000 edges for each of 16 light samples, of 27,000
     some = estimates(100)
     error = (every.var() / len(every) + some.var() / len(some)).sqrt()
     assert error < 0.1 * every.mean().abs() and (every.mean() - some.mean()).abs() < 4 * error

@@ -11,6 +11,7 @@ from torch_radbp.interleaved import LEAST, interleaved
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.emit import emit
+from torch_radbp.jit.machine import host_width
 from torch_radbp.jit.window import Window
 from torch_radbp.lookup import lookup
 from torch_radbp.record import leaves_of
@@ -42,7 +43,11 @@ def indices(entries: int, kind: str) -> torch.Tensor:
     return found
 
 
-@pytest.mark.parametrize("width", [None, 4, 8, 16, 32])
+# A block is of one vector of the processor, or two.
+WIDTHS = [None, *(width for width in (4, 8, 16, 32) if width <= 2 * host_width())]
+
+
+@pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("kind", ["anywhere", "near", "mixed"])
 @pytest.mark.parametrize("entries", [1, 5, 31, 32, 33, 1000])
 def test_entries_are_those_of_the_table(entries, kind, width):

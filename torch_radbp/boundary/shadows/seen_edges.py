@@ -36,6 +36,7 @@ BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
 COPLANAR = 1e-9  # a cosine; what lies in the plane of an eye's surface hides nothing from it
 FAR = 1e10  # the distance of what is a direction
 BLOCK = 1 << 14  # pairs of points and edges that are examined together, by operations of torch
+PAIR = 1  # the random number that picks a pair, beside `ALONG`
 FEWEST_EYES = 16  # that look at a body
 
 
@@ -55,9 +56,9 @@ class Bodies(NamedTuple):
     first: Tensor  # int32, where their edges begin in `Pairing.edges`
     edges: Tensor  # int32, how many they have
     stride: Tensor  # int32, of how many edges that follow each other an eye looks at one
-    looks: Tensor  # int32, at how many it looks
-    pair: Tensor  # int32, the first of their pairs
-    eyes: Tensor  # float64, of how many eyes one looks at them
+    seeing: Tensor  # int32, how many eyes look at them
+    pair: Tensor  # int32, the first of their pairs: those of an edge together
+    eyes: Tensor  # float64, of how many eyes one looks
     start: Tensor  # float64, which is the first, of those
     times: Tensor  # float64, for how many pairs each stands
 
@@ -76,9 +77,9 @@ class Pairing(NamedTuple):
         """Edges and eyes of pairs, (N,) int32; whether there is such an edge, (N,) bool; and `Bodies.times`."""
         body = lookup(self.body, pair)
         own = rows(self.bodies, body)
-        turn = torch.div(pair - own.pair, own.looks, rounding_mode="floor")
-        place = (pair - own.pair - turn * own.looks) * own.stride
-        place = place + (hash32(turn ^ hash32(body + self.seed)) & 0x7FFFFFFF) % own.stride
+        look = torch.div(pair - own.pair, own.seeing, rounding_mode="floor")
+        turn = pair - own.pair - look * own.seeing
+        place = look * own.stride + (hash32(turn ^ hash32(body + self.seed)) & 0x7FFFFFFF) % own.stride
         eye = torch.minimum(torch.floor((turn.double() + own.start) * own.eyes), self.last).to(torch.int32)
         edge = lookup(self.edges, own.first + torch.minimum(place, own.edges - 1))
         return edge, eye, place < own.edges, own.times
@@ -137,7 +138,9 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, seed
         place: (N,) int32, numbers of the places.
     """
     key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
-    pair, along, times = picked(lot, place, fine_unit(random_bits(bounce_key(key, CAMERA_COUNTER), ALONG)))
+    numbers_of_place = bounce_key(key, CAMERA_COUNTER)
+    pair, _, times = picked(lot, place, fine_unit(random_bits(numbers_of_place, PAIR)))
+    along = fine_unit(random_bits(numbers_of_place, ALONG))  # what is left of the other is no longer well spread
     edge, eye, _, repeated = pairing(pair.to(torch.int32))
     edges, instance, share = rows((outline.edges, outline.instance, outline.share), edge)
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
@@ -194,7 +197,7 @@ def pairing_of(geometry: Geometry, body: Tensor, eyes: int, seed: SampleKey, exa
     pairs = (seeing * looks).long()
     start = fine_unit(hash32(hash32(present.to(torch.int32)) ^ seed.seed))
     first, pair = (torch.cat([part.new_zeros(1), part.cumsum(0)[:-1]]) for part in (edges, pairs))
-    whole = [column.to(torch.int32) for column in (first, edges, stride, looks, pair)]
+    whole = [column.to(torch.int32) for column in (first, edges, stride, seeing, pair)]
     return Pairing(extent_of(geometry).clamp_min(TINY), seed.seed, torch.full_like(start[0], eyes - 1),
                    torch.repeat_interleave(pairs).to(torch.int32),
                    Bodies(*whole, eyes / seeing, start, stride * (eyes / seeing)), body.argsort(stable=True).to(torch.int32))
@@ -203,7 +206,7 @@ def pairing_of(geometry: Geometry, body: Tensor, eyes: int, seed: SampleKey, exa
 def filled_to(wanted: Tensor, supply: float) -> Tensor:
     """() how much each may have at most, so that together they have no more than there is; `wanted`: (B,) float64."""
     ascending = wanted.sort().values
-    left = supply - (ascending.cumsum(0) - ascending)  # if all that want less have what they want
+    left = supply - (running_sum(ascending) - ascending)  # if all that want less have what they want
     levels = left / torch.arange(len(wanted), 0, -1, device=wanted.device)
     enough = levels >= ascending
     return torch.where(enough.all(), ascending[-1], levels[(~enough).int().argmax()])
