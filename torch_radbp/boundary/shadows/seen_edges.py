@@ -12,6 +12,7 @@ from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import ALONG, NEIGHBOURS, Lot, lot_of, picked
+from torch_radbp.boundary.shadows.pairing import Pairing, pairing_of
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.lookup import lookup
 from torch_radbp.path.integrand import Integrand, Stages
@@ -37,7 +38,6 @@ COPLANAR = 1e-9  # a cosine; what lies in the plane of an eye's surface hides no
 FAR = 1e10  # the distance of what is a direction
 BLOCK = 1 << 14  # pairs of points and edges that are examined together, by operations of torch
 PAIR = 1  # the random number that picks a pair, beside `ALONG`
-FEWEST_EYES = 16  # that look at a body
 
 
 class Eyes(NamedTuple):
@@ -48,41 +48,6 @@ class Eyes(NamedTuple):
     n: Vec3  # (M,) unit normal of the surface that it lies on, 0: on none; directions count by their cosines,
     behind: Tensor  # (M,) behind the surface so many times less,
     even: Tensor  # (M,) and so much, whatever the cosine, but along the surface
-
-
-class Bodies(NamedTuple):
-    """B shapes, and how they are looked at; (B,) each."""
-
-    first: Tensor  # int32, where their edges begin in `Pairing.edges`
-    edges: Tensor  # int32, how many they have
-    stride: Tensor  # int32, of how many edges that follow each other an eye looks at one
-    seeing: Tensor  # int32, how many eyes look at them
-    pair: Tensor  # int32, the first of their pairs: those of an edge together
-    eyes: Tensor  # float64, of how many eyes one looks
-    start: Tensor  # float64, which is the first, of those
-    times: Tensor  # float64, for how many pairs each stands
-
-
-class Pairing(NamedTuple):
-    """Which edges each eye looks at: P pairs, of each body about as many, so that few edges are seen by many eyes."""
-
-    extent: Tensor  # () of the scene, float64
-    seed: Tensor  # () int32
-    last: Tensor  # () float64, number of the last eye
-    body: Tensor  # (P,) int32
-    bodies: Bodies
-    edges: Tensor  # (E,) int32, in the order of their bodies
-
-    def __call__(self, pair: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Edges and eyes of pairs, (N,) int32; whether there is such an edge, (N,) bool; and `Bodies.times`."""
-        body = lookup(self.body, pair)
-        own = rows(self.bodies, body)
-        look = torch.div(pair - own.pair, own.seeing, rounding_mode="floor")
-        turn = pair - own.pair - look * own.seeing
-        place = look * own.stride + (hash32(turn ^ hash32(body + self.seed)) & 0x7FFFFFFF) % own.stride
-        eye = torch.minimum(torch.floor((turn.double() + own.start) * own.eyes), self.last).to(torch.int32)
-        edge = lookup(self.edges, own.first + torch.minimum(place, own.edges - 1))
-        return edge, eye, place < own.edges, own.times
 
 
 class Passed(NamedTuple):
@@ -174,7 +139,7 @@ def places_seen(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
         count: how many.
         examined: pairs of eyes and edges, about.
     """
-    pairing = pairing_of(geometry, outline.body, len(weight), seed, examined)
+    pairing = pairing_of(extent_of(geometry), outline.body, len(weight), seed, examined)
     pairs = torch.arange(len(pairing.body), dtype=torch.int32, device=weight.device)
     together = len(pairs) if hasattr(stages.angle_seen, "fused") else BLOCK
     angles = torch.cat([stages.angle_seen(geometry, outline, eyes, weight, pairing, block)
@@ -184,32 +149,6 @@ def places_seen(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
         return None
     return stages.edge_passed(geometry, outline, eyes, lot_of(angles, count, total), seed, pairing,
                               torch.arange(count, dtype=torch.int32, device=weight.device))
-
-
-def pairing_of(geometry: Geometry, body: Tensor, eyes: int, seed: SampleKey, examined: int) -> Pairing:
-    """Which edges so many eyes look at; args as for `places_seen`, `body`: (E,) whose edges they are."""
-    present, body = torch.unique(body, return_inverse=True)
-    edges = torch.bincount(body)
-    level = filled_to(edges.double() * eyes, float(examined))
-    seeing = torch.floor(level / edges).clamp(min(FEWEST_EYES, eyes), eyes)
-    stride = torch.ceil(seeing * edges / level).clamp_min(1)
-    looks = torch.ceil(edges / stride)
-    pairs = (seeing * looks).long()
-    start = fine_unit(hash32(hash32(present.to(torch.int32)) ^ seed.seed))
-    first, pair = (torch.cat([part.new_zeros(1), part.cumsum(0)[:-1]]) for part in (edges, pairs))
-    whole = [column.to(torch.int32) for column in (first, edges, stride, seeing, pair)]
-    return Pairing(extent_of(geometry).clamp_min(TINY), seed.seed, torch.full_like(start[0], eyes - 1),
-                   torch.repeat_interleave(pairs).to(torch.int32),
-                   Bodies(*whole, eyes / seeing, start, stride * (eyes / seeing)), body.argsort(stable=True).to(torch.int32))
-
-
-def filled_to(wanted: Tensor, supply: float) -> Tensor:
-    """() how much each may have at most, so that together they have no more than there is; `wanted`: (B,) float64."""
-    ascending = wanted.sort().values
-    left = supply - (running_sum(ascending) - ascending)  # if all that want less have what they want
-    levels = left / torch.arange(len(wanted), 0, -1, device=wanted.device)
-    enough = levels >= ascending
-    return torch.where(enough.all(), ascending[-1], levels[(~enough).int().argmax()])
 
 
 def salted(view: View, salt: int) -> SampleKey:
