@@ -1,4 +1,4 @@
-"""Which edges are looked at from which points: each pair counts once in the mean, and bodies with few edges are seen by many."""
+"""Which edges are looked at from which points: each pair counts once in the mean, few edges are seen by many."""
 
 import pytest
 import torch
