@@ -23,7 +23,8 @@ from torch_radbp.rendering.call.render_call import RenderCall
 
 BYTES_OF_PAIR = 48  # of a light sample or a vertex of a path and an edge: how it is seen, and sums
 BYTES_OF_EAGER_PAIR = 800  # while it is computed by operations of torch
-BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves
+BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
+BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
 
 
 def shadows_move(call: RenderCall) -> bool:
@@ -36,11 +37,14 @@ def shadows_move(call: RenderCall) -> bool:
 def bytes_of_shadows(call: RenderCall) -> int:
     """The most that places on borders of shadows may take of memory."""
     paths = call.spp * max(view.width * view.height for view in call.views)
-    pairs = max(min(border.EXAMINED, border.EXAMINED_BY_PATH * paths),
-                min(hidden_light.EXAMINED, hidden_light.EXAMINED_BY_PATH * max(FEWEST, paths // hidden_light.SHARE)))
+    edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
+    points = min(border.MOST_POINTS, max(FEWEST, paths // border.SHARE))
+    vertices = max(hidden_light.FEWEST_PATHS, min(hidden_light.MOST, paths // hidden_light.SHARE))
+    pairs = max(min(border.EXAMINED, border.EXAMINED_BY_PATH * paths, edges * points),
+                min(hidden_light.EXAMINED, hidden_light.EXAMINED_BY_PATH * vertices, edges * vertices))
     places = max(FEWEST, min(border.MOST, paths // border.SHARE))
     eager = 0 if hasattr(call.stages.angle_seen, "fused") else min(pairs, BLOCK) * BYTES_OF_EAGER_PAIR
-    return pairs * BYTES_OF_PAIR + eager + places * BYTES_OF_PLACE * (1 + len(call.views))
+    return max(pairs * BYTES_OF_PAIR + eager, places * (BYTES_OF_PLACE + BYTES_OF_JUMP * len(call.views)))
 
 
 def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
