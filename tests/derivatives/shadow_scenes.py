@@ -93,10 +93,10 @@ def before_a_wall(lamp: dict[str, Any], label: str, depth: int = 3) -> dict[str,
 
 
 def in_a_mirror() -> dict[str, MovingScene]:
-    """A floor under a lamp, and a plate between, seen in a mirror alone."""
+    """A floor under a lamp, seen in a mirror alone, which shows the shadow of a plate, but not the plate: its edges jump."""
     mirror = {"type": "rectangle", "to_world": translate((0, 2.2, 0.9)) @ rotate((1, 0.03, 0.02), 88) @ scale((3, 1.4, 1)),
               "bsdf": {"type": "conductor"}}
-    view = sensor(SIZE, (0.3, 0.6, 2.2), (0.1, 2.2, 1.2), 40, rfilter="box")
+    view = sensor(SIZE, (0.3, 0.6, 2.2), (0.15, 2.2, 0.95), 24, rfilter="box")
     build = lit("rectangle", sensor=view, mirror=mirror, plate=PLATE)
     moving = {"plate": ("plate.to_world", PUSH["plate"]), "lamp": ("lamp.to_world", PUSH["lamp"]),
               "floor": ("floor.to_world", PUSH["floor"]), "mirror": ("mirror.to_world", rigid(TWIST, (0, 2.2, 0.9))),
