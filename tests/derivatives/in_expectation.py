@@ -10,7 +10,7 @@ from torch import Tensor
 import torch_radbp as rb
 from tests.derivatives.moving_scenes import MovingScene
 from torch_radbp.check.gradient import BOTH_SIDES, Measurement, informative_cotangents
-from torch_radbp.check.outcome import GradientCheck, Question, judge
+from torch_radbp.check.outcome import GradientCheck, Question, judge, uncertainty
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 
 # A bias of the stated size is this many standard errors, so that 4 of them are exceeded whatever 2 of noise do.
@@ -26,6 +26,28 @@ class Row(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.name}, {self.bias:.0%}"
+
+
+def assert_agrees(measured: Estimate, row: Row, verdicts: tuple[str, ...] = ("agrees",)) -> None:
+    """Derivatives are those of differences, and if they were wrong by the row's bias, that would be noticed.
+
+    Args:
+        measured: of the row's scene.
+        row: how well it is examined.
+        verdicts: of `check_gradient` that are taken; whatever it is, standard errors must be so small.
+    """
+    for sampling, result in measured.checks().items():
+        reference = result.comparison.difference
+        assert reference.isfinite().all() and reference.abs().max() > 0, sampling
+        assert result.verdict in verdicts, f"{sampling}: {result}"
+        found = CERTAIN * uncertainty(result.comparison.projections[1])
+        assert found < row.bias, f"{sampling}: {found:.3f} is not below {row.bias}: {result}"
+        for projection in result.comparison.projections:
+            assert abs(projection.z) <= 4, f"{sampling}: {result}"
+            assert projection.backward_error < 1e-9, f"{sampling}: {result}"
+    for error in (row.bias, -row.bias):
+        for sampling, result in measured.checks(error).items():
+            assert result.verdict.startswith("biased"), f"{sampling}, {error}: {result}"
 
 
 class Effort(NamedTuple):

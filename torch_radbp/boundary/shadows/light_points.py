@@ -12,7 +12,7 @@ from torch_radbp.path.bounce import light_numbers
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.rendering.call.view import View
 from torch_radbp.sampling.sampler import bounce_key, fine_unit, lane_key, unit
-from torch_radbp.scene.light import among, light_aims
+from torch_radbp.scene.light import Aims, among, light_aims
 from torch_radbp.scene.light_choice import LightPick, TreeChoice
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec3, masked, normalize, where
@@ -48,19 +48,10 @@ def light_points(scene: SceneTensors, view: View, count: int) -> LightPoints:
     draw = LightDraw(numbers, LightPick(element, pmf, torch.zeros_like(pmf)))
     zero = torch.zeros(count, dtype=torch.float64, device=device)
     nowhere = Vec3(zero, zero, zero)
-    start, d, parallel = light_line(scene, nowhere, draw)
-    eyes = Eyes(where(parallel, -d, start), (~parallel).double(), normal_at(scene, nowhere, draw), zero + BEHIND, zero)
+    aims = aims_at(scene, nowhere, draw)
+    start, d, parallel = line_of(aims, nowhere)
+    eyes = Eyes(where(parallel, -d, start), (~parallel).double(), normal_of(aims, nowhere), zero + BEHIND, zero)
     return LightPoints(draw, eyes, scene.lights.kind[element.long()].long())
-
-
-def normal_at(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Vec3:
-    """The normals of the surfaces that light samples lie on, (N,) unit; 0 of those on none. Args as for `light_line`."""
-    aims = light_aims(scene, scene, p.map(lambda c: c.to(scene.dtype)), draw.numbers, draw.picked)
-    n = aims("n")
-    if n is None:
-        return p * 0.0
-    known = among(aims.cases, [aim.n is not None for aim in aims.of_case], aims.element)
-    return masked(known, normalize(n.map(torch.Tensor.double)))
 
 
 def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec3, Tensor]:
@@ -68,9 +59,27 @@ def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec
 
     (N,) world; the point is p itself where light is parallel, the direction is of any length. And where it is so, (N,) bool.
     """
-    aims = light_aims(scene, scene, p.map(lambda c: c.to(scene.dtype)), draw.numbers, draw.picked)
+    return line_of(aims_at(scene, p, draw), p)
+
+
+def aims_at(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Aims:
+    """The light samples as they are seen from points, (N,) world; attached."""
+    return light_aims(scene, scene, p.map(lambda c: c.to(scene.dtype)), draw.numbers, draw.picked)
+
+
+def line_of(aims: Aims, p: Vec3) -> tuple[Vec3, Vec3, Tensor]:
+    """`light_line` of light samples as they are seen from `p`."""
     parallel = among(aims.cases, [case.kind.parallel for case in aims.cases], aims.element)
     target, towards = (aims(name) for name in ("target", "d"))
     target = p if target is None else target.map(torch.Tensor.double)
     parallel = torch.zeros_like(aims.element, dtype=torch.bool) if parallel is None else parallel
     return where(parallel, p, target), where(parallel, -towards.map(torch.Tensor.double), p - target), parallel
+
+
+def normal_of(aims: Aims, p: Vec3) -> Vec3:
+    """The normals of the surfaces that light samples lie on, (N,) unit, world; 0 of those on none."""
+    n = aims("n")
+    if n is None:
+        return p * 0.0
+    known = among(aims.cases, [aim.n is not None for aim in aims.of_case], aims.element)
+    return masked(known, normalize(n.map(torch.Tensor.double)))
