@@ -14,6 +14,7 @@ import types
 import typing
 from collections.abc import Iterable, Iterator, MutableMapping
 from functools import cache
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -152,6 +153,16 @@ class Plugin(nn.Module):
         return self
 
 
+class JumpLines(NamedTuple):
+    """Parallel lines of the surface coordinates (u, v): where x u + y v + z is an integer."""
+
+    x: float
+    y: float
+    z: float
+    first: float = -inf  # the integers are not less
+    last: float = inf  # nor greater
+
+
 class Texture(Plugin):
     category = "texture"
     tabulated = True  # its values are those of a table, `texels`
@@ -165,6 +176,10 @@ class Texture(Plugin):
     def parts(self) -> tuple[Texture, ...]:
         """The textures that its values are taken from; none: they are its own."""
         return ()
+
+    def jumps(self) -> tuple[JumpLines, ...]:
+        """The lines along which its values jump, all that it has on surfaces."""
+        return tuple(lines for part in self.parts() for lines in part.jumps())
 
     def resolution(self) -> tuple[int, int]:
         """Height and width of the image, in texels."""

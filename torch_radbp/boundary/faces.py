@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import Between, Geometry
+from torch_radbp.boundary.geometry import Between, Corners, Geometry, positions
 from torch_radbp.lookup import lookup
 
 
@@ -21,6 +21,10 @@ class Faces(NamedTuple):
     def between(self, geometry: Geometry) -> Between:
         """The vertices."""
         return Between(*lookup(geometry.triangles.corners, self.triangle))
+
+    def corners(self, geometry: Geometry) -> Corners:
+        """The vertices in the world, attached; float64."""
+        return positions(geometry, self.between(geometry), self.instance)
 
 
 def joined(parts: list[Faces]) -> Faces | None:

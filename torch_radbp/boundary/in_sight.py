@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.geometry import Geometry
-from torch_radbp.boundary.places import CREASE, FAR, NEAR, RIM, SILHOUETTE, Glued, Places, apart_at
+from torch_radbp.boundary.places import CREASE, FAR, NEAR, RIM, SILHOUETTE, TEXTURE, Glued, Places, apart_at
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
@@ -71,7 +71,7 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
     jumps_ahead, jumps_behind = shown[1] & turning[2], shown[2] & turning[1]
     seen = ends & ((ahead & jumps_ahead) | (~ahead & jumps_behind))
     turned = ends & ~seen & ((ahead & jumps_behind) | (~ahead & jumps_ahead))
-    seen = seen | ((kind == CREASE) & ((here[1] & here[2]) | own[0])) | (kind == NEAR)
+    seen = seen | (goes_on(kind) & ((here[1] & here[2]) | own[0])) | (kind == NEAR)
     if RIM in kinds:
         seen = seen | ((kind == RIM) & ~blurred & rim_in_sight(places, own, hits[0], distances[0]))
         behind, before = (is_in_front(geometry, ray, hit) for ray, hit in zip(rays[1:], hits[1:]))
@@ -109,7 +109,7 @@ def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, show
     number = rows(shown, torch.where(is_ahead, lane - count, lane))
     own, times = rows(places, rows(chosen, number)), rows(times, number)
     sample, hit = rows(sent, number + torch.where(is_ahead, 2 * sent_to, sent_to))
-    both, outline = (own.kind == RIM) | (own.kind == CREASE), own.kind == SILHOUETTE
+    both, outline = (own.kind == RIM) | goes_on(own.kind), own.kind == SILHOUETTE
     lies_ahead = ~((own.side > 0) ^ (times > 0))
     glued = Glued(*(torch.where(is_ahead, there, here) for here, there in zip(own.behind, own.ahead)))
     straight = rows(sent.sample.ray, number)
@@ -118,6 +118,11 @@ def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, show
     place = Hit(glued.prim, glued.u, glued.v, distance, own.instance)
     return PathsBeside(sample, Hit(*(None if there is None else torch.where(known, here.to(there.dtype), there)
                                      for here, there in zip(place, hit))))
+
+
+def goes_on(kind: Tensor) -> Tensor:
+    """True for curves on both sides of which a surface is seen that is near."""
+    return (kind == CREASE) | (kind >= TEXTURE)
 
 
 def missed(places: Places, distance: Tensor) -> Tensor:

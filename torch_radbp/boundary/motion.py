@@ -10,7 +10,8 @@ from torch import Tensor
 from torch_radbp.adjoint.bounce import TableAdjoint, table_adjoints, vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.contour import LEVELS, level_at
 from torch_radbp.boundary.geometry import Geometry
-from torch_radbp.boundary.places import Places
+from torch_radbp.boundary.places import INTERSECTION, Places
+from torch_radbp.boundary.segments import height_above, place_of
 from torch_radbp.differentiated import primal
 from torch_radbp.lookup import Tap, tapped
 from torch_radbp.record import leaves_of, with_leaves
@@ -37,8 +38,9 @@ def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple
     seen = camera.kind.project(camera.lens, places.at(geometry), places.aperture)
     area = seen.x * camera.film.size_x * places.normal.x + seen.y * camera.film.size_y * places.normal.y
     for kind in kinds:
-        if kind in LEVELS:
-            level = level_at(geometry, camera, places, kind)
+        if kind in LEVELS or kind == INTERSECTION:
+            level = (height_above(place_of(geometry, places.through, places.shown_by), places.at(geometry))
+                     if kind == INTERSECTION else level_at(geometry, camera, places, kind))
             area = area + torch.where(places.kind == kind, places.drift * level, 0.0)
     return area
 

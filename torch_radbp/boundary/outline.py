@@ -18,8 +18,13 @@ from torch import Tensor
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.faces import joined as joined_faces
+from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.intersections import intersections
 from torch_radbp.boundary.rendering import Rendering
+from torch_radbp.boundary.segments import Segments
+from torch_radbp.boundary.texture_lines import lines_of_textures, texture_segments
 from torch_radbp.differentiated import detached
+from torch_radbp.plugin import JumpLines
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.record import joined as joined_records
 from torch_radbp.record import leaves_of, with_leaves
@@ -58,6 +63,7 @@ class Jumps(NamedTuple):
 
     outline: Outline | None  # edges; None: there are none
     faces: Faces | None  # triangles inside of which it may
+    segments: Segments | None  # straight curves inside of triangles
 
 
 class OutlinedMesh(NamedTuple):
@@ -90,8 +96,9 @@ class Outlines:
         everything = Moving(*((True,) * len(part) for part in own))
         wanted = [(everything,) * 2 if rendering.moving(sensor) else (own, turning) for sensor in rendering.sensors]
         sizes = rendering.sizes
-        found = {pair: Jumps(self.of(scene, sizes, pair[0], generator), faces_of(scene, sizes, pair[1], generator))
-                 for pair in dict.fromkeys(wanted)}
+        lines = lines_of_textures(rendering)
+        found = {pair: Jumps(self.of(scene, sizes, pair[0], generator), faces_of(scene, sizes, pair[1], generator),
+                             segments_of(scene, sizes, pair[0], generator, lines)) for pair in dict.fromkeys(wanted)}
         return [found[pair] for pair in wanted]
 
     def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
@@ -207,6 +214,39 @@ def faces_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generat
         share = None if part == 1.0 else torch.full((len(shows) * len(members),), part, dtype=torch.float64, device=device)
         parts.append(Faces(members.repeat(len(shows)), shows.repeat_interleave(len(members)), share))
     return joined_faces([part for part in parts if len(part.triangle)])
+
+
+def segments_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator,
+                lines: Sequence[tuple[JumpLines, ...]]) -> Segments | None:
+    """The straight curves inside of triangles of all that moves; None: there are none.
+
+    Args:
+        scene, counts, moving, generator: as for `Outlines.of`.
+        lines: for each shape those at which its textures jump.
+    """
+    faces = faces_of(scene, counts, moving, generator) if any(lines) else None
+    found = [None if faces is None else texture_segments(scene, faces, counts, lines),
+             intersections_of(scene, counts, moving, generator)]
+    found = [own for own in found if own is not None]
+    return joined_records(found) if found else None
+
+
+def intersections_of(scene: SceneTensors, counts: Sequence[int], moving: Moving,
+                     generator: torch.Generator) -> Segments | None:
+    """The segments along which bodies of which one moves meet; None: there are none. Args as for `Outlines.of`."""
+    faces = faces_of(scene, counts, Moving(*((True,) * len(part) for part in moving)), generator)
+    if faces is None:
+        return None
+    device, shapes = faces.triangle.device, len(counts)
+    body = rows(torch.repeat_interleave(torch.tensor(counts, device=device)), faces.triangle)
+    moves = torch.tensor(moving.shapes, device=device)[body]
+    if faces.instance is not None:
+        shown = faces.instance > 0
+        moves = moves | torch.tensor([False, *moving.instances], device=device)[faces.instance]
+        body = torch.where(shown, shapes + faces.instance, body)
+    _, sizes = torch.unique_consecutive(body, return_counts=True)
+    moves = torch.segment_reduce(moves.float(), "max", lengths=sizes) > 0
+    return intersections(geometry_of(scene), faces, sizes, moves) if len(sizes) > 1 else None
 
 
 def chosen_instances(instances: Instances, group: int, moving: Moving, everywhere: bool, size: int,

@@ -38,8 +38,9 @@ ALONG = 0  # the random number of a place beside those of the aperture
 APERTURE_COUNTER = 0x1B873593
 
 # What a place lies on: edges that are silhouettes and edges that are creases, and the curves inside of triangles at which
-# shading normals turn away from the camera, and at which its near and its far plane cut them.
-SILHOUETTE, CREASE, RIM, NEAR, FAR = range(5)
+# shading normals turn away from the camera, at which its near and its far plane cut them, at which textures jump, and along
+# which other triangles pass through.
+SILHOUETTE, CREASE, RIM, NEAR, FAR, TEXTURE, INTERSECTION = range(7)
 
 
 class Glued(NamedTuple):
@@ -66,6 +67,8 @@ class Places(NamedTuple):
     depth: Tensor  # how far the triangles at the curve reach from the place along the line of sight, world
     behind: Glued  # what lies right behind the curve on the film, on an outline the surface that ends there
     ahead: Glued  # right ahead, likewise
+    through: Tensor  # (N,) int32, the triangle that passes through there; -1: none
+    shown_by: Tensor | None  # (N,) int32, the instance that shows that, as `instance`
     key: LaneKey  # of random numbers
     aperture: Vec2 | None  # as of `CameraKind.sample_ray`
     counts: Tensor  # (N,) bool: in some pixel

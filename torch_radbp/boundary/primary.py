@@ -31,6 +31,7 @@ from torch_radbp.boundary.outline import MOST_SHOWN, Jumps, Outline
 from torch_radbp.boundary.places import (
     FAR,
     FEWEST,
+    INTERSECTION,
     LARGEST_SHARE,
     NEAR,
     RIM,
@@ -40,6 +41,7 @@ from torch_radbp.boundary.places import (
     numbers_of_places,
     sight_of,
 )
+from torch_radbp.boundary.segments import Segments
 from torch_radbp.differentiated import any_differentiated
 from torch_radbp.jit.order import chosen
 from torch_radbp.path.integrand import Integrand, Stages, taken
@@ -93,7 +95,7 @@ def bytes_of_jumps(call: RenderCall) -> int:
     instances = call.scene.triangles.instances
     triangles += 0 if instances is None else min(MOST_SHOWN, triangles * len(instances.number))
     long = LONG * max(view.width + view.height for view in call.views)
-    kinds = 2 + (call.scene.triangles.vertices.n is not None) + any(view.clips for view in call.views)
+    kinds = 3 + (call.scene.triangles.vertices.n is not None) + any(view.clips for view in call.views)
     places = min(paths // LARGEST_SHARE, long * call.spp) + kinds * FEWEST
     return triangles * BYTES_OF_TRIANGLE + places * BYTES_OF_PLACE * (1 + len(call.views))
 
@@ -143,6 +145,8 @@ def places_of(call: RenderCall, number: int, viewed: Viewed, jumps: Jumps, rims:
     if jumps.faces is not None:
         kinds = [RIM] * (rims and call.scene.triangles.vertices.n is not None) + [NEAR] + [FAR] * call.views[number].clips
         found += [contours_in_view(viewed, jumps.faces, kind) for kind in kinds]
+    if jumps.segments is not None:
+        found.append(segments_in_view(viewed, jumps.segments))
     found = [curves for curves in found if curves is not None]
     counts = numbers_of_places([curves.length for curves in found], call, call.views[number])
     return [curves.places(count) for curves, count in zip(found, counts)]
@@ -163,6 +167,19 @@ def outline_in_view(viewed: Viewed, outline: Outline) -> CurvesInView | None:
 
     def places(count: int) -> Places:
         return stages.edge_place(geometry, sight, outline, lot_of(weight, count, total), lanes(count, weight))
+
+    length = float(total[-1])
+    return CurvesInView(length, places) if length > 0.0 else None
+
+
+def segments_in_view(viewed: Viewed, segments: Segments) -> CurvesInView | None:
+    """What is seen of segments; None: nothing."""
+    stages, geometry, sight, _ = viewed
+    weight = stages.segment_weight(geometry, sight, segments)
+    total = running_sum(weight)
+
+    def places(count: int) -> Places:
+        return stages.segment_place(geometry, sight, segments, lot_of(weight, count, total), lanes(count, weight))
 
     length = float(total[-1])
     return CurvesInView(length, places) if length > 0.0 else None
@@ -223,8 +240,8 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Pl
 
 
 def kinds_of(places: Places) -> tuple[int, ...]:
-    """The kinds of curves inside of triangles among some places."""
-    return tuple(kind for kind in (RIM, NEAR, FAR) if bool((places.kind == kind).any()))
+    """The kinds of curves inside of triangles that move on these, among some places."""
+    return tuple(kind for kind in (RIM, NEAR, FAR, INTERSECTION) if bool((places.kind == kind).any()))
 
 
 def differences(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Places, asked: Tensor,

@@ -51,6 +51,8 @@ class Stages(NamedTuple):
     crosses: Callable
     contour_length: Callable
     contour_place: Callable
+    segment_weight: Callable
+    segment_place: Callable
     rays_beside: Callable
     in_sight: Callable
     paths_beside: Callable

@@ -19,6 +19,7 @@ from torch_radbp.boundary.edge_places import edge_place, edge_weight
 from torch_radbp.boundary.in_sight import in_sight, paths_beside
 from torch_radbp.boundary.motion import asked_of_places, slopes, swept
 from torch_radbp.boundary.places import rays_beside
+from torch_radbp.boundary.segments import segment_place, segment_weight
 from torch_radbp.boundary.shadows.seen_edges import angle_seen, edge_passed
 from torch_radbp.differentiated import any_differentiated
 from torch_radbp.film.splat import asked, deposited
@@ -39,8 +40,8 @@ from torch_radbp.vec import rows
 
 EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, local_map, bounce_adjoint, places, pick_light,
                chance_of_light, appearance_met, side_met, shines, rows, brightened, direct_light, scattered, surface_values,
-               material_value, edge_weight, edge_place, crosses, contour_length, contour_place, rays_beside, in_sight,
-               paths_beside, swept, slopes, asked_of_places, angle_seen, edge_passed)
+               material_value, edge_weight, edge_place, crosses, contour_length, contour_place, segment_weight,
+               segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, angle_seen, edge_passed)
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
@@ -53,6 +54,7 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     brightened=("L", "beta"), direct_light=("scene", "arrival", "draw"), scattered=("scene", "arrival", "d"),
     surface_values=("scene",), material_value=("scene",), edge_weight=CURVES, edge_place=(*CURVES, "outline", "lot"),
     crosses=CURVES, contour_length=CURVES, contour_place=(*CURVES, "faces", "lot"),
+    segment_weight=CURVES, segment_place=(*CURVES, "segments", "lot"),
     rays_beside=("sight", "places", "chosen"), in_sight=("geometry", "places", "sent"),
     paths_beside=("places", "chosen", "sent", "times", "shown"), swept=MOTION, slopes=MOTION,
     asked_of_places=("camera", "pixels", "film"), angle_seen=("weight", *EYES), edge_passed=("lot", *EYES))

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from torch_radbp.domain import Domain
 from torch_radbp.interleaved import columns_of_rows
-from torch_radbp.plugin import Filename, Matrix4, Plugin, Texture, finite, nearest, register
+from torch_radbp.plugin import Filename, JumpLines, Matrix4, Plugin, Texture, finite, nearest, register
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
 from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
 from torch_radbp.texture.reader import Reader, TableReader, TexturePoint, TriangleEdges
-from torch_radbp.texture.uv_transform import uv_matrix, uv_rows
+from torch_radbp.texture.uv_transform import jump_lines, uv_matrix, uv_rows
 from torch_radbp.vec import Vec2, Vec3
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
@@ -198,6 +198,10 @@ class Bitmap(Texture):
     def reader(self) -> BitmapReader:
         """How lanes read it."""
         return PyramidReader() if self.filter_type == "trilinear" else BitmapReader()
+
+    def jumps(self) -> tuple[JumpLines, ...]:
+        height, width = self.resolution()
+        return jump_lines(self.to_uv, (width, height), self.wrap_mode == "clamp") if self.filter_type == "nearest" else ()
 
     def for_mitsuba(self) -> Plugin:
         if self.filter_type == "trilinear":

@@ -11,11 +11,11 @@ from torch import Tensor
 
 from torch_radbp.domain import Domain
 from torch_radbp.lookup import lookup
-from torch_radbp.plugin import Matrix4, Texture, register
+from torch_radbp.plugin import JumpLines, Matrix4, Texture, register
 from torch_radbp.texture.mixed import reader_for
 from torch_radbp.texture.reader import TableReader, TexturePoint
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.texture.uv_transform import transformed, uv_matrix, uv_rows
+from torch_radbp.texture.uv_transform import jump_lines, transformed, uv_matrix, uv_rows
 from torch_radbp.vec import Vec2, Vec3
 
 
@@ -91,6 +91,9 @@ class Checkerboard(Texture):
 
     def parts(self) -> tuple[Texture, ...]:
         return self.colours()
+
+    def jumps(self) -> tuple[JumpLines, ...]:
+        return *jump_lines(self.to_uv, (2, 2)), *super().jumps()
 
     def resolution(self) -> tuple[int, int]:
         return 1, 1

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import finite
+from torch_radbp.plugin import JumpLines, finite
 from torch_radbp.vec import Vec2, Vec3
 
 
@@ -22,6 +22,19 @@ def uv_rows(matrices: Sequence[Tensor | None], dtype: torch.dtype, device: torch
     same = torch.eye(4, dtype=dtype, device=device)
     stacked = torch.stack([same if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in matrices])
     return tuple(Vec3(*(stacked[:, row, column].contiguous() for column in (0, 1, 3))) for row in (0, 1))
+
+
+def jump_lines(to_uv: Tensor, cells: tuple[int, int], inside: bool = False) -> tuple[JumpLines, ...]:
+    """The borders of the cells that a unit square of transformed coordinates is divided into, where there are several.
+
+    Args:
+        to_uv: (4, 4) the transform.
+        cells: how many along u and along v.
+        inside: only those inside of the unit square; else everywhere, as the pattern goes on.
+    """
+    rows = (to_uv[row, [0, 1, 3]].tolist() for row in (0, 1))
+    return tuple(JumpLines(*(size * number for number in row), *((1, size - 1) if inside else ()))
+                 for row, size in zip(rows, cells) if size > 1)
 
 
 def transformed(to_u: Vec3, to_v: Vec3, uv: Vec2) -> Vec2:

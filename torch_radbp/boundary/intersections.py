@@ -1,0 +1,195 @@
+"""Where surfaces pass through each other: the segments along which triangles of two bodies meet.
+
+A body is a shape, or a shape of a group as one instance shows it. Of two bodies whose boxes overlap the triangles are looked
+at that reach into the box of the other, and of these the pairs whose boxes overlap along one axis, found by sorting. How a
+surface passes through itself is not looked at.
+
+Reference: Moeller 1997, "A Fast Triangle-Triangle Intersection Test".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.faces import Faces
+from torch_radbp.boundary.geometry import Corners, Geometry
+from torch_radbp.boundary.segments import Segments, crossings, height_above
+from torch_radbp.record import joined
+from torch_radbp.vec import Vec2, Vec3, cross, dot, interpolated, rows
+
+MOST = 1 << 21  # pairs of triangles, or of bodies, that are looked at together
+TOUCHING = 1e-6  # of the largest coordinate, by which triangles must reach beyond each other
+
+
+class Boxes(NamedTuple):
+    """N boxes, by their corners; world, (N,) each."""
+
+    low: Vec3
+    high: Vec3
+
+    @staticmethod
+    def around(corners: Corners) -> Boxes:
+        """The boxes around triangles."""
+        return Boxes(*(Vec3(*(extreme(extreme(a, b), c) for a, b, c in zip(*corners)))
+                       for extreme in (torch.minimum, torch.maximum)))
+
+    def overlap(self, others: Boxes) -> Tensor:
+        """True where boxes overlap others; bool."""
+        found = None
+        for low, high, other_low, other_high in zip(self.low, self.high, others.low, others.high):
+            both = (low <= other_high) & (other_low <= high)
+            found = both if found is None else found & both
+        return found
+
+
+class Pairs(NamedTuple):
+    """N pairs of rows, (N,) int64 each."""
+
+    one: Tensor
+    other: Tensor
+
+
+def intersections(geometry: Geometry, faces: Faces, sizes: Tensor, moves: Tensor) -> Segments | None:
+    """The segments along which bodies meet; None: there are none.
+
+    Args:
+        geometry: of the scene, detached.
+        faces: (F,) the triangles of all bodies, one body after the other.
+        sizes: (B,) int64, how many are those of each.
+        moves: (B,) bool, whether each moves: of two bodies one must.
+    """
+    boxes = Boxes.around(faces.corners(geometry))
+    bodies = boxes_of_bodies(boxes, sizes)
+    pairs = meeting(bodies, moves)
+    if not len(pairs.one):
+        return None
+    first = sizes.cumsum(0) - sizes
+    reach = [reaching(boxes, bodies, first, sizes, own, other) for own, other in (pairs, pairs[::-1])]
+    found = [segments_between(geometry, faces, own) for own in candidates(boxes, *reach, len(pairs.one))]
+    found = [own for own in found if len(own.triangle)]
+    return joined(found) if found else None
+
+
+def boxes_of_bodies(boxes: Boxes, sizes: Tensor) -> Boxes:
+    """The boxes around bodies, of those of their triangles; of a body without any, an empty one."""
+    def extreme(way: str, none: float, columns: Vec3) -> Vec3:
+        return Vec3(*(torch.segment_reduce(column, way, lengths=sizes, initial=none) for column in columns))
+
+    return Boxes(extreme("min", torch.inf, boxes.low), extreme("max", -torch.inf, boxes.high))
+
+
+def meeting(bodies: Boxes, moves: Tensor) -> Pairs:
+    """The pairs of bodies of which one moves and whose boxes overlap."""
+    found, count = [], len(moves)
+    for own in torch.arange(count, device=moves.device).split(max(1, MOST // max(count, 1))):
+        meet = rows(bodies, own)
+        meet = Boxes(*(corner.map(lambda column: column[:, None]) for corner in meet)).overlap(bodies)
+        one, other = (meet & (rows(moves, own)[:, None] | moves)).nonzero().unbind(1)
+        one = own[one]
+        found.append(Pairs(one[one < other], other[one < other]))
+    return joined(found)
+
+
+def expanded(counts: Tensor) -> tuple[Tensor, Tensor]:
+    """For things that there are `counts` of, (N,) int64: which one each is, and its number among those of one."""
+    which = torch.repeat_interleave(counts)
+    return which, torch.arange(len(which), device=which.device) - (counts.cumsum(0) - counts)[which]
+
+
+def reaching(boxes: Boxes, bodies: Boxes, first: Tensor, sizes: Tensor, own: Tensor, other: Tensor) -> Pairs:
+    """The triangles of bodies that reach into the boxes of others: which pair of bodies, and which triangle.
+
+    Args:
+        boxes: of all triangles.
+        bodies: likewise.
+        first, sizes: (B,) the first triangle of each body, and how many it has.
+        own, other: (P,) pairs of bodies.
+    """
+    found, size = [], sizes[own]
+    for part in torch.arange(len(own), device=own.device).split(parts_of(size)):
+        pair, place = expanded(size[part])
+        pair = part[pair]
+        triangle = first[own[pair]] + place
+        inside = rows(boxes, triangle).overlap(rows(bodies, other[pair]))
+        found.append(Pairs(pair[inside], triangle[inside]))
+    return joined(found)
+
+
+def candidates(boxes: Boxes, ones: Pairs, others: Pairs, count: int) -> Iterator[Pairs]:
+    """The pairs of triangles whose boxes overlap, in parts.
+
+    Args:
+        boxes: of all triangles.
+        ones, others: of each of `count` pairs of bodies, the triangles of either that reach into the box of the other.
+    """
+    low, high = boxes.low.x, boxes.high.x
+    start = min(float(low[own.other].min()) if len(own.other) else torch.inf for own in (ones, others))
+    end = max(float(high[own.other].max()) if len(own.other) else -torch.inf for own in (ones, others))
+    if not start < torch.inf:
+        return
+    width = 2.0 * (end - start) + 1.0  # pairs of bodies lie apart on one axis
+
+    def on_axis(own: Pairs, values: Tensor) -> Tensor:
+        return values[own.other] - start + width * own.one
+
+    lows = on_axis(others, low)
+    order = lows.argsort()
+    lows, widest = lows[order], on_axis(others, high)[order].cummax(0).values if len(order) else lows
+    begin = torch.searchsorted(widest, on_axis(ones, low))
+    count = (torch.searchsorted(lows, on_axis(ones, high), right=True) - begin).clamp_min(0)
+    for own in torch.arange(len(count), device=count.device).split(parts_of(count)):
+        which, place = expanded(count[own])
+        one, other = ones.other[own[which]], others.other[order[begin[own[which]] + place]]
+        meet = rows(boxes, one).overlap(rows(boxes, other))
+        yield Pairs(one[meet], other[meet])
+
+
+def parts_of(counts: Tensor) -> list[int]:
+    """How many things, of which each has so many parts, (N,) int64, are taken together."""
+    return torch.bincount(torch.div(counts.cumsum(0) - counts, MOST, rounding_mode="floor")).tolist()
+
+
+def segments_between(geometry: Geometry, faces: Faces, pairs: Pairs) -> Segments:
+    """The segments along which pairs of triangles meet, on the first of each."""
+    one, other = rows(faces, pairs.one), rows(faces, pairs.other)
+    corners = one.corners(geometry), other.corners(geometry)
+    scale = TOUCHING * torch.stack([column.abs() for corner in corners[0] for column in corner]).amax(0)
+    heights = [heights_above(corners[way], corners[1 - way], scale) for way in (1, 0)]
+    meet = heights[0].crosses & heights[1].crosses
+    one, other, corners, heights = rows((one, other, corners, heights), meet.nonzero().squeeze(1))
+    ends = [crossings(*own.height) for own in heights]  # on the first triangle, on the second one
+    points = [[interpolated(own, end.x, end.y) for end in both] for own, both in zip(corners, ends)]
+    along = points[0][1] - points[0][0]
+    length = dot(along, along)
+    shares = [dot(point - points[0][0], along) / length for point in points[1]]
+    enters, leaves = torch.minimum(*shares).clamp_min(0.0), torch.maximum(*shares).clamp_max(1.0)
+    a, run = ends[0][0], ends[0][1] + ends[0][0] * -1.0
+    found = Segments(one.triangle, one.instance, a + run * enters, a + run * leaves, Vec2(*(torch.zeros_like(enters),) * 2),
+                     other.triangle, other.instance, one.share)
+    return rows(found, (enters < leaves).nonzero().squeeze(1))
+
+
+class Heights(NamedTuple):
+    """How high the corners of N triangles lie above the planes of others."""
+
+    height: tuple[Tensor, Tensor, Tensor]  # (N,) of any unit
+    crosses: Tensor  # (N,) bool: some lie above, some below, by more than `TOUCHING`
+
+
+def heights_above(plane: Corners, corners: Corners, least: Tensor) -> Heights:
+    """How triangles lie to planes.
+
+    Args:
+        plane: the vertices of triangles in these planes.
+        corners: of the triangles.
+        least: (N,) the distance from a plane below which a corner touches it.
+    """
+    normal = cross(plane[1] - plane[0], plane[2] - plane[0])
+    least = least * torch.sqrt(dot(normal, normal))
+    height = tuple(height_above(plane, corner) for corner in corners)
+    low, high = torch.minimum(torch.minimum(*height[:2]), height[2]), torch.maximum(torch.maximum(*height[:2]), height[2])
+    return Heights(height, (low < -least) & (high > least))

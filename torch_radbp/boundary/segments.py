@@ -1,0 +1,150 @@
+"""Straight curves inside of triangles at which an image jumps, and places on them as a camera sees them.
+
+They are lines at which textures jump, and lines along which other triangles pass through. Both lie on a triangle as a
+segment with fixed barycentric coordinates. A line of a texture moves with its triangle. Where a triangle passes through, the
+*level*, which is the height above its plane, changes at a fixed place by df, and the line moves as `contour.py` derives.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import Between, Corners, Geometry, positions
+from torch_radbp.boundary.places import (
+    INTERSECTION,
+    TEXTURE,
+    Glued,
+    Lot,
+    Places,
+    Sight,
+    counts_somewhere,
+    depth_of,
+    numbers_of,
+    on_film,
+    picked,
+    velocities_on_film,
+)
+from torch_radbp.lookup import lookup
+from torch_radbp.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows
+
+
+class Segments(NamedTuple):
+    """S segments inside of triangles; functions of lanes read them. Places are (u, v), barycentric, float64."""
+
+    triangle: Tensor  # (S,) int32
+    instance: Tensor | None  # (S,) int32 that shows each, as hits count; None: the scene has none
+    start: Vec2  # (S,)
+    end: Vec2  # (S,)
+    aside: Vec2  # (S,) a step across, after which a place lies surely on one side; 0: it is not known
+    through: Tensor  # (S,) int32, the triangle that passes through there; -1: none does, a texture jumps
+    shown_by: Tensor | None  # (S,) int32, the instance that shows that
+    share: Tensor | None  # (S,) float64, probability with which a segment is among these; None: all are
+
+    def corners(self, geometry: Geometry) -> Corners:
+        """The vertices of the triangles, world, float64."""
+        return positions(geometry, Between(*lookup(geometry.triangles.corners, self.triangle)), self.instance)
+
+
+def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tensor:
+    """The lengths of segments in view, (S,) float64 pixels.
+
+    Args:
+        geometry: of the scene, detached.
+        sight: of the camera.
+        segments: (S,).
+    """
+    camera, corners = sight.camera, segments.corners(geometry)
+    a, b = (interpolated(corners, end.x, end.y) for end in (segments.start, segments.end))
+    enters, leaves = sight.frustum.clipped(a, b, torch.float32)  # weights need not be exact
+    middle = Vec2(*(torch.full_like(a.x, 0.5),) * 2) if camera.kind.has_aperture else None
+    start, end = (on_film(camera, a + (b - a) * along, middle) for along in (enters, leaves))
+    across, down = end.x - start.x, end.y - start.y
+    return torch.where(enters < leaves, torch.sqrt(across * across + down * down), 0.0)
+
+
+def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot, place: Tensor) -> Places:
+    """Places on segments, in proportion to lengths on the film.
+
+    Args:
+        geometry, sight, segments: as for `segment_weight`.
+        lot: of the segments.
+        place: (N,) int32, numbers of the places.
+    """
+    camera, numbers = sight.camera, numbers_of(sight, place, TEXTURE)
+    aperture = numbers.aperture
+    segment, share, times = picked(lot, place, numbers.along)
+    own = rows(segments, segment)
+    between, corners = Between(*lookup(geometry.triangles.corners, own.triangle)), own.corners(geometry)
+    a, b = (interpolated(corners, end.x, end.y) for end in (own.start, own.end))
+    enters, leaves = sight.frustum.clipped(a, b)
+    along, run = enters + (leaves - enters) * share, own.end + own.start * -1.0
+    at = own.start + run * along
+    p = interpolated(corners, at.x, at.y)
+    film, pace = on_film(camera, p, aperture), velocities_on_film(
+        camera, p, [corner - corners[0] for corner in corners[1:]], aperture)
+    # The density over `along` is 1 / (times reach); the length of the segment on the film per `along` is in `swift`.
+    scale = times * (leaves - enters)
+    scale = scale if own.share is None else scale / own.share
+    swift = (pace[0] * run.x + pace[1] * run.y) * scale
+    normal = Vec2(-swift.y, swift.x)
+    step = pace[0] * own.aside.x + pace[1] * own.aside.y
+    ahead = torch.where(step.x * normal.x + step.y * normal.y >= 0.0, 1.0, -1.0)
+    known = torch.where((own.aside.x != 0.0) | (own.aside.y != 0.0), own.triangle, -1)
+    sides = (Glued(known, at.x + own.aside.x * way, at.y + own.aside.y * way) for way in (-ahead, ahead))
+    passing = own.through >= 0
+    passed = place_of(geometry, own.through, own.shown_by)
+    drift = torch.where(passing, drift_of(passed, corners, pace, normal), 0.0)
+    kind = torch.where(passing, INTERSECTION, TEXTURE).to(torch.int32)
+    return Places(kind, between, own.instance, at.x, at.y, p, film, normal, torch.ones_like(at.x), drift,
+                  depth_of(camera, p, corners, aperture), *sides, own.through, own.shown_by, numbers.key, aperture,
+                  counts_somewhere(camera, film))
+
+
+def place_of(geometry: Geometry, triangle: Tensor, instance: Tensor | None) -> Corners:
+    """The vertices of triangles, (N,) int32, in the world, attached; of some triangle where it is -1."""
+    return positions(geometry, Between(*lookup(geometry.triangles.corners, triangle.clamp_min(0))), instance)
+
+
+def height_above(corners: Corners, p: Vec3) -> Tensor:
+    """How high points lie above the planes of triangles, in units of twice their areas; (N,) attached."""
+    return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), p - corners[0])
+
+
+def drift_of(passed: Corners, corners: Corners, pace: list[Vec2], normal: Vec2) -> Tensor:
+    """What lines move along their normals on the film where the heights above planes change by one; (N,).
+
+    Args:
+        passed: the vertices of triangles that pass through others.
+        corners: of these others.
+        pace: how fast a place is seen to move with its coordinates u and v.
+        normal: of the lines, (N,) of any length, by which the result is as long.
+    """
+    upright = cross(passed[1] - passed[0], passed[2] - passed[0])
+    by_u, by_v = (dot(upright, corner - corners[0]) for corner in corners[1:])
+    of_u, of_v = pace
+    m = Vec2(of_v.y * by_u - of_u.y * by_v, of_u.x * by_v - of_v.x * by_u)
+    volume = of_u.x * of_v.y - of_v.x * of_u.y
+    return -volume * (normal.x * m.x + normal.y * m.y) / (m.x * m.x + m.y * m.y).clamp_min(TINY)
+
+
+def crossings(f0: Tensor, f1: Tensor, f2: Tensor) -> tuple[Vec2, Vec2]:
+    """The two places on the sides of triangles where a linear function, given at the corners, is 0; barycentric."""
+    at_1, at_2 = (f0 >= 0.0) == (f2 >= 0.0), (f0 >= 0.0) == (f1 >= 0.0)  # the corner that is alone on its side
+    at_2 = at_2 & ~at_1
+    ends = []
+    for other in (1, 2):
+        # From the corner that is alone to the one that comes so many places after it.
+        alone = torch.where(at_1, f1, torch.where(at_2, f2, f0))
+        beyond = torch.where(at_1, (f0, f1, f2)[(1 + other) % 3], torch.where(at_2, (f0, f1, f2)[(2 + other) % 3],
+                                                                             (f1, f2)[other - 1]))
+        share = alone / torch.where(alone == beyond, 1.0, alone - beyond)
+        weight = [torch.zeros_like(share) for _ in range(3)]
+        for apex, here in ((0, ~(at_1 | at_2)), (1, at_1), (2, at_2)):
+            weight[apex] = torch.where(here, 1.0 - share, weight[apex])
+            to = (apex + other) % 3
+            weight[to] = torch.where(here, share, weight[to])
+        ends.append(Vec2(weight[1], weight[2]))
+    return ends[0], ends[1]

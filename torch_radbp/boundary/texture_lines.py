@@ -1,0 +1,91 @@
+"""Where textures jump: the segments that their lines are inside of triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.faces import Faces
+from torch_radbp.boundary.rendering import Rendering
+from torch_radbp.boundary.segments import Segments, crossings
+from torch_radbp.plugin import JumpLines
+from torch_radbp.record import joined
+from torch_radbp.scene.attributes import textures_of
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.vec import Vec2, Vec3, rows
+
+ASIDE = 0.01  # of the distance of two lines, by which a place lies surely on one side of one
+LARGEST_STEP = 0.01  # the same as barycentric coordinates, at most
+ON_EDGE = 1e-6  # of the rise of a triangle, below which a line runs along one of its edges; it counts for one neighbour
+
+
+def lines_of_textures(rendering: Rendering) -> list[tuple[JumpLines, ...]]:
+    """For each shape the lines at which textures of its material, or of its light, jump."""
+    owners = [tuple(filter(None, (shape.bsdf, shape.emitter))) for shape in rendering.shapes]
+    known = {owner: tuple(lines for _, texture in textures_of(owner) for lines in texture.jumps())
+             for owner in dict.fromkeys(owner for both in owners for owner in both)}
+    return [tuple(dict.fromkeys(lines for owner in both for lines in known[owner])) for both in owners]
+
+
+def texture_segments(scene: SceneTensors, faces: Faces, sizes: Sequence[int],
+                     lines: Sequence[tuple[JumpLines, ...]]) -> Segments | None:
+    """The segments at which textures jump; None: there are none.
+
+    Args:
+        scene: detached.
+        faces: that are looked at.
+        sizes: the number of triangles of each shape.
+        lines: of each shape.
+    """
+    triangles = scene.triangles
+    if triangles.vertices.uv is None or not any(lines):
+        return None
+    shape_of = torch.repeat_interleave(torch.tensor(sizes, device=triangles.material.device))
+    shape = rows(shape_of, faces.triangle)
+    found = []
+    for own in dict.fromkeys(filter(None, lines)):
+        like = torch.tensor([other == own for other in lines], device=shape.device)
+        chosen = rows(faces, rows(like, shape).nonzero().squeeze(1))
+        if len(chosen.triangle):
+            uv = [rows(triangles.vertices.uv, rows(corner, chosen.triangle)) for corner in triangles.corners]
+            found += [segments_along(chosen, tuple(across(one, place) for place in uv), one) for one in own]
+    found = [own for own in found if len(own.triangle)]
+    return joined(found) if found else None
+
+
+def across(lines: JumpLines, uv: Vec2) -> Tensor:
+    """The number that is an integer on the lines, (N,) float64."""
+    return lines.x * uv.x.double() + lines.y * uv.y.double() + lines.z
+
+
+def segments_along(faces: Faces, level: tuple[Tensor, Tensor, Tensor], lines: JumpLines) -> Segments:
+    """The segments inside of triangles at which a level is an integer.
+
+    Args:
+        faces: (F,).
+        level: (F,) at each corner.
+        lines: which integers count.
+    """
+    level = Vec3(*level)
+    low, high = torch.minimum(torch.minimum(*level[:2]), level.z), torch.maximum(torch.maximum(*level[:2]), level.z)
+    rise = high - low
+    # A line along an edge of two triangles counts for the one above it.
+    first = torch.ceil(low - ON_EDGE * rise).clamp_min(lines.first)
+    last = (torch.ceil(high - ON_EDGE * rise) - 1.0).clamp_max(lines.last)
+    count = torch.where(rise > 0.0, last - first + 1.0, 0.0).clamp_min(0.0).long()
+    which = torch.repeat_interleave(count)
+    place = torch.arange(len(which), device=which.device) - rows(count.cumsum(0) - count, which)
+    own, level = rows(faces, which), rows(level, which)
+    f0, f1, f2 = (value - rows(first, which) - place for value in level)
+    by_u, by_v = f1 - f0, f2 - f0
+    steep, on_edge = by_u * by_u + by_v * by_v, rows(ON_EDGE * rise, which)
+    runs_along = torch.stack([value.abs() <= on_edge for value in (f0, f1, f2)]).sum(0) > 1
+    step = ASIDE / steep
+    step = step * (LARGEST_STEP / (step * torch.sqrt(steep))).clamp_max(1.0)
+    step = torch.where(runs_along, 0.0, step)
+    start, end = crossings(f0, f1, f2)
+    none = torch.full_like(own.triangle, -1)
+    return Segments(own.triangle, own.instance, start, end, Vec2(by_u * step, by_v * step), none,
+                    None if own.instance is None else torch.zeros_like(none), own.share)
