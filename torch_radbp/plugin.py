@@ -14,7 +14,6 @@ import types
 import typing
 from collections.abc import Iterable, Iterator, MutableMapping
 from functools import cache
-from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.domain import Domain
+from torch_radbp.jump_lines import JumpLines
 
 PACKAGES = ("bsdf", "emitter", "film", "integrator", "sensor", "shape", "texture")  # their import registers plugins
 
@@ -151,16 +151,6 @@ class Plugin(nn.Module):
             ValueError: names what Mitsuba lacks.
         """
         return self
-
-
-class JumpLines(NamedTuple):
-    """Parallel lines of the surface coordinates (u, v): where x u + y v + z is an integer."""
-
-    x: float
-    y: float
-    z: float
-    first: float = -inf  # the integers are not less
-    last: float = inf  # nor greater
 
 
 class Texture(Plugin):

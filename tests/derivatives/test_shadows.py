@@ -10,10 +10,9 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.derivatives.shadow_scenes import BALL, FLOOR, LAMPS, PLATE, SHADOWS, VIEWED
+from tests.derivatives.shadow_scenes import FLOOR, LAMPS, PLATE, SHADOWS, VIEWED
 from tests.scenes import diffuse, load, look_at, rgb
 from torch_radbp.boundary import terms
-from torch_radbp.boundary.shadows import border
 from torch_radbp.io.transform import scale, translate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
@@ -129,24 +128,6 @@ def test_what_next_event_estimation_would_find_has_no_shadow_without_it():
     assert torch.equal(found["rectangle", True] == 0, found["rectangle", False] == 0)
     assert torch.allclose(found["rectangle", True], found["rectangle", False], atol=1e-4)
     assert found["rectangle", True].abs().max() > 0.1
-
-
-def test_of_many_edges_some_are_looked_at_for_all(monkeypatch):
-    scene = load(sensor=VIEWED, floor=FLOOR, ball=BALL, lamp=LAMPS["rectangle"])
-    tangent = {"ball.to_world": torch.eye(4).index_put((torch.tensor(0), torch.tensor(3)), torch.tensor(1.0)) - torch.eye(4)}
-    weight = torch.linspace(-1, 1, 16).expand(16, 16)
-
-    def estimates(first: int) -> torch.Tensor:
-        return torch.stack([(rb.jvp(scene, tangent, seed=first + seed, spp=64, max_depth=2) * weight).mean()
-                            for seed in range(24)])
-
-    monkeypatch.setattr(border, "EXAMINED_BY_PATH", 1 << 10)
-    monkeypatch.setattr(border, "EXAMINED", 1 << 20)
-    every = estimates(0)
-    monkeypatch.setattr(border, "EXAMINED", 1 << 15)  # 2,000 edges for each of 16 light samples, of 27,000
-    some = estimates(100)
-    error = (every.var() / len(every) + some.var() / len(some)).sqrt()
-    assert error < 0.1 * every.mean().abs() and (every.mean() - some.mean()).abs() < 4 * error
 
 
 def test_images_stay_what_they_are_and_threads_and_chunks_change_no_bit():

@@ -24,7 +24,7 @@ from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.texture_lines import lines_of_textures, texture_segments
 from torch_radbp.differentiated import detached
-from torch_radbp.plugin import JumpLines
+from torch_radbp.jump_lines import JumpLines
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.record import joined as joined_records
 from torch_radbp.record import leaves_of, with_leaves

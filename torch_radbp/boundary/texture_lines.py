@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments, crossings
-from torch_radbp.plugin import JumpLines
+from torch_radbp.jump_lines import JumpLines
 from torch_radbp.record import joined
 from torch_radbp.scene.attributes import textures_of
 from torch_radbp.scene.tensors import SceneTensors

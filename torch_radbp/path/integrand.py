@@ -59,7 +59,10 @@ class Stages(NamedTuple):
     swept: Callable
     slopes: Callable
     asked_of_places: Callable
-    angle_seen: Callable
+    edge_bounds: Callable
+    merged_bounds: Callable
+    descended: Callable
+    edge_found: Callable
     edge_passed: Callable
 
     def eager(self) -> Stages:

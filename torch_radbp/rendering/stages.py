@@ -20,7 +20,8 @@ from torch_radbp.boundary.in_sight import in_sight, paths_beside
 from torch_radbp.boundary.motion import asked_of_places, slopes, swept
 from torch_radbp.boundary.places import rays_beside
 from torch_radbp.boundary.segments import segment_place, segment_weight
-from torch_radbp.boundary.shadows.seen_edges import angle_seen, edge_passed
+from torch_radbp.boundary.shadows.edge_tree import descended, edge_bounds, merged_bounds
+from torch_radbp.boundary.shadows.seen_edges import edge_found, edge_passed
 from torch_radbp.differentiated import any_differentiated
 from torch_radbp.film.splat import asked, deposited
 from torch_radbp.jit import LaneFunction, UnknownOperation
@@ -41,11 +42,12 @@ from torch_radbp.vec import rows
 EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, local_map, bounce_adjoint, places, pick_light,
                chance_of_light, appearance_met, side_met, shines, rows, brightened, direct_light, scattered, surface_values,
                material_value, edge_weight, edge_place, crosses, contour_length, contour_place, segment_weight,
-               segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, angle_seen, edge_passed)
+               segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, edge_bounds,
+               merged_bounds, descended, edge_found, edge_passed)
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
-EYES = "geometry", "outline", "eyes", "pairing"
+OUTLINE = "geometry", "outline"
 TABLES = Stages(  # of each stage the arguments that are read at indices
     sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels", "place"), bounce=PATH,
     ending=PATH, local_map=("scene", "proposal"), bounce_adjoint=("scene", "arrival", "adj_L", "memo"),
@@ -57,7 +59,9 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     segment_weight=CURVES, segment_place=(*CURVES, "segments", "lot"),
     rays_beside=("sight", "places", "chosen"), in_sight=("geometry", "places", "sent"),
     paths_beside=("places", "chosen", "sent", "times", "shown"), swept=MOTION, slopes=MOTION,
-    asked_of_places=("camera", "pixels", "film"), angle_seen=("weight", *EYES), edge_passed=("lot", *EYES))
+    asked_of_places=("camera", "pixels", "film"), edge_bounds=(*OUTLINE, "slots"),
+    merged_bounds=("below",), descended=("nodes", "eyes"), edge_found=(*OUTLINE, "tree", "eyes"),
+    edge_passed=(*OUTLINE, "eyes", "lot", "found", "eye"))
 
 
 def fused(target: Target | None = None) -> Stages:

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from torch_radbp.domain import Domain
 from torch_radbp.interleaved import columns_of_rows
-from torch_radbp.plugin import Filename, JumpLines, Matrix4, Plugin, Texture, finite, nearest, register
+from torch_radbp.jump_lines import JumpLines
+from torch_radbp.plugin import Filename, Matrix4, Plugin, Texture, finite, nearest, register
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
 from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
 from torch_radbp.texture.reader import Reader, TableReader, TexturePoint, TriangleEdges

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.domain import Domain
+from torch_radbp.jump_lines import JumpLines
 from torch_radbp.lookup import lookup
-from torch_radbp.plugin import JumpLines, Matrix4, Texture, register
+from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.texture.mixed import reader_for
 from torch_radbp.texture.reader import TableReader, TexturePoint
 from torch_radbp.texture.rgb import as_texture

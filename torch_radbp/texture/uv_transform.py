@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import JumpLines, finite
+from torch_radbp.jump_lines import JumpLines
+from torch_radbp.plugin import finite
 from torch_radbp.vec import Vec2, Vec3
 
 

@@ -13,16 +13,18 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.shadows import border, bounced, hidden_light
+from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import image_of
-from torch_radbp.boundary.shadows.seen_edges import BLOCK
+from torch_radbp.boundary.shadows.seen_edges import Casting
 from torch_radbp.differentiated import any_differentiated, detached
 from torch_radbp.rendering.call.render_call import RenderCall
 
-BYTES_OF_PAIR = 48  # of a light sample or a vertex of a path and an edge: how it is seen, and sums
-BYTES_OF_EAGER_PAIR = 800  # while it is computed by operations of torch
+BYTES_OF_EDGE = 250  # nodes of the tree
+BYTES_OF_WAY = 120  # down the tree: where it is, and what it has found
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
 BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
 
@@ -38,13 +40,11 @@ def bytes_of_shadows(call: RenderCall) -> int:
     """The most that places on borders of shadows may take of memory."""
     paths = call.spp * max(view.width * view.height for view in call.views)
     edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
-    points = min(border.MOST_POINTS, max(FEWEST, paths // border.SHARE))
     vertices = max(hidden_light.FEWEST_PATHS, min(hidden_light.MOST, paths // hidden_light.SHARE))
-    pairs = max(min(border.EXAMINED, border.EXAMINED_BY_PATH * paths, edges * points),
-                min(hidden_light.EXAMINED, hidden_light.EXAMINED_BY_PATH * vertices, edges * vertices))
-    places = max(FEWEST, min(border.MOST, paths // border.SHARE))
-    eager = 0 if hasattr(call.stages.angle_seen, "fused") else min(pairs, BLOCK) * BYTES_OF_EAGER_PAIR
-    return max(pairs * BYTES_OF_PAIR + eager, places * (BYTES_OF_PLACE + BYTES_OF_JUMP * len(call.views)))
+    samples = max(FEWEST, min(border.MOST, paths // border.SHARE))
+    ways, places = (max(samples * of_sample, vertices * of_vertex) for of_sample, of_vertex in (
+        (border.LOOKS, hidden_light.LOOKS), (1, hidden_light.PLACES)))
+    return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + places * (BYTES_OF_PLACE + BYTES_OF_JUMP * len(call.views))
 
 
 def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
@@ -61,13 +61,16 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
     """
     settings, max_depth = call.integrand.settings, call.integrand.max_depth
     glued, (surfaces, around) = settings.sampling != "attached", aimed_at(call)
+    stages, geometry = call.stages, geometry_of(detached(call.scene))
+    with torch.no_grad():
+        edges = Casting(casting, edge_tree(stages, geometry, casting))
     parts = [partial(border.jumps_in_view, lights=border.Lights(settings.nee, glued and surfaces, glued and around))]
     if glued and (max_depth > 2 or not (surfaces and around)):
         first = hidden_light.FirstVertex(not surfaces, not around)
         parts.append(partial(hidden_light.jumps_in_view, first=first))
     if glued and max_depth > 2 and settings.nee:
         parts.append(bounced.jumps_in_view)
-    return torch.stack([image_of(view, [jumps for part in parts if (jumps := part(call, number, casting))], call.scene.dtype)
+    return torch.stack([image_of(view, [jumps for part in parts if (jumps := part(call, number, edges))], call.scene.dtype)
                         for number, view in enumerate(call.views)])
 
 

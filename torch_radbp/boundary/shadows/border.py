@@ -33,6 +33,7 @@ from torch_radbp.boundary.shadows.light_points import light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
+    Casting,
     beyond,
     corners_of,
     crossed_at,
@@ -56,8 +57,7 @@ from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
 SHARE, MOST = 4, 1 << 17  # one place for so many paths of the image; and at most
-EXAMINED, EXAMINED_BY_PATH = 1 << 18, 4  # pairs of light samples and edges that are examined, at most; for each path
-MOST_POINTS = 1 << 13  # light samples
+LOOKS = 2  # for edges from each light sample
 ALIKE = 0.9  # cosine between normals of triangles of one surface
 
 
@@ -69,9 +69,9 @@ class Lights(NamedTuple):
     around: bool  # around the scene
 
     def of(self, scene: SceneTensors) -> Tensor:
-        """For each kind of light in a scene, 1 if it is meant, else 0; float64."""
+        """For each kind of light in a scene, whether it is meant; bool."""
         return torch.tensor([self.sharp if kind.delta else self.around if kind.surround else self.soft
-                             for kind in scene.layout.lights], dtype=torch.float64, device=scene.device)
+                             for kind in scene.layout.lights], device=scene.device)
 
 
 class Borders(NamedTuple):
@@ -92,7 +92,7 @@ class CastShadows(NamedTuple):
     key: LaneKey
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Outline, lights: Lights) -> FilmJumps | None:
+def jumps_in_view(call: RenderCall, number: int, casting: Casting, lights: Lights) -> FilmJumps | None:
     """What borders of shadows of direct light that view `number` sees add to its derivative; None: nothing.
 
     Args:
@@ -105,35 +105,35 @@ def jumps_in_view(call: RenderCall, number: int, casting: Outline, lights: Light
     if found is None:
         return None
     borders, place, aperture, normal, strength = found
-    on_border = border(call.scene, attached_geometry(call.scene), casting, borders)
+    on_border = border(call.scene, attached_geometry(call.scene), casting.outline, borders)
     return FilmJumps(place, strength * swept(on_film(call.views[number].camera, on_border, aperture), normal))
 
 
-def border(scene: SceneTensors, geometry: Geometry, casting: Outline, borders: Borders, step: Tensor | float = 0.0,
+def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
            off: Vec3 | None = None) -> Vec3:
     """Where shadows end on the planes of their receivers, (N,) world, attached.
 
     Args:
         scene: attached.
         geometry: its.
-        casting: the edges.
+        outline: the edges.
         borders: the places.
         step: by which share of the edges' lengths others lie that are meant.
         off: (N,) by which others lie off the edges; None: by nothing.
     """
     corners = corners_of(geometry, borders.receiver)
-    return interpolated(corners, *crossed_at(corners, light_through(scene, geometry, casting, borders, step, off)))
+    return interpolated(corners, *crossed_at(corners, light_through(scene, geometry, outline, borders, step, off)))
 
 
-def light_through(scene: SceneTensors, geometry: Geometry, casting: Outline, borders: Borders, step: Tensor | float,
+def light_through(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float,
                   off: Vec3 | None) -> Ray:
     """The light that passes edges on its way to the borders; args as for `border`."""
-    p = point_of_edge(geometry, casting, borders.edge, borders.along + step)
+    p = point_of_edge(geometry, outline, borders.edge, borders.along + step)
     start, d, _ = light_line(scene, p if off is None else p + off, borders.draw)
     return Ray(start, d)
 
 
-def borders_of(call: RenderCall, number: int, casting: Outline, lights: Lights, share: int = SHARE) -> CastShadows | None:
+def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int = SHARE) -> CastShadows | None:
     """Places on borders of shadows, whether view `number` sees them or not; None: there are none.
 
     Args:
@@ -144,20 +144,22 @@ def borders_of(call: RenderCall, number: int, casting: Outline, lights: Lights, 
     """
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     paths = view.width * view.height * call.spp
-    count, examined = max(FEWEST, min(MOST, paths // share)), min(EXAMINED, EXAMINED_BY_PATH * paths)
-    points = light_points(scene, view, min(count, MOST_POINTS))
-    meant = lights.of(scene)[points.kind]
-    passed = places_seen(call.stages, geometry, casting, points.eyes, meant, salted(view, SALT), count, examined)
+    points = light_points(scene, view, max(FEWEST, min(MOST, paths // share)))
+    count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
+    points = rows(points, meant)
+    if not len(meant):
+        return None
+    passed = places_seen(call.stages, geometry, casting, points.eyes, salted(view, SALT), LOOKS, count)
     if passed is None:
         return None
     receiver, free = beyond(call.integrand, passed)
     borders = Borders(passed.edge, passed.along, rows(points.draw, passed.eye), receiver)
     inwards = passed.outwards * (-BESIDE * extent_of(geometry))
-    found = CastShadows(borders, inwards, passed.times / len(points.kind), passed.key)
+    found = CastShadows(borders, inwards, passed.times / count, passed.key)
     return rows(found, (free & (receiver.prim >= 0)).nonzero().squeeze(1))
 
 
-def borders_in_view(call: RenderCall, number: int, casting: Outline,
+def borders_in_view(call: RenderCall, number: int, casting: Casting,
                     lights: Lights) -> tuple[Borders, Vec2, Vec2 | None, Vec2, Tensor] | None:
     """Places on borders that a view sees; args as for `jumps_in_view`.
 
@@ -172,9 +174,12 @@ def borders_in_view(call: RenderCall, number: int, casting: Outline,
     borders, inwards, times, key = found
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
     geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, key)
-    on_border = border(scene, geometry, casting, borders)
-    film, along = pace(lambda step: on_film(camera, border(scene, geometry, casting, borders, step), aperture), times)
-    shade = on_film(camera, border(scene, geometry, casting, borders, off=inwards), aperture)
+    on_border = border(scene, geometry, casting.outline, borders)
+
+    def seen(step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
+        return on_film(camera, border(scene, geometry, casting.outline, borders, step, off), aperture)
+
+    (film, along), shade = pace(seen, times), seen(off=inwards)
     normal = Vec2(-along.y * times, along.x * times)
     aside = Vec2(shade.x - film.x, shade.y - film.y)
     ahead = aside.x * normal.x + aside.y * normal.y > 0

@@ -19,7 +19,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, light_through, seen_at
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
-from torch_radbp.boundary.shadows.seen_edges import BEFORE, corners_of, crossed_at, numbers, pace
+from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
 from torch_radbp.path.integrand import Integrand
@@ -32,24 +32,24 @@ SHARE = 16  # one place for so many paths of the image
 SALT = 0x2B3E6C1F  # tells the random numbers that connect borders with paths from others
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Outline) -> FilmJumps | None:
+def jumps_in_view(call: RenderCall, number: int, casting: Casting) -> FilmJumps | None:
     """What such borders add to the derivative of view `number`; args and result as of `border.jumps_in_view`."""
     with torch.no_grad():
         found = borders_of_paths(call.still(), number, casting)
     if found is None:
         return None
     place, borders, normal, strength = found
-    seen = on_receiver(call.scene, attached_geometry(call.scene), casting, borders)
+    seen = on_receiver(call.scene, attached_geometry(call.scene), casting.outline, borders)
     return FilmJumps(place, strength * swept(seen, normal))
 
 
-def on_receiver(scene: SceneTensors, geometry: Geometry, casting: Outline, borders: Borders, step: Tensor | float = 0.0,
+def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
                 off: Vec3 | None = None) -> Vec2:
     """Where shadows end on their receivers, (N,) barycentric coordinates there, attached; args as for `border`."""
-    return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, casting, borders, step, off))
+    return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, outline, borders, step, off))
 
 
-def borders_of_paths(call: RenderCall, number: int, casting: Outline) -> tuple[Vec2, Borders, Vec2, Tensor] | None:
+def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> tuple[Vec2, Borders, Vec2, Tensor] | None:
     """Places on borders, each connected to a vertex of a path.
 
     Returns:
@@ -68,8 +68,8 @@ def borders_of_paths(call: RenderCall, number: int, casting: Outline) -> tuple[V
     if not len(points.depth):
         return None
     geometry = geometry_of(scene)
-    here, along = pace(lambda step: on_receiver(scene, geometry, casting, borders, step), times)
-    shade = on_receiver(scene, geometry, casting, borders, off=inwards)
+    here, along = pace(lambda step: on_receiver(scene, geometry, casting.outline, borders, step), times)
+    shade = on_receiver(scene, geometry, casting.outline, borders, off=inwards)
     scale = times * len(points.depth)
     normal = Vec2(-along.y * scale, along.x * scale)
     ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0

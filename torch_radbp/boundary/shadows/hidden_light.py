@@ -29,11 +29,11 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import FEWEST
+from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
-    Eyes,
+    Casting,
     Passed,
     beyond,
     corners_of,
@@ -50,12 +50,11 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.call.render_call import RenderCall, integrand_of
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, max_component, normalize, rows, unit_normal
+from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
-SHARE, MOST = 32, 1 << 14  # one path for so many of the image; and at most
-PLACES = 8  # on edges that are seen from each
-EXAMINED, EXAMINED_BY_PATH = 1 << 20, 128  # pairs of paths and edges that are examined, at most; for each path
+SHARE, MOST = 16, 1 << 15  # one path for so many of the image; and at most
+LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
 EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
 
@@ -77,7 +76,7 @@ class Cuts(NamedTuple):
     basis: tuple[Vec3, Vec3]  # across the line of sight
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Outline, first: FirstVertex) -> FilmJumps | None:
+def jumps_in_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> FilmJumps | None:
     """What edges hide from paths adds to the derivative of view `number`; result as of `border.jumps_in_view`.
 
     Args:
@@ -90,11 +89,11 @@ def jumps_in_view(call: RenderCall, number: int, casting: Outline, first: FirstV
         return None
     points, cuts, normal, strength = found
     geometry = attached_geometry(call.scene)
-    seen = cut_at(geometry, casting, vertex_at(call, geometry, number, points), cuts)
+    seen = cut_at(geometry, casting.outline, vertex_at(call, geometry, number, points), cuts)
     return FilmJumps(rows(points.place, cuts.viewpoint), strength * swept(seen, normal))
 
 
-def cut_at(geometry: Geometry, casting: Outline, vertices: Vec3, cuts: Cuts, step: Tensor | float = 0.0,
+def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, step: Tensor | float = 0.0,
            off: Vec3 | None = None) -> Vec2:
     """Where lines from viewpoints through edges meet what lies beyond, (N,) barycentric coordinates there; attached.
 
@@ -102,18 +101,18 @@ def cut_at(geometry: Geometry, casting: Outline, vertices: Vec3, cuts: Cuts, ste
 
     Args:
         geometry: attached.
-        casting: the edges.
+        outline: the edges.
         vertices: (M,) the viewpoints, attached.
         cuts: the places.
         step, off: as for `border`.
     """
-    start, p = rows(vertices, cuts.viewpoint), point_of_edge(geometry, casting, cuts.edge, cuts.along + step)
+    start, p = rows(vertices, cuts.viewpoint), point_of_edge(geometry, outline, cuts.edge, cuts.along + step)
     reach = (p if off is None else p + off) - start
     met, d = crossed_at(corners_of(geometry, cuts.hit), Ray(start, reach)), normalize(reach)
     return Vec2(*(torch.where(cuts.hit.prim >= 0, inside, dot(d, across)) for inside, across in zip(met, cuts.basis)))
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Outline,
+def cuts_of_view(call: RenderCall, number: int, casting: Casting,
                  first: FirstVertex) -> tuple[Viewpoints, Cuts, Vec2, Tensor] | None:
     """Places where edges cut off light from paths of a view; args as for `jumps_in_view`.
 
@@ -128,11 +127,11 @@ def cuts_of_view(call: RenderCall, number: int, casting: Outline,
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)
-    one, promise = torch.ones_like(at.x), max_component(points.beta).double()
+    one = torch.ones_like(at.x)
     corners = corners_of(geometry, points.hit)
     eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN)
-    passed = places_seen(call.stages, geometry, casting, eyes, promise, salted(view, SALT),
-                         max(FEWEST, PLACES * len(points.depth)), min(EXAMINED, EXAMINED_BY_PATH * len(points.depth)))
+    passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS,
+                         PLACES * len(points.depth))
     if passed is None:
         return None
     hit, free = beyond(call.integrand, passed)
@@ -141,8 +140,8 @@ def cuts_of_view(call: RenderCall, number: int, casting: Outline,
     sight = normalize(passed.p - rows(at, viewpoint))
     side = normalize(cross(passed.outwards, sight))
     cuts = Cuts(viewpoint, passed.edge, passed.along, hit, (cross(sight, side), side))
-    here, along = pace(lambda step: cut_at(geometry, casting, at, cuts, step), passed.times)
-    open_at = cut_at(geometry, casting, at, cuts, off=passed.outwards * (BESIDE * extent_of(geometry)))
+    here, along = pace(lambda step: cut_at(geometry, casting.outline, at, cuts, step), passed.times)
+    open_at = cut_at(geometry, casting.outline, at, cuts, off=passed.outwards * (BESIDE * extent_of(geometry)))
     normal = Vec2(-along.y * passed.times, along.x * passed.times)
     opens_ahead = (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y > 0
     light = light_beyond(call, integrand, points, cuts, passed, at, first)

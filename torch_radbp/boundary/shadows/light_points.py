@@ -7,7 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.shadows.seen_edges import Eyes, salted
+from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.boundary.shadows.seen_edges import salted
 from torch_radbp.path.bounce import light_numbers
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.rendering.call.view import View

@@ -11,8 +11,9 @@ from torch import Tensor
 from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import ALONG, NEIGHBOURS, Lot, lot_of, picked
-from torch_radbp.boundary.shadows.pairing import Pairing, pairing_of
+from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of, picked
+from torch_radbp.boundary.shadows.edge_tree import GROUP, LEVELS, Descent, EdgeTree, drawn, numbers_to
+from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.lookup import lookup
 from torch_radbp.path.integrand import Integrand, Stages
@@ -34,20 +35,16 @@ from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, crossing, dot, normali
 
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
-COPLANAR = 1e-9  # a cosine; what lies in the plane of an eye's surface hides nothing from it
 FAR = 1e10  # the distance of what is a direction
-BLOCK = 1 << 14  # pairs of points and edges that are examined together, by operations of torch
-PAIR = 1  # the random number that picks a pair, beside `ALONG`
+# Steps of a sequence that fills a square evenly, in units of 2^-32: the powers of the inverse of the root of x^3 = x + 1.
+STEPS = 0xC13FA9A9 - (1 << 32), 0x91E10DA5 - (1 << 32)
 
 
-class Eyes(NamedTuple):
-    """M points that look at edges, or directions towards such; detached."""
+class Casting(NamedTuple):
+    """What casts shadows; detached."""
 
-    place: Vec3  # (M,) float64
-    w: Tensor  # (M,) 1; 0: `place` is a direction towards the eye
-    n: Vec3  # (M,) unit normal of the surface that it lies on, 0: on none; directions count by their cosines,
-    behind: Tensor  # (M,) behind the surface so many times less,
-    even: Tensor  # (M,) and so much, whatever the cosine, but along the surface
+    outline: Outline
+    tree: EdgeTree  # over its edges
 
 
 class Passed(NamedTuple):
@@ -56,7 +53,7 @@ class Passed(NamedTuple):
     edge: Tensor  # int32
     eye: Tensor  # int32
     along: Tensor  # share of the way from the edge's a to b
-    times: Tensor  # how many edges, over their probability to be looked at, a place stands for
+    times: Tensor  # how many edges, over their probability to be among those looked at, a place stands for
     p: Vec3  # the place
     outwards: Vec3  # unit, across the edge and the line of sight, to where something lies beyond
     back: Ray  # from right beside the edge to the eye
@@ -65,90 +62,124 @@ class Passed(NamedTuple):
     key: LaneKey  # of random numbers
 
 
-def angle_seen(geometry: Geometry, outline: Outline, eyes: Eyes, weight: Tensor, pairing: Pairing, pair: Tensor) -> Tensor:
-    """The angles under which edges are seen that are silhouettes, 0 for others; times what counts of them; (N,) float64.
+def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, extent: Tensor) -> Tensor:
+    """The angles under which edges are seen that are silhouettes, 0 for others; times how much they count; (N,) float64.
 
     From a direction lengths across it are seen instead, as shares of the extent.
 
     Args:
         geometry: of the scene, detached.
         outline: its edges.
-        eyes: look at them.
-        weight: (M,) float64, how much each eye counts.
-        pairing: of both.
-        pair: (N,) int32, numbers of pairs.
+        edge: (N,) int32; -1: none.
+        eye: (N,) looks at it.
+        extent: () of the scene.
     """
-    edge, eye, exists, times = pairing(pair)
-    eye, times = rows(eyes, eye), times * lookup(weight, eye)
-    edges, instance = rows((outline.edges, outline.instance), edge)
+    edges, instance = rows((outline.edges, outline.instance), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
     from_a, from_b = (end * eye.w - eye.place for end in (a, b))
     to_a, to_b, across = normalize(from_a), normalize(from_b), cross(b - a, eye.place)
     apart = to_a - to_b
     # Between the ends of an edge no direction lies farther on either side than they do.
-    faced = torch.maximum(*(torch.maximum(c, -eye.behind * c) for c in (dot(eye.n, to_a), dot(eye.n, to_b))))
-    counts = torch.where(faced > COPLANAR, faced + eye.even, torch.where(dot(eye.n, eye.n) > 0.0, 0.0, 1.0))
-    seen = torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / pairing.extent)
-    return torch.where(exists & is_silhouette(a, b, opposite, from_a), seen * counts * times, 0.0)
+    counts = torch.maximum(how_much_counts(eye, to_a), how_much_counts(eye, to_b))
+    seen = torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
+    return torch.where((edge >= 0) & is_silhouette(a, b, opposite, from_a), seen * counts, 0.0)
 
 
-def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, seed: SampleKey,
-                pairing: Pairing, place: Tensor) -> Passed:
-    """Places on edges that are silhouettes, in proportion to the angles under which they are seen.
+class Found(NamedTuple):
+    """What N ways down the tree have found."""
+
+    edge: Tensor  # (N,) int32; -1: no silhouette
+    times: Tensor  # (N,) float64, how many edges it stands for
+    angle: Tensor  # (N,) float64, under which it is seen
+
+
+def edge_found(geometry: Geometry, outline: Outline, tree: EdgeTree, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
+    """Silhouettes below the last nodes of the tree, in proportion to their angles.
 
     Args:
-        geometry, outline, eyes, pairing: as for `angle_seen`.
-        lot: of the pairs.
+        geometry, outline, extent: as for `angle_seen`.
+        tree: over the edges of the outline.
+        eyes: look for them.
+        at: (N,) at the last nodes.
+    """
+    own, first = rows(eyes, at.eye), (at.node - tree.leaves) * GROUP
+    angles = [angle_seen(geometry, outline, lookup(tree.slots, first + place), own, extent) for place in range(GROUP)]
+    place, share, _ = drawn(angles, at.u)
+    angle = torch.zeros_like(share)
+    for number, its in enumerate(angles):
+        angle = torch.where(place == number, its, angle)
+    chance = at.chance * share
+    exists = chance > 0.0
+    times = torch.where(exists, 1.0 / torch.where(exists, chance, 1.0), 0.0)
+    return Found(torch.where(exists, lookup(tree.slots, first + place), -1), times, angle)
+
+
+def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
+                extent: Tensor, place: Tensor) -> Passed:
+    """Places on some of the edges that were found.
+
+    Args:
+        geometry, outline, eyes, extent: as for `edge_found`.
+        lot: of what was found.
+        found: (K,) edges.
+        eye: (K,) int32, that sees each.
         seed: of the random numbers.
         place: (N,) int32, numbers of the places.
     """
     key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
-    numbers_of_place = bounce_key(key, CAMERA_COUNTER)
-    pair, _, times = picked(lot, place, fine_unit(random_bits(numbers_of_place, PAIR)))
-    along = fine_unit(random_bits(numbers_of_place, ALONG))  # what is left of the other is no longer well spread
-    edge, eye, _, repeated = pairing(pair.to(torch.int32))
-    edges, instance, share = rows((outline.edges, outline.instance, outline.share), edge)
+    numbers = bounce_key(key, CAMERA_COUNTER)
+    aim, along = (fine_unit(random_bits(numbers, dimension)) for dimension in (1, 0))
+    number, _, times = picked(lot, place, aim)
+    (edge, repeated, _), eye = rows((found, eye), number)
+    times, own = times * repeated, rows(eyes, eye)
+    edges, instance, share = rows((outline.edges, outline.instance, outline.share), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
-    own = rows(eyes, eye)
     p = a + (b - a) * along
     sight = normalize(p * own.w - own.place)
     across = normalize(cross(b - a, sight))
     inside = [dot(tip - a, across) for tip in opposite[:2]]
     deeper = torch.where(inside[0].abs() > inside[-1].abs(), inside[0], inside[-1])
     outwards = across * torch.where(deeper > 0.0, -1.0, 1.0)
-    start = p + outwards * (BESIDE * pairing.extent)
+    start = p + outwards * (BESIDE * extent)
     away = start * own.w - own.place
     length = torch.sqrt(dot(away, away)).clamp_min(TINY)
     d, dtype = away * (1.0 / length), geometry.triangles.n.x.dtype
     o, d = (part.map(lambda c: c.to(dtype)) for part in (start, d))
     distance = torch.where(own.w > 0.0, length * (1.0 - BEFORE), FAR).to(dtype)
-    times = times * repeated
-    return Passed(edge, eye, along, times if share is None else times / share, p, outwards, Ray(o, -d), Ray(o, d), distance,
-                  key)
+    return Passed(edge, eye, along, times if share is None else times / share, p, outwards, Ray(o, -d), Ray(o, d),
+                  distance, key)
 
 
-def places_seen(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, weight: Tensor, seed: SampleKey,
-                count: int, examined: int) -> Passed | None:
-    """So many places on edges that eyes see as silhouettes; None: they see none.
+def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int,
+                count: int) -> Passed | None:
+    """Places on edges that eyes see as silhouettes, in proportion to the angles of these; None: they see none.
 
     Args:
         stages: of the call.
-        geometry, outline, eyes: as for `angle_seen`.
-        weight: (M,) float64, how much each eye counts.
+        geometry: of the scene, detached.
+        casting: the edges.
+        eyes: look at them.
         seed: of the random numbers.
-        count: how many.
-        examined: pairs of eyes and edges, about.
+        each: how often each looks for an edge.
+        count: how many places there are to be on edges that were found.
     """
-    pairing = pairing_of(extent_of(geometry), outline.body, len(weight), seed, examined)
-    pairs = torch.arange(len(pairing.body), dtype=torch.int32, device=weight.device)
-    together = len(pairs) if hasattr(stages.angle_seen, "fused") else BLOCK
-    angles = torch.cat([stages.angle_seen(geometry, outline, eyes, weight, pairing, block)
-                        for block in pairs.split(together)])
-    total = running_sum(angles)
+    outline, tree = casting
+    way, extent = numbers_to(each * len(eyes.w), tree.slots), extent_of(geometry)
+    eye = torch.div(way, each, rounding_mode="floor")
+    u = fine_unit(eye * STEPS[0] + hash32(seed.seed)) + (way - eye * each)  # as many in each part of the edges
+    at = Descent(eye, torch.ones_like(way), u / each, torch.ones_like(u))
+    whole, part = divmod(int(tree.leaves).bit_length() - 1, LEVELS)
+    for levels in [part] * (part > 0) + [LEVELS] * whole:
+        at = stages.descended(tree.nodes, eyes, extent, at, levels)
+    found = stages.edge_found(geometry, outline, tree, eyes, at, extent)
+    order = found.edge.argsort(stable=True)  # places on an edge are well spread along it
+    found, eye = rows((found._replace(times=found.times / each), eye), order)
+    weight = found.times * found.angle
+    total = running_sum(weight)
     if not float(total[-1]) > 0.0:
         return None
-    return stages.edge_passed(geometry, outline, eyes, lot_of(angles, count, total), seed, pairing,
-                              torch.arange(count, dtype=torch.int32, device=weight.device))
+    return stages.edge_passed(geometry, outline, eyes, lot_of(weight, count, total), found, eye, seed, extent,
+                              numbers_to(count, eye))
 
 
 def salted(view: View, salt: int) -> SampleKey:

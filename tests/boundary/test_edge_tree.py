@@ -1,0 +1,112 @@
+"""The tree over edges: it rules out no silhouette, and finds each as often as its probability says."""
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.scenes import diffuse, load, sensor
+from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.shadows import hidden_light
+from torch_radbp.boundary.shadows.edge_tree import GROUP, angle_of_node
+from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_of, places_seen
+from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.vec import Vec3, normalize, rows
+
+FLOOR = {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)), "bsdf": diffuse(0.5, 0.5, 0.5)}
+CUBE = {"type": "cube", "to_world": translate((0.1, 0.1, 0.5)) @ rotate((1, 0.7, 0.4), 35) @ scale((0.25, 0.2, 0.15)),
+        "bsdf": diffuse(0.5, 0.6, 0.4)}
+TURNED = {"type": "mesh", "bsdf": diffuse(0.5, 0.6, 0.4),
+          "faces": torch.tensor([[0, 1, 2], [1, 2, 3], [2, 3, 4], [0, 1, 4]]),
+          "vertex_positions": torch.tensor([[0.0, 0, 0], [1, 0, 0.2], [0, 1, 0.1], [1, 1, 0.5], [0.3, 1.6, 0.2]]) - 0.5}
+
+
+def wavy(size: int = 9) -> dict:
+    """A grid of triangles with waves."""
+    u, v = (part.flatten() for part in torch.meshgrid(*(torch.linspace(-1, 1, size),) * 2, indexing="ij"))
+    corner = torch.arange(size * (size - 1)).reshape(size - 1, size)[:, :-1].flatten()
+    faces = torch.cat([torch.stack([corner, corner + 1, corner + size], 1),
+                       torch.stack([corner + 1, corner + size + 1, corner + size], 1)])
+    return {"type": "mesh", "bsdf": diffuse(0.5, 0.6, 0.4), "faces": faces,
+            "vertex_positions": torch.stack([u, v, 0.4 * torch.sin(3 * u) * torch.cos(2 * v)], 1)}
+
+
+BODIES = {"floor and cube": {"floor": FLOOR, "cube": CUBE}, "waves": {"waves": wavy(), "floor": FLOOR},
+          "turned triangles": {"mesh": TURNED, "cube": CUBE}}
+
+
+@pytest.fixture(params=BODIES)
+def casting(request, monkeypatch) -> tuple[Geometry, Casting]:
+    """The geometry of a scene and its edges with their tree, as a rendering has them."""
+    found = []
+
+    def noted(stages, geometry, casting, *_):
+        found.append((geometry, casting))
+
+    monkeypatch.setattr(hidden_light, "places_seen", noted)
+    sky = {"type": "constant", "radiance": 1.0}
+    scene = load(sensor=sensor(4, (0, 0, 3)), sky=sky, **BODIES[request.param]).double()
+    pose = torch.eye(4, dtype=torch.float64)[None, 0].expand(4, 4) * 0.1
+    rb.jvp(scene, {"sensor.to_world": pose}, spp=4, max_depth=2)
+    return found[0]
+
+
+def eyes_around(count: int = 200) -> Eyes:
+    """Points in and around the scene, on surfaces, on such that are lit from behind or not, and on none; and directions."""
+    numbers = torch.randn(count, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    place, n = (Vec3.of(part) for part in numbers.split(3, 1))
+    kind = torch.arange(count) % 4
+    n = normalize(n).map(lambda c: torch.where(kind == 0, 0.0, c))
+    return Eyes(place, (kind != 3).double(), n, (kind == 1).double(), 0.1 * (kind == 2).double())
+
+
+def of_each(eyes: Eyes, count: int) -> Eyes:
+    """Each eye so many times in a row."""
+    return Eyes(*(part.map(lambda c: c.repeat_interleave(count)) if isinstance(part, Vec3) else part.repeat_interleave(count)
+                  for part in eyes))
+
+
+def angles(geometry: Geometry, casting: Casting, eyes: Eyes) -> torch.Tensor:
+    """(M, S) under which each eye sees the edge in each slot."""
+    slots = casting.tree.slots
+    seen = angle_seen(geometry, casting.outline, slots.repeat(len(eyes.w)), of_each(eyes, len(slots)), extent_of(geometry))
+    return seen.view(len(eyes.w), len(slots))
+
+
+def test_every_edge_has_one_slot(casting):
+    slots = casting[1].tree.slots
+    assert slots[slots >= 0].sort().values.tolist() == list(range(len(casting[1].outline.crease)))
+
+
+def test_no_silhouette_is_ruled_out(casting):
+    geometry, (_, tree) = casting
+    eyes = eyes_around()
+    seen = angles(geometry, casting[1], eyes) > 0
+    assert seen.any(1).float().mean() > 0.5
+    below = seen.view(len(eyes.w), -1, GROUP).any(2)
+    first = int(tree.leaves)
+    while first:
+        node = torch.arange(first, 2 * first)
+        estimate = angle_of_node(rows(tree.nodes, node.repeat(len(eyes.w))), of_each(eyes, first), extent_of(geometry))
+        assert (estimate.view(-1, first)[below] > 0).all(), first
+        below, first = below.view(len(eyes.w), -1, 2).any(2) if first > 1 else below, first // 2
+
+
+@pytest.mark.parametrize("stages", [EAGER, compiled()], ids=["eager", "compiled"])
+def test_what_is_found_adds_up_to_all_that_is_seen(casting, stages):
+    geometry, casting = casting
+    eyes, slots, sums = rows(eyes_around(), torch.arange(40)), casting.tree.slots, []
+    angle = angles(geometry, casting, eyes)
+    slot = slots.argsort()[(slots < 0).sum():]  # of each edge
+    for seed in range(16):
+        key = SampleKey(torch.tensor(seed, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
+        found = places_seen(stages, geometry, casting, eyes, key, 64, 4096)
+        seen = angle[found.eye.long(), slot[found.edge.long()]]
+        assert (seen > 0).all()
+        sums.append(torch.zeros(len(eyes.w), dtype=torch.float64).index_add(0, found.eye.long(), found.times * seen))
+    sums = torch.stack(sums)
+    error = sums.std(0) / len(sums) ** 0.5
+    off = (sums.mean(0) - angle.sum(1)) / error.clamp_min(1e-9)
+    assert angle.sum() > 1 and (error < 0.2 * angle.sum(1) + 1e-2).all() and off.abs().max() < 5

@@ -1,0 +1,232 @@
+"""A tree over edges, by which those are found that are silhouettes from a point.
+
+Each node has a box around its edges, the sum of their lengths, and a cone around the normals of the triangles that meet
+there. An edge between two triangles is a silhouette from a point if a direction from there to it lies across a normal that
+turns from one to the other; so a node may have one if a direction to its box lies across a normal of its cone. From the root
+down, one of the nodes some levels below is picked in proportion to an estimate of the angle under which its edges are seen,
+0 where none may be a silhouette. Below the last nodes the angles of a few edges are computed.
+
+Children follow from the number of their parent: 2 n and 2 n + 1, from the root, 1, on. The order of the edges is found once;
+their bounds follow what moves.
+
+References: Hertzmann and Zorin 2000, "Illustrating smooth surfaces", section 3.3 (silhouettes by a hierarchy); Li, Aittala,
+Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 5 (importance sampling).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.shadows.eyes import COPLANAR, Eyes, how_much_counts
+from torch_radbp.lookup import lookup
+from torch_radbp.path.integrand import Stages
+from torch_radbp.record import joined
+from torch_radbp.scene.light_tree import halved
+from torch_radbp.vec import TINY, Vec3, angle_between, cross, dot, normalize, rows, unit_normal, where
+
+GROUP = 8  # edges below each of the last nodes
+LEVELS = 3  # that places go down at once
+LEAST = 0.02  # how much nodes count in which directions across are just possible
+LEEWAY = 1e-7  # of cosines, which rounding must not make too great
+
+
+class EdgeNodes(NamedTuple):
+    """M nodes; detached, float64, world."""
+
+    low: Vec3  # (M,) the corners of the box
+    high: Vec3
+    axis: Vec3  # (M,) unit, of the cone of normals
+    cosine: Tensor  # (M,) of its half angle
+    sine: Tensor  # (M,) likewise; 1: normals of all directions
+    angle: Tensor  # (M,) the half angle
+    sharpest: Tensor  # (M,) that of the edge whose triangles meet at the sharpest angle
+    bend: Tensor  # (M,) lengths times the angles between the triangles at the edges, summed; 0: none can be a silhouette
+    plane: Tensor  # (M,) how far along the axis the edges lie,
+    thickness: Tensor  # (M,) and by how much not so; infinite if that is not known
+
+
+class EdgeTree(NamedTuple):
+    """A tree over the edges of an outline."""
+
+    nodes: EdgeNodes  # (2 L,) of which the first is none
+    slots: Tensor  # (GROUP L,) int32, the edges below the last L nodes; -1: none
+    leaves: Tensor  # () int32, L
+
+
+class Descent(NamedTuple):
+    """Where N places are on their way down; (N,)."""
+
+    eye: Tensor  # int32, from where they look for edges
+    node: Tensor  # int32
+    u: Tensor  # float64, a uniform number that is left over
+    chance: Tensor  # float64, with which that node was reached; 0: no edge below may be a silhouette
+
+
+def slots_of(outline: Outline, points: Tensor) -> Tensor:
+    """Edges in the order of the tree, (S,) int32, S a power of 2; -1: none.
+
+    Each body has a node of its own: room for a power of 2 of edges, at a multiple of that, the largest first. In it edges
+    are halved again and again along the axis on which they lie farthest apart.
+
+    Args:
+        outline: the edges.
+        points: (E, 3) on each edge, world.
+    """
+    body, count = outline.body.unique(return_counts=True)
+    room = torch.pow(2, torch.ceil(torch.log2(count.double())).long()).clamp_min(GROUP)
+    slots = torch.full((1 << (int(room.sum()) - 1).bit_length(),), -1, dtype=torch.int32, device=points.device)
+    start = 0
+    for one in room.argsort(descending=True).tolist():
+        own = (outline.body == body[one]).nonzero().squeeze(1)
+        place, _ = halved(points[own])
+        slots[start + place] = own.to(torch.int32)
+        start += int(room[one])
+    return slots
+
+
+def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
+    """The tree over the edges of an outline, of what is detached."""
+    points, = in_world(geometry, (outline.edges.a,), outline.instance)
+    slots = slots_of(outline, points.stack())
+    levels = [stages.edge_bounds(geometry, outline, slots, numbers_to(len(slots), slots))]
+    while len(levels[-1].bend) > 1:
+        levels.append(stages.merged_bounds(levels[-1], numbers_to(len(levels[-1].bend) // 2, slots)))
+    above = levels[GROUP.bit_length() - 1:]
+    nodes = joined([above[-1], *reversed(above)])
+    return EdgeTree(nodes, slots, torch.full((), len(above[0].bend), dtype=torch.int32, device=slots.device))
+
+
+def numbers_to(count: int, like: Tensor) -> Tensor:
+    """0, 1, ..., (count,) int32."""
+    return torch.arange(count, dtype=torch.int32, device=like.device)
+
+
+def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tensor) -> EdgeNodes:
+    """The bounds of single edges.
+
+    Args:
+        geometry: of the scene, detached.
+        outline: the edges.
+        slots: of `EdgeTree`.
+        slot: (N,) int32, which.
+    """
+    edge = lookup(slots, slot)
+    exists = edge >= 0
+    edges, instance = rows((outline.edges, outline.instance), edge.clamp_min(0))
+    a, b, *tips = in_world(geometry, (edges.a, edges.b, *edges.opposite[:2]), instance)
+    along = b - a
+    # The two turn round the edge in one sense, the first as its triangle does: so cones of neighbours may be narrow.
+    one = unit_normal(along, tips[0] - a)
+    other = where(edges.count == 2, unit_normal(tips[-1] - a, along), one)
+    turned = torch.where(dot(one, normal_of(geometry, edges.corner[0], instance)) < 0.0, -1.0, 1.0)
+    axis = normalize(one + other) * turned
+    cosine = dot(axis, one) * turned - LEEWAY
+    folded = (edges.count == 2) & (cosine > 0.0)
+    cosine = torch.where(folded, cosine, 0.0)
+    angle = torch.where(folded, 0.5 * angle_between(one, other), 0.5 * torch.pi)
+    bend = torch.where(exists, torch.sqrt(dot(along, along)) * 2.0 * angle, 0.0)
+    none = torch.full_like(along.x, torch.inf)
+    low, high = (Vec3(*(extreme(p, q) for p, q in zip(a, b))) for extreme in (torch.minimum, torch.maximum))
+    low, high = where(exists, low, Vec3(none, none, none)), where(exists, high, Vec3(-none, -none, -none))
+    return EdgeNodes(low, high, axis, cosine, torch.sqrt(1.0 - cosine * cosine), angle, angle, bend, dot(axis, a),
+                     dot(axis, along).abs())
+
+
+def normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Vec3:
+    """Normals of the triangles that corners, (N,) int32, belong to, by the order of their vertices; of any length."""
+    triangle = torch.div(corner, 3, rounding_mode="floor")
+    p = positions(geometry, Between(*lookup(geometry.triangles.corners, triangle)), instance)
+    return cross(p[1] - p[0], p[2] - p[0])
+
+
+def merged_bounds(below: EdgeNodes, node: Tensor) -> EdgeNodes:
+    """The bounds of two nodes together, number 2 n and 2 n + 1 of those `below`; `node`: (N,) int32, n."""
+    one, other = (rows(below, 2 * node + side) for side in (0, 1))
+    low, high = (Vec3(*(extreme(p, q) for p, q in zip(*parts))) for extreme, parts in (
+        (torch.minimum, (one.low, other.low)), (torch.maximum, (one.high, other.high))))
+    both = (one.bend > 0.0) & (other.bend > 0.0)
+    alone = where(one.bend > 0.0, one.axis, other.axis)
+    axis = where(both, normalize(one.axis + other.axis), alone)
+    reach = None
+    for part in (one, other):
+        cosine = dot(axis, part.axis).clamp(-1.0, 1.0)
+        # Of the sum of two angles of which the second is at most a right one.
+        own = cosine * part.cosine - torch.sqrt(1.0 - cosine * cosine) * part.sine - LEEWAY
+        own = torch.where(part.bend > 0.0, own, 1.0)
+        reach = own if reach is None else torch.minimum(reach, own)
+    cosine = reach.clamp(0.0, 1.0)
+    first = one.bend > 0.0
+    thickness = torch.where(first, one.thickness, other.thickness)
+    together = torch.maximum(one.thickness, other.thickness) + (one.plane - other.plane).abs()
+    parallel = dot(one.axis, other.axis) > 1.0 - LEEWAY**2
+    thickness = torch.where(both, torch.where(parallel, together, torch.inf), thickness)
+    return EdgeNodes(low, high, axis, cosine, torch.sqrt(1.0 - cosine * cosine), torch.acos(cosine),
+                     torch.maximum(*(torch.where(part.bend > 0.0, part.sharpest, 0.0) for part in (one, other))),
+                     one.bend + other.bend, torch.where(first, one.plane, other.plane), thickness)
+
+
+def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
+    """An estimate of the angles under which the edges of nodes are seen, times how much they count; (N,) float64.
+
+    It is 0 only where none is a silhouette, or counts.
+    """
+    middle, half = (node.low + node.high) * 0.5, (node.high - node.low) * 0.5
+    reach = middle * eye.w - eye.place
+    squared, size = dot(reach, reach), dot(half, half)
+    away = eye.w > 0.0
+    limit = torch.where(away, torch.maximum(squared, size), extent * extent).clamp_min(TINY)
+    d = reach * torch.rsqrt(squared.clamp_min(TINY))
+    # The angle of the sphere around the box, as it is seen: from inside, edges may be everywhere.
+    sine_squared = torch.where(away, (size / limit).clamp_max(1.0), 0.0)
+    cosine, sine = torch.sqrt(1.0 - sine_squared), torch.sqrt(sine_squared)
+    tilt = dot(node.axis, d).abs()
+    straight = node.cosine * cosine - node.sine * sine <= LEEWAY  # all directions across may be met
+    most = torch.where(straight, 1.0, node.sine * cosine + node.cosine * sine + LEEWAY)
+    possible = tilt <= most
+    # Normals in a cone are fewer towards its border, unless they are those of few edges.
+    few = node.sharpest / node.angle.clamp_min(TINY)
+    near = torch.maximum(((1.0 - (tilt / most)**2)**2).clamp_min(LEAST), few)
+    counts = how_much_counts(eye, d, cosine, sine)
+    # Of normals that are spread evenly over the cone, so many have a direction across.
+    share = near * node.bend / (2.0 * (node.angle + sine).clamp_min(TINY))
+    lifted = (dot(node.axis, eye.place) - node.plane).abs() + node.thickness
+    own = away & (lifted < COPLANAR * extent) & (dot(node.axis, eye.n).abs() > 1.0 - COPLANAR)
+    return torch.where(possible & (node.bend > 0.0) & ~own, share * torch.rsqrt(limit) * counts, 0.0)
+
+
+def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, levels: int) -> Descent:
+    """Places some levels farther down: one of all nodes there is picked, so that few ways end where no edge is.
+
+    Args:
+        nodes: of the tree.
+        eyes: look for edges.
+        extent: () of the scene.
+        at: (N,) where they are.
+        levels: how many.
+    """
+    eye, first = rows(eyes, at.eye), at.node * (1 << levels)
+    angles = [angle_of_node(rows(nodes, first + place), eye, extent) for place in range(1 << levels)]
+    place, share, u = drawn(angles, at.u)
+    return Descent(at.eye, first + place, u, at.chance * share)
+
+
+def drawn(weights: Sequence[Tensor], u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Which of some weights, (N,) each, random numbers pick, (N,) int32; its share of all, 0 if all are; and what is left
+    of the random number."""
+    total = weights[0]
+    for weight in weights[1:]:
+        total = total + weight
+    aim, below = u * total, torch.zeros_like(total)
+    place, own, start = torch.zeros_like(total, dtype=torch.int32), torch.zeros_like(total), below
+    for number, weight in enumerate(weights):
+        here = (weight > 0.0) & (aim >= below)
+        place, own, start = torch.where(here, number, place), torch.where(here, weight, own), torch.where(here, below, start)
+        below = below + weight
+    left = ((aim - start) / torch.where(own > 0.0, own, 1.0)).clamp(0.0, 1.0)
+    return place, own / torch.where(total > 0.0, total, 1.0), left

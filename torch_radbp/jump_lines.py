@@ -1,0 +1,16 @@
+"""Lines along which the values of a texture jump."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import NamedTuple
+
+
+class JumpLines(NamedTuple):
+    """Parallel lines of the surface coordinates (u, v): where x u + y v + z is an integer."""
+
+    x: float
+    y: float
+    z: float
+    first: float = -inf  # the integers are not less
+    last: float = inf  # nor greater
