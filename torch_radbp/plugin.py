@@ -7,12 +7,11 @@ constructor is its schema: the loader, `radbp info` and the writer read attribut
 from __future__ import annotations
 
 import difflib
-import importlib
 import inspect
 import operator
 import types
 import typing
-from collections.abc import Iterable, Iterator, MutableMapping
+from collections.abc import Iterable
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -22,37 +21,7 @@ from torch import Tensor, nn
 
 from torch_radbp.domain import Domain
 from torch_radbp.jump_lines import JumpLines
-
-PACKAGES = ("bsdf", "emitter", "film", "integrator", "sensor", "shape", "texture")  # their import registers plugins
-
-
-class PluginTypes(MutableMapping):
-    """The plugin classes of one category by type name; the package's own are imported when they are first asked for."""
-
-    def __init__(self) -> None:
-        self.registered: dict[str, type[Plugin]] = {}
-
-    def all(self) -> dict[str, type[Plugin]]:
-        """All registered classes by name; imports the package's plugins first."""
-        for package in PACKAGES:
-            importlib.import_module(f"torch_radbp.{package}")
-        return self.registered
-
-    def __getitem__(self, name: str) -> type[Plugin]:
-        return self.all()[name]
-
-    def __setitem__(self, name: str, cls: type[Plugin]) -> None:
-        self.registered[name] = cls
-
-    def __delitem__(self, name: str) -> None:
-        del self.registered[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.all())
-
-    def __len__(self) -> int:
-        return len(self.all())
-
+from torch_radbp.plugin_types import PluginTypes
 
 REGISTRY: dict[str, PluginTypes] = {
     name: PluginTypes()

@@ -5,9 +5,10 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, sensor
+from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.shadows import hidden_light
-from torch_radbp.boundary.shadows.edge_tree import GROUP, angle_of_node
+from torch_radbp.boundary.shadows.edge_tree import angle_of_node
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_of, places_seen
 from torch_radbp.io.transform import rotate, scale, translate

@@ -15,10 +15,11 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.edge_order import slots_of
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.faces import joined as joined_faces
-from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.geometry import geometry_of, in_world
 from torch_radbp.boundary.intersections import intersections
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
@@ -48,7 +49,7 @@ class Outline(NamedTuple):
     crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, `TURNED`
     folds: bool  # some are `FOLD` or `TURNED`
     share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
-    body: Tensor | None = None  # (E,) int32, of everything, the number of the shape, shown by an instance, that has it
+    slots: Tensor | None = None  # (S,) int32, of everything, the edges in the order of a tree, see `edge_order.slots_of`
 
 
 class Moving(NamedTuple):
@@ -80,6 +81,7 @@ class Outlines:
 
     def __init__(self) -> None:
         self.known: dict[object, OutlinedMesh] = {}
+        self.order: tuple[tuple[Tensor, ...], Tensor] | None = None
 
     def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
         """Where each view of a call may jump: at all shapes where the camera moves, at those that move where it does not.
@@ -110,7 +112,16 @@ class Outlines:
             return None
         shape = torch.repeat_interleave(torch.tensor(sizes, device=found.crease.device)).int()
         body = rows(shape, torch.div(found.edges.corner[0], 3, rounding_mode="floor"))
-        return found._replace(body=body if found.instance is None else body + found.instance * len(sizes))
+        body = body if found.instance is None else body + found.instance * len(sizes)
+        return found._replace(slots=self.order_of(detached(call.scene), found, body))
+
+    def order_of(self, scene: SceneTensors, outline: Outline, body: Tensor) -> Tensor:
+        """The slots of all edges, found anew only if these have changed; `body`: (E,) whose they are."""
+        tables = (outline.edges.a, outline.edges.b, body)
+        if self.order is None or not all(map(unchanged, tables, self.order[0])):
+            points, = in_world(geometry_of(scene), (outline.edges.a,), outline.instance)
+            self.order = tables, slots_of(body, points.stack())
+        return self.order[1]
 
     def of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Outline | None:
         """The edges of all that moves; None: there are none.

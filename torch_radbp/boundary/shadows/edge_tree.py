@@ -21,19 +21,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import COPLANAR, Eyes, how_much_counts
 from torch_radbp.lookup import lookup
 from torch_radbp.path.integrand import Stages
 from torch_radbp.record import joined
-from torch_radbp.scene.light_tree import halved
 from torch_radbp.vec import TINY, Vec3, angle_between, cross, dot, normalize, rows, unit_normal, where
 
-GROUP = 8  # edges below each of the last nodes
 LEVELS = 3  # that places go down at once
 LEAST = 0.02  # how much nodes count in which directions across are just possible
-LEEWAY = 1e-7  # of cosines, which rounding must not make too great
+LEEWAY = 1e-7  # radians, by which rounding must not make cones too narrow
+STRAIGHT = 0.5 * torch.pi
 
 
 class EdgeNodes(NamedTuple):
@@ -68,32 +68,9 @@ class Descent(NamedTuple):
     chance: Tensor  # float64, with which that node was reached; 0: no edge below may be a silhouette
 
 
-def slots_of(outline: Outline, points: Tensor) -> Tensor:
-    """Edges in the order of the tree, (S,) int32, S a power of 2; -1: none.
-
-    Each body has a node of its own: room for a power of 2 of edges, at a multiple of that, the largest first. In it edges
-    are halved again and again along the axis on which they lie farthest apart.
-
-    Args:
-        outline: the edges.
-        points: (E, 3) on each edge, world.
-    """
-    body, count = outline.body.unique(return_counts=True)
-    room = torch.pow(2, torch.ceil(torch.log2(count.double())).long()).clamp_min(GROUP)
-    slots = torch.full((1 << (int(room.sum()) - 1).bit_length(),), -1, dtype=torch.int32, device=points.device)
-    start = 0
-    for one in room.argsort(descending=True).tolist():
-        own = (outline.body == body[one]).nonzero().squeeze(1)
-        place, _ = halved(points[own])
-        slots[start + place] = own.to(torch.int32)
-        start += int(room[one])
-    return slots
-
-
 def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
     """The tree over the edges of an outline, of what is detached."""
-    points, = in_world(geometry, (outline.edges.a,), outline.instance)
-    slots = slots_of(outline, points.stack())
+    slots = outline.slots
     levels = [stages.edge_bounds(geometry, outline, slots, numbers_to(len(slots), slots))]
     while len(levels[-1].bend) > 1:
         levels.append(stages.merged_bounds(levels[-1], numbers_to(len(levels[-1].bend) // 2, slots)))
@@ -126,15 +103,12 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
     other = where(edges.count == 2, unit_normal(tips[-1] - a, along), one)
     turned = torch.where(dot(one, normal_of(geometry, edges.corner[0], instance)) < 0.0, -1.0, 1.0)
     axis = normalize(one + other) * turned
-    cosine = dot(axis, one) * turned - LEEWAY
-    folded = (edges.count == 2) & (cosine > 0.0)
-    cosine = torch.where(folded, cosine, 0.0)
-    angle = torch.where(folded, 0.5 * angle_between(one, other), 0.5 * torch.pi)
+    angle = torch.where(edges.count == 2, 0.5 * angle_between(one, other) + LEEWAY, STRAIGHT).clamp_max(STRAIGHT)
     bend = torch.where(exists, torch.sqrt(dot(along, along)) * 2.0 * angle, 0.0)
     none = torch.full_like(along.x, torch.inf)
     low, high = (Vec3(*(extreme(p, q) for p, q in zip(a, b))) for extreme in (torch.minimum, torch.maximum))
     low, high = where(exists, low, Vec3(none, none, none)), where(exists, high, Vec3(-none, -none, -none))
-    return EdgeNodes(low, high, axis, cosine, torch.sqrt(1.0 - cosine * cosine), angle, angle, bend, dot(axis, a),
+    return EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle, angle, bend, dot(axis, a),
                      dot(axis, along).abs())
 
 
@@ -153,20 +127,14 @@ def merged_bounds(below: EdgeNodes, node: Tensor) -> EdgeNodes:
     both = (one.bend > 0.0) & (other.bend > 0.0)
     alone = where(one.bend > 0.0, one.axis, other.axis)
     axis = where(both, normalize(one.axis + other.axis), alone)
-    reach = None
-    for part in (one, other):
-        cosine = dot(axis, part.axis).clamp(-1.0, 1.0)
-        # Of the sum of two angles of which the second is at most a right one.
-        own = cosine * part.cosine - torch.sqrt(1.0 - cosine * cosine) * part.sine - LEEWAY
-        own = torch.where(part.bend > 0.0, own, 1.0)
-        reach = own if reach is None else torch.minimum(reach, own)
-    cosine = reach.clamp(0.0, 1.0)
+    angle = torch.maximum(*(torch.where(part.bend > 0.0, angle_between(axis, part.axis) + part.angle + LEEWAY, 0.0)
+                            for part in (one, other))).clamp_max(STRAIGHT)
     first = one.bend > 0.0
     thickness = torch.where(first, one.thickness, other.thickness)
     together = torch.maximum(one.thickness, other.thickness) + (one.plane - other.plane).abs()
     parallel = dot(one.axis, other.axis) > 1.0 - LEEWAY**2
     thickness = torch.where(both, torch.where(parallel, together, torch.inf), thickness)
-    return EdgeNodes(low, high, axis, cosine, torch.sqrt(1.0 - cosine * cosine), torch.acos(cosine),
+    return EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle,
                      torch.maximum(*(torch.where(part.bend > 0.0, part.sharpest, 0.0) for part in (one, other))),
                      one.bend + other.bend, torch.where(first, one.plane, other.plane), thickness)
 
@@ -191,7 +159,7 @@ def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
     possible = tilt <= most
     # Normals in a cone are fewer towards its border, unless they are those of few edges.
     few = node.sharpest / node.angle.clamp_min(TINY)
-    near = torch.maximum(((1.0 - (tilt / most)**2)**2).clamp_min(LEAST), few)
+    near = torch.where(straight, 1.0, torch.maximum(((1.0 - (tilt / most)**2)**2).clamp_min(LEAST), few))
     counts = how_much_counts(eye, d, cosine, sine)
     # Of normals that are spread evenly over the cone, so many have a direction across.
     share = near * node.bend / (2.0 * (node.angle + sine).clamp_min(TINY))

@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
+from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of, picked
-from torch_radbp.boundary.shadows.edge_tree import GROUP, LEVELS, Descent, EdgeTree, drawn, numbers_to
+from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.lookup import lookup

@@ -1,0 +1,32 @@
+"""The order of edges in a tree: those near each other together."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.scene.light_tree import halved
+
+GROUP = 8  # edges below each of the last nodes
+
+
+def slots_of(body: Tensor, points: Tensor) -> Tensor:
+    """Edges in the order of the tree, (S,) int32, S a power of 2; -1: none.
+
+    Each body has a node of its own: room for a power of 2 of edges, at a multiple of that, the largest first. In it edges
+    are halved again and again along the axis on which they lie farthest apart.
+
+    Args:
+        body: (E,) int32, whose edges they are.
+        points: (E, 3) on each edge, world.
+    """
+    bodies, count = body.unique(return_counts=True)
+    room = torch.pow(2, torch.ceil(torch.log2(count.double())).long()).clamp_min(GROUP)
+    slots = torch.full((1 << (int(room.sum()) - 1).bit_length(),), -1, dtype=torch.int32, device=points.device)
+    start = 0
+    for one in room.argsort(descending=True).tolist():
+        own = (body == bodies[one]).nonzero().squeeze(1)
+        place, _ = halved(points[own])
+        slots[start + place] = own.to(torch.int32)
+        start += int(room[one])
+    return slots
