@@ -17,8 +17,8 @@ TRAINING = PACKAGE.parent / "training"
 
 # Data flows down this list; a module may import from its own layer and from those above it.
 LAYERS = [
-    {"differentiated", "domain", "public_call", "vec", "lookup", "interleaved", "jump_lines", "losses", "plugin", "plugin_types",
-     "pose", "record", "transforms", "jit"},
+    {"differentiated", "domain", "public_call", "vec", "lookup", "interleaved", "jump_lines", "losses", "plugin",
+     "plugin_types", "pose", "record", "transforms", "jit"},
     {"sampling"},
     {"shape", "texture", "bsdf", "emitter", "sensor", "film", "integrator"}, {"scene"},
     {"optim", "raycast"}, {"path"}, {"rendering.call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"}, {"check"},
