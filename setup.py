@@ -70,6 +70,6 @@ setup(
         'tomli>=2; python_version < "3.11"',
         *TRAIN,
     ],
-    extras_require={"test": TEST, "peer": ["mitsuba==3.9.1"], "cuda": CUDA},
+    extras_require={"test": TEST, "peer": ["mitsuba==3.9.1", "cholespy>=2"], "cuda": CUDA},
     entry_points={"console_scripts": ["radbp = torch_radbp.training.cli:main"]},
 )

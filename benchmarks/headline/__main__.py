@@ -108,7 +108,7 @@ def main() -> None:
     parser.add_argument("--task", choices=TASKS, nargs="+", default=list(TASKS))
     parser.add_argument("--seeds", type=int, default=3, help="runs of each renderer")
     parser.add_argument("--seconds", type=float, default=60.0, help="that a run may take, of the steps of one renderer")
-    parser.add_argument("--target-samples", type=int, default=1024, help="a pixel of the targets")
+    parser.add_argument("--target-samples", type=int, default=512, help="a pixel of the targets")
     parser.add_argument("--out", type=Path, default=Path("runs/headline"), help="folder of figures, table and chart")
     parser.add_argument("--quick", action="store_true", help="tiny images and two steps, to see that it works")
     parser.add_argument("--only", choices=TASKS, help=argparse.SUPPRESS)

@@ -11,6 +11,11 @@ from benchmarks.headline.task import Task
 from benchmarks.scenes.description import NO_ROULETTE
 
 
+def first_seed(task: Task, run: int) -> int:
+    """The seed of the first rendering of a run; not 0, for which Mitsuba compiles other kernels."""
+    return 1 + run * task.steps
+
+
 class OurLoop:
     """The loop with this renderer.
 
@@ -23,7 +28,7 @@ class OurLoop:
     def __init__(self, task: Task, targets: np.ndarray, seed: int):
         scene = task.load()
         self.variables = {unknown.name: unknown.ours(scene) for unknown in task.unknowns}
-        self.renderer, self.seed = task.renderer(scene), seed * task.steps
+        self.renderer, self.seed = task.renderer(scene), first_seed(task, seed)
         self.targets = torch.from_numpy(targets).permute(0, 3, 1, 2).contiguous()
 
     def step(self, number: int) -> float:
@@ -61,7 +66,7 @@ class MitsubaLoop:
         self.variables = {unknown.name: unknown.mitsubas(mi, self.parameters) for unknown in task.unknowns}
         _, self.spp, max_depth = task.setting
         self.integrator = mi.load_dict(task.integrators[integrator] | {"max_depth": max_depth, "rr_depth": NO_ROULETTE})
-        self.targets, self.seed = [mi.TensorXf(target) for target in targets], seed * task.steps
+        self.targets, self.seed = [mi.TensorXf(target) for target in targets], first_seed(task, seed)
         dr.eval(self.targets)
 
     def step(self, number: int) -> float:
