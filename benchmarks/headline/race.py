@@ -81,11 +81,9 @@ class Outcome(NamedTuple):
 
 
 def common_error(runs: dict[str, list[Curve]], ours: str) -> float:
-    """1.5 times the error at the end of ours or of Mitsuba's best run that was complete, whichever is greater."""
-    finals = {name: statistics.median(curve.final for curve in curves) for name, curves in runs.items()
-              if all(curve.complete for curve in curves)}
-    others = [final for name, final in finals.items() if name != ours]
-    return SLACK * max([finals[ours]] * (ours in finals) + ([min(others)] if others else []))
+    """1.5 times the error at the end of ours or of Mitsuba's best, whichever is greater; stopped runs end where they stop."""
+    finals = {name: statistics.median(curve.final for curve in curves) for name, curves in runs.items()}
+    return SLACK * max(finals[ours], min(final for name, final in finals.items() if name != ours))
 
 
 def outcome(curves: list[Curve], error: float) -> Outcome:

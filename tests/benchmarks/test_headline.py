@@ -49,10 +49,10 @@ def test_who_has_used_up_the_seconds_is_stopped():
 
 
 def test_the_common_error_is_that_of_the_worse_of_ours_and_their_best():
-    """Errors at the end 0.0625 (ours), 0.2 and 0.8 (theirs, complete) and 0.01 (stopped, which does not count)."""
-    runs = {OURS: [curve(1.0, FALLING)], "b": [curve(1.0, [1.0, 0.2])], "c": [curve(1.0, [1.0, 0.8])],
-            "d": [curve(1.0, [1.0, 0.01], complete=False)]}
+    """Errors at the end 0.0625 (ours), 0.8 and 0.2 (theirs); and 0.01, which is better than ours."""
+    runs = {OURS: [curve(1.0, FALLING)], "b": [curve(1.0, [1.0, 0.8])], "c": [curve(1.0, [1.0, 0.2], complete=False)]}
     assert common_error(runs, OURS) == pytest.approx(1.5 * 0.2)
+    assert common_error(runs | {"d": [curve(1.0, [1.0, 0.01])]}, OURS) == pytest.approx(1.5 * 0.0625)
 
 
 def test_a_row_has_the_ratio_to_the_faster_of_theirs_and_says_what_did_not_converge():
