@@ -81,7 +81,7 @@ class Outcome(NamedTuple):
 
 
 def common_error(runs: dict[str, list[Curve]], ours: str) -> float:
-    """1.5 times the error at the end of ours or of Mitsuba's best, whichever is greater; stopped runs end where they stop."""
+    """1.5 times the error at the end of ours or of Mitsuba's best, whichever is greater; stopped runs end where they are."""
     finals = {name: statistics.median(curve.final for curve in curves) for name, curves in runs.items()}
     return SLACK * max(finals[ours], min(final for name, final in finals.items() if name != ours))
 
