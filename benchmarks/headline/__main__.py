@@ -90,7 +90,8 @@ def rows(found: dict) -> list[str]:
     outcomes = {name: outcome(curves, common) for name, curves in runs.items()}
     theirs = fastest(each for name, each in outcomes.items() if name != OURS)
     mine = outcomes[OURS].seconds
-    ratio = f"**{mine / theirs:.2f}**" if mine is not None and theirs is not None else "none: not reached by both"
+    # None, where it is not reached, or no seconds at all, where already the first guess is as good.
+    ratio = f"**{mine / theirs:.2f}**" if mine and theirs else "none: not reached by both, or at once"
     return [f"| {found['title'] if name == OURS else ''} | {name} | {1e3 * each.step:.0f} | {found['first'][name]:.1f} | "
             f"{runs[name][0].errors[0]:.3g} | {ending(each)} | {common:.3g} | "
             f"{'not reached' if each.seconds is None else f'{each.seconds:.2f}'} | {ratio if name == OURS else ''} |"
