@@ -8,7 +8,7 @@ from setuptools.command.build_py import build_py
 TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli-w>=1.0", "typer>=0.12"]
 WARP = "warp-lang>=1.19"
 CUDA = [WARP, "cuda-bindings>=12.8"]
-TEST = ["pytest>=8", "pytest-xdist>=3.7", "trimesh>=4.0", "setuptools>=70.1", WARP,
+TEST = ["mypy>=1.18", "pytest>=8", "pytest-xdist>=3.7", "trimesh>=4.0", "setuptools>=70.1", WARP,
         'nvidia-cuda-nvcc-cu12>=12.8; sys_platform != "darwin"']
 
 TRAINING = "torch_radbp.training"
@@ -16,6 +16,21 @@ PARTS = [f"{TRAINING}.{name}" for name in find_packages("training")]
 ASSETS = "torch_radbp.assets"  # what the bundled recipes need
 ASSET_FILES = ["README.md", "*/scene.xml", "*/target*.exr", "patches.png", "textured_room/*.png", "pot/*.glb",
                "pot/*.exr", "lit_balls/*.exr", "relief/*.exr"]
+
+CLASSIFIERS = [
+    "Development Status :: 4 - Beta",
+    "Intended Audience :: Developers",
+    "Intended Audience :: Science/Research",
+    "Environment :: Console",
+    "Environment :: GPU :: NVIDIA CUDA",
+    "License :: OSI Approved :: MIT License",
+    "Operating System :: POSIX :: Linux",  # where it has run
+    *(f"Programming Language :: Python :: 3.{minor}" for minor in (10, 11, 12, 13, 14)),
+    "Topic :: Multimedia :: Graphics :: 3D Rendering",
+    "Topic :: Scientific/Engineering :: Artificial Intelligence",
+    "Topic :: Scientific/Engineering :: Image Processing",
+    "Typing :: Typed",
+]
 
 
 class BuildWithoutScripts(build_py):
@@ -34,11 +49,12 @@ setup(
     license="MIT",
     license_files=["LICENSE"],
     python_requires=">=3.10",
-    classifiers=[f"Programming Language :: Python :: 3.{minor}" for minor in (10, 11, 12, 13, 14)],
+    classifiers=CLASSIFIERS,
+    keywords=["differentiable rendering", "inverse rendering", "path tracing", "PyTorch"],
     packages=[*find_packages(include=["torch_radbp", "torch_radbp.*"]), TRAINING, *PARTS, ASSETS],
     # Side by side in the wheel, as in the repository: recipes name their scenes by ../../assets.
     package_dir={TRAINING: "training", ASSETS: "assets"},
-    package_data={TRAINING: ["recipes/*.toml", "*.md"], ASSETS: ASSET_FILES,
+    package_data={"torch_radbp": ["py.typed"], TRAINING: ["recipes/*.toml", "*.md"], ASSETS: ASSET_FILES,
                   "torch_radbp.emitter": ["sunsky_data.npz", "sunsky_data.md"]},
     cmdclass={"build_py": BuildWithoutScripts},
     install_requires=[
@@ -54,6 +70,6 @@ setup(
         'tomli>=2; python_version < "3.11"',
         *TRAIN,
     ],
-    extras_require={"test": TEST, "peer": ["mitsuba==3.9.1"], "cuda": CUDA},
+    extras_require={"test": TEST, "peer": ["mitsuba==3.9.1", "cholespy>=2"], "cuda": CUDA},
     entry_points={"console_scripts": ["radbp = torch_radbp.training.cli:main"]},
 )

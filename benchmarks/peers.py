@@ -116,6 +116,19 @@ def mitsuba_for(device: str):
     return mi
 
 
+def translated(mi, description: dict) -> dict:
+    """The description with Mitsuba's transforms, and without what it does unasked."""
+    found = {}
+    for key, value in description.items():
+        if isinstance(value, dict):
+            value = translated(mi, value)
+        elif isinstance(value, np.ndarray):
+            value = mi.ScalarTransform4f(value)
+        if key != "recompute_normals":
+            found[key] = value
+    return found
+
+
 class Mitsuba:
     """Mitsuba's `prb` in the variant for a device; what it evaluates lazily is forced within the measured time.
 
@@ -131,24 +144,12 @@ class Mitsuba:
         if isinstance(scene.source, Path):
             self.scene = mi.load_file(str(scene.source), resolution=resolution)
         else:
-            self.scene = mi.load_dict(self.translated(scene.source))
+            self.scene = mi.load_dict(translated(mi, scene.source))
         self.integrator = mi.load_dict({"type": "prb", "max_depth": max_depth, "rr_depth": NO_ROULETTE})
         self.parameters, self.names = mi.traverse(self.scene), scene.parameters
         self.parameters.keep(list(self.names))
         self.cotangent = mi.TensorXf(cotangent(resolution))
         dr.eval(self.cotangent)
-
-    def translated(self, description: dict) -> dict:
-        """The description with Mitsuba's transforms, and without what it does unasked."""
-        translated = {}
-        for key, value in description.items():
-            if isinstance(value, dict):
-                value = self.translated(value)
-            elif isinstance(value, np.ndarray):
-                value = self.mi.ScalarTransform4f(value)
-            if key != "recompute_normals":
-                translated[key] = value
-        return translated
 
     def run(self, seed: int) -> Pass:
         """A forward and backward pass with changed parameters, both evaluated to the end."""

@@ -1,5 +1,7 @@
 """The public names: there whatever is imported first, and without torch as long as none of them is asked for."""
 
+import importlib
+import re
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -61,3 +63,16 @@ def test_a_name_that_does_not_exist_is_an_attribute_error():
     with pytest.raises(AttributeError, match="module 'torch_radbp' has no attribute 'rendr'"):
         rb.rendr  # noqa: B018
     assert not hasattr(rb, "__wrapped__")
+
+
+def test_what_is_stable_is_listed_with_every_public_name():
+    text = " ".join(importlib.import_module("torch_radbp.public").__doc__.split())
+    for home in (rb, rb.losses, rb.optim):
+        assert home is rb or home.__name__ in text
+        missing = [name for name in home.__all__ if not re.search(rf"\b{name}\b", text)]
+        assert not missing
+    listed = set(re.findall(r"\b\w+\b", text.split("CHANGELOG.md.")[1].split("So are")[0]))
+    known = {name for home in (rb, rb.losses, rb.optim) for name in home.__all__}
+    words = {"scenes", "poses", "and", "cameras", "images", "derivatives", "errors", "warnings", "torch_radbp", "losses",
+             "optim"}
+    assert listed - words <= known, "names that do not exist"

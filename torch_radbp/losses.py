@@ -13,6 +13,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+__all__ = ["exchange_derivatives", "two_buffer_l2"]
+
 DTYPES = (torch.float32, torch.float64)
 
 

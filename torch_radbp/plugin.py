@@ -78,7 +78,7 @@ class Plugin(nn.Module):
         self.id: str | None = None
         self.shared: dict[str, Plugin] = {}
 
-    def __getattr__(self, name: str):
+    def __getattr__(self, name: str) -> Any:
         shared = self.__dict__.get("shared", {})
         return shared[name] if name in shared else super().__getattr__(name)
 

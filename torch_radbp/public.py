@@ -1,4 +1,24 @@
-"""The public names: what `torch_radbp.NAME` means."""
+"""The public names: what `torch_radbp.NAME` means, and what of it is stable.
+
+Stable means: a program that uses these names as their docstrings say runs under every later version with the same minor
+number; what another minor number changes is in CHANGELOG.md.
+
+    scenes                 Scene, load, load_dict, save, save_image, NeuralTexture
+    poses and cameras      look_at, se3, camera_from_opencv, cameras_from_colmap, cameras_from_kornia, cameras_from_nerf
+    images                 Renderer, render
+    derivatives            MemoizedAdjoint, ReplayAdjoint, QuadraticAdjoint, TapeAdjoint, jvp, check_gradient, GradientCheck
+    errors and warnings    SceneError, NonFiniteError, SceneWarning, GltfWarning, SilhouetteWarning, JumpWarning,
+                           RepeatedNoiseWarning
+    torch_radbp.losses     two_buffer_l2, exchange_derivatives
+    torch_radbp.optim      LargeSteps, AdamUniform, laplacian_loss, normal_consistency_loss, remesh
+
+So are the names of a scene's parameters, which are Mitsuba's.
+
+Public as a name, to annotate with, but without stable methods: AdjointStrategy, which strategies of one's own derive from.
+
+All else may change with any version, and may be imported all the same, for reading or for a plugin of one's own: other
+modules and names, and the bits of an image at a given seed.
+"""
 
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
@@ -14,7 +34,8 @@ from torch_radbp.pose import look_at, se3
 from torch_radbp.rendering.call.finite import NonFiniteError
 from torch_radbp.rendering.jvp import jvp
 from torch_radbp.rendering.noise_watch import RepeatedNoiseWarning
-from torch_radbp.rendering.renderer import Renderer, render
+from torch_radbp.rendering.render import render
+from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.scene import Scene
 from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture

@@ -1,9 +1,13 @@
-"""The wheel: the bundled recipes are in it with all that they refer to."""
+"""The wheel and the source archive: what is in them, and that they run where nothing else of the project is."""
 
+import os
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -13,18 +17,89 @@ from torch_radbp.training.commands.bundled import bundled_recipes, listing, reci
 ROOT = Path(__file__).parents[2]
 
 
+# A user's first loop: the wall's colour, by a camera and a lamp of the script's own.
+SCRIPT = """
+import torch
+import torch_radbp as rb
+
+scene = rb.load_dict({
+    "type": "scene",
+    "camera": {"type": "perspective", "fov": 40.0, "to_world": rb.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
+               "film": {"type": "hdrfilm", "width": 16, "height": 16}},
+    "lamp": {"type": "point", "position": [0.0, 0.0, 3.0], "intensity": {"type": "rgb", "value": [20.0, 20.0, 20.0]}},
+    "wall": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.3, 0.2]}}},
+})
+target = rb.render(scene, spp=16, max_depth=3, seed=1000).detach()
+colour = scene.get_parameter("wall.bsdf.reflectance.value")
+colour.data.fill_(0.4)
+colour.requires_grad_()
+optimizer = torch.optim.Adam([colour], lr=0.05)
+renderer = rb.Renderer(scene, spp=4, max_depth=3)
+for step in range(40):
+    optimizer.zero_grad()
+    loss = rb.losses.two_buffer_l2(renderer(seed=2 * step), renderer(seed=2 * step + 1), target)
+    loss.backward()
+    optimizer.step()
+print(rb.__file__)
+print(*colour.tolist())
+"""
+
+
+def run(*command: object, **settings) -> str:
+    """Standard output of a command that must end well."""
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, **settings)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """The folder `torch_radbp` of a wheel, built and unpacked."""
+def wheel(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    command = ["setup.py", "-q", "egg_info", "--egg-base", folder, "build", "--build-base", folder / "build",
-               "bdist_wheel", "--dist-dir", folder]
-    built = subprocess.run([sys.executable, *map(str, command)], cwd=ROOT, capture_output=True, text=True)
-    assert built.returncode == 0, built.stderr
-    wheel, = folder.glob("*.whl")
+    run(sys.executable, "setup.py", "-q", "egg_info", "--egg-base", folder, "build", "--build-base", folder / "build",
+        "bdist_wheel", "--dist-dir", folder, cwd=ROOT)
+    path, = folder.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def installed(wheel) -> Path:
+    """The folder `torch_radbp` of the wheel, unpacked."""
     with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(folder / "site")
-    return folder / "site" / "torch_radbp"
+        archive.extractall(wheel.parent / "site")
+    return wheel.parent / "site" / "torch_radbp"
+
+
+@pytest.fixture(scope="module")
+def wheel_of_archive(tmp_path_factory) -> Path:
+    """The wheel that pip builds of the source archive, with the tools that the archive asks for and no others."""
+    folder = tmp_path_factory.mktemp("archive")
+    run(sys.executable, "setup.py", "-q", "egg_info", "--egg-base", folder, "sdist", "--dist-dir", folder, cwd=ROOT)
+    archive, = folder.glob("*.tar.gz")
+    run(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", folder, archive, cwd=folder, env=outside(folder))
+    path, = folder.glob("*.whl")
+    return path
+
+
+def outside(folder: Path) -> dict[str, str]:
+    """An environment in which nothing leads to this tree, and nothing is compiled yet."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH" and not name.startswith("RADBP_")}
+    return {**kept, "RADBP_KERNEL_CACHE": str(folder / "kernels")}
+
+
+@pytest.fixture(scope="module")
+def elsewhere(wheel_of_archive, tmp_path_factory) -> Callable[..., str]:
+    """Runs a program of an environment that has the package and what it depends on, in a folder that is empty at first."""
+    folder = tmp_path_factory.mktemp("elsewhere")
+    run(sys.executable, "-m", "venv", folder / "environment")
+    programs = folder / "environment" / ("Scripts" if os.name == "nt" else "bin")
+    run(programs / "python", "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", wheel_of_archive, cwd=folder)
+    (folder / "work").mkdir()
+
+    def program(name: str, *arguments: object) -> str:
+        return run(programs / name, *arguments, cwd=folder / "work", env=outside(folder))
+
+    program.folder, program.python = folder / "work", programs / "python"
+    return program
 
 
 def files_of(recipe: Path) -> list[Path]:
@@ -46,7 +121,8 @@ def test_a_bundled_recipe_has_its_files_in_the_wheel(name, installed):
 
 def test_the_wheel_has_the_code_and_no_scripts_or_pictures_of_the_repository(installed):
     files = {path.relative_to(installed).as_posix() for path in installed.rglob("*") if path.is_file()}
-    assert {"__init__.py", "public.py", "training/cli.py", "training/recipes/metal_plate.toml", "assets/README.md"} <= files
+    assert {"__init__.py", "public.py", "py.typed", "training/cli.py", "training/recipes/metal_plate.toml",
+            "assets/README.md"} <= files
     assert not [name for name in files if name.startswith("assets/") and name.endswith(".py")]
     assert not [name for name in files if name.startswith(("assets/pictures", "tests"))]
     assert sum(path.stat().st_size for path in (installed / "assets").rglob("*")) < 2**20
@@ -69,3 +145,50 @@ def test_a_recipe_is_found_by_its_name(tmp_path, monkeypatch):
     Path("metal_plate").write_text("mine")
     assert recipe_path(Path("metal_plate")) == Path("metal_plate"), "a file of that name comes first"
     assert "\nmetal_plate          Metal plate: the roughness\n" in listing()
+
+
+@pytest.mark.deep
+def test_the_source_archive_builds_the_same_wheel(wheel, wheel_of_archive):
+    with zipfile.ZipFile(wheel) as one, zipfile.ZipFile(wheel_of_archive) as other:
+        named = {name: one.read(name) for name in one.namelist() if "dist-info" not in name}
+        assert len(named) > 400
+        assert named == {name: other.read(name) for name in other.namelist() if "dist-info" not in name}
+
+
+@pytest.mark.deep
+def test_the_demo_and_another_recipe_run_elsewhere(elsewhere):
+    for recipe in ("cornell_reflectance", "point_light"):
+        said = elsewhere("radbp", "optimize", recipe, "--steps", "3", "-D", "render.spp=1")
+        assert (elsewhere.folder / "runs" / recipe / "report.html").stat().st_size > 10_000, said
+
+
+@pytest.mark.deep
+def test_a_gltf_file_is_rendered_elsewhere(elsewhere):
+    assets = elsewhere("python", "-c", "import torch_radbp.assets; print(*torch_radbp.assets.__path__)").strip()
+    shutil.copy(Path(assets) / "pot" / "pot.glb", elsewhere.folder / "pot.glb")
+    elsewhere("radbp", "render", "pot.glb", "-o", "pot.png", "-D", "light=0.15", "-D", "resolution=24", "--spp", "2")
+    images = sorted(path.name for path in elsewhere.folder.glob("pot_view_*.png"))
+    assert len(images) == 8
+
+
+@pytest.mark.deep
+def test_a_script_recovers_a_colour_elsewhere(elsewhere):
+    (elsewhere.folder / "script.py").write_text(SCRIPT)
+    where, colour = elsewhere("python", "script.py").splitlines()
+    assert Path(where).is_relative_to(elsewhere.folder.parent)
+    assert [float(value) for value in colour.split()] == pytest.approx([0.6, 0.3, 0.2], abs=0.03)
+
+
+@pytest.mark.deep
+def test_a_type_checker_takes_the_types_of_what_is_installed(elsewhere):
+    if find_spec("mypy") is None:
+        pytest.skip("needs mypy, of the extra `test`")
+    script = shutil.copy(ROOT / "tests" / "typing" / "every_public_name.py", elsewhere.folder / "typed.py")
+    run(sys.executable, "-m", "mypy", "--strict", "--python-executable", elsewhere.python, "--cache-dir",
+        elsewhere.folder / "mypy", script, cwd=elsewhere.folder, env=outside(elsewhere.folder))
+
+
+@pytest.mark.deep
+def test_doctor_finds_nothing_wrong_elsewhere(elsewhere):
+    said = elsewhere("radbp", "doctor")
+    assert "torch_radbp" in said and "wrong" not in said

@@ -21,9 +21,9 @@ The backward pass is compared with forward mode on the same samples, where <w, J
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -37,7 +37,7 @@ from torch_radbp.plugin import finite, integer
 from torch_radbp.public_call import arguments_of, check_arguments, public_call
 from torch_radbp.rendering.jvp import rendering_with_tangent
 from torch_radbp.rendering.renderer import Renderer
-from torch_radbp.rendering.settings import TERMS, checked_seed
+from torch_radbp.rendering.settings import TERMS, SensorChoice, checked_seed
 from torch_radbp.scene import Scene
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.parameters import check_parameters
@@ -54,8 +54,8 @@ STILL = ("value", "data", "scale")  # attributes that move nothing: textures, an
 
 @public_call
 def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = None, spp: int = 256, seed: int = 0,
-                   step: float | None = None, sensors: Sequence[int] | None = None, batches: int = BATCHES,
-                   progress: Callable[[int, int], None] | None = None, **settings) -> GradientCheck:
+                   step: float | None = None, sensors: SensorChoice = None, batches: int = BATCHES,
+                   progress: Callable[[int, int], None] | None = None, **settings: Any) -> GradientCheck:
     """Compares the derivatives of a rendering, by JVP and by VJP, with finite differences of independent samples.
 
         print(rb.check_gradient(scene, "white.reflectance.value", spp=256, max_depth=6))
@@ -73,7 +73,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
             less if the domain is narrow; an eighth of that if geometry moves and nothing else explains an error. Where
             geometry moves, larger steps have less noise, but a larger error of their own from the curvature of the image;
             halving the step reduces that error to a quarter.
-        sensors: indices of the sensors to render; None: all.
+        sensors: index or name of the sensor to render, or several of them; None: all.
         batches: independent repetitions, from which standard errors are estimated; at least 8.
         progress: called with the renderings done and all renderings to do.
         **settings: of `Renderer`: `max_depth`, `nee`, `adjoint`, `sampling`, ...
@@ -144,7 +144,7 @@ class Measurement:
     """Renderings of a scene with one of its parameters moved."""
 
     def __init__(self, renderer: Renderer, name: str, value: Tensor, direction: Tensor, step: float, stencil: Stencil,
-                 bends: bool, spp: int, seed: int, sensors: Sequence[int] | None,
+                 bends: bool, spp: int, seed: int, sensors: SensorChoice,
                  progress: Callable[[int, int], None] | None):
         self.renderer, self.name, self.value, self.direction, self.step = renderer, name, value, direction, step
         self.weights, self.bends = dict(zip(stencil.offsets, stencil.weights)), bends

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, overload
 
 import torch
 from torch import Tensor
@@ -14,12 +14,28 @@ from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.plugin import finite
 from torch_radbp.public_call import arguments_of, check_arguments, public_call
 from torch_radbp.rendering.renderer import Renderer
+from torch_radbp.rendering.settings import SensorChoice
 from torch_radbp.scene import Scene
 
 
+@overload
+def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
+        aovs: None = None, **settings: Any) -> Tensor: ...
+
+
+@overload
+def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
+        aovs: Sequence[str], **settings: Any) -> tuple[Tensor, dict[str, Tensor]]: ...
+
+
+@overload
+def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
+        aovs: Sequence[str] | None, **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]: ...
+
+
 @public_call
-def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: Sequence[int] | None = None,
-        aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
+        aovs: Sequence[str] | None = None, **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """The derivative of the image along `tangents`, a direction in the space of parameters; by forward mode.
 
     It gives the derivative of every pixel along one direction, for about the cost of two renderings; the backward pass gives
@@ -34,7 +50,7 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
         scene: left as it is; no parameter needs `requires_grad`.
         tangents: by the names of `scene.get_parameter`; each of its parameter's shape, any floating dtype.
         seed: of the random numbers, as in `Renderer`.
-        sensors: indices of the sensors to render; None: all.
+        sensors: index or name of the sensor to render, or several of them; None: all.
         aovs: names of quantities whose derivatives to return beside that of the image; see `Renderer.aovs`.
         **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` has no effect here.
 
@@ -81,7 +97,7 @@ def checked_tangents(scene: Scene, tangents: Mapping[str, Tensor]) -> dict[str, 
 
 
 def rendering_with_tangent(renderer: Renderer, tangents: Mapping[str, Tensor], seed: int,
-                           sensors: Sequence[int] | None = None, spp: int | None = None) -> DualImage:
+                           sensors: SensorChoice = None, spp: int | None = None) -> DualImage:
     """A rendering and its derivative along `tangents`, as `checked_tangents` returns them."""
     return with_tangents(renderer, tangents, {"seed": seed, "sensors": sensors, "spp": spp})
 

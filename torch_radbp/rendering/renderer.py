@@ -1,15 +1,16 @@
-"""`Renderer` and `render`: the public entry. Packs the scene, plans chunks, calls the tracer."""
+"""`Renderer`: the public entry. Packs the scene, plans chunks, calls the tracer."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from math import inf
+from typing import TYPE_CHECKING, overload
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 
-from torch_radbp.adjoint import MemoizedAdjoint
+from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint
 from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms
 from torch_radbp.adjoint.images import render_detached
 from torch_radbp.aov.images import aov_jumps, beside_image, render_aovs
@@ -20,7 +21,7 @@ from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Settings
-from torch_radbp.public_call import arguments_of, check_arguments, public_call
+from torch_radbp.public_call import public_call
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.caster_cache import CachedCaster, CastTriangles
 from torch_radbp.rendering.call.chunks import fair_chunk, plan_chunks
@@ -117,9 +118,9 @@ class Renderer(nn.Module):
     """
 
     def __init__(self, scene: Scene, spp: int | None = None, max_depth: int | None = None, rr_depth: int | None = None,
-                 hide_emitters: bool | None = None, adjoint=None, sampling: str = "hybrid", nee: bool | None = None,
-                 chunk: int | None = None, memory_budget: str | int | None = None, compile: bool = True,
-                 caster: str | None = None, light_choice: str | None = None,
+                 hide_emitters: bool | None = None, adjoint: AdjointStrategy | None = None, sampling: str = "hybrid",
+                 nee: bool | None = None, chunk: int | None = None, memory_budget: str | int | None = None,
+                 compile: bool = True, caster: str | None = None, light_choice: str | None = None,
                  terms: Collection[str] = TERMS, share_samples: bool = False):
         super().__init__()
         self.scene = checked_scene(scene)
@@ -154,6 +155,20 @@ class Renderer(nn.Module):
             raise AttributeError(f"a renderer has no attribute {name!r}, but its scene has, renderer.scene.{name}: names of "
                                  f"its parameters begin with 'scene.{name}.' in functional_call and in state dicts")
         return super().__getattr__(name)
+
+    if TYPE_CHECKING:  # what nn.Module leaves open
+        @overload
+        def __call__(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
+                     seed_grad: int | None = None, aovs: None = None) -> Tensor: ...
+
+        @overload
+        def __call__(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
+                     seed_grad: int | None = None, *, aovs: Sequence[str]) -> tuple[Tensor, dict[str, Tensor]]: ...
+
+        @overload
+        def __call__(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
+                     seed_grad: int | None = None,
+                     aovs: Sequence[str] | None = None) -> Tensor | tuple[Tensor, dict[str, Tensor]]: ...
 
     @public_call
     def forward(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
@@ -378,22 +393,3 @@ class Renderer(nn.Module):
     def last_caster(self) -> RayCaster | None:
         """The ray caster of the last call."""
         return None if self.known_caster is None else self.known_caster.caster
-
-
-@public_call
-def render(scene: Scene, *, seed: int | None = None, sensors: SensorChoice = None, seed_grad: int | None = None,
-           aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
-    """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs)`: see `Renderer`.
-
-    A loop is faster with one renderer: it keeps what has not changed since its last call.
-
-    Args:
-        scene: what is rendered; attached to its parameters.
-        seed, sensors, seed_grad, aovs: of the call, as in `Renderer.forward`.
-        **settings: of the renderer: `spp`, `max_depth`, `adjoint`, `sampling`, ...
-
-    Returns:
-        (B, 3, H, W) linear RGB radiance; if `aovs` are asked for, that and the images of these quantities by name.
-    """
-    check_arguments(render, settings, arguments_of(render, Renderer.__init__))
-    return Renderer(scene, **settings)(seed=seed, sensors=sensors, seed_grad=seed_grad, aovs=aovs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -53,6 +53,9 @@ class Scene(nn.Module):
         for plugin in self.modules():
             if isinstance(plugin, Plugin):
                 plugin.in_scene = True
+
+    if TYPE_CHECKING:  # objects of the scene are known by their names only when it is loaded
+        def __getattr__(self, name: str) -> Any: ...
 
     def __setattr__(self, name: str, value: Any) -> None:
         if isinstance(value, Plugin):

@@ -1,0 +1,61 @@
+"""A user's script with every public name, and the types that a checker must see; `test_types.py` has it read by mypy."""
+
+from typing import assert_type
+
+import torch
+from torch import Tensor
+
+import torch_radbp as rb
+from torch_radbp.sensor.calibrated import Calibrated
+
+# Scenes in and out.
+scene = rb.load("scene.xml", resolution=64)
+assert_type(scene, rb.Scene)
+assert_type(rb.load("asset.glb", allow_outside=True), rb.Scene)
+assert_type(rb.load_dict({"type": "scene"}, base_dir="."), rb.Scene)
+rb.save(scene, "found.glb", strict=True)
+rb.save_image("image.png", torch.zeros(3, 8, 8))
+parameter = scene.get_parameter("green.reflectance.value").requires_grad_()
+assert_type(parameter, Tensor)
+scene.green.reflectance = rb.NeuralTexture(torch.nn.Linear(2, 3), of="uv")
+
+# Poses and cameras.
+assert_type(rb.look_at([0, 1, 4], (0.0, 0.0, 0.0), torch.tensor([0.0, 1.0, 0.0])), Tensor)
+assert_type(rb.se3(torch.zeros(3), torch.zeros(3)), Tensor)
+assert_type(rb.cameras_from_colmap("sparse/0", scale=0.25), dict[str, Calibrated])
+assert_type(rb.cameras_from_nerf("transforms.json", width=64), dict[str, Calibrated])
+assert_type(rb.cameras_from_kornia(None), list[Calibrated])
+assert_type(rb.camera_from_opencv(torch.eye(3), torch.eye(3), torch.zeros(3), 640, 480, [0.1, 0.0]), Calibrated)
+
+# Renderings, and their derivatives.
+strategies: list[rb.AdjointStrategy] = [rb.MemoizedAdjoint(stride=4), rb.MemoizedAdjoint(stride="sqrt"), rb.ReplayAdjoint(),
+                                        rb.QuadraticAdjoint(), rb.TapeAdjoint()]
+renderer = rb.Renderer(scene, spp=16, max_depth=6, adjoint=strategies[0], terms=["interior"], memory_budget="2GiB")
+assert_type(renderer(seed=1), Tensor)
+assert_type(renderer(seed=1, sensors=["front", 2], aovs=["depth"]), tuple[Tensor, dict[str, Tensor]])
+assert_type(renderer.aovs(["albedo"], seed=3), dict[str, Tensor])
+assert_type(renderer.spp, int)
+assert_type(rb.render(scene, spp=16, seed=1), Tensor)
+assert_type(rb.render(scene, seed=1, aovs=["depth"]), tuple[Tensor, dict[str, Tensor]])
+assert_type(rb.jvp(scene, {"green.reflectance.value": torch.ones(3)}, spp=4), Tensor)
+check = rb.check_gradient(scene, "green.reflectance.value", spp=64)
+assert_type(check, rb.GradientCheck)
+assert_type(check.agrees, bool)
+
+# What a loop is made of.
+image, target = renderer(seed=2), renderer(seed=3).detach()
+assert_type(rb.losses.two_buffer_l2(image, renderer(seed=4), target), Tensor)
+assert_type(rb.losses.exchange_derivatives(image, renderer(seed=4)), tuple[Tensor, Tensor])
+faces, vertices = torch.zeros(1, 3, dtype=torch.int64), torch.zeros(3, 3)
+steps = rb.optim.LargeSteps(faces, vertices, smoothness=19.0)
+optimizer = rb.optim.AdamUniform([parameter, *steps.parameters()], lr=0.03, betas=(0.9, 0.99))
+loss = image.square().mean() + rb.optim.laplacian_loss(vertices, faces) + rb.optim.normal_consistency_loss(vertices, faces)
+assert_type(loss, Tensor)
+optimizer.zero_grad()
+optimizer.step()
+rb.optim.remesh(scene.bunny, lambda v, f: (v, f), optimizer)
+
+# What may be caught, or silenced.
+errors: tuple[type[Exception], ...] = (rb.SceneError, rb.NonFiniteError)
+warned: tuple[type[Warning], ...] = (rb.GltfWarning, rb.JumpWarning, rb.RepeatedNoiseWarning, rb.SceneWarning,
+                                     rb.SilhouetteWarning)
