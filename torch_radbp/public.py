@@ -14,7 +14,8 @@ from torch_radbp.pose import look_at, se3
 from torch_radbp.rendering.call.finite import NonFiniteError
 from torch_radbp.rendering.jvp import jvp
 from torch_radbp.rendering.noise_watch import RepeatedNoiseWarning
-from torch_radbp.rendering.renderer import Renderer, render
+from torch_radbp.rendering.render import render
+from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.scene import Scene
 from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture

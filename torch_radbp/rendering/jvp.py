@@ -14,12 +14,14 @@ from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.plugin import finite
 from torch_radbp.public_call import arguments_of, check_arguments, public_call
 from torch_radbp.rendering.renderer import Renderer
+from torch_radbp.rendering.shots import WindowChoice
 from torch_radbp.scene import Scene
 
 
 @public_call
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: Sequence[int] | None = None,
-        aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+        aovs: Sequence[str] | None = None, window: WindowChoice = None,
+        **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """The derivative of the image along `tangents`, a direction in the space of parameters; by forward mode.
 
     It gives the derivative of every pixel along one direction, for about the cost of two renderings; the backward pass gives
@@ -36,6 +38,7 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
         seed: of the random numbers, as in `Renderer`.
         sensors: indices of the sensors to render; None: all.
         aovs: names of quantities whose derivatives to return beside that of the image; see `Renderer.aovs`.
+        window: the part of the image to render; see `Renderer.forward`.
         **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` has no effect here.
 
     Returns:
@@ -52,9 +55,10 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
     check_arguments(jvp, settings, arguments_of(jvp, Renderer.__init__))
     renderer = Renderer(scene, **settings)
     tangents = checked_tangents(scene, tangents)
+    found = with_tangents(renderer, tangents, {"seed": seed, "sensors": sensors, "aovs": aovs, "window": window})
     if aovs is None:
-        return rendering_with_tangent(renderer, tangents, seed, sensors).tangent
-    image, quantities = with_tangents(renderer, tangents, {"seed": seed, "sensors": sensors, "aovs": aovs})
+        return found.tangent
+    image, quantities = found
     return image.tangent, {name: quantity.tangent for name, quantity in quantities.items()}
 
 

@@ -1,4 +1,4 @@
-"""`Renderer` and `render`: the public entry. Packs the scene, plans chunks, calls the tracer."""
+"""`Renderer`: the public entry. Packs the scene, plans chunks, calls the tracer."""
 
 from __future__ import annotations
 
@@ -20,21 +20,15 @@ from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Settings
-from torch_radbp.public_call import arguments_of, check_arguments, public_call
+from torch_radbp.public_call import public_call
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.caster_cache import CachedCaster, CastTriangles
-from torch_radbp.rendering.call.chunks import fair_chunk, plan_chunks
+from torch_radbp.rendering.call.chunks import plan_chunks
 from torch_radbp.rendering.call.render_call import RenderCall
-from torch_radbp.rendering.call.view import view_of
+from torch_radbp.rendering.call.view import Shot, view_of
 from torch_radbp.rendering.call.zeroed_memory import ZeroedMemory
-from torch_radbp.rendering.cost import (
-    Request,
-    bytes_of_records,
-    check_cost,
-    lanes_of_chunks,
-    recorded_lanes,
-    traced_together,
-)
+from torch_radbp.rendering.cost import Request, bytes_of_records
+from torch_radbp.rendering.lanes import plan_lanes
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
@@ -48,9 +42,8 @@ from torch_radbp.rendering.settings import (
     checked_scene,
     checked_seeds,
     samples_per_pixel,
-    sensor_indices,
-    size_of_films,
 )
+from torch_radbp.rendering.shots import WindowChoice, shots_of
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.scene import Scene
 from torch_radbp.scene.module_attributes import parameters_in
@@ -157,8 +150,8 @@ class Renderer(nn.Module):
 
     @public_call
     def forward(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
-                seed_grad: int | None = None,
-                aovs: Sequence[str] | None = None) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+                seed_grad: int | None = None, aovs: Sequence[str] | None = None,
+                window: WindowChoice = None) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
         """Renders the scene.
 
         Args:
@@ -169,26 +162,33 @@ class Renderer(nn.Module):
             seed_grad: of the samples of the derivative, backward or forward. None: one that follows from `seed`, or `seed`
                 itself with `share_samples`; the same as `seed` shares samples in this call.
             aovs: names of quantities to return beside the image; see `aovs`.
+            window: (x, y, width, height), pixels of the image that a call without it returns: only this part is rendered.
+                Or a list of one for each sensor of the call, all of one size; to see several parts of one sensor's image,
+                name it as often. Pixels keep their samples, and those beside the window that count there are traced, too:
+                it is what one cuts out of the whole image, bit for bit if compiled, and so are derivatives inside of edges,
+                up to the order of sums. Those of edges and shadows are sampled anew, for the window alone.
 
         Returns:
             (B, 3, H, W) linear RGB radiance, row 0 at the top, one image per sensor; if `aovs` are asked for, that and what
             the method `aovs` returns.
 
         Raises:
-            ValueError: for a sensor that does not exist, or sensors of different size or sample count; for a parameter that
-                is not in its domain; for more paths than can be traced, or more memory than there is.
+            ValueError: for a sensor that does not exist, or sensors of different size or sample count; for a window that is
+                not inside of the image; for a parameter that is not in its domain; for more paths than can be traced, or
+                more memory than there is.
             NonFiniteError: if the image, or in the backward pass a gradient, is NaN or infinite; a FloatingPointError that
                 says of which parameter, at which bounce, on which material and on how many paths.
         """
         if inside_transforms():
-            arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad, "aovs": aovs}
+            arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad, "aovs": aovs,
+                         "window": window}
             return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                       dict(self.named_parameters()))
         outputs = None if aovs is None else self.outputs(aovs)
-        call = self.prepare(seed, sensors, spp, seed_grad, aovs=aovs is not None)
+        call = self.prepare(seed, sensors, spp, seed_grad, aovs is not None, window)
         if seed is None:
             self.noise_watch.look(call.parameters)
-        edges = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
         images = self.images(call)
@@ -211,7 +211,7 @@ class Renderer(nn.Module):
 
     @public_call
     def aovs(self, names: Sequence[str] | None = None, seed: int | None = None, sensors: SensorChoice = None,
-             spp: int | None = None, seed_grad: int | None = None) -> dict[str, Tensor]:
+             spp: int | None = None, seed_grad: int | None = None, window: WindowChoice = None) -> dict[str, Tensor]:
         """Arbitrary output variables: images of what the camera sees first, by the very camera rays of the image.
 
         Samples are weighted by the film's filter as those of the image are; where nothing is seen, all quantities are 0.
@@ -233,7 +233,7 @@ class Renderer(nn.Module):
 
         Args:
             names: of quantities; None: what the integrator element lists (`aov`, `moment`).
-            seed, sensors, spp, seed_grad: as for a rendering; the derivative has samples of its own here, too.
+            seed, sensors, spp, seed_grad, window: as for a rendering; the derivative has samples of its own here, too.
 
         Returns:
             By name (B, C, H, W), row 0 at the top.
@@ -242,8 +242,8 @@ class Renderer(nn.Module):
             ValueError: for a quantity that is not known, or if none is named.
         """
         outputs = self.outputs(names)
-        call = self.prepare(seed, sensors, spp, seed_grad, aovs=True)
-        edges = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        call = self.prepare(seed, sensors, spp, seed_grad, aovs=True, window=window)
+        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
         return self.quantities(call, edges, outputs)
 
     def outputs(self, names: Sequence[str] | None) -> dict[str, str]:
@@ -265,9 +265,9 @@ class Renderer(nn.Module):
             images |= {name: images[name] + jump for name, jump in aov_jumps(call, edges.in_view, quantities).items()}
         return {output: images[quantity] for output, quantity in outputs.items()}
 
-    def look(self, call: RenderCall, sensors: SensorChoice, seed: int) -> EdgesOfCall:
+    def look(self, call: RenderCall, seed: int) -> EdgesOfCall:
         """The edges at which the images of a call jump. Warns of what derivatives and the image lack."""
-        seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
+        seen = [view.sensor for view in call.views]
         sights = [CameraSight(detached(view.camera), view.width, view.height) for view in call.views]
         instances = call.scene.triangles.instances
         rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, PackCache(self.cache),
@@ -277,21 +277,22 @@ class Renderer(nn.Module):
         return edges_of_call(rendering, self.scene, call, seed)
 
     def prepare(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
-                aovs: bool = False) -> RenderCall:
+                aovs: bool = False, window: WindowChoice = None) -> RenderCall:
+        """The call that renders some sensors; with what `aovs` may be about if asked for."""
+        return self.prepared(shots_of(self.scene, sensors, window), seed, spp, seed_grad, aovs)
+
+    def prepared(self, shots: list[Shot], seed: int | None, spp: int | None, seed_grad: int | None,
+                 aovs: bool = False) -> RenderCall:
         """The scene packed, rays ready to be cast, chunks planned; with what `aovs` may be about if asked for."""
         check_settings(self)  # they may have been assigned since
         if torch.jit.is_tracing():
             raise RuntimeError("a rendering cannot be traced by torch.jit.trace, since its operations depend on the paths: "
                                "trace the networks around it, or call the renderer as it is")
         check_names(self)
-        named, indices = self.scene.named_sensors, sensor_indices(self.scene, sensors)
-        names, available = list(named), list(named.values())
-        seen = [available[index] for index in indices]
-        own = parameters_in(self.scene, without=set(available).difference(seen))
+        named, seen = self.scene.named_sensors, [shot.sensor for shot in shots]
+        own = parameters_in(self.scene, without=set(named.values()).difference(seen))
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
-        width, height = size_of_films(seen)
-        grids = [sensor.film.sampled() for sensor in seen]
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
         max_depth = self.depth_limit
@@ -299,20 +300,14 @@ class Renderer(nn.Module):
         parameters = {name: value for name, value in own if value.requires_grad}
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
-        about = lanes_of_chunks(device, self.scene.dtype, workers, fused)
-        if differentiating and device.type == "cpu":
-            about = min(about, recorded_lanes(self.adjoint, max_depth, self.rr_depth, self.scene.dtype))
-        lanes = self.chunk or fair_chunk(grids, spp, workers, about)
-        paths = spp * sum(columns * rows for columns, rows in grids)
-        # Eager operations round the last lanes of a wavefront otherwise: an image would depend on what is differentiated.
-        together = fused and bool(differentiating) and seeds[0] != seeds[1] and 2 * paths <= (self.chunk or inf) and (
-            traced_together(self.adjoint, paths, max_depth, self.rr_depth, self.scene.dtype))
-        check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
-                           self.adjoint if differentiating else None, record_bytes, fused))
+        windows = [shot.window for shot in shots]
+        grids, lanes, together = plan_lanes(windows, self.rr_depth, Request(
+            len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, max_depth, self.scene.dtype, device,
+            workers, self.adjoint if differentiating else None, record_bytes, fused))
         cache = PackCache(self.cache_for_aovs if aovs else self.cache)
-        scene = pack(self.scene, cache, self.light_choice, aovs, [names[index] for index in indices])
+        scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
         caster = self.caster_of(scene)
-        views = [view_of(sensor, index, seeds, scene, cache) for index, sensor in zip(indices, seen)]
+        views = [view_of(shot, seeds, scene, cache) for shot in shots]
         if aovs:
             self.cache_for_aovs = cache.close()
         else:
@@ -348,9 +343,9 @@ class Renderer(nn.Module):
         return self.compile_stages and self.scene.device.type in COMPILED and not self.adjoint.taped
 
     @public_call
-    def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None) -> MemoryPlan:
+    def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None, window: WindowChoice = None) -> MemoryPlan:
         """Chunk and strategy that a call would use, and the bytes that it is predicted to need with its backward pass."""
-        return self.plan(self.prepare(0, sensors, spp, None))
+        return self.plan(self.prepare(0, sensors, spp, None, window=window))
 
     def plan(self, call: RenderCall) -> MemoryPlan:
         """The chunk and the strategy of a call, with its predicted memory; within the budget, if there is one."""
@@ -378,22 +373,3 @@ class Renderer(nn.Module):
     def last_caster(self) -> RayCaster | None:
         """The ray caster of the last call."""
         return None if self.known_caster is None else self.known_caster.caster
-
-
-@public_call
-def render(scene: Scene, *, seed: int | None = None, sensors: SensorChoice = None, seed_grad: int | None = None,
-           aovs: Sequence[str] | None = None, **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
-    """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs)`: see `Renderer`.
-
-    A loop is faster with one renderer: it keeps what has not changed since its last call.
-
-    Args:
-        scene: what is rendered; attached to its parameters.
-        seed, sensors, seed_grad, aovs: of the call, as in `Renderer.forward`.
-        **settings: of the renderer: `spp`, `max_depth`, `adjoint`, `sampling`, ...
-
-    Returns:
-        (B, 3, H, W) linear RGB radiance; if `aovs` are asked for, that and the images of these quantities by name.
-    """
-    check_arguments(render, settings, arguments_of(render, Renderer.__init__))
-    return Renderer(scene, **settings)(seed=seed, sensors=sensors, seed_grad=seed_grad, aovs=aovs)

@@ -81,19 +81,6 @@ def samples_per_pixel(spp: int | None, sensors: Sequence[Sensor]) -> int:
     return counts.pop()
 
 
-def size_of_films(sensors: Sequence[Sensor]) -> tuple[int, int]:
-    """Width and height of the crop windows of the sensors' films.
-
-    Raises:
-        ValueError: if they differ.
-    """
-    sizes = {(sensor.film.crop_width, sensor.film.crop_height) for sensor in sensors}
-    if len(sizes) > 1:
-        raise ValueError(f"the sensors of one call must have films of one size, got {sorted(sizes)}; "
-                         f"render them in separate calls")
-    return sizes.pop()
-
-
 def checked_seed(name: str, value: int) -> int:
     """`value` as an int of 64 bits: more would not tell one seed from another.
 

@@ -1,0 +1,33 @@
+"""`render`: one rendering of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from torch_radbp.public_call import arguments_of, check_arguments, public_call
+from torch_radbp.rendering.renderer import Renderer
+from torch_radbp.rendering.settings import SensorChoice
+from torch_radbp.rendering.shots import WindowChoice
+from torch_radbp.scene import Scene
+
+
+@public_call
+def render(scene: Scene, *, seed: int | None = None, sensors: SensorChoice = None, seed_grad: int | None = None,
+           aovs: Sequence[str] | None = None, window: WindowChoice = None,
+           **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+    """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs, window=window)`: see `Renderer`.
+
+    A loop is faster with one renderer: it keeps what has not changed since its last call.
+
+    Args:
+        scene: what is rendered; attached to its parameters.
+        seed, sensors, seed_grad, aovs, window: of the call, as in `Renderer.forward`.
+        **settings: of the renderer: `spp`, `max_depth`, `adjoint`, `sampling`, ...
+
+    Returns:
+        (B, 3, H, W) linear RGB radiance; if `aovs` are asked for, that and the images of these quantities by name.
+    """
+    check_arguments(render, settings, arguments_of(render, Renderer.__init__))
+    return Renderer(scene, **settings)(seed=seed, sensors=sensors, seed_grad=seed_grad, aovs=aovs, window=window)
