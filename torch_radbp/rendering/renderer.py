@@ -2,36 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from math import inf
+from types import MappingProxyType
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 
 from torch_radbp.adjoint import MemoizedAdjoint
-from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms
-from torch_radbp.adjoint.images import render_detached
+from torch_radbp.adjoint.forward_mode import inside_transforms, outside_transforms
+from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.aov.images import aov_jumps, beside_image, render_aovs
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
-from torch_radbp.boundary import CameraSight, EdgesOfCall, JumpWatch, Rendering, edges_of_call
-from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal, with_derivative_of
+from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, rendering_of
+from torch_radbp.differentiated import detached, primal
 from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.state import Settings
 from torch_radbp.public_call import public_call
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.caster_cache import CachedCaster, CastTriangles
 from torch_radbp.rendering.call.chunks import plan_chunks
 from torch_radbp.rendering.call.render_call import RenderCall
-from torch_radbp.rendering.call.view import Shot, view_of
+from torch_radbp.rendering.call.view import OF_NO_SENSOR, Shot, view_of
 from torch_radbp.rendering.call.zeroed_memory import ZeroedMemory
 from torch_radbp.rendering.cost import Request, bytes_of_records
 from torch_radbp.rendering.lanes import plan_lanes
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
+from torch_radbp.rendering.radiance import radiance_outside
 from torch_radbp.rendering.settings import (
     INTERIOR,
     PRIMARY,
@@ -41,7 +42,9 @@ from torch_radbp.rendering.settings import (
     check_settings,
     checked_scene,
     checked_seeds,
+    refuse_tracing,
     samples_per_pixel,
+    settings_of_integrand,
 )
 from torch_radbp.rendering.shots import WindowChoice, shots_of
 from torch_radbp.rendering.stages import EAGER, compiled
@@ -51,6 +54,7 @@ from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
+from torch_radbp.sensor.rays import given_rays
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 
@@ -191,23 +195,54 @@ class Renderer(nn.Module):
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
-        images = self.images(call)
+        images = rendered(call)
         channels = None if outputs is None else images[:, 3:].detach()
         images = images if outputs is None else images[:, :3].clone(memory_format=torch.contiguous_format)
-        images = images if INTERIOR in self.terms else primal(images)
-        images = edges.added_to(images, call)
+        images = self.with_terms(images, edges, call)
         return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
 
-    def images(self, call: RenderCall) -> Tensor:
-        """The images with the derivatives of what is seen inside of their edges, and with the quantities of the call."""
-        record = call.scene, [view.camera for view in call.views]
-        forward_mode = has_tangents(record)
-        if not forward_mode and not (torch.is_grad_enabled() and differentiable(record)):
-            return render_detached(call)
-        if not forward_mode:
-            return call.adjoint.image(call)
-        attached = call.adjoint.dual_image(call.of_derivative())
-        return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)
+    def with_terms(self, images: Tensor, edges: EdgesOfCall, call: RenderCall) -> Tensor:
+        """The images with those terms of derivatives that are asked for."""
+        return edges.added_to(images if INTERIOR in self.terms else primal(images), call)
+
+    @public_call
+    def radiance(self, origins: Tensor, directions: Tensor, seed: int | None = None, spp: int | None = None,
+                 seed_grad: int | None = None) -> Tensor:
+        """The radiance that arrives along rays: for probes, panoramas, cameras of one's own, irradiance on surfaces.
+
+        Each ray is a pixel of its own, without a filter; all else is as for images. Rays begin at their origins: one that
+        leaves a surface must begin a little off it, as by 1e-4 of the scene's size, or it may meet that surface.
+
+        Derivatives, backward and forward, reach origins, directions and the parameters of the scene: those of radiance along
+        each ray, with soft shadows and indirect light. Left out are its jumps where an edge, or the border of a sharp shadow
+        on the surface that it meets first, passes a ray, which has no area: means over rays lack what these contribute. A
+        `SilhouetteWarning` says so if such move among the rays.
+
+        Args:
+            origins: (N, 3) world, attached.
+            directions: (N, 3) world, of any length, attached across it.
+            seed, seed_grad: as for a rendering.
+            spp: paths along each ray; None: as the renderer, or what the samplers of all sensors of the scene say. Their
+                samples are of low discrepancy.
+
+        Returns:
+            (N, 3) linear RGB radiance.
+
+        Raises:
+            TypeError: for rays that are no floating-point tensors.
+            ValueError: for rays of another shape, none at all, numbers that are not finite, directions of length zero; and
+                as a rendering.
+            NonFiniteError: as a rendering.
+        """
+        if inside_transforms():
+            return radiance_outside(self, {"origins": origins, "directions": directions}, seed, spp, seed_grad)
+        rays = given_rays(origins, directions, self.scene.dtype, self.scene.device)
+        call = self.prepared([Shot(rays, OF_NO_SENSOR, rays.film.window())], seed, self.spp if spp is None else spp,
+                             seed_grad, beside={"origins": origins, "directions": directions})
+        if seed is None:
+            self.noise_watch.look(call.parameters)
+        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        return self.with_terms(rendered(call), edges, call)[0, :, :, 0].t().clone(memory_format=torch.contiguous_format)
 
     @public_call
     def aovs(self, names: Sequence[str] | None = None, seed: int | None = None, sensors: SensorChoice = None,
@@ -267,12 +302,8 @@ class Renderer(nn.Module):
 
     def look(self, call: RenderCall, seed: int) -> EdgesOfCall:
         """The edges at which the images of a call jump. Warns of what derivatives and the image lack."""
-        seen = [view.sensor for view in call.views]
-        sights = [CameraSight(detached(view.camera), view.width, view.height) for view in call.views]
-        instances = call.scene.triangles.instances
-        rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, PackCache(self.cache),
-                              None if instances is None else instances.casting, PRIMARY in self.terms,
-                              SHADOW in self.terms, self.depth_limit, call.scene)
+        rendering = rendering_of(call, self.scene, self.sampling, PackCache(self.cache), PRIMARY in self.terms,
+                                 SHADOW in self.terms, self.depth_limit)
         self.jump_watch.look(rendering)
         return edges_of_call(rendering, self.scene, call, seed)
 
@@ -282,12 +313,11 @@ class Renderer(nn.Module):
         return self.prepared(shots_of(self.scene, sensors, window), seed, spp, seed_grad, aovs)
 
     def prepared(self, shots: list[Shot], seed: int | None, spp: int | None, seed_grad: int | None,
-                 aovs: bool = False) -> RenderCall:
-        """The scene packed, rays ready to be cast, chunks planned; with what `aovs` may be about if asked for."""
+                 aovs: bool = False, beside: Mapping[str, Tensor] = MappingProxyType({})) -> RenderCall:
+        """The scene packed, rays ready to be cast, chunks planned; with what `aovs` may be about if asked for. `beside`: by
+        name, what the shots depend on beside the scene."""
         check_settings(self)  # they may have been assigned since
-        if torch.jit.is_tracing():
-            raise RuntimeError("a rendering cannot be traced by torch.jit.trace, since its operations depend on the paths: "
-                               "trace the networks around it, or call the renderer as it is")
+        refuse_tracing()
         check_names(self)
         named, seen = self.scene.named_sensors, [shot.sensor for shot in shots]
         own = parameters_in(self.scene, without=set(named.values()).difference(seen))
@@ -297,7 +327,7 @@ class Renderer(nn.Module):
         workers = threads() if device.type == "cpu" else 1
         max_depth = self.depth_limit
         fused = self.runs_compiled()
-        parameters = {name: value for name, value in own if value.requires_grad}
+        parameters = {name: value for name, value in (*own, *beside.items()) if value.requires_grad}
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         windows = [shot.window for shot in shots]
@@ -312,12 +342,8 @@ class Renderer(nn.Module):
             self.cache_for_aovs = cache.close()
         else:
             self.cache = cache.close()
-        moving = self.sampling == "attached" or any_differentiated((scene.triangles, [view.camera for view in views])) or (
-            self.sampling == "hybrid" and scene.layout.bending)
-        following = moving and self.sampling == "hybrid" and any(look.kind.follows for look in scene.layout.appearances)
         stages = compiled() if fused else EAGER
-        settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,
-                            sampling=self.sampling if moving else "detached", following=following)
+        settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return Integrand(tensors, proposal_of(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
@@ -325,8 +351,8 @@ class Renderer(nn.Module):
         chunks = plan_chunks(grids, spp, lanes, workers)
         integrand = make_integrand(detached(scene))
         call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views, chunks, spp,
-                          seeds[0] == seeds[1], record_bytes, together, workers, self.memory, following, self.scene,
-                          parameters)
+                          seeds[0] == seeds[1], record_bytes, together, workers, self.memory, settings.following,
+                          self.scene, parameters)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)
@@ -357,8 +383,7 @@ class Renderer(nn.Module):
         Each call keeps its own, and so does the graph behind its image: neither geometry that moves later nor another
         thread changes what they see.
         """
-        triangles = scene.triangles
-        instances = None if triangles.instances is None else triangles.instances.casting
+        triangles, instances = scene.triangles, scene.triangles.casting_instances
         mesh = CastTriangles(triangles.vertices.p.map(primal), triangles.corners, triangles.balls, instances)
         known = self.known_caster
         if known is None or not known.mesh.equals(mesh):

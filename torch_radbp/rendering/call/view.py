@@ -18,6 +18,8 @@ from torch_radbp.sensor.kind import Camera
 from torch_radbp.shape.placement import Instances
 from torch_radbp.vec import Vec3
 
+OF_NO_SENSOR = -1  # the index of a sensor that is none of the scene's
+
 
 class View(NamedTuple):
     """One sensor of a call."""
@@ -52,7 +54,7 @@ class Shot(NamedTuple):
     """An image that a call is to make."""
 
     sensor: Sensor
-    index: int  # of the sensor, among those of the scene
+    index: int  # of the sensor among those of the scene, or `OF_NO_SENSOR`
     window: Window  # of its film
 
 
@@ -61,8 +63,7 @@ def view_of(shot: Shot, seeds: tuple[int, int], scene: SceneTensors, cache: Pack
     sensor, sampler = shot.sensor, shot.sensor.sampler
     camera = cache(camera_of, cache.twin(id(sensor), sensor))
     keys = tuple(sample_key(seed + sampler.seed, shot.index, sampler.low_discrepancy, scene.device) for seed in seeds)
-    instances = scene.triangles.instances
-    reaches = cache(reaches_beyond, scene.triangles.vertices.p, None if instances is None else instances.casting, camera)
+    reaches = cache(reaches_beyond, scene.triangles.vertices.p, scene.triangles.casting_instances, camera)
     if shot.window != sensor.film.window():
         camera = camera._replace(film=sensor.film.tensors(camera.film.size_x, shot.window))
     return View(sensor, camera, shot.window, keys, reaches)
