@@ -13,6 +13,7 @@ from torch.func import functional_call
 from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.plugin import finite
 from torch_radbp.public_call import arguments_of, check_arguments, public_call
+from torch_radbp.rendering.radiance import RadianceOf
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.shots import WindowChoice
 from torch_radbp.scene import Scene
@@ -20,7 +21,7 @@ from torch_radbp.scene import Scene
 
 @public_call
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: Sequence[int] | None = None,
-        aovs: Sequence[str] | None = None, window: WindowChoice = None,
+        aovs: Sequence[str] | None = None, window: WindowChoice = None, rays: tuple[Tensor, Tensor] | None = None,
         **settings) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """The derivative of the image along `tangents`, a direction in the space of parameters; by forward mode.
 
@@ -39,11 +40,13 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
         sensors: indices of the sensors to render; None: all.
         aovs: names of quantities whose derivatives to return beside that of the image; see `Renderer.aovs`.
         window: the part of the image to render; see `Renderer.forward`.
+        rays: origins and directions, (N, 3) each, to take the derivative of `Renderer.radiance` along them, in the place of
+            images; then `sensors`, `aovs` and `window` must be left out.
         **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` has no effect here.
 
     Returns:
         (B, 3, H, W), detached, linear RGB per unit of `tangents`; if `aovs` are asked for, that and the derivatives of these
-        quantities by name.
+        quantities by name. Along rays (N, 3).
 
     Raises:
         AttributeError: if the scene has no such parameter; the message lists the nearest names.
@@ -55,7 +58,12 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
     check_arguments(jvp, settings, arguments_of(jvp, Renderer.__init__))
     renderer = Renderer(scene, **settings)
     tangents = checked_tangents(scene, tangents)
-    found = with_tangents(renderer, tangents, {"seed": seed, "sensors": sensors, "aovs": aovs, "window": window})
+    of_images = {"sensors": sensors, "aovs": aovs, "window": window}
+    if rays is not None:
+        if any(value is not None for value in of_images.values()):
+            raise ValueError(f"along rays there are no sensors, windows and aovs, got {of_images}: leave them out")
+        return with_tangents(renderer, tangents, {"origins": rays[0], "directions": rays[1], "seed": seed}).tangent
+    found = with_tangents(renderer, tangents, {"seed": seed, **of_images})
     if aovs is None:
         return found.tangent
     image, quantities = found
@@ -91,13 +99,15 @@ def rendering_with_tangent(renderer: Renderer, tangents: Mapping[str, Tensor], s
 
 
 def with_tangents(renderer: Renderer, tangents: Mapping[str, Tensor], arguments: dict):
-    """What `renderer(**arguments)` returns, each image with its derivative along `tangents`."""
+    """What `renderer(**arguments)` returns, each image with its derivative along `tangents`; or, given rays, `radiance`."""
+    module, scene = (RadianceOf(renderer), "renderer.scene") if "origins" in arguments else (renderer, "scene")
+
     def unpacked(image: Tensor) -> DualImage:
         image, tangent = forward_ad.unpack_dual(image)
         return DualImage(image.detach(), torch.zeros_like(image) if tangent is None else tangent.detach())
 
     with torch.no_grad(), forward_ad.dual_level():
-        parameters = {f"scene.{name}": parameter.detach() for name, parameter in renderer.scene.named_parameters()}
+        parameters = {f"{scene}.{name}": parameter.detach() for name, parameter in renderer.scene.named_parameters()}
         for name, tangent in tangents.items():
-            parameters[f"scene.{name}"] = forward_ad.make_dual(parameters[f"scene.{name}"], tangent)
-        return tree_map(unpacked, functional_call(renderer, parameters, kwargs=arguments))
+            parameters[f"{scene}.{name}"] = forward_ad.make_dual(parameters[f"{scene}.{name}"], tangent)
+        return tree_map(unpacked, functional_call(module, parameters, kwargs=arguments))

@@ -170,7 +170,7 @@ class Renderer(nn.Module):
                 Or a list of one for each sensor of the call, all of one size; to see several parts of one sensor's image,
                 name it as often. Pixels keep their samples, and those beside the window that count there are traced, too:
                 it is what one cuts out of the whole image, bit for bit if compiled, and so are derivatives inside of edges,
-                up to the order of sums. Those of edges and shadows are sampled anew, for the window alone.
+                up to the order of sums. Those of edges and shadows have samples of their own, in proportion to the window.
 
         Returns:
             (B, 3, H, W) linear RGB radiance, row 0 at the top, one image per sensor; if `aovs` are asked for, that and what

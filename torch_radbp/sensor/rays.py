@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -15,12 +16,14 @@ from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.position import FilmTensors
 from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Sensor
+from torch_radbp.sensor.frustum import Plane
 from torch_radbp.sensor.kind import Camera, CameraKind
 from torch_radbp.sensor.sampler import LowDiscrepancy
 from torch_radbp.vec import Ray, Vec2, Vec3, dot, normalize
 
 LOOKOUTS = 8  # origins from which edges are looked for, at most
-ROUNDED = 1e-6  # a cosine by which rays are less apart than is known
+NARROW = 1e-4  # rad, half of the angle of the cone around rays, at least
+GRAZING = 0.05  # cosine to the middle of all directions from which on they are taken to go everywhere
 
 
 class RayLens(NamedTuple):
@@ -29,6 +32,10 @@ class RayLens(NamedTuple):
     o: Vec3  # (N,) world
     d: Vec3  # (N,) unit length
     eye: Vec3  # () one of the origins, detached
+
+    def ray(self, number: Tensor) -> Ray:
+        """Those with these numbers, (M,) int32."""
+        return Ray(*lookup((self.o, self.d), number))
 
 
 @dataclass(frozen=True)
@@ -39,11 +46,11 @@ class RayKind(CameraKind):
 
     def sample_pixel(self, lens: RayLens, film: FilmTensors, column: Tensor, row: Tensor, place: Vec2,
                      aperture: None) -> tuple[Ray, None]:
-        return Ray(*lookup((lens.o, lens.d), row)), None
+        return lens.ray(row), None
 
     def sample_ray(self, lens: RayLens, position: Vec2, aperture: None) -> tuple[Ray, None]:
         count = len(lens.d.x)
-        return self.sample_pixel(lens, None, None, (position.y * count).to(torch.int32).clamp(0, count - 1), None, None)
+        return lens.ray((position.y * count).to(torch.int32).clamp(0, count - 1)), None
 
     def beyond_far_plane(self, lens: RayLens, p: Vec3) -> Tensor:
         return torch.zeros_like(p.x, dtype=torch.bool)
@@ -59,17 +66,28 @@ class RayKind(CameraKind):
         return torch.cat([place, place.new_ones(1)])
 
     def crosses_view(self, lens: RayLens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
-        """Whether a segment meets the cone around all directions, if its tip were the eye."""
-        d, eye = (part.map(torch.Tensor.double) for part in (lens.d, lens.eye))
-        axis = normalize(d.map(torch.mean))
-        start, along = a - eye, b - a
-        # Where on the line the angle to the axis is least.
+        """Whether a segment meets the cone around all rays, ahead of their origins."""
+        o, d = (part.map(torch.Tensor.double) for part in (lens.o, lens.d))
+        axis, middle = normalize(d.map(torch.mean)), o.map(torch.mean)
+        cosine = dot(d, axis).min().clamp_max(math.cos(NARROW))
+        if cosine < GRAZING:
+            return torch.ones_like(a.x, dtype=torch.bool)
+        offset = o - middle
+        depth = dot(offset, axis)
+        radius = torch.sqrt((dot(offset, offset) - depth * depth).clamp_min(0.0)).max()
+        tip = middle - axis * (radius * cosine / torch.sqrt(1.0 - cosine * cosine))
+        behind = Plane.through(middle, axis, -depth.min())
+        before, after = behind.distance(a), behind.distance(b)
+        crossing = before / torch.where(before == after, 1.0, before - after)
+        first, last = torch.where(before < 0, crossing, 0.0), torch.where(after < 0, crossing, 1.0)
+        # Where on its line the angle to the axis is least.
+        start, along = a - tip, b - a
         ahead, slope, inwards = dot(start, axis), dot(along, axis), dot(start, along)
         turn = slope * inwards - ahead * dot(along, along)
         nearest = (ahead * inwards - slope * dot(start, start)) / torch.where(turn == 0, 1.0, turn)
-        share = nearest.clamp(0.0, 1.0), torch.zeros_like(nearest), torch.ones_like(nearest)
-        cosine = torch.stack([dot(normalize(start + along * part), axis) for part in share]).amax(0)
-        return cosine > dot(d, axis).min() + ROUNDED
+        shares = torch.minimum(torch.maximum(nearest, first), last), first, last
+        found = torch.stack([dot(normalize(start + along * share), axis) for share in shares]).amax(0)
+        return (found >= cosine) & ((before >= 0) | (after >= 0))
 
 
 class Rays(Sensor):
