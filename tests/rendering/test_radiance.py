@@ -12,9 +12,12 @@ from torch import Tensor
 import torch_radbp as rb
 from tests.derivatives.frozen import Decisions, HeldCaster
 from tests.gradients import assert_informative, cotangent, relative_error
+from tests.jit.emulated import Emulated
+from tests.rendering.on_gpu import render_on
 from tests.scenes import cornell, diffuse, furnace, load, rectangle, rgb, sensor
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_images
+from torch_radbp.jit.gpu import Gpu
 from torch_radbp.rendering.call.view import OF_NO_SENSOR, Shot
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
@@ -191,6 +194,20 @@ def test_compiled_and_eager_agree_however_rays_are_divided():
 
 
 @quiet
+def test_the_kernels_of_a_gpu_find_the_same(monkeypatch):
+    """By the emulation of `tests/rendering/test_gpu.py`."""
+    scene, results = cornell(), []
+    render_on(Gpu(Emulated()), monkeypatch)
+    for compile in (False, True):
+        rays = [part.requires_grad_() for part in some_rays()]
+        radiance = rb.Renderer(scene, spp=4, max_depth=3, compile=compile).radiance(*rays, seed=1)
+        results.append([radiance.detach(), *torch.autograd.grad(radiance, rays, cotangent(radiance.detach()))])
+    assert_informative(results[0][0], results[0][1:])
+    for found, expected in zip(results[1], results[0]):
+        assert relative_error(found, expected) < 1e-10
+
+
+@quiet
 def test_forward_mode_is_the_transpose_of_backward_mode():
     scene = cornell()
     rays = some_rays()
@@ -272,6 +289,18 @@ def test_samples_are_those_of_the_renderer_and_seeds_differ():
     assert torch.equal(first, renderer.radiance(*rays, seed=1)) and not torch.equal(first, renderer.radiance(*rays, seed=2))
     assert torch.equal(first, rb.Renderer(scene, max_depth=3).radiance(*rays, seed=1, spp=2))
     assert not torch.equal(first, renderer.radiance(*rays, seed=1, spp=3))
+
+
+def test_a_loop_along_rays_without_a_seed_is_warned_of():
+    scene, rays = cornell(), some_rays()
+    colour = scene.get_parameter("white.reflectance.value").requires_grad_()
+    renderer = rb.Renderer(scene, spp=1, max_depth=2)
+    renderer.radiance(*rays)
+    with torch.no_grad():
+        colour *= 0.9
+    with pytest.warns(rb.RepeatedNoiseWarning) as told:
+        renderer.radiance(*rays)
+    assert told[0].filename == __file__
 
 
 def plate(dtype: torch.dtype = torch.float64, **lamp) -> rb.Scene:
