@@ -357,6 +357,17 @@ def test_a_shadow_s_sharp_border_among_the_rays_is_named_and_a_soft_one_is_not()
     assert said(plate(**lamp), below, terms=["interior"])  # that is left out then, too
 
 
+def test_shadows_are_looked_for_among_other_rays_anew():
+    scene = plate(**POINT)
+    scene.get_parameter("plate.to_world").requires_grad_()
+    renderer = rb.Renderer(scene, spp=2, max_depth=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        renderer.radiance(*down_to(1.5, 0.3), seed=0)
+    with pytest.warns(rb.SilhouetteWarning, match="borders of shadows"):
+        renderer.radiance(*down_to(0.4, 0.3), seed=1)
+
+
 def test_rays_that_move_over_edges_are_named():
     origins, directions = down_to(0.3, 1.5)
     message, = said(plate(**SKY), (origins.requires_grad_(), directions), None)

@@ -233,3 +233,13 @@ def test_a_window_of_an_image_that_is_too_large_to_number_is_refused():
     scene.sensors[0].film = HDRFilm(width=1 << 16, height=1 << 16)
     with pytest.raises(ValueError, match="must be of an image of at most 2147483647 pixels"):
         rb.Renderer(scene)(window=(0, 0, 4, 4))
+
+
+def test_what_derivatives_lack_is_said_of_all_windows_at_the_first():
+    """A loop over random crops is told at once, whatever the first one shows."""
+    scene = plate_and_lamp("box")
+    scene.get_parameter("plate.to_world").requires_grad_()
+    for term, words in (("shadow", "contribution of silhouettes"), ("primary", "borders of shadows")):
+        renderer = rb.Renderer(scene, spp=1, max_depth=2, terms=["interior", term])
+        with pytest.warns(rb.SilhouetteWarning, match=f"`plate.to_world` lack .*{words}"):
+            renderer(seed=0, window=(0, 0, 2, 2))

@@ -16,12 +16,14 @@ from torch_radbp.differentiated import detached, tangent_of
 from torch_radbp.plugin import BSDF, Plugin, Sensor, Texture
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.rendering.call.view import View
 from torch_radbp.scene import Scene
 from torch_radbp.scene.geometry import PlacedShape, number_of_triangles, placed_shape
 from torch_radbp.scene.material import turning_values
 from torch_radbp.scene.pack import one_sided
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.kind import Lens
 from torch_radbp.shape.placement import Instances, expanded
 from torch_radbp.shape.surface import Surface
 
@@ -124,12 +126,23 @@ class Rendering:
 
 def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache, primary: bool, shadows: bool,
                  max_depth: int) -> Rendering:
-    """What a call is about to render; without edges in view where pixels have no area. Args as of `Rendering`."""
+    """What a call is about to render; without edges in view where pixels have no area. Args as of `Rendering`.
+
+    In view counts what is in any window of a film: what is said once is to hold for all.
+    """
     looks = [(view, lens) for view in call.views for lens in view.camera.kind.lookouts(detached(view.camera.lens))]
-    sights = [CameraSight(detached(view.camera)._replace(lens=lens), view.width, view.height) for view, lens in looks]
+    sights = [whole_sight(view, lens) for view, lens in looks]
     primary = primary and all(view.camera.kind.has_area for view in call.views)
     return Rendering(scene, [view.sensor for view, _ in looks], sights, call.caster, sampling, cache,
                      call.scene.triangles.casting_instances, primary, shadows, max_depth, call.scene)
+
+
+def whole_sight(view: View, lens: Lens) -> CameraSight:
+    """What the whole film of a view sees through a lens."""
+    film, whole = view.camera.film, view.sensor.film.window()
+    crop_x, crop_y = (film.size_x.new_tensor(float(span.first)) for span in (whole.columns, whole.rows))
+    camera = view.camera._replace(lens=lens, film=film._replace(crop_x=crop_x, crop_y=crop_y))
+    return CameraSight(camera, whole.columns.size, whole.rows.size)
 
 
 class ShownTriangles(NamedTuple):

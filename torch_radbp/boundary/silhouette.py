@@ -20,7 +20,7 @@ class CameraSight(NamedTuple):
     """The view of one sensor."""
 
     camera: Camera  # detached
-    width: int  # of its window, pixels
+    width: int  # of its crop window, pixels
     height: int
 
 

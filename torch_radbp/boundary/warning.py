@@ -116,7 +116,7 @@ class JumpWatch:
         moves, or None.
 
         None where that is computed. Parameters that move silhouettes too are left out. Shadows are searched once for each
-        parameter, by casting rays from some of the lights, and towards the sky.
+        parameter, among rays anew, by casting rays from some of the lights, and towards the sky.
         """
         soft, sharp = rendering.shadows and rendering.sampling != "attached", rendering.shadows and rendering.has_area
         found = self.sharp_shadows_in_mirrors(rendering) if soft else None
@@ -126,7 +126,7 @@ class JumpWatch:
         names = {name for plugin in rendering.scene.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
         names = names.union(*rendering.movers, *cameras)
         looks = {(name, soft, sharp) for name in names}
-        if looks <= self.looked_at:
+        if not looks or rendering.has_area and looks <= self.looked_at:
             return None
         self.looked_at |= looks
         lights = some_of([light for light in lights_of(rendering) if not (sharp if light.shape is None else soft)])

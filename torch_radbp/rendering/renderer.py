@@ -21,8 +21,9 @@ from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.public_call import public_call
-from torch_radbp.raycast import RayCaster, make_caster
-from torch_radbp.raycast.caster_cache import CachedCaster, CastTriangles
+from torch_radbp.raycast import RayCaster
+from torch_radbp.raycast.caster_cache import CastTriangles
+from torch_radbp.raycast.kept_caster import KeptCaster
 from torch_radbp.rendering.call.chunks import plan_chunks
 from torch_radbp.rendering.call.render_call import RenderCall
 from torch_radbp.rendering.call.view import OF_NO_SENSOR, Shot, view_of
@@ -130,7 +131,7 @@ class Renderer(nn.Module):
         self.light_choice, self.terms, self.share_samples = light_choice, terms, share_samples
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
-        self.known_caster: CachedCaster | None = None
+        self.casters = KeptCaster()
         self.cache, self.cache_for_aovs = PackCache(), PackCache()
         self.jump_watch = JumpWatch()
         self.planner, self.noise_watch, self.memory = MemoryPlanner(), NoiseWatch(), ZeroedMemory()
@@ -170,7 +171,8 @@ class Renderer(nn.Module):
                 Or a list of one for each sensor of the call, all of one size; to see several parts of one sensor's image,
                 name it as often. Pixels keep their samples, and those beside the window that count there are traced, too:
                 it is what one cuts out of the whole image, bit for bit if compiled, and so are derivatives inside of edges,
-                up to the order of sums. Those of edges and shadows have samples of their own, in proportion to the window.
+                up to the order of sums. Edges and shadows have other samples, in proportion to the window; those of shadows
+                lie anywhere, so that their derivatives are noisier than in the whole image.
 
         Returns:
             (B, 3, H, W) linear RGB radiance, row 0 at the top, one image per sensor; if `aovs` are asked for, that and what
@@ -378,23 +380,12 @@ class Renderer(nn.Module):
         return self.planner.plan(call, self.memory_budget, self.adjoint_is_chosen, self.terms)
 
     def caster_of(self, scene: SceneTensors) -> RayCaster:
-        """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one.
-
-        Each call keeps its own, and so does the graph behind its image: neither geometry that moves later nor another
-        thread changes what they see.
-        """
-        triangles, instances = scene.triangles, scene.triangles.casting_instances
-        mesh = CastTriangles(triangles.vertices.p.map(primal), triangles.corners, triangles.balls, instances)
-        known = self.known_caster
-        if known is None or not known.mesh.equals(mesh):
-            # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
-            last = None if known is None or instances is None else known.caster
-            known = self.known_caster = None
-            known = CachedCaster(make_caster(self.caster_name, *mesh.stacked(), last), mesh)
-        self.known_caster = known._replace(mesh=mesh)  # the next call may bring the very same tensors again
-        return known.caster
+        """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one."""
+        triangles = scene.triangles
+        return self.casters.of(CastTriangles(triangles.vertices.p.map(primal), triangles.corners, triangles.balls,
+                                             triangles.casting_instances), self.caster_name)
 
     @property
     def last_caster(self) -> RayCaster | None:
         """The ray caster of the last call."""
-        return None if self.known_caster is None else self.known_caster.caster
+        return None if self.casters.known is None else self.casters.known.caster
