@@ -61,7 +61,7 @@ MUTANTS = (
     Mutant("scene/light_choice.py", "return element, chance * lookup(choice.pmf, element)", "return element, chance",
            ("emitter/test_light_choice.py",)),
     # Films.
-    Mutant("film/position.py", "(row - self.border + self.crop_y", "(row - self.border + self.crop_x",
+    Mutant("film/position.py", "(row + self.origin.y", "(row + self.origin.x",
            ("sensor", "rendering/test_camera.py")),
     Mutant("film/gaussian.py", "- math.exp(-0.5 * CUT**2)", "- 0 * math.exp(-0.5 * CUT**2)", ("film",)),
     Mutant("film/splat.py", "entry + (down * row + across * column)", "entry + (down * column + across * row)",

@@ -40,7 +40,7 @@ def samples(call) -> tuple[np.ndarray, np.ndarray]:
         grid, place = call.views[0].grid, film_places(call, chunk, call.views[0].sample_keys[0])
         pixel = chunk.rows.numbers(place.x.device).repeat_interleave(chunk.samples)
         row, column = torch.div(pixel, grid.columns, rounding_mode="floor"), pixel % grid.columns
-        places.append(torch.stack([column + place.x, row + place.y], 1) - grid.border)
+        places.append(torch.stack([column + place.x, row + place.y], 1) - grid.window.rows.before)
     places = torch.cat(places).double().numpy()
     return places, np.stack([np.cos(3 * places[:, 0] + places[:, 1]), 1 + places[:, 1] ** 2], 1)
 
@@ -65,7 +65,8 @@ def written_out(filter, places: np.ndarray, values: np.ndarray) -> tuple[np.ndar
 def test_images_are_the_sums_of_samples_over_the_sums_of_the_filter(name, border, compile):
     _, call = the_call(FILTERS[name], 5, compile, sample_border=border)
     places, values = samples(call)
-    assert len(places) == (9 + 2 * call.views[0].grid.border) * (7 + 2 * call.views[0].grid.border) * 5
+    beside = 2 * border * FILTERS[name].kernel().reach
+    assert len(places) == (9 + beside) * (7 + beside) * 5
     expected, sums = written_out(FILTERS[name], places, values)
     first = 0
 
@@ -154,7 +155,7 @@ def test_the_integrals_of_a_filter_inside_a_window():
 def test_a_point_counts_as_many_samples_there_would(name, border):
     """The mean over all of the window of what points count in a pixel is 1."""
     film = HDRFilm(width=5, height=4, rfilter=FILTERS[name], sample_border=border).tensors(torch.zeros(()).double())
-    steps, reach = 40, film.border
+    steps, reach = 40, int(film.before.x)
     x, y = ((torch.arange((pixels + 2 * reach) * steps, dtype=torch.float64) + 0.5) / steps - reach for pixels in (5, 4))
     points = Vec2(x.repeat(len(y)), y.repeat_interleave(len(x)))
     total = torch.zeros(20, dtype=torch.float64)

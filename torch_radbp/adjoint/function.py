@@ -16,6 +16,7 @@ from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.differentiated import detached, differentiable
 from torch_radbp.jit.torch_internals import batched
+from torch_radbp.lookup import summed
 from torch_radbp.public_call import public_call
 from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.rendering.call.chunks import Chunk
@@ -166,11 +167,12 @@ def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
 
 
 def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple[bool, ...], memo: Memo) -> list[Tensor]:
-    """The gradients of the wanted leaves of a camera from what the memo holds of the rays of one chunk."""
+    """The gradients of the wanted leaves of a camera from what the memo holds of the rays of one chunk; where each ray reads
+    entries of its own, they are summed in float64."""
     view = call.views[chunk.sensor]
     leaves = leaves_of(view.camera)
     leaves = [leaf.clone().requires_grad_() if want else leaf for leaf, want in zip(leaves, wanted)]
-    sensors = [view._replace(camera=with_leaves(view.camera, leaves)) if number == chunk.sensor else other
+    sensors = [view._replace(camera=summed(with_leaves(view.camera, leaves))) if number == chunk.sensor else other
                for number, other in enumerate(call.views)]
     with torch.enable_grad():
         start = start_paths(call._replace(views=sensors, stages=call.stages.eager()), chunk, key)

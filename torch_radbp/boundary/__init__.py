@@ -1,10 +1,10 @@
 """Silhouettes: where an image is discontinuous, so that its derivative has a part that no derivative of radiance has."""
 
 from torch_radbp.boundary.outline import Jumps, Outlines, outlines_of
-from torch_radbp.boundary.rendering import Rendering
+from torch_radbp.boundary.rendering import Rendering, rendering_of
 from torch_radbp.boundary.silhouette import CameraSight
 from torch_radbp.boundary.terms import EdgesOfCall, bytes_of_edges, edges_of_call
 from torch_radbp.boundary.warning import JumpWarning, JumpWatch, SilhouetteWarning
 
 __all__ = ["JumpWarning", "JumpWatch", "Jumps", "Outlines", "Rendering", "CameraSight", "EdgesOfCall", "SilhouetteWarning",
-           "bytes_of_edges", "edges_of_call", "outlines_of"]
+           "bytes_of_edges", "edges_of_call", "outlines_of", "rendering_of"]

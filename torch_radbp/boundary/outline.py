@@ -133,7 +133,7 @@ class Outlines:
             generator: picks instances where there are too many; on the CPU.
         """
         triangles = scene.triangles
-        instances = None if triangles.instances is None else triangles.instances.casting
+        instances = triangles.casting_instances
         firsts = list(accumulate(counts, initial=0))
         own = firsts[-1] if instances is None else int(instances.first_triangle[0])
         shapes = [number for number, moves in enumerate(moving.shapes) if moves and firsts[number] < own]
@@ -206,7 +206,7 @@ def faces_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generat
     """The triangles of all that moves; None: there are none. Args as for `Outlines.of`."""
     triangles, firsts = scene.triangles, list(accumulate(counts, initial=0))
     device = triangles.material.device
-    instances = None if triangles.instances is None else triangles.instances.casting
+    instances = triangles.casting_instances
     own = firsts[-1] if instances is None else int(instances.first_triangle[0])
 
     def of_shapes(first: int, last: int, which: Sequence[bool]) -> Tensor:

@@ -60,7 +60,7 @@ class Places(NamedTuple):
     u: Tensor  # (N,) barycentric coordinates: of the second vertex
     v: Tensor  # of the third
     p: Vec3  # world
-    film: Vec2  # pixels from the upper left corner of the crop window
+    film: Vec2  # pixels from the upper left corner of the window
     normal: Vec2  # across the curve on the film; as long as the piece of it that the place stands for, pixels
     side: Tensor  # 1 where the surface lies ahead on the film, on a rim its front; -1 where it lies behind
     drift: Tensor  # what the curve moves along its normal where its level changes by one at a fixed place; 0 on edges
@@ -163,7 +163,7 @@ def picked(lot: Lot, place: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tens
 
 
 def on_film(camera: Camera, p: Vec3, aperture: Vec2 | None) -> Vec2:
-    """Where world points are seen, pixels from the upper left corner of the crop window."""
+    """Where world points are seen, pixels from the upper left corner of the window."""
     film = camera.film
     place = camera.kind.project(camera.lens, p, aperture)
     return Vec2(place.x * film.size_x - film.crop_x, place.y * film.size_y - film.crop_y)

@@ -12,15 +12,18 @@ from torch import Tensor
 
 from torch_radbp.boundary.silhouette import CameraSight
 from torch_radbp.bsdf.kind import Kind
-from torch_radbp.differentiated import tangent_of
+from torch_radbp.differentiated import detached, tangent_of
 from torch_radbp.plugin import BSDF, Plugin, Sensor, Texture
 from torch_radbp.raycast.protocol import RayCaster
+from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.rendering.call.view import View
 from torch_radbp.scene import Scene
 from torch_radbp.scene.geometry import PlacedShape, number_of_triangles, placed_shape
 from torch_radbp.scene.material import turning_values
 from torch_radbp.scene.pack import one_sided
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.kind import Lens
 from torch_radbp.shape.placement import Instances, expanded
 from torch_radbp.shape.surface import Surface
 
@@ -35,7 +38,7 @@ class Rendering:
 
     scene: Scene  # with the parameters of this rendering
     sensors: Sequence[Sensor]
-    sights: Sequence[CameraSight]  # one for each sensor
+    sights: Sequence[CameraSight]  # one for each sensor, which is there several times if it looks from several places
     caster: RayCaster  # of the scene as it is now
     sampling: str  # "detached", "hybrid" or "attached"
     cache: PackCache  # of this rendering
@@ -44,6 +47,11 @@ class Rendering:
     shadows: bool  # and what borders of shadows do
     max_depth: int  # of paths, as the renderer has it
     tensors: SceneTensors  # of the scene as it is now, attached
+
+    @property
+    def has_area(self) -> bool:
+        """True if pixels have an area, which edges sweep; False: what is seen are single rays."""
+        return all(sight.camera.kind.has_area for sight in self.sights)
 
     def materials(self) -> list[tuple[BSDF, Kind]]:
         """The materials, one for each side, and how they scatter."""
@@ -114,6 +122,27 @@ class Rendering:
     def turners(self) -> list[list[str]]:
         """For each shape, the parameters that turn only its shading normals, of those with derivatives."""
         return [self.moving(shape, ("vertex_normals",)) for shape in self.shapes]
+
+
+def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache, primary: bool, shadows: bool,
+                 max_depth: int) -> Rendering:
+    """What a call is about to render; without edges in view where pixels have no area. Args as of `Rendering`.
+
+    In view counts what is in any window of a film: what is said once is to hold for all.
+    """
+    looks = [(view, lens) for view in call.views for lens in view.camera.kind.lookouts(detached(view.camera.lens))]
+    sights = [whole_sight(view, lens) for view, lens in looks]
+    primary = primary and all(view.camera.kind.has_area for view in call.views)
+    return Rendering(scene, [view.sensor for view, _ in looks], sights, call.caster, sampling, cache,
+                     call.scene.triangles.casting_instances, primary, shadows, max_depth, call.scene)
+
+
+def whole_sight(view: View, lens: Lens) -> CameraSight:
+    """What the whole film of a view sees through a lens."""
+    film, whole = view.camera.film, view.sensor.film.window()
+    crop_x, crop_y = (film.size_x.new_tensor(float(span.first)) for span in (whole.columns, whole.rows))
+    camera = view.camera._replace(lens=lens, film=film._replace(crop_x=crop_x, crop_y=crop_y))
+    return CameraSight(camera, whole.columns.size, whole.rows.size)
 
 
 class ShownTriangles(NamedTuple):

@@ -109,5 +109,5 @@ def crosses_view(a: Vec3, b: Vec3, sight: CameraSight) -> Tensor:
 
 
 def limits(crop: Tensor, size: Tensor, pixels: int) -> Tensor:
-    """The positions on the image of the borders of a crop window, less a margin; (2,) float64."""
+    """The positions on the image of the borders of a window, less a margin; (2,) float64."""
     return torch.stack([(crop + share * pixels) / size for share in (MARGIN, 1.0 - MARGIN)]).double()

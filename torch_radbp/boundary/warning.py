@@ -39,6 +39,10 @@ FARTHEST = {torch.float32: 5e3, torch.float64: 4e4}
 CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
 
 
+OF_RAYS = ("A single ray has no area that they sweep, but a mean over rays, such as irradiance, has a biased gradient. "
+           "Images of sensors have that contribution")
+
+
 class SilhouetteWarning(UserWarning):
     """The derivatives to be computed lack the contribution of silhouettes.
 
@@ -68,7 +72,7 @@ class JumpWatch:
         # Looks at the image that are due: one at the first rendering is enough.
         self.of_images: list[Callable] = [unfound_caustics, unmapped_textures, inward_faces]
         self.viewed: set[int] = set()  # ids of the sensors whose rays have been looked at
-        self.looked_at: set[str] = set()  # the moving parameters for which shadows have been searched
+        self.looked_at: set[str | tuple] = set()  # the moving parameters for which shadows of some kinds have been searched
         self.placed: set[str] = set()  # those of which it is known how far from the origin they move things
 
     def look(self, rendering: Rendering) -> None:
@@ -100,40 +104,46 @@ class JumpWatch:
         missing = self.missing(rendering)
         if not missing:
             return None
+        instead = ("A loss that depends on outlines, such as a shape's against its background, has a biased gradient; "
+                   "check_gradient measures by how much. The default, terms=('interior', 'primary'), has what silhouettes "
+                   "in view contribute") if rendering.has_area else OF_RAYS
         return SilhouetteWarning(f"derivatives with respect to {listed(missing)} lack the contribution of silhouettes: at "
-                                 f"least {max(missing.values())} edges move in view, and the image is discontinuous there. "
-                                 f"A loss that depends on outlines, such as a shape's against its background, has a "
-                                 f"biased gradient; check_gradient measures by how much. The default, "
-                                 f"terms=('interior', 'primary'), has what silhouettes in view contribute")
+                                 f"least {max(missing.values())} edges move in view, and what is seen is discontinuous "
+                                 f"there. {instead}")
 
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadows that move because a light, the shape that casts them, the shape below or the camera
         moves, or None.
 
         None where that is computed. Parameters that move silhouettes too are left out. Shadows are searched once for each
-        parameter, by casting rays from some of the lights, and towards the sky.
+        parameter, among rays anew, by casting rays from some of the lights, and towards the sky.
         """
-        if rendering.shadows and rendering.sampling != "attached":
-            return self.sharp_shadows_in_mirrors(rendering)
+        soft, sharp = rendering.shadows and rendering.sampling != "attached", rendering.shadows and rendering.has_area
+        found = self.sharp_shadows_in_mirrors(rendering) if soft else None
+        if found is not None or soft and sharp:
+            return found
         cameras = [rendering.moving(sensor) for sensor in rendering.sensors]
         names = {name for plugin in rendering.scene.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
         names = names.union(*rendering.movers, *cameras)
-        if names <= self.looked_at:
+        looks = {(name, soft, sharp) for name in names}
+        if not looks or rendering.has_area and looks <= self.looked_at:
             return None
-        self.looked_at |= names
-        lights = some_of([light for light in lights_of(rendering) if light.shape is not None or not rendering.shadows])
+        self.looked_at |= looks
+        lights = some_of([light for light in lights_of(rendering) if not (sharp if light.shape is None else soft)])
         of_lights = self.borders_of_shadows(rendering, lights, cameras) if lights else set()
-        of_sky = soft_shadows(rendering, cameras)
+        of_sky = set() if soft else soft_shadows(rendering, cameras)
         named = self.missing(rendering).keys()
         missing = (of_lights | of_sky) - named
         if not missing:
             return None
-        soft = "" if not of_sky - named else (" The shadows of light from all around are soft, but the border of what "
-                                              "hides a part of the sky or of the surroundings counts likewise.")
+        of_all_around = "" if not of_sky - named else (
+            " The shadows of light from all around are soft, but the border of what hides a part of the sky or of the "
+            "surroundings counts likewise.")
+        instead = ("A loss that depends on where shadows lie has a biased gradient; check_gradient measures by how much. "
+                   "The default terms, with sampling='hybrid', have it") if rendering.has_area else OF_RAYS
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(missing))} lack the contribution of the "
                                  f"borders of shadows: some in view move over the image, or over the surface on which "
-                                 f"they fall.{soft} A loss that depends on where shadows lie has a biased gradient; "
-                                 f"check_gradient measures by how much. The default terms, with sampling='hybrid', have it")
+                                 f"they fall.{of_all_around} {instead}")
 
     def sharp_shadows_in_mirrors(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadows of lights without extent that may be seen in ideal mirrors and glass, or None."""

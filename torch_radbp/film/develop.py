@@ -10,26 +10,34 @@ from torch import Tensor
 
 from torch_radbp.film.filter import Kernel
 from torch_radbp.film.splat import PIECE, TOGETHER, Block, offset_sums
+from torch_radbp.film.window import Window
 from torch_radbp.vec import Vec2
 
 
 class Grid(NamedTuple):
-    """The pixels that have samples: those of the window, and of a border around it."""
+    """The pixels that have samples: those of the window, and those beside it whose samples count there."""
 
     kernel: Kernel
-    columns: int
-    rows: int
-    border: int
+    window: Window
 
-    def cropped(self, image: Tensor) -> Tensor:
-        """(..., rows, columns) without the border."""
-        return image[..., self.border:self.rows - self.border, self.border:self.columns - self.border]
+    @property
+    def columns(self) -> int:
+        return self.window.columns.sampled
+
+    @property
+    def rows(self) -> int:
+        return self.window.rows.sampled
+
+    def cropped(self, image: Tensor, around: int = 0) -> Tensor:
+        """(..., H, W) what (..., rows, columns), with so many pixels around, has of the window."""
+        columns, rows = ((around + span.before, around + span.before + span.size) for span in self.window[:2])
+        return image[..., slice(*rows), slice(*columns)]
 
     def quotient(self, image: Tensor, filters: Tensor) -> Tensor:
         """(C, ...) an image (C, H, W) over the sums of the filter, with zeros around it, up to wherever a sample counts."""
-        around, (height, width) = self.border + self.kernel.reach, filters.shape
-        found = image.new_zeros(len(image), height + 2 * around, width + 2 * around)
-        inside = found[:, around:around + height, around:around + width]
+        reach = self.kernel.reach
+        found = image.new_zeros(len(image), self.rows + 2 * reach, self.columns + 2 * reach)
+        inside = self.cropped(found, reach)
         torch.div(image, torch.where(filters == 0, 1.0, filters), out=inside)
         return found
 

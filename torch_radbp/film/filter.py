@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_radbp.film.window import Span
 from torch_radbp.plugin import ReconstructionFilter
 
 STEPS = 1024  # for each pixel of width, by which integrals of filters are found
@@ -51,19 +52,14 @@ class Kernel:
         """True if all samples count alike, each in its own pixel alone."""
         return self.reach == 0 and self.radius == 0.5 and self.function is constant
 
-    def inside(self, size: int, border: int) -> Tensor:
-        """(size,) float64, on the CPU: the integral of the filter of each column (or row) of pixels over where samples lie.
-
-        Args:
-            size: of the window, pixels.
-            border: pixels beyond the window on either side in which there are samples, too.
-        """
+    def inside(self, span: Span) -> Tensor:
+        """(span.size,) float64, on the CPU: the integral of the filter of each column (or row) over where samples lie."""
         edges = torch.linspace(0, 2 * self.reach + 1, (2 * self.reach + 1) * STEPS + 1, dtype=torch.float64, device="cpu")
         x = 0.5 * (edges[1:] + edges[:-1]) - (self.reach + 0.5)
         of_pixels = self(x).view(-1, STEPS).mean(1)
-        window = torch.ones(size + 2 * border, dtype=torch.float64, device="cpu")
-        return torch.nn.functional.conv1d(window[None, None], of_pixels[None, None], padding=self.reach)[0, 0][
-            border:border + size]
+        sampled = torch.ones(span.sampled, dtype=torch.float64, device="cpu")
+        return torch.nn.functional.conv1d(sampled[None, None], of_pixels[None, None], padding=self.reach)[0, 0][
+            span.before:span.before + span.size]
 
 
 def constant(x: Tensor, radius: float) -> Tensor:

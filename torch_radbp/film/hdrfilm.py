@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor
 
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.position import FilmTensors
+from torch_radbp.film.window import Span, Window
 from torch_radbp.plugin import Film, ReconstructionFilter, boolean, integer, nearest, register
+from torch_radbp.vec import Vec2
 
 PIXEL_FORMATS, COMPONENT_FORMATS, FILE_FORMATS = ("rgb", "rgba"), ("float16", "float32", "uint32"), ("openexr",)
 
@@ -55,15 +59,32 @@ class HDRFilm(Film):
         """How many pixels around the window have samples, too, on each side."""
         return self.rfilter.kernel().reach if self.sample_border else 0
 
-    def sampled(self) -> tuple[int, int]:
-        """Columns and rows of the pixels that have samples."""
-        return self.crop_width + 2 * self.border(), self.crop_height + 2 * self.border()
+    def window(self, part: tuple[int, int, int, int] | None = None) -> Window:
+        """The pixels of a part of the crop window; `part`: x, y, width and height of it, counted there; None: all."""
+        x, y, width, height = (0, 0, self.crop_width, self.crop_height) if part is None else part
+        border, reach = self.border(), self.rfilter.kernel().reach
+        return Window(Span.within(self.crop_offset_x, self.crop_width, border, x, width, reach),
+                      Span.within(self.crop_offset_y, self.crop_height, border, y, height, reach),
+                      self.crop_width + 2 * border)
 
-    def tensors(self, like: Tensor) -> FilmTensors:
-        """What decides the places of samples and what they count; `like` gives dtype and device."""
-        numbers = self.width, self.height, self.crop_offset_x, self.crop_offset_y
-        kernel = self.rfilter.kernel()
-        border = self.border()
-        inside = (kernel.inside(size, border).to(like) for size in (self.crop_width, self.crop_height))
-        size = (like.new_tensor(pixels, dtype=torch.int32) for pixels in (self.crop_width, self.crop_height))
-        return FilmTensors(*(like.new_tensor(float(number)) for number in numbers), kernel, border, *inside, *size)
+    def tensors(self, like: Tensor, window: Window | None = None) -> FilmTensors:
+        """What decides the places of samples and what they count.
+
+        Args:
+            like: gives dtype and device.
+            window: what is rendered; None: the whole crop window.
+        """
+        window = self.window() if window is None else window
+        kernel, border, spans = self.rfilter.kernel(), self.border(), window[:2]
+
+        def numbers(*values: int) -> tuple[Tensor, ...]:
+            return tuple(like.new_tensor(float(value)) for value in values)
+
+        def counts(values: Iterable[int]) -> tuple[Tensor, ...]:
+            return tuple(like.new_tensor(value, dtype=torch.int32) for value in values)
+
+        return FilmTensors(
+            *numbers(self.width, self.height), *numbers(*(span.first for span in spans)),
+            Vec2(*numbers(self.crop_offset_x - border, self.crop_offset_y - border)), kernel,
+            Vec2(*counts(span.before for span in spans)), Vec2(*counts(span.after for span in spans)),
+            *(kernel.inside(span).to(like) for span in spans), *counts(span.size for span in spans))

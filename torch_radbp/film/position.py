@@ -17,10 +17,12 @@ class FilmTensors(NamedTuple):
 
     size_x: Tensor  # of the whole image, pixels
     size_y: Tensor
-    crop_x: Tensor  # left edge of the crop window, pixels
+    crop_x: Tensor  # left edge of the window, pixels
     crop_y: Tensor
+    origin: Vec2  # the left and the upper edge of where pixels are numbered from, pixels
     kernel: Kernel
-    border: int  # pixels around the window in which there are samples, too
+    before: Vec2  # () int32, columns and rows of pixels in front of the window in which there are samples, too
+    after: Vec2  # the same behind it
     inside_x: Tensor  # (W,) for each column of pixels: the integral of the filter over where there are samples
     inside_y: Tensor  # (H,) for each row
     columns: Tensor  # () int32, W
@@ -30,39 +32,39 @@ class FilmTensors(NamedTuple):
         """Points inside of pixels as fractions of the whole image, (N,).
 
         Args:
-            column, row: (N,) of pixels, counted from the upper left one that has samples.
+            column, row: (N,) of pixels, counted from the upper left one of the film that has samples.
             place: (N,) in them, in [0, 1).
         """
-        return Vec2((column - self.border + self.crop_x + place.x) / self.size_x,
-                    (row - self.border + self.crop_y + place.y) / self.size_y)
+        return Vec2((column + self.origin.x + place.x) / self.size_x, (row + self.origin.y + place.y) / self.size_y)
 
     def around(self, place: Vec2) -> list[tuple[Tensor, Tensor]]:
         """The pixels in which points of the film count, and how much: the filter over its integral where there are samples.
 
         Args:
-            place: (N,) points, pixels from the upper left corner of the crop window; float64.
+            place: (N,) points, pixels from the upper left corner of the window; float64.
 
         Returns:
             For each pixel around them its row-major number in the window, (N,) int32, and what a point counts there, (N,)
             float64, 0 where it does not.
         """
-        columns = counted(self.kernel, self.inside_x, self.columns, self.border, place.x)
-        rows = counted(self.kernel, self.inside_y, self.rows, self.border, place.y)
+        columns = counted(self.kernel, self.inside_x, self.columns, self.before.x, self.after.x, place.x)
+        rows = counted(self.kernel, self.inside_y, self.rows, self.before.y, self.after.y, place.y)
         return [(row * self.columns + column, down * across) for row, down in rows for column, across in columns]
 
 
-def counted(kernel: Kernel, inside: Tensor, size: Tensor, border: int, place: Tensor) -> list[tuple[Tensor, Tensor]]:
+def counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after: Tensor,
+            place: Tensor) -> list[tuple[Tensor, Tensor]]:
     """The columns (or rows) of pixels in which points count, (N,) int32, and how much; from the first to the last.
 
     Args:
         kernel: the filter.
         inside: (W,) its integral for each column.
         size: () int32, W.
-        border: pixels around the window in which there are samples.
+        before, after: () int32, columns in front of the window and behind it in which there are samples, too.
         place: (N,) pixels from the border of the window.
     """
     own = torch.floor(place)
-    sampled = (place >= -border) & (place < size + border)
+    sampled = (place + before >= 0) & (place < size + after)
     own = torch.where(sampled, own, 0.0)
     found = []
     for step, value in enumerate(kernel.around(torch.where(sampled, place - own, 0.0))):

@@ -107,8 +107,8 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor, 
 
     Args:
         camera: the sensor.
-        width: () int32, of the pixels that have samples.
-        pixel, sample: (N,) int32, row-major number of the pixel and number of the sample in it.
+        width: () int32, columns of pixels of the film that have samples.
+        pixel, sample: (N,) int32, row-major number of the pixel on the film and number of the sample in it.
         key: of the call.
         cones: whether textures ask for them.
     """

@@ -31,7 +31,7 @@ class Request(NamedTuple):
     width: int  # pixels
     height: int
     spp: int
-    chunk: int  # lanes traced together
+    chunk: int | None  # lanes traced together; None: not known yet
     max_depth: int
     dtype: torch.dtype
     device: torch.device

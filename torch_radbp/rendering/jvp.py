@@ -13,29 +13,34 @@ from torch.func import functional_call
 from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.plugin import finite
 from torch_radbp.public_call import arguments_of, check_arguments, public_call
+from torch_radbp.rendering.radiance import RadianceOf
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import SensorChoice
+from torch_radbp.rendering.shots import WindowChoice
 from torch_radbp.scene import Scene
 
 
 @overload
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
-        aovs: None = None, **settings: Any) -> Tensor: ...
+        aovs: None = None, window: WindowChoice = None, rays: tuple[Tensor, Tensor] | None = None,
+        **settings: Any) -> Tensor: ...
 
 
 @overload
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
-        aovs: Sequence[str], **settings: Any) -> tuple[Tensor, dict[str, Tensor]]: ...
+        aovs: Sequence[str], window: WindowChoice = None, **settings: Any) -> tuple[Tensor, dict[str, Tensor]]: ...
 
 
 @overload
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
-        aovs: Sequence[str] | None, **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]: ...
+        aovs: Sequence[str] | None, window: WindowChoice = None,
+        **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]: ...
 
 
 @public_call
 def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
-        aovs: Sequence[str] | None = None, **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+        aovs: Sequence[str] | None = None, window: WindowChoice = None, rays: tuple[Tensor, Tensor] | None = None,
+        **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """The derivative of the image along `tangents`, a direction in the space of parameters; by forward mode.
 
     It gives the derivative of every pixel along one direction, for about the cost of two renderings; the backward pass gives
@@ -52,11 +57,14 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
         seed: of the random numbers, as in `Renderer`.
         sensors: index or name of the sensor to render, or several of them; None: all.
         aovs: names of quantities whose derivatives to return beside that of the image; see `Renderer.aovs`.
+        window: the part of the image to render; see `Renderer.forward`.
+        rays: origins and directions, (N, 3) each, to take the derivative of `Renderer.radiance` along them, in the place of
+            images; then `sensors`, `aovs` and `window` must be left out.
         **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` has no effect here.
 
     Returns:
         (B, 3, H, W), detached, linear RGB per unit of `tangents`; if `aovs` are asked for, that and the derivatives of these
-        quantities by name.
+        quantities by name. Along rays (N, 3).
 
     Raises:
         AttributeError: if the scene has no such parameter; the message lists the nearest names.
@@ -68,9 +76,15 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
     check_arguments(jvp, settings, arguments_of(jvp, Renderer.__init__))
     renderer = Renderer(scene, **settings)
     tangents = checked_tangents(scene, tangents)
+    of_images = {"sensors": sensors, "aovs": aovs, "window": window}
+    if rays is not None:
+        if any(value is not None for value in of_images.values()):
+            raise ValueError(f"along rays there are no sensors, windows and aovs, got {of_images}: leave them out")
+        return with_tangents(renderer, tangents, {"origins": rays[0], "directions": rays[1], "seed": seed}).tangent
+    found = with_tangents(renderer, tangents, {"seed": seed, **of_images})
     if aovs is None:
-        return rendering_with_tangent(renderer, tangents, seed, sensors).tangent
-    image, quantities = with_tangents(renderer, tangents, {"seed": seed, "sensors": sensors, "aovs": aovs})
+        return found.tangent
+    image, quantities = found
     return image.tangent, {name: quantity.tangent for name, quantity in quantities.items()}
 
 
@@ -103,13 +117,15 @@ def rendering_with_tangent(renderer: Renderer, tangents: Mapping[str, Tensor], s
 
 
 def with_tangents(renderer: Renderer, tangents: Mapping[str, Tensor], arguments: dict):
-    """What `renderer(**arguments)` returns, each image with its derivative along `tangents`."""
+    """What `renderer(**arguments)` returns, each image with its derivative along `tangents`; or, given rays, `radiance`."""
+    module, scene = (RadianceOf(renderer), "renderer.scene") if "origins" in arguments else (renderer, "scene")
+
     def unpacked(image: Tensor) -> DualImage:
         image, tangent = forward_ad.unpack_dual(image)
         return DualImage(image.detach(), torch.zeros_like(image) if tangent is None else tangent.detach())
 
     with torch.no_grad(), forward_ad.dual_level():
-        parameters = {f"scene.{name}": parameter.detach() for name, parameter in renderer.scene.named_parameters()}
+        parameters = {f"{scene}.{name}": parameter.detach() for name, parameter in renderer.scene.named_parameters()}
         for name, tangent in tangents.items():
-            parameters[f"scene.{name}"] = forward_ad.make_dual(parameters[f"scene.{name}"], tangent)
-        return tree_map(unpacked, functional_call(renderer, parameters, kwargs=arguments))
+            parameters[f"{scene}.{name}"] = forward_ad.make_dual(parameters[f"{scene}.{name}"], tangent)
+        return tree_map(unpacked, functional_call(module, parameters, kwargs=arguments))

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.warning import level_of_the_caller
+
 
 class RepeatedNoiseWarning(UserWarning):
     """Steps of an optimisation are rendered with one seed, so that it fits their noise."""
@@ -27,5 +29,5 @@ class NoiseWatch:
         if any(self.versions.get(name, version) != version for name, version in versions.items()):
             warnings.warn("the renderer was called without a seed again after its parameters had changed: each step of such "
                           "a loop has the same noise, which its result is then fitted to; give each its own, as in "
-                          "renderer(seed=step)", RepeatedNoiseWarning, stacklevel=6)
+                          "renderer(seed=step)", RepeatedNoiseWarning, stacklevel=level_of_the_caller())
         self.versions = versions

@@ -10,38 +10,41 @@ from torch import Tensor
 from torch_radbp.public_call import arguments_of, check_arguments, public_call
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import SensorChoice
+from torch_radbp.rendering.shots import WindowChoice
 from torch_radbp.scene import Scene
 
 
 @overload
 def render(scene: Scene, *, seed: int | None = None, sensors: SensorChoice = None, seed_grad: int | None = None,
-           aovs: None = None, **settings: Any) -> Tensor: ...
+           aovs: None = None, window: WindowChoice = None, **settings: Any) -> Tensor: ...
 
 
 @overload
 def render(scene: Scene, *, seed: int | None = None, sensors: SensorChoice = None, seed_grad: int | None = None,
-           aovs: Sequence[str], **settings: Any) -> tuple[Tensor, dict[str, Tensor]]: ...
+           aovs: Sequence[str], window: WindowChoice = None, **settings: Any) -> tuple[Tensor, dict[str, Tensor]]: ...
 
 
 @overload
 def render(scene: Scene, *, seed: int | None = None, sensors: SensorChoice = None, seed_grad: int | None = None,
-           aovs: Sequence[str] | None, **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]: ...
+           aovs: Sequence[str] | None, window: WindowChoice = None,
+           **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]: ...
 
 
 @public_call
 def render(scene: Scene, *, seed: int | None = None, sensors: SensorChoice = None, seed_grad: int | None = None,
-           aovs: Sequence[str] | None = None, **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
-    """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs)`: see `Renderer`.
+           aovs: Sequence[str] | None = None, window: WindowChoice = None,
+           **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+    """`Renderer(scene, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs, window=window)`: see `Renderer`.
 
     A loop is faster with one renderer: it keeps what has not changed since its last call.
 
     Args:
         scene: what is rendered; attached to its parameters.
-        seed, sensors, seed_grad, aovs: of the call, as in `Renderer.forward`.
+        seed, sensors, seed_grad, aovs, window: of the call, as in `Renderer.forward`.
         **settings: of the renderer: `spp`, `max_depth`, `adjoint`, `sampling`, ...
 
     Returns:
         (B, 3, H, W) linear RGB radiance; if `aovs` are asked for, that and the images of these quantities by name.
     """
     check_arguments(render, settings, arguments_of(render, Renderer.__init__))
-    return Renderer(scene, **settings)(seed=seed, sensors=sensors, seed_grad=seed_grad, aovs=aovs)
+    return Renderer(scene, **settings)(seed=seed, sensors=sensors, seed_grad=seed_grad, aovs=aovs, window=window)

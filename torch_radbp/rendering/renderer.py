@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from math import inf
+from types import MappingProxyType
 from typing import TYPE_CHECKING, overload
 
 import torch
@@ -11,34 +12,29 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint
-from torch_radbp.adjoint.forward_mode import has_tangents, inside_transforms, outside_transforms
-from torch_radbp.adjoint.images import render_detached
+from torch_radbp.adjoint.forward_mode import inside_transforms, outside_transforms
+from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.aov.images import aov_jumps, beside_image, render_aovs
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
-from torch_radbp.boundary import CameraSight, EdgesOfCall, JumpWatch, Rendering, edges_of_call
-from torch_radbp.differentiated import any_differentiated, detached, differentiable, primal, with_derivative_of
+from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, rendering_of
+from torch_radbp.differentiated import detached, primal
 from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.state import Settings
 from torch_radbp.public_call import public_call
-from torch_radbp.raycast import RayCaster, make_caster
-from torch_radbp.raycast.caster_cache import CachedCaster, CastTriangles
-from torch_radbp.rendering.call.chunks import fair_chunk, plan_chunks
+from torch_radbp.raycast import RayCaster
+from torch_radbp.raycast.caster_cache import CastTriangles
+from torch_radbp.raycast.kept_caster import KeptCaster
+from torch_radbp.rendering.call.chunks import plan_chunks
 from torch_radbp.rendering.call.render_call import RenderCall
-from torch_radbp.rendering.call.view import view_of
+from torch_radbp.rendering.call.view import OF_NO_SENSOR, Shot, view_of
 from torch_radbp.rendering.call.zeroed_memory import ZeroedMemory
-from torch_radbp.rendering.cost import (
-    Request,
-    bytes_of_records,
-    check_cost,
-    lanes_of_chunks,
-    recorded_lanes,
-    traced_together,
-)
+from torch_radbp.rendering.cost import Request, bytes_of_records
+from torch_radbp.rendering.lanes import plan_lanes
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
+from torch_radbp.rendering.radiance import radiance_outside
 from torch_radbp.rendering.settings import (
     INTERIOR,
     PRIMARY,
@@ -48,10 +44,11 @@ from torch_radbp.rendering.settings import (
     check_settings,
     checked_scene,
     checked_seeds,
+    refuse_tracing,
     samples_per_pixel,
-    sensor_indices,
-    size_of_films,
+    settings_of_integrand,
 )
+from torch_radbp.rendering.shots import WindowChoice, shots_of
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.scene import Scene
 from torch_radbp.scene.module_attributes import parameters_in
@@ -59,6 +56,7 @@ from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
+from torch_radbp.sensor.rays import given_rays
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 
@@ -92,9 +90,8 @@ class Renderer(nn.Module):
             their bounds; what surrounds the scene, comes from far away or is a beam stands beside it. None: "tree" in scenes
             of many emitters, where it is less noisy on diffuse surfaces; on glossy ones compare it with "uniform".
         terms: of derivatives, which to compute: "interior", of radiance where the image is continuous; "primary", of the
-            curves at which the image jumps: silhouettes, creases where surfaces meet that are shaded differently, rims
-            where shading normals turn away from the camera, and cuts by its near and far plane; and "shadow", of the borders
-            of shadows, direct and indirect, sharp and soft.
+            curves at which it jumps: silhouettes, creases, rims of smooth shading, lines of textures, surfaces that cross;
+            and "shadow", of the borders of shadows, direct and indirect, sharp and soft.
         share_samples: differentiate the very samples of the image, which saves a pass over the scene. By default the
             derivative has samples of its own, since the noise that image and derivative share biases the gradient of every
             loss that is not linear in the image. It does not where two independent images take each other's part:
@@ -134,7 +131,7 @@ class Renderer(nn.Module):
         self.light_choice, self.terms, self.share_samples = light_choice, terms, share_samples
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
-        self.known_caster: CachedCaster | None = None
+        self.casters = KeptCaster()
         self.cache, self.cache_for_aovs = PackCache(), PackCache()
         self.jump_watch = JumpWatch()
         self.planner, self.noise_watch, self.memory = MemoryPlanner(), NoiseWatch(), ZeroedMemory()
@@ -159,21 +156,17 @@ class Renderer(nn.Module):
     if TYPE_CHECKING:  # what nn.Module leaves open
         @overload
         def __call__(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
-                     seed_grad: int | None = None, aovs: None = None) -> Tensor: ...
+                     seed_grad: int | None = None, aovs: None = None, window: WindowChoice = None) -> Tensor: ...
 
         @overload
         def __call__(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
-                     seed_grad: int | None = None, *, aovs: Sequence[str]) -> tuple[Tensor, dict[str, Tensor]]: ...
-
-        @overload
-        def __call__(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
-                     seed_grad: int | None = None,
-                     aovs: Sequence[str] | None = None) -> Tensor | tuple[Tensor, dict[str, Tensor]]: ...
+                     seed_grad: int | None = None, *, aovs: Sequence[str],
+                     window: WindowChoice = None) -> tuple[Tensor, dict[str, Tensor]]: ...
 
     @public_call
     def forward(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
-                seed_grad: int | None = None,
-                aovs: Sequence[str] | None = None) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+                seed_grad: int | None = None, aovs: Sequence[str] | None = None,
+                window: WindowChoice = None) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
         """Renders the scene.
 
         Args:
@@ -184,49 +177,88 @@ class Renderer(nn.Module):
             seed_grad: of the samples of the derivative, backward or forward. None: one that follows from `seed`, or `seed`
                 itself with `share_samples`; the same as `seed` shares samples in this call.
             aovs: names of quantities to return beside the image; see `aovs`.
+            window: (x, y, width, height), pixels of the image that a call without it returns: only this part is rendered.
+                Or a list of one for each sensor of the call, all of one size; to see several parts of one sensor's image,
+                name it as often. Pixels keep their samples, and those beside the window that count there are traced, too:
+                it is what one cuts out of the whole image, bit for bit if compiled, and so are derivatives inside of edges,
+                up to the order of sums. Edges and shadows have other samples, in proportion to the window; those of shadows
+                lie anywhere, so that their derivatives are noisier than in the whole image.
 
         Returns:
             (B, 3, H, W) linear RGB radiance, row 0 at the top, one image per sensor; if `aovs` are asked for, that and what
             the method `aovs` returns.
 
         Raises:
-            ValueError: for a sensor that does not exist, or sensors of different size or sample count; for a parameter that
-                is not in its domain; for more paths than can be traced, or more memory than there is.
+            ValueError: for a sensor that does not exist, or sensors of different size or sample count; for a window that is
+                not inside of the image; for a parameter that is not in its domain; for more paths than can be traced, or
+                more memory than there is.
             NonFiniteError: if the image, or in the backward pass a gradient, is NaN or infinite; a FloatingPointError that
                 says of which parameter, at which bounce, on which material and on how many paths.
         """
         if inside_transforms():
-            arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad, "aovs": aovs}
+            arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad, "aovs": aovs,
+                         "window": window}
             return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                       dict(self.named_parameters()))
         outputs = None if aovs is None else self.outputs(aovs)
-        call = self.prepare(seed, sensors, spp, seed_grad, aovs=aovs is not None)
+        call = self.prepare(seed, sensors, spp, seed_grad, aovs is not None, window)
         if seed is None:
             self.noise_watch.look(call.parameters)
-        edges = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
-        images = self.images(call)
+        images = rendered(call)
         channels = None if outputs is None else images[:, 3:].detach()
         images = images if outputs is None else images[:, :3].clone(memory_format=torch.contiguous_format)
-        images = images if INTERIOR in self.terms else primal(images)
-        images = edges.added_to(images, call)
+        images = self.with_terms(images, edges, call)
         return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
 
-    def images(self, call: RenderCall) -> Tensor:
-        """The images with the derivatives of what is seen inside of their edges, and with the quantities of the call."""
-        record = call.scene, [view.camera for view in call.views]
-        forward_mode = has_tangents(record)
-        if not forward_mode and not (torch.is_grad_enabled() and differentiable(record)):
-            return render_detached(call)
-        if not forward_mode:
-            return call.adjoint.image(call)
-        attached = call.adjoint.dual_image(call.of_derivative())
-        return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)
+    def with_terms(self, images: Tensor, edges: EdgesOfCall, call: RenderCall) -> Tensor:
+        """The images with those terms of derivatives that are asked for."""
+        return edges.added_to(images if INTERIOR in self.terms else primal(images), call)
+
+    @public_call
+    def radiance(self, origins: Tensor, directions: Tensor, seed: int | None = None, spp: int | None = None,
+                 seed_grad: int | None = None) -> Tensor:
+        """The radiance that arrives along rays: for probes, panoramas, cameras of one's own, irradiance on surfaces.
+
+        Each ray is a pixel of its own, without a filter; all else is as for images. Rays begin at their origins: one that
+        leaves a surface must begin a little off it, as by 1e-4 of the scene's size, or it may meet that surface.
+
+        Derivatives, backward and forward, reach origins, directions and the parameters of the scene: those of radiance along
+        each ray, with soft shadows and indirect light. Left out are its jumps where an edge, or the border of a sharp shadow
+        on the surface that it meets first, passes a ray, which has no area: means over rays lack what these contribute. A
+        `SilhouetteWarning` says so if such move among the rays.
+
+        Args:
+            origins: (N, 3) world, attached.
+            directions: (N, 3) world, of any length, attached across it.
+            seed, seed_grad: as for a rendering.
+            spp: paths along each ray; None: as the renderer, or what the samplers of all sensors of the scene say. Their
+                samples are of low discrepancy.
+
+        Returns:
+            (N, 3) linear RGB radiance.
+
+        Raises:
+            TypeError: for rays that are no floating-point tensors.
+            ValueError: for rays of another shape, none at all, numbers that are not finite, directions of length zero; and
+                as a rendering.
+            NonFiniteError: as a rendering.
+        """
+        if inside_transforms():
+            return radiance_outside(self, {"origins": origins, "directions": directions}, seed, spp, seed_grad)
+        rays = given_rays(origins, directions, self.scene.dtype, self.scene.device)
+        call = self.prepared([Shot(rays, OF_NO_SENSOR, rays.film.window())], seed, self.spp if spp is None else spp,
+                             seed_grad, beside={"origins": origins, "directions": directions})
+        if seed is None:
+            self.noise_watch.look(call.parameters)
+        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        return self.with_terms(rendered(call), edges, call)[0, :, :, 0].t().clone(memory_format=torch.contiguous_format)
 
     @public_call
     def aovs(self, names: Sequence[str] | None = None, seed: int | None = None, sensors: SensorChoice = None,
-             spp: int | None = None, seed_grad: int | None = None) -> dict[str, Tensor]:
+             spp: int | None = None, seed_grad: int | None = None, window: WindowChoice = None) -> dict[str, Tensor]:
         """Arbitrary output variables: images of what the camera sees first, by the very camera rays of the image.
 
         Samples are weighted by the film's filter as those of the image are; where nothing is seen, all quantities are 0.
@@ -248,7 +280,7 @@ class Renderer(nn.Module):
 
         Args:
             names: of quantities; None: what the integrator element lists (`aov`, `moment`).
-            seed, sensors, spp, seed_grad: as for a rendering; the derivative has samples of its own here, too.
+            seed, sensors, spp, seed_grad, window: as for a rendering; the derivative has samples of its own here, too.
 
         Returns:
             By name (B, C, H, W), row 0 at the top.
@@ -257,8 +289,8 @@ class Renderer(nn.Module):
             ValueError: for a quantity that is not known, or if none is named.
         """
         outputs = self.outputs(names)
-        call = self.prepare(seed, sensors, spp, seed_grad, aovs=True)
-        edges = self.look(call, sensors, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        call = self.prepare(seed, sensors, spp, seed_grad, aovs=True, window=window)
+        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
         return self.quantities(call, edges, outputs)
 
     def outputs(self, names: Sequence[str] | None) -> dict[str, str]:
@@ -280,64 +312,50 @@ class Renderer(nn.Module):
             images |= {name: images[name] + jump for name, jump in aov_jumps(call, edges.in_view, quantities).items()}
         return {output: images[quantity] for output, quantity in outputs.items()}
 
-    def look(self, call: RenderCall, sensors: SensorChoice, seed: int) -> EdgesOfCall:
+    def look(self, call: RenderCall, seed: int) -> EdgesOfCall:
         """The edges at which the images of a call jump. Warns of what derivatives and the image lack."""
-        seen = [self.scene.sensors[index] for index in sensor_indices(self.scene, sensors)]
-        sights = [CameraSight(detached(view.camera), view.width, view.height) for view in call.views]
-        instances = call.scene.triangles.instances
-        rendering = Rendering(self.scene, seen, sights, call.caster, self.sampling, PackCache(self.cache),
-                              None if instances is None else instances.casting, PRIMARY in self.terms,
-                              SHADOW in self.terms, self.depth_limit, call.scene)
+        rendering = rendering_of(call, self.scene, self.sampling, PackCache(self.cache), PRIMARY in self.terms,
+                                 SHADOW in self.terms, self.depth_limit)
         self.jump_watch.look(rendering)
         return edges_of_call(rendering, self.scene, call, seed)
 
     def prepare(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
-                aovs: bool = False) -> RenderCall:
-        """The scene packed, rays ready to be cast, chunks planned; with what `aovs` may be about if asked for."""
+                aovs: bool = False, window: WindowChoice = None) -> RenderCall:
+        """The call that renders some sensors; with what `aovs` may be about if asked for."""
+        return self.prepared(shots_of(self.scene, sensors, window), seed, spp, seed_grad, aovs)
+
+    def prepared(self, shots: list[Shot], seed: int | None, spp: int | None, seed_grad: int | None,
+                 aovs: bool = False, beside: Mapping[str, Tensor] = MappingProxyType({})) -> RenderCall:
+        """The scene packed, rays ready to be cast, chunks planned; with what `aovs` may be about if asked for. `beside`: by
+        name, what the shots depend on beside the scene."""
         check_settings(self)  # they may have been assigned since
-        if torch.jit.is_tracing():
-            raise RuntimeError("a rendering cannot be traced by torch.jit.trace, since its operations depend on the paths: "
-                               "trace the networks around it, or call the renderer as it is")
+        refuse_tracing()
         check_names(self)
-        named, indices = self.scene.named_sensors, sensor_indices(self.scene, sensors)
-        names, available = list(named), list(named.values())
-        seen = [available[index] for index in indices]
-        own = parameters_in(self.scene, without=set(available).difference(seen))
+        named, seen = self.scene.named_sensors, [shot.sensor for shot in shots]
+        own = parameters_in(self.scene, without=set(named.values()).difference(seen))
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
-        width, height = size_of_films(seen)
-        grids = [sensor.film.sampled() for sensor in seen]
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
         max_depth = self.depth_limit
         fused = self.runs_compiled()
-        parameters = {name: value for name, value in own if value.requires_grad}
+        parameters = {name: value for name, value in (*own, *beside.items()) if value.requires_grad}
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
-        about = lanes_of_chunks(device, self.scene.dtype, workers, fused)
-        if differentiating and device.type == "cpu":
-            about = min(about, recorded_lanes(self.adjoint, max_depth, self.rr_depth, self.scene.dtype))
-        lanes = self.chunk or fair_chunk(grids, spp, workers, about)
-        paths = spp * sum(columns * rows for columns, rows in grids)
-        # Eager operations round the last lanes of a wavefront otherwise: an image would depend on what is differentiated.
-        together = fused and bool(differentiating) and seeds[0] != seeds[1] and 2 * paths <= (self.chunk or inf) and (
-            traced_together(self.adjoint, paths, max_depth, self.rr_depth, self.scene.dtype))
-        check_cost(Request(len(indices), width, height, spp, lanes, max_depth, self.scene.dtype, device, workers,
-                           self.adjoint if differentiating else None, record_bytes, fused))
+        windows = [shot.window for shot in shots]
+        grids, lanes, together = plan_lanes(windows, self.rr_depth, Request(
+            len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, max_depth, self.scene.dtype, device,
+            workers, self.adjoint if differentiating else None, record_bytes, fused))
         cache = PackCache(self.cache_for_aovs if aovs else self.cache)
-        scene = pack(self.scene, cache, self.light_choice, aovs, [names[index] for index in indices])
+        scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
         caster = self.caster_of(scene)
-        views = [view_of(sensor, index, seeds, scene, cache) for index, sensor in zip(indices, seen)]
+        views = [view_of(shot, seeds, scene, cache) for shot in shots]
         if aovs:
             self.cache_for_aovs = cache.close()
         else:
             self.cache = cache.close()
-        moving = self.sampling == "attached" or any_differentiated((scene.triangles, [view.camera for view in views])) or (
-            self.sampling == "hybrid" and scene.layout.bending)
-        following = moving and self.sampling == "hybrid" and any(look.kind.follows for look in scene.layout.appearances)
         stages = compiled() if fused else EAGER
-        settings = Settings(nee=self.nee, hide_emitters=self.hide_emitters, moving=moving,
-                            sampling=self.sampling if moving else "detached", following=following)
+        settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return Integrand(tensors, proposal_of(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
@@ -345,8 +363,8 @@ class Renderer(nn.Module):
         chunks = plan_chunks(grids, spp, lanes, workers)
         integrand = make_integrand(detached(scene))
         call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views, chunks, spp,
-                          seeds[0] == seeds[1], record_bytes, together, workers, self.memory, following, self.scene,
-                          parameters)
+                          seeds[0] == seeds[1], record_bytes, together, workers, self.memory, settings.following,
+                          self.scene, parameters)
         if self.memory_budget is None:
             return call
         plan = self.plan(call)
@@ -363,33 +381,21 @@ class Renderer(nn.Module):
         return self.compile_stages and self.scene.device.type in COMPILED and not self.adjoint.taped
 
     @public_call
-    def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None) -> MemoryPlan:
+    def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None, window: WindowChoice = None) -> MemoryPlan:
         """Chunk and strategy that a call would use, and the bytes that it is predicted to need with its backward pass."""
-        return self.plan(self.prepare(0, sensors, spp, None))
+        return self.plan(self.prepare(0, sensors, spp, None, window=window))
 
     def plan(self, call: RenderCall) -> MemoryPlan:
         """The chunk and the strategy of a call, with its predicted memory; within the budget, if there is one."""
         return self.planner.plan(call, self.memory_budget, self.adjoint_is_chosen, self.terms)
 
     def caster_of(self, scene: SceneTensors) -> RayCaster:
-        """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one.
-
-        Each call keeps its own, and so does the graph behind its image: neither geometry that moves later nor another
-        thread changes what they see.
-        """
+        """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one."""
         triangles = scene.triangles
-        instances = None if triangles.instances is None else triangles.instances.casting
-        mesh = CastTriangles(triangles.vertices.p.map(primal), triangles.corners, triangles.balls, instances)
-        known = self.known_caster
-        if known is None or not known.mesh.equals(mesh):
-            # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
-            last = None if known is None or instances is None else known.caster
-            known = self.known_caster = None
-            known = CachedCaster(make_caster(self.caster_name, *mesh.stacked(), last), mesh)
-        self.known_caster = known._replace(mesh=mesh)  # the next call may bring the very same tensors again
-        return known.caster
+        return self.casters.of(CastTriangles(triangles.vertices.p.map(primal), triangles.corners, triangles.balls,
+                                             triangles.casting_instances), self.caster_name)
 
     @property
     def last_caster(self) -> RayCaster | None:
         """The ray caster of the last call."""
-        return None if self.known_caster is None else self.known_caster.caster
+        return None if self.casters.known is None else self.casters.known.caster

@@ -5,15 +5,20 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
+import torch
 from torch import nn
 
 import torch_radbp.adjoint as adjoint
 from torch_radbp.adjoint.strategy import AdjointStrategy
+from torch_radbp.differentiated import any_differentiated
 from torch_radbp.integrator.settings import depths
+from torch_radbp.path.state import Settings
 from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
 from torch_radbp.rendering.memory import parse_budget
 from torch_radbp.scene import Scene
 from torch_radbp.scene.light_choice import CHOICES
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.kind import Camera
 
 SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
 
@@ -66,6 +71,23 @@ def check_settings(renderer: nn.Module) -> None:
         raise ValueError(f"sampling={renderer.sampling!r} is not known; {nearest(str(renderer.sampling), SAMPLINGS)}")
 
 
+def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Sequence[Camera]) -> Settings:
+    """What the integrand of a call is compiled for: whether rays carry derivatives in it, and which."""
+    sampling = renderer.sampling
+    moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
+        sampling == "hybrid" and scene.layout.bending)
+    following = moving and sampling == "hybrid" and any(look.kind.follows for look in scene.layout.appearances)
+    return Settings(nee=renderer.nee, hide_emitters=renderer.hide_emitters, moving=moving,
+                    sampling=sampling if moving else "detached", following=following)
+
+
+def refuse_tracing() -> None:
+    """Raises RuntimeError inside of `torch.jit.trace`."""
+    if torch.jit.is_tracing():
+        raise RuntimeError("a rendering cannot be traced by torch.jit.trace, since its operations depend on the paths: "
+                           "trace the networks around it, or call the renderer as it is")
+
+
 def samples_per_pixel(spp: int | None, sensors: Sequence[Sensor]) -> int:
     """`spp`, or what the samplers of the sensors say.
 
@@ -79,19 +101,6 @@ def samples_per_pixel(spp: int | None, sensors: Sequence[Sensor]) -> int:
         raise ValueError(f"the sensors of one call must have samplers of one sample_count, got {sorted(counts)}; give "
                          f"spp, or render them in separate calls")
     return counts.pop()
-
-
-def size_of_films(sensors: Sequence[Sensor]) -> tuple[int, int]:
-    """Width and height of the crop windows of the sensors' films.
-
-    Raises:
-        ValueError: if they differ.
-    """
-    sizes = {(sensor.film.crop_width, sensor.film.crop_height) for sensor in sensors}
-    if len(sizes) > 1:
-        raise ValueError(f"the sensors of one call must have films of one size, got {sorted(sizes)}; "
-                         f"render them in separate calls")
-    return sizes.pop()
 
 
 def checked_seed(name: str, value: int) -> int:

@@ -41,12 +41,16 @@ class Cone(NamedTuple):
 
 
 def camera_cone(camera: Camera, ray: Ray, position: Vec2, aperture: Vec2 | None) -> Cone:
-    """Cones as wide as a pixel: the distances to the rays one pixel to the right and one below.
+    """Cones as wide as a pixel: the distances to the rays one pixel to the right and one below; or without width and spread
+    where pixels have no area.
 
     Args:
         camera: of the rays.
         ray, position, aperture: of `CameraKind.sample_ray`.
     """
+    if not camera.kind.has_area:
+        nothing = torch.zeros_like(ray.d.x)
+        return Cone(nothing, nothing)
     film = camera.film
     places = Vec2(position.x + 1.0 / film.size_x, position.y), Vec2(position.x, position.y + 1.0 / film.size_y)
     beside = [camera.kind.sample_ray(camera.lens, place, aperture)[0] for place in places]

@@ -15,6 +15,7 @@ from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.light_choice import TreeChoice
 from torch_radbp.scene.placement import InstanceTable
 from torch_radbp.shape.ball import Balls
+from torch_radbp.shape.placement import Instances
 from torch_radbp.texture.reader import OutsideReader, Reader, TableReader
 from torch_radbp.vec import Vec2, Vec3
 
@@ -100,6 +101,11 @@ class TriangleTable(NamedTuple):
     attributes: tuple[Vec3, ...]  # (T,) each, as those of vertices; attached
     numbers: tuple[Tensor, Tensor] | None = None  # (T,) int32: of the triangle in its shape, of the shape from 1; for AOVs
     instances: InstanceTable | None = None  # of groups; None: there are none
+
+    @property
+    def casting_instances(self) -> Instances | None:
+        """Those instances as ray casters know them."""
+        return None if self.instances is None else self.instances.casting
 
 
 class MaterialTable(NamedTuple):

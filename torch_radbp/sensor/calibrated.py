@@ -13,7 +13,7 @@ from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Plugin, Sampler, nearest, positive, register
 from torch_radbp.sensor.distortion import BrownConrady, Distortion, KannalaBrandt
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera, number
+from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, number
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
@@ -54,7 +54,7 @@ class CalibratedLens(NamedTuple):
 
 
 @dataclass(frozen=True)
-class CalibratedKind(CameraKind):
+class CalibratedKind(ProjectiveKind):
     """Rays meet in a point, in directions that the distortion decides."""
 
     fisheye: bool

@@ -31,6 +31,12 @@ class CameraKind(ABC):
     """The functions of one kind of camera."""
 
     has_aperture: ClassVar[bool] = False  # rays of one position on the image differ
+    has_area: ClassVar[bool] = True  # pixels see all that lies between their rays; False: each has one ray, and no more
+
+    def sample_pixel(self, lens: Lens, film: FilmTensors, column: Tensor, row: Tensor, place: Vec2,
+                     aperture: Vec2 | None) -> tuple[Ray, Tensor | None]:
+        """Rays through points of pixels; args and result as of `Camera.sample_ray`."""
+        return self.sample_ray(lens, film.position(column, row, place), aperture)
 
     @abstractmethod
     def sample_ray(self, lens: Lens, position: Vec2, aperture: Vec2 | None) -> tuple[Ray, Tensor | None]:
@@ -46,6 +52,31 @@ class CameraKind(ABC):
         """
 
     @abstractmethod
+    def beyond_far_plane(self, lens: Lens, p: Vec3) -> Tensor:
+        """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
+
+    def lookouts(self, lens: Lens) -> list[Lens]:
+        """Lenses of which each looks from one eye, and all see together what this one does; detached, as `lens` is."""
+        return [lens]
+
+    @abstractmethod
+    def eye(self, lens: Lens) -> Tensor:
+        """(4,) homogeneous: the point where all rays meet, or with 0 at the end the direction towards it; detached."""
+
+    @abstractmethod
+    def crosses_view(self, lens: Lens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
+        """True if part of a segment from `a` to `b`, (E,) world points, is in view; (E,) bool.
+
+        Args:
+            lens: of the camera, detached.
+            x, y: (2,) the left and the right, the upper and the lower border of the view, positions on the image; float64.
+        """
+
+
+class ProjectiveKind(CameraKind):
+    """The functions of a camera that projects the world onto an image, whose pixels have an area."""
+
+    @abstractmethod
     def project(self, lens: Lens, p: Vec3, aperture: Vec2 | None) -> Vec2:
         """Where on the image world points are seen, the reverse of `sample_ray`: fractions of its size, attached to both.
 
@@ -53,10 +84,6 @@ class CameraKind(ABC):
             p: (N,) in front of the camera; they may lie outside of the view.
             aperture: as of `sample_ray`.
         """
-
-    @abstractmethod
-    def beyond_far_plane(self, lens: Lens, p: Vec3) -> Tensor:
-        """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
 
     @abstractmethod
     def beyond_planes(self, lens: Lens, p: Vec3) -> tuple[Tensor, Tensor]:
@@ -73,10 +100,6 @@ class CameraKind(ABC):
             aperture: as of `sample_ray`.
         """
 
-    @abstractmethod
-    def eye(self, lens: Lens) -> Tensor:
-        """(4,) homogeneous: the point where all rays meet, or with 0 at the end the direction towards it; detached."""
-
     def aperture_radius(self, lens: Lens) -> Tensor | None:
         """() how far from the eye rays start, detached; None: all meet there."""
         return None
@@ -86,16 +109,10 @@ class CameraKind(ABC):
         """What contains all that is in view.
 
         Args:
-            lens: of the camera, detached.
-            x, y: (2,) the left and the right, the upper and the lower border of the view, positions on the image; float64.
+            lens, x, y: as for `crosses_view`.
         """
 
     def crosses_view(self, lens: Lens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
-        """True if part of a segment from `a` to `b`, (E,) world points, is in view; (E,) bool.
-
-        Args:
-            lens, x, y: as for `frustum`.
-        """
         enters, leaves = self.frustum(lens, x, y).clipped(a, b)
         return enters < leaves
 
@@ -123,7 +140,7 @@ class Camera(NamedTuple):
         Returns:
             The rays, attached to the lens; and their weights, (N,) detached, or None if all are 1.
         """
-        return self.kind.sample_ray(self.lens, self.film.position(column, row, place), aperture)
+        return self.kind.sample_pixel(self.lens, self.film, column, row, place, aperture)
 
     def beyond_far_plane(self, p: Vec3) -> Tensor:
         """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
@@ -175,7 +192,7 @@ class ProjectiveCamera(Sensor):
         """Width / height of the whole image."""
         return self.film.width / self.film.height
 
-    def kind(self) -> CameraKind:
+    def kind(self) -> ProjectiveKind:
         """The functions."""
         raise TypeError(f"{type(self).__name__} does not define its kind")
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.plugin import Film, Matrix4, Sampler, register
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera
+from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind
 from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 
@@ -27,7 +27,7 @@ class OrthographicLens(NamedTuple):
 
 
 @dataclass(frozen=True)
-class OrthographicKind(CameraKind):
+class OrthographicKind(ProjectiveKind):
     """Rays are parallel, and start on a rectangle."""
 
     def sample_ray(self, lens: OrthographicLens, position: Vec2, aperture: None) -> tuple[Ray, None]:

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import CameraKind, ProjectiveCamera, number
+from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, number
 from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 FIELD_OF_VIEW = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, high_is_in=False, unit=" degrees")
@@ -43,7 +43,7 @@ class PinholeLens(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PinholeKind(CameraKind):
+class PinholeKind(ProjectiveKind):
     """Rays meet in a point."""
 
     def sample_ray(self, lens: PinholeLens, position: Vec2, aperture: None) -> tuple[Ray, None]:

@@ -12,7 +12,7 @@ from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Sampler, positive, register
 from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import CameraKind, number
+from torch_radbp.sensor.kind import ProjectiveKind, number
 from torch_radbp.sensor.perspective import FieldOfViewCamera, PinholeKind, PinholeLens
 from torch_radbp.vec import Ray, Vec2, Vec3, dot, normalize
 
@@ -32,7 +32,7 @@ class ThinLensLens(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ThinLensKind(CameraKind):
+class ThinLensKind(ProjectiveKind):
     """Rays of one position on the image start all over a lens and meet in the plane that is in focus."""
 
     has_aperture: ClassVar[bool] = True

@@ -60,11 +60,13 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
         casting: the edges of all that casts shadows.
     """
     settings, max_depth = call.integrand.settings, call.integrand.max_depth
-    glued, (surfaces, around) = settings.sampling != "attached", aimed_at(call)
+    on_film = all(view.camera.kind.has_area for view in call.views)  # along a ray there is no border to be seen
+    glued, (surfaces, around) = settings.sampling != "attached", aimed_at(call) if on_film else (False, False)
+    lights = border.Lights(settings.nee, glued and surfaces, glued and around)
     stages, geometry = call.stages, geometry_of(detached(call.scene))
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
-    parts = [partial(border.jumps_in_view, lights=border.Lights(settings.nee, glued and surfaces, glued and around))]
+    parts = [partial(border.jumps_in_view, lights=lights)] if on_film else []
     if glued and (max_depth > 2 or not (surfaces and around)):
         first = hidden_light.FirstVertex(not surfaces, not around)
         parts.append(partial(hidden_light.jumps_in_view, first=first))

@@ -53,6 +53,7 @@ from torch_radbp.rendering.call.view import View
 from torch_radbp.sampling.sampler import LaneKey, bounce_key, fine_unit, random_bits
 from torch_radbp.scene.cone import camera_cone
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.kind import Camera
 from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
@@ -189,7 +190,7 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting,
     borders, on_border, film, aperture, normal, aside, ahead, key = rows(
         (borders, on_border, film, aperture, normal, aside, ahead, key), counted)
     sample = camera_sample(call, view, film, aperture, key)
-    in_shade = camera_sample(call, view, into_shade(view, film, aside), aperture, key)
+    in_shade = camera_sample(call, view, into_shade(camera, film, aside), aperture, key)
     shown = (sees(integrand, in_shade.ray, borders.receiver, on_border)
              & sees(integrand, sample.ray, borders.receiver, on_border))
     kept = shown.nonzero().squeeze(1)
@@ -212,7 +213,7 @@ def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
 
 
 def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:
-    """The rays through points of the film, pixels from the upper left corner of the crop window."""
+    """The rays through points of the film, pixels from the upper left corner of the window."""
     camera, dtype = view.camera, call.scene.dtype
     position = Vec2(*(((place + crop) / size).to(dtype) for place, crop, size in (
         (film.x, camera.film.crop_x, camera.film.size_x), (film.y, camera.film.crop_y, camera.film.size_y))))
@@ -229,10 +230,11 @@ def seen_at(hit: Hit, ray: Ray, p: Vec3) -> Hit:
     return hit._replace(t=torch.sqrt(dot(reach, reach)).to(ray.o.x.dtype))
 
 
-def into_shade(view: View, film: Vec2, aside: Vec2) -> Vec2:
+def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
     """Points of the film a little beside borders, in the shade."""
     length = torch.hypot(aside.x, aside.y).clamp_min(TINY)
-    reach = 4.0 * APART * float(max(view.width, view.height)) / length
+    # Far enough for the rounding of positions on the film, however small the window.
+    reach = 4.0 * APART * torch.maximum(camera.film.size_x, camera.film.size_y).double() / length
     return Vec2(film.x + aside.x * reach, film.y + aside.y * reach)
 
 

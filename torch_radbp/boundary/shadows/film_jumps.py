@@ -19,7 +19,7 @@ from torch_radbp.vec import Vec2
 class FilmJumps(NamedTuple):
     """K changes, zeros with derivatives."""
 
-    place: Vec2  # (K,) pixels from the upper left corner of the crop window, float64
+    place: Vec2  # (K,) pixels from the upper left corner of the window, float64
     amount: Tensor  # (3, K) attached, for each square pixel
 
 

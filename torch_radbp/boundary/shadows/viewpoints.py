@@ -29,9 +29,9 @@ SALT = 0x5BE0CD19  # tells the random numbers of these paths from others
 class Viewpoints(NamedTuple):
     """M vertices of paths; detached."""
 
-    pixel: Tensor  # (M,) int32 of the grid, which the path began in
+    pixel: Tensor  # (M,) int32, the number of the pixel that the path began in
     sample: Tensor  # (M,) int32
-    place: Vec2  # of the path on the film, pixels from the upper left corner of the crop window; float64
+    place: Vec2  # of the path on the film, pixels from the upper left corner of the window; float64
     depth: Tensor  # (M,) int64, from 0; -1: the path has none
     ray: Ray  # that meets it
     hit: Hit
@@ -47,12 +47,12 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) 
     sample = torch.arange(count, dtype=torch.int32, device=device)
     key = salted(view, SALT)
     jitter = numbers(key, sample, SALT, torch.float64)
-    pixel = ((sample + jitter) * (cells / count)).floor().clamp_max(cells - 1).to(torch.int32)
-    width = torch.full((), grid.columns, dtype=torch.int32, device=device)
-    camera = call.stages.sample_camera(view.camera, width, pixel, sample, key, call.scene.layout.traces_cones)
-    row = torch.div(pixel, grid.columns, rounding_mode="floor")
-    place = Vec2((pixel - row * grid.columns - grid.border) + camera.place.x.double(),
-                 row - grid.border + camera.place.y.double())
+    cell = ((sample + jitter) * (cells / count)).floor().clamp_max(cells - 1).to(torch.int32)
+    row = torch.div(cell, grid.columns, rounding_mode="floor")
+    column, pixel = cell - row * grid.columns, view.window.numbers(cell - row * grid.columns, row)
+    camera = call.stages.sample_camera(view.camera, view.numbered, pixel, sample, key, call.scene.layout.traces_cones)
+    place = Vec2(column - view.window.columns.before + camera.place.x.double(),
+                 row - view.window.rows.before + camera.place.y.double())
     state = started(call, camera)
     zero = torch.zeros_like(state.pdf)
     total, depth = zero.clone(), torch.full((count,), -1, dtype=torch.int64, device=device)
@@ -111,10 +111,9 @@ def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoi
 def arriving(call: RenderCall, number: int, points: Viewpoints) -> Ray:
     """The rays that meet the viewpoints, attached where they are not left to chance."""
     view, cones = call.views[number], call.scene.layout.traces_cones
-    width = torch.full((), view.grid.columns, dtype=torch.int32, device=call.scene.device)
 
     def begun(chosen: Viewpoints) -> CameraSample:
-        return sample_camera(view.camera, width, chosen.pixel, chosen.sample, salted(view, SALT), cones)
+        return sample_camera(view.camera, view.numbered, chosen.pixel, chosen.sample, salted(view, SALT), cones)
 
     first = points.depth == 0
     ray = begun(points).ray

@@ -90,8 +90,10 @@ def described(scene: Scene, plugin: Plugin) -> str:
 
 
 def owner_of(scene: Scene, parameter: str) -> str:
-    """The plugin that a parameter belongs to, textures left out, in words."""
+    """The plugin that a parameter belongs to, textures left out, in words; or the rays, if it is none of the scene's."""
     path = parameter.split(".")[:-1]
+    if not path:
+        return "the rays"
     for length in range(len(path), 0, -1):
         plugin = scene.get_submodule(".".join(path[:length]))
         if isinstance(plugin, Plugin) and not isinstance(plugin, Texture):

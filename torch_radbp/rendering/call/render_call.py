@@ -72,8 +72,8 @@ def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
 def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> CameraSample:
     """The rays of a chunk's lanes; see `sample_camera`."""
     view = call.views[chunk.sensor]
-    width = torch.full((), view.grid.columns, dtype=torch.int32, device=call.scene.device)
-    return call.stages.sample_camera(view.camera, width, *numbers_of(call, chunk), key, call.scene.layout.traces_cones)
+    return call.stages.sample_camera(view.camera, view.numbered, *numbers_of(call, chunk), key,
+                                     call.scene.layout.traces_cones)
 
 
 def film_places(call: RenderCall, chunk: Chunk, key: SampleKey) -> Vec2:
@@ -82,8 +82,9 @@ def film_places(call: RenderCall, chunk: Chunk, key: SampleKey) -> Vec2:
 
 
 def numbers_of(call: RenderCall, chunk: Chunk) -> tuple[Tensor, Tensor]:
-    """The pixels of a chunk's lanes, pixel by pixel, and the numbers of their samples; (N,) int32."""
-    pixel = chunk.rows.numbers(call.scene.device)
+    """The numbers of a chunk's lanes' pixels, pixel by pixel, and those of their samples; (N,) int32."""
+    window = call.views[chunk.sensor].window
+    pixel = chunk.rows.numbers(call.scene.device, window.numbered) + window.numbers(0, 0)
     sample = torch.arange(chunk.samples, dtype=torch.int32, device=pixel.device) + chunk.first_sample
     return pixel.repeat_interleave(chunk.samples), sample.repeat(len(pixel))
 
@@ -93,8 +94,8 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     view, grid, device = call.views[0], call.views[0].grid, call.scene.device
     pixel = torch.linspace(0, grid.columns * grid.rows - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
-    width = torch.full((), grid.columns, dtype=torch.int32, device=device)
-    return started(call, call.stages.sample_camera(view.camera, width, pixel, sample, view.sample_keys[0],
+    number = view.window.numbers(pixel % grid.columns, torch.div(pixel, grid.columns, rounding_mode="floor"))
+    return started(call, call.stages.sample_camera(view.camera, view.numbered, number, sample, view.sample_keys[0],
                                                    call.scene.layout.traces_cones))
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from torch_radbp.differentiated import detached
 from torch_radbp.film.develop import Grid
+from torch_radbp.film.window import Window
 from torch_radbp.plugin import Sensor
 from torch_radbp.sampling.sampler import SampleKey, sample_key
 from torch_radbp.scene.pack_cache import PackCache
@@ -16,35 +18,59 @@ from torch_radbp.sensor.kind import Camera
 from torch_radbp.shape.placement import Instances
 from torch_radbp.vec import Vec3
 
+OF_NO_SENSOR = -1  # the index of a sensor that is none of the scene's
+
 
 class View(NamedTuple):
     """One sensor of a call."""
 
+    sensor: Sensor
     camera: Camera  # attached
-    width: int  # of the crop window, pixels
-    height: int
+    window: Window  # of its film
     sample_keys: tuple[SampleKey, SampleKey]  # of the forward pass, and of the backward pass
     clips: bool  # whether something lies beyond the far plane
 
     @property
+    def width(self) -> int:
+        """Pixels of the image."""
+        return self.window.columns.size
+
+    @property
+    def height(self) -> int:
+        return self.window.rows.size
+
+    @property
+    def numbered(self) -> Tensor:
+        """() int32, the columns by which pixels are numbered; see `Window`."""
+        return torch.full((), self.window.numbered, dtype=torch.int32, device=self.camera.film.size_x.device)
+
+    @property
     def grid(self) -> Grid:
         """The pixels that have samples."""
-        film = self.camera.film
-        return Grid(film.kernel, self.width + 2 * film.border, self.height + 2 * film.border, film.border)
+        return Grid(self.camera.film.kernel, self.window)
 
 
-def view_of(sensor: Sensor, index: int, seeds: tuple[int, int], scene: SceneTensors, cache: PackCache) -> View:
-    """What a sensor, number `index` of the scene's, sees in a call with these seeds, forwards and backwards."""
-    sampler, film = sensor.sampler, sensor.film
+class Shot(NamedTuple):
+    """An image that a call is to make."""
+
+    sensor: Sensor
+    index: int  # of the sensor among those of the scene, or `OF_NO_SENSOR`
+    window: Window  # of its film
+
+
+def view_of(shot: Shot, seeds: tuple[int, int], scene: SceneTensors, cache: PackCache) -> View:
+    """What a shot shows in a call with these seeds, forwards and backwards."""
+    sensor, sampler = shot.sensor, shot.sensor.sampler
     camera = cache(camera_of, cache.twin(id(sensor), sensor))
-    keys = tuple(sample_key(seed + sampler.seed, index, sampler.low_discrepancy, scene.device) for seed in seeds)
-    instances = scene.triangles.instances
-    reaches = cache(reaches_beyond, scene.triangles.vertices.p, None if instances is None else instances.casting, camera)
-    return View(camera, film.crop_width, film.crop_height, keys, reaches)
+    keys = tuple(sample_key(seed + sampler.seed, shot.index, sampler.low_discrepancy, scene.device) for seed in seeds)
+    reaches = cache(reaches_beyond, scene.triangles.vertices.p, scene.triangles.casting_instances, camera)
+    if shot.window != sensor.film.window():
+        camera = camera._replace(film=sensor.film.tensors(camera.film.size_x, shot.window))
+    return View(sensor, camera, shot.window, keys, reaches)
 
 
 def camera_of(sensor: Sensor) -> Camera:
-    """The camera of a sensor, attached."""
+    """The camera of a sensor with its whole film, attached."""
     return sensor.tensors()
 
 

@@ -1,0 +1,23 @@
+"""The images of a call with the derivatives that are asked for, in either mode."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.forward_mode import has_tangents
+from torch_radbp.adjoint.images import render_detached
+from torch_radbp.differentiated import differentiable, with_derivative_of
+from torch_radbp.rendering.call.render_call import RenderCall
+
+
+def rendered(call: RenderCall) -> Tensor:
+    """(B, C, H, W) with the derivatives of what is seen inside of edges, and with the quantities of the call."""
+    record = call.scene, [view.camera for view in call.views]
+    forward_mode = has_tangents(record)
+    if not forward_mode and not (torch.is_grad_enabled() and differentiable(record)):
+        return render_detached(call)
+    if not forward_mode:
+        return call.adjoint.image(call)
+    attached = call.adjoint.dual_image(call.of_derivative())
+    return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)

@@ -1,0 +1,28 @@
+"""The ray caster that is kept from one rendering to the next."""
+
+from __future__ import annotations
+
+from torch_radbp.raycast import RayCaster, make_caster
+from torch_radbp.raycast.caster_cache import CachedCaster, CastTriangles
+
+
+class KeptCaster:
+    """Makes a new ray caster only where the triangles have changed.
+
+    Each rendering keeps its own, and so does the graph behind its image: neither geometry that moves later nor another
+    thread changes what they see.
+    """
+
+    def __init__(self) -> None:
+        self.known: CachedCaster | None = None
+
+    def of(self, mesh: CastTriangles, name: str | None) -> RayCaster:
+        """That of the last rendering if it has the same triangles, else a new one, called `name`; see `make_caster`."""
+        known = self.known
+        if known is None or not known.mesh.equals(mesh):
+            # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
+            last = None if known is None or mesh.instances is None else known.caster
+            known = self.known = None
+            known = CachedCaster(make_caster(name, *mesh.stacked(), last), mesh)
+        self.known = known._replace(mesh=mesh)  # the next one may bring the very same tensors again
+        return known.caster
