@@ -9,6 +9,7 @@ from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.nerf import cameras_from_nerf
 from torch_radbp.io.write import save
+from torch_radbp.photographs import Exposure, LensFalloff, Photograph, Photographs, ToneCurve
 from torch_radbp.plugin import SceneError, SceneWarning
 from torch_radbp.pose import look_at, se3
 from torch_radbp.rendering.call.finite import NonFiniteError
@@ -19,8 +20,9 @@ from torch_radbp.scene import Scene
 from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture
 
-__all__ = ["AdjointStrategy", "GltfWarning", "GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture",
-           "NonFiniteError", "QuadraticAdjoint", "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene",
-           "SceneError", "SceneWarning", "SilhouetteWarning", "TapeAdjoint", "camera_from_opencv",
-           "cameras_from_colmap", "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "jvp", "load",
-           "load_dict", "look_at", "render", "save", "save_image", "se3"]
+__all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff",
+           "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "Photograph", "Photographs", "QuadraticAdjoint",
+           "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
+           "SilhouetteWarning", "TapeAdjoint", "ToneCurve", "camera_from_opencv", "cameras_from_colmap",
+           "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "jvp", "load", "load_dict", "look_at", "render",
+           "save", "save_image", "se3"]
