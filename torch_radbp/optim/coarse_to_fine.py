@@ -21,30 +21,37 @@ class CoarseToFine(nn.Module):
 
     A step in a cell of the grid moves many texels together, so that noise averages out and large shapes are found first.
     `refine` adds what has been found to the base and starts a finer grid at 0, so that the value stays what it is, bit by
-    bit, whatever the sizes; at the size of the map itself, every texel is free. To keep values in a range register a
-    `Sigmoid` or `Log` after this one: grids then hold changes of u.
+    bit, whatever the sizes; at the size of the map itself, every texel is free.
 
     Args:
         size: of the first grid: rows and columns of a bitmap or an environment (H, W, C); depth, rows and columns of a
             volume (D, H, W, C). It need not divide that of the map, and is cut off at it.
         wrap_rows, wrap_columns: whether the last row, or column, is the neighbour of the first: both of a bitmap that
             repeats, columns alone of an environment.
+        within: a parametrisation of the range that values keep to, such as `rb.optim.Sigmoid()` for a reflectance or
+            `rb.optim.Log()` for an environment: base and grid are then those of its u. None: values have no bounds.
 
     Raises:
         ValueError: if a size is no integer of at least 1, or there are more than three.
     """
 
-    def __init__(self, size: Sequence[int], wrap_rows: bool = False, wrap_columns: bool = False):
+    def __init__(self, size: Sequence[int], wrap_rows: bool = False, wrap_columns: bool = False,
+                 within: nn.Module | None = None):
         super().__init__()
         self.size = tuple(integer("size", side, 1) for side in size)
         if len(self.size) not in (2, 3):
             raise ValueError(f"size must be rows and columns, or depth, rows and columns, got {tuple(size)}")
         wraps = boolean("wrap_rows", wrap_rows), boolean("wrap_columns", wrap_columns)
         self.wraps = (*[False] * (len(self.size) - 2), *wraps)
+        self.within = nn.Identity() if within is None else within
         self.register_buffer("base", torch.empty(0))
 
     def forward(self, grid: Tensor) -> Tensor:
         """The map, (H, W, C) or (D, H, W, C), of the grid, attached."""
+        return self.within(self.changed(grid))
+
+    def changed(self, grid: Tensor) -> Tensor:
+        """The base with the changes of a grid, without bounds; attached."""
         return self.base + resampled(grid, self.base.shape[:-1], self.wraps)
 
     def right_inverse(self, values: Tensor) -> Tensor:
@@ -56,7 +63,8 @@ class CoarseToFine(nn.Module):
         if values.ndim != len(self.size) + 1:
             raise ValueError(f"a map for a grid of {' x '.join(map(str, self.size))} must have {len(self.size) + 1} axes, "
                              f"the last of channels, got shape {tuple(values.shape)}")
-        self.base = values.detach().clone()
+        bounded = not isinstance(self.within, nn.Identity)
+        self.base = (self.within.right_inverse(values) if bounded else values).detach().clone()
         self.size = tuple(min(side, whole) for side, whole in zip(self.size, values.shape))
         return values.new_zeros(*self.size, values.shape[-1])
 
@@ -83,13 +91,12 @@ def refine(module: nn.Module, name: str, optimizer: torch.optim.Optimizer | None
     """
     held = module.parametrizations[name] if parametrize.is_parametrized(module, name) else []
     if not len(held) or not isinstance(held[0], CoarseToFine):
-        raise ValueError(f"{name} of {type(module).__name__} is not parametrized by CoarseToFine, or not first of all; "
-                         f"register that before others")
+        raise ValueError(f"{name} of {type(module).__name__} is not parametrized by CoarseToFine; register that first")
     grid, coarse = held.original, held[0]
     if coarse.is_finest:
         return False
     with torch.no_grad():
-        coarse.base = coarse(grid)
+        coarse.base = coarse.changed(grid)
         coarse.size = tuple(min(factor * side, whole) for side, whole in zip(coarse.size, coarse.base.shape))
         grid.set_(grid.new_zeros(*coarse.size, grid.shape[-1]))
     grid.grad = None

@@ -11,9 +11,10 @@ from torch_radbp.plugin import positive
 class Log(nn.Module):
     """A parametrisation x = exp(u) of what is positive and known by its ratio, such as radiance.
 
-    For `torch.nn.utils.parametrize.register_parametrization(scene.lamp.emitter.radiance, "value", Log())`; optimised is
-    then u, `scene.lamp.emitter.radiance.parametrizations.value.original`. A step of 0.1 in u changes x by a tenth,
-    however large it is.
+        torch.nn.utils.parametrize.register_parametrization(scene.lamp.emitter.radiance, "value", rb.optim.Log())
+        optimizer = torch.optim.Adam([scene.lamp.emitter.radiance.parametrizations.value.original])      # u
+
+    A step of 0.1 in u changes x by a tenth, however large it is.
 
     Args:
         least: values below become this one when they are registered or assigned, since no u gives 0; in units of x.

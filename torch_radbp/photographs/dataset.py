@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
@@ -23,6 +24,7 @@ from torch_radbp.photographs.picture import (
     read_picture,
     size_of,
 )
+from torch_radbp.photographs.size_batches import SizeBatches
 from torch_radbp.plugin import integer, nearest, positive
 from torch_radbp.scene.scene import Scene
 from torch_radbp.sensor.kind import ProjectiveCamera
@@ -37,13 +39,13 @@ class Photograph(NamedTuple):
     Attributes:
         image: (3, H, W) or (B, 3, H, W) float32, linear RGB.
         mask: (1, H, W) or (B, 1, H, W) float32 in [0, 1]: how much of each pixel counts.
-        sensors: name of the sensor in the scene, or a list of B: what `renderer(sensors=)` takes.
+        sensors: name of the sensor in the scene, or a tuple of B: what `renderer(sensors=)` takes.
         views: index of the photograph in the data set, or (B,) int64: what `Exposure` takes.
     """
 
     image: Tensor
     mask: Tensor
-    sensors: str | list[str]
+    sensors: str | tuple[str, ...]
     views: int | Tensor
 
 
@@ -154,7 +156,7 @@ class Photographs(Dataset[Photograph]):
         film = self.cameras[name].film
         if (width, height) != (film.crop_width, film.crop_height):
             scale = width / film.crop_width
-            reduced = abs(height - scale * film.crop_height) <= ROUNDING
+            reduced = scale < 1 and abs(height - scale * film.crop_height) <= ROUNDING
             advice = f"if the files were reduced, say scale={scale:.4g}" if reduced else "is it the image of that camera?"
             raise ValueError(f"{name_of(picture.image)} has {width} x {height} pixels, and its camera {name!r} "
                              f"{film.crop_width} x {film.crop_height}; {advice}")
@@ -219,6 +221,16 @@ class Photographs(Dataset[Photograph]):
                 raise ValueError(f"the scene has no sensor {name!r} to put a camera in the place of; {nearest(name, known)}")
         for name, camera in self.cameras.items():
             setattr(scene, name, camera.to(scene.device, scene.dtype))
+
+    def batches(self, batch_size: int, shuffle: bool = True, generator: torch.Generator | None = None) -> SizeBatches:
+        """Batches of photographs that have one size each, such as upright and wide ones:
+
+            loader = torch.utils.data.DataLoader(photographs, batch_sampler=photographs.batches(4))
+
+        Args:
+            batch_size, shuffle, generator: as of a `DataLoader`.
+        """
+        return SizeBatches(self.sizes, batch_size, shuffle, generator)
 
     def batch(self, views: Iterable[int] | None = None) -> Photograph:
         """Some photographs, or all, as one batch.
