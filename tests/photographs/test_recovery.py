@@ -8,7 +8,7 @@ from tests.photographs.nerf_folder import GAINS, REFLECTANCE, ball_in_the_open, 
 
 
 def test_reflectance_and_gains_are_recovered_from_coded_photographs(tmp_path):
-    """8 bits of sRGB and a gain each; what is left is noise of 4 samples, which steps that shrink to a twentieth average."""
+    """8 bits of sRGB and a gain each; what is left is noise of 4 samples, which steps that shrink to a tenth average."""
     torch.manual_seed(0)
     write_photographs(tmp_path)
     photographs = rb.Photographs.from_nerf(tmp_path / "transforms.json")
@@ -16,10 +16,10 @@ def test_reflectance_and_gains_are_recovered_from_coded_photographs(tmp_path):
     reflectance = scene.get_parameter("ball.bsdf.reflectance.value").requires_grad_()
     exposure = rb.Exposure(len(photographs), fixed=0, white_balance=False)
     renderer = rb.Renderer(scene, spp=4, max_depth=2, share_samples=True)
-    optimizer = torch.optim.Adam([reflectance, *exposure.parameters()], lr=0.2, betas=(0.8, 0.95))
-    decay = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.05 ** (1 / 30))
+    optimizer = torch.optim.Adam([reflectance, *exposure.parameters()], lr=0.1, betas=(0.8, 0.95))
+    decay = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.1 ** (1 / 45))
     step = 0
-    for _ in range(30):
+    for _ in range(45):
         for batch in DataLoader(photographs, batch_size=3, shuffle=True):
             a, b = (exposure(renderer(seed=2 * step + k, sensors=batch.sensors), batch.views) for k in (0, 1))
             loss = rb.losses.two_buffer_l2(a, b, batch.image, batch.mask)
