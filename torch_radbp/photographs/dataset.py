@@ -194,6 +194,8 @@ class Photographs(Dataset[Photograph]):
                 photographs.place_cameras(scene)
                 ...
 
+        Intrinsics are other parameters at each scale: an optimizer that holds them is made anew.
+
         Args:
             scale: of the files: 0.5 for half of their width and height, rounded to whole pixels; at most 1.
 
