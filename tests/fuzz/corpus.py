@@ -20,7 +20,6 @@ from tests.io.gltf_files import SQUARE, GltfFile
 from tests.io.serialized_files import mesh, serialized
 from tests.io.test_colmap import CAMERAS as CAMERA_LINES
 from tests.io.test_colmap import IMAGES as IMAGE_LINES
-from tests.io.test_colmap import binary
 from tests.io.test_gltf_write import everything
 from tests.io.test_nerf import BLENDER, OPENCV
 from tests.peer.cases import CASES
@@ -36,8 +35,8 @@ from torch_radbp.training.recovery.optimize import Recovery
 ROOT = Path(__file__).parents[2]
 FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "vol", "exr", "png", "bmp", "tga", "hdr",
                                           "pfm", "toml", "gltf", "glb")}
-FAMILIES |= {"colmap": ".txt", "colmap_binary": ".bin", "nerf": ".json", "checkpoint": ".safetensors"}
-NEXT_FILE = b"# the next file\n"  # between cameras and images of a COLMAP model, which mutate as one
+FAMILIES |= {"colmap": ".txt", "nerf": ".json", "checkpoint": ".safetensors"}
+NEXT_FILE = b"# the next file\n"  # between cameras.txt and images.txt of a COLMAP model, which mutate as one
 
 
 class Seed(NamedTuple):
@@ -80,11 +79,8 @@ def _cameras(root: Path) -> dict[str, list[Seed]]:
     Image.new("RGB", (8, 6)).save(folders["nerf"] / "train" / "r_0.png")
     every = "".join(f"{number} 1 0.1 {0.1 * number} 0 0 0 2 {number} {number}.jpg\n\n" for number in range(1, 8))
     fisheye = OPENCV | {"camera_model": "OPENCV_FISHEYE", "p1": 0, "p2": 0, "k4": 0.01}
-    binaries = [NEXT_FILE.join((model / f"{name}.bin").read_bytes() for name in ("cameras", "images"))
-                for model in (binary(folders["colmap"], images=images) for images in (IMAGE_LINES, every))]
     return {"colmap": [Seed(folders["colmap"], NEXT_FILE.join((CAMERA_LINES.encode(), images.encode())))
                        for images in (IMAGE_LINES, every)],
-            "colmap_binary": [Seed(folders["colmap"], content) for content in binaries],
             "nerf": [Seed(folders["nerf"], json.dumps(document, indent=1).encode())
                      for document in (BLENDER, OPENCV, fisheye, BLENDER | {"is_fisheye": True, "k1": 0.1})]}
 

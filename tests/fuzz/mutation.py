@@ -195,7 +195,7 @@ MUTATIONS: dict[str, list[Mutation]] = {
     "xml": [of_values, of_values, of_values, of_xml, of_xml, of_words, of_bytes],
     "obj": [of_values, of_values, of_words, of_lines, of_bytes],
     "ply": [of_values, of_words, of_lines, of_header, of_header, of_bytes],
-    **{name: [of_bytes] for name in ("vol", "exr", "bmp", "tga", "hdr", "pfm", "colmap_binary")},
+    **{name: [of_bytes] for name in ("vol", "exr", "bmp", "tga", "hdr", "pfm")},
     "png": [of_chunks, of_bytes],
     "serialized": [of_inflated, of_inflated, of_bytes],
     "toml": [of_values, of_values, of_words, of_lines, of_bytes],
