@@ -21,6 +21,7 @@ from types import ModuleType as _ModuleType
 if _typing.TYPE_CHECKING:
     from torch_radbp import losses as losses
     from torch_radbp import optim as optim
+    from torch_radbp import priors as priors
     from torch_radbp.public import *  # noqa: F403
 
 

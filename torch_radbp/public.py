@@ -5,12 +5,16 @@ number; what another minor number changes is in CHANGELOG.md.
 
     scenes                 Scene, load, load_dict, save, save_image, NeuralTexture
     poses and cameras      look_at, se3, camera_from_opencv, cameras_from_colmap, cameras_from_kornia, cameras_from_nerf
+    photographs            Photographs, Photograph, Exposure, LensFalloff, ToneCurve
     images                 Renderer, render
     derivatives            MemoizedAdjoint, ReplayAdjoint, QuadraticAdjoint, TapeAdjoint, jvp, check_gradient, GradientCheck
     errors and warnings    SceneError, NonFiniteError, SceneWarning, GltfWarning, SilhouetteWarning, JumpWarning,
                            RepeatedNoiseWarning
-    torch_radbp.losses     two_buffer_l2, exchange_derivatives
-    torch_radbp.optim      LargeSteps, AdamUniform, laplacian_loss, normal_consistency_loss, remesh
+    torch_radbp.losses     two_buffer_l2, two_buffer_relative_l2, two_buffer_log_l2, ssim, lpips, exchange_derivatives,
+                           exchanged, masked_mean
+    torch_radbp.priors     total_variation, smoothness, white_balance
+    torch_radbp.optim      LargeSteps, CoarseToFine, refine, Log, Sigmoid, AdamUniform, laplacian_loss,
+                           normal_consistency_loss, remesh
 
 So are the names of a scene's parameters, which are Mitsuba's.
 
@@ -29,6 +33,7 @@ from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.nerf import cameras_from_nerf
 from torch_radbp.io.write import save
+from torch_radbp.photographs import Exposure, LensFalloff, Photograph, Photographs, ToneCurve
 from torch_radbp.plugin import SceneError, SceneWarning
 from torch_radbp.pose import look_at, se3
 from torch_radbp.rendering.call.finite import NonFiniteError
@@ -40,8 +45,9 @@ from torch_radbp.scene import Scene
 from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture
 
-__all__ = ["AdjointStrategy", "GltfWarning", "GradientCheck", "JumpWarning", "MemoizedAdjoint", "NeuralTexture",
-           "NonFiniteError", "QuadraticAdjoint", "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene",
-           "SceneError", "SceneWarning", "SilhouetteWarning", "TapeAdjoint", "camera_from_opencv",
-           "cameras_from_colmap", "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "jvp", "load",
-           "load_dict", "look_at", "render", "save", "save_image", "se3"]
+__all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff",
+           "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "Photograph", "Photographs", "QuadraticAdjoint",
+           "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
+           "SilhouetteWarning", "TapeAdjoint", "ToneCurve", "camera_from_opencv", "cameras_from_colmap",
+           "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "jvp", "load", "load_dict", "look_at", "render",
+           "save", "save_image", "se3"]

@@ -1,4 +1,6 @@
-"""Cameras of a COLMAP model in text form."""
+"""Cameras of a COLMAP model, text and binary."""
+
+import struct
 
 import pytest
 import torch
@@ -109,11 +111,72 @@ def test_what_cannot_be_read_is_named(model, files, message):
         rb.cameras_from_colmap(model(**files))
 
 
-def test_a_binary_model_is_to_be_converted(tmp_path):
-    with pytest.raises(FileNotFoundError, match="cameras.txt: file not found"):
+NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5,
+           "FULL_OPENCV": 6}
+
+
+def binary(folder, cameras=CAMERAS, images=IMAGES):
+    """The model in COLMAP's binary format, written by hand from its text: little-endian, without gaps."""
+    lines = [line.split() for line in cameras.splitlines() if line and line[0] != "#"]
+    content = struct.pack("<Q", len(lines))
+    for camera, model, width, height, *parameters in lines:
+        content += struct.pack("<IiQQ", int(camera), NUMBERS[model], int(width), int(height))
+        content += struct.pack(f"<{len(parameters)}d", *map(float, parameters))
+    (folder / "cameras.bin").write_bytes(content)
+    lines = [line for line in images.splitlines() if not line.startswith("#")]
+    content = struct.pack("<Q", len(lines[::2]))
+    for image, points in zip(lines[::2], [*lines[1::2], ""]):
+        number, *pose, camera, name = image.split(maxsplit=9)
+        content += struct.pack("<I7dI", int(number), *map(float, pose), int(camera)) + name.encode() + b"\0"
+        points = points.split()
+        content += struct.pack("<Q", len(points) // 3)
+        for x, y, point in zip(points[::3], points[1::3], points[2::3]):
+            content += struct.pack("<ddq", float(x), float(y), int(point))
+    (folder / "images.bin").write_bytes(content)
+    return folder
+
+
+def test_a_binary_model_is_what_its_text_is(model, tmp_path):
+    as_text = rb.cameras_from_colmap(model())
+    (tmp_path / "binary").mkdir()
+    found = rb.cameras_from_colmap(binary(tmp_path / "binary"))
+    assert list(found) == list(as_text) == ["first.jpg", "folder/second view.jpg", "third.png"]
+    for name, camera in found.items():
+        values, expected = dict(camera.named_parameters()), dict(as_text[name].named_parameters())
+        assert set(values) == set(expected) and camera.distortion == as_text[name].distortion
+        for key, value in values.items():
+            assert torch.equal(value, expected[key]), (name, key)
+
+
+def test_text_is_read_where_both_are(model):
+    folder = binary(model(), images=IMAGES.replace("first", "other"))
+    assert list(rb.cameras_from_colmap(folder))[0] == "first.jpg"
+
+
+BAD_BINARY = {
+    "empty": ("cameras.bin", lambda data: b"", "cameras.bin, record 0: the file ends after 0 bytes; is it cut short"),
+    "cut short": ("cameras.bin", lambda data: data[:-1], "cameras.bin, record 7: the file ends after .*; is it cut short"),
+    "no model": ("cameras.bin", lambda data: data[:12] + b"\x63" + data[13:], "record 1: the camera model 99 is not known"),
+    "not supported": ("cameras.bin", lambda data: data[:12] + b"\x07" + data[13:], "record 1: the camera model FOV is not"),
+    "many": ("images.bin", lambda data: b"\xff" * 8 + data[8:], "images.bin, record 4: the file ends after"),
+    "points": ("images.bin", lambda data: data[:-8] + b"\xff" * 8, "images.bin, record 3: the file ends after"),
+    "no end of a name": ("images.bin", lambda data: data[:72] + b"a" * 9999, "more than 4096 bytes; is the file damaged"),
+    "no text": ("images.bin", lambda data: data[:72] + b"\xff\xfe" + data[74:], "the name of an image is no text"),
+    "not finite": ("images.bin", lambda data: data[:12] + b"\xff" * 8 + data[20:], "record 1: rotation and translation"),
+}
+
+
+@pytest.mark.hostile
+@pytest.mark.parametrize("name, damaged, message", BAD_BINARY.values(), ids=BAD_BINARY)
+def test_a_damaged_binary_model_is_named(tmp_path, name, damaged, message):
+    path = binary(tmp_path) / name
+    path.write_bytes(damaged(path.read_bytes()))
+    with pytest.raises(SceneError, match=message):
         rb.cameras_from_colmap(tmp_path)
-    (tmp_path / "cameras.bin").write_bytes(b"\0\1")
-    with pytest.raises(SceneError, match="colmap model_converter"):
+
+
+def test_a_model_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(FileNotFoundError, match="cameras.txt: file not found"):
         rb.cameras_from_colmap(tmp_path)
     (tmp_path / "cameras.txt").write_bytes(b"\xff\xfe1 PINHOLE")
     with pytest.raises(SceneError, match="cameras.txt, line 1: is no text"):

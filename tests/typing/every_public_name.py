@@ -46,6 +46,26 @@ assert_type(check.agrees, bool)
 image, target = renderer(seed=2), renderer(seed=3).detach()
 assert_type(rb.losses.two_buffer_l2(image, renderer(seed=4), target), Tensor)
 assert_type(rb.losses.exchange_derivatives(image, renderer(seed=4)), tuple[Tensor, Tensor])
+buffers = image, renderer(seed=4)
+assert_type(rb.losses.two_buffer_relative_l2(*buffers, target), Tensor)
+assert_type(rb.losses.two_buffer_log_l2(*buffers, target, mask=None), Tensor)
+assert_type(rb.losses.ssim(*buffers, target), Tensor)
+assert_type(rb.losses.lpips(*buffers, target, torch.nn.functional.mse_loss), Tensor)
+assert_type(rb.losses.exchanged(torch.nn.functional.l1_loss, *buffers, target), Tensor)
+assert_type(rb.losses.masked_mean(image, image[:, :1]), Tensor)
+assert_type(rb.priors.total_variation(parameter) + rb.priors.smoothness(parameter), Tensor)
+assert_type(rb.priors.white_balance(parameter), Tensor)
+ranges: list[torch.nn.Module] = [rb.optim.Log(), rb.optim.Sigmoid(0.0, 1.0), rb.optim.CoarseToFine((4, 4))]
+assert_type(rb.optim.refine(scene.green, "reflectance"), bool)
+
+# Photographs.
+photographs = rb.Photographs.from_nerf("transforms.json")
+assert_type(photographs, rb.Photographs)
+assert_type(photographs[0], rb.Photograph)
+assert_type(photographs.batch().image, Tensor)
+of_camera: list[torch.nn.Module] = [rb.Exposure(3, fixed=0), rb.LensFalloff(), rb.ToneCurve()]
+
+# Shapes.
 faces, vertices = torch.zeros(1, 3, dtype=torch.int64), torch.zeros(3, 3)
 steps = rb.optim.LargeSteps(faces, vertices, smoothness=19.0)
 optimizer = rb.optim.AdamUniform([parameter, *steps.parameters()], lr=0.03, betas=(0.9, 0.99))

@@ -15,7 +15,7 @@ import torch_radbp as rb
 
 PACKAGE = Path(rb.__file__).parent
 SCRIPT = Path(__file__).with_name("every_public_name.py")
-PUBLIC = {"rb": rb, "rb.losses": rb.losses, "rb.optim": rb.optim}
+PUBLIC = {"rb": rb, "rb.losses": rb.losses, "rb.priors": rb.priors, "rb.optim": rb.optim}
 
 WRONG = """
 import torch_radbp as rb
@@ -26,7 +26,7 @@ rb.render(scene).no_method()
 rb.Renderer(scene)(seed=0, aovs=["depth"]).mean()
 rb.losses.two_buffer_l3
 rb.optim.LargeSteps(1)
-rb.photographs
+rb.boundary
 """
 
 

@@ -1,4 +1,4 @@
-"""Reads the cameras of a COLMAP model in its text format: cameras.txt and images.txt.
+"""Reads the cameras of a COLMAP model: cameras and images, .txt or .bin.
 
 Reference: COLMAP's documentation, "Output Format" and "Camera Models".
 """
@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from torch_radbp.io.colmap_binary import binary_cameras, binary_images
 from torch_radbp.io.files import opened
 from torch_radbp.io.text_lines import BYTE_ORDER_MARK
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
@@ -42,40 +43,41 @@ def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilte
     and cy become less by 0.5. Points are not read.
 
     Args:
-        folder: with cameras.txt and images.txt; `colmap model_converter --output_type TXT` makes them of a binary model.
+        folder: with cameras.txt and images.txt; or, without these, cameras.bin and images.bin.
         scale, rfilter, **attributes: as of `camera_from_opencv`.
 
     Raises:
-        SceneError: names file and line of what cannot be read, and the camera models that are supported.
+        SceneError: names file and line, or record, of what cannot be read, and the camera models that are supported.
         FileNotFoundError: if there is no such file.
     """
     folder = Path(folder)
-    if not (folder / "cameras.txt").exists() and (folder / "cameras.bin").exists():
-        raise SceneError(f"{folder}: is a binary model; convert it with "
-                         f"`colmap model_converter --input_path {folder} --output_path {folder} --output_type TXT`")
-    cameras = read_cameras(folder / "cameras.txt")
+    is_binary = not (folder / "cameras.txt").exists() and (folder / "cameras.bin").exists()
+    of_cameras, of_images = (folder / f"{name}{'.bin' if is_binary else '.txt'}" for name in ("cameras", "images"))
+    cameras = read_cameras(records(of_cameras, binary_cameras(of_cameras)) if is_binary else lines_of(of_cameras))
     found: dict[str, Calibrated] = {}
-    for line, pose, camera, name in read_images(folder / "images.txt"):
+    for line, pose, camera, name in read_images(
+            records(of_images, binary_images(of_images)) if is_binary else image_lines(of_images)):
         if camera not in cameras:
-            raise line.fail(f"no camera has the id {camera}; cameras.txt has {', '.join(cameras) or 'none'}")
+            raise line.fail(f"no camera has the id {camera}; {of_cameras.name} has {', '.join(cameras) or 'none'}")
         if name in found:
             raise line.fail(f"a second image is called {name!r}")
         found[name] = sensor_of(cameras[camera], pose, scale, rfilter, attributes)
     if not found:
-        raise SceneError(f"{folder / 'images.txt'}: has no image")
+        raise SceneError(f"{of_images}: has no image")
     return found
 
 
 class Line(NamedTuple):
-    """A line of a file, divided into words."""
+    """A line of a text file, divided into words, or a record of a binary one."""
 
     path: Path
     number: int
     words: list[str]
+    unit: str = "line"
 
     def fail(self, message: str) -> SceneError:
         """The error about this line."""
-        return SceneError(f"{self.path}, line {self.number}: {message}")
+        return SceneError(f"{self.path}, {self.unit} {self.number}: {message}")
 
     def numbers(self, first: int, last: int, what: str) -> list[float]:
         """The words from `first` to before `last` as finite numbers."""
@@ -101,10 +103,15 @@ def lines_of(path: Path) -> Iterator[Line]:
                 raise SceneError(f"{path}, line {number}: is no text; is the file binary?") from None
 
 
-def read_cameras(path: Path) -> dict[str, Intrinsics]:
+def records(path: Path, found: Iterable[tuple[int, list[str]]]) -> Iterator[Line]:
+    """The records of a binary file."""
+    return (Line(path, number, words, "record") for number, words in found)
+
+
+def read_cameras(lines: Iterable[Line]) -> dict[str, Intrinsics]:
     """The cameras by id: CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS."""
     cameras = {}
-    for line in lines_of(path):
+    for line in lines:
         if not line.words:
             continue
         if len(line.words) < 4:
@@ -130,11 +137,8 @@ def read_cameras(path: Path) -> dict[str, Intrinsics]:
     return cameras
 
 
-def read_images(path: Path) -> Iterator[tuple[Line, np.ndarray, str, str]]:
-    """Line, `to_world`, camera id and name of the images.
-
-    Each has a line IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and one of points, which may be blank.
-    """
+def image_lines(path: Path) -> Iterator[Line]:
+    """The lines of images in a text file, each of which is followed by one of points, which may be blank."""
     of_points = False
     for line in lines_of(path):
         if of_points:
@@ -142,15 +146,20 @@ def read_images(path: Path) -> Iterator[tuple[Line, np.ndarray, str, str]]:
             if len(line.words) % 3:
                 raise line.fail("expected the points of the image before, X Y POINT3D_ID each, or a blank line")
             continue
-        if not line.words:
-            continue
+        if line.words:
+            yield line
+            of_points = True
+
+
+def read_images(lines: Iterable[Line]) -> Iterator[tuple[Line, np.ndarray, str, str]]:
+    """Line, `to_world`, camera id and name of the images: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME."""
+    for line in lines:
         if len(line.words) < 10:
             raise line.fail(f"expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {' '.join(line.words)[:80]!r}")
         values = line.numbers(1, 8, "rotation and translation")
         if not 1e-6 < np.linalg.norm(values[:4]) < 1e6:
             raise line.fail(f"the rotation must be a quaternion of length 1, got {values[:4]}")
         yield line, pose_of(rotation(np.array(values[:4])), np.array(values[4:])), line.words[8], " ".join(line.words[9:])
-        of_points = True
 
 
 def rotation(quaternion: np.ndarray) -> np.ndarray:

@@ -20,7 +20,13 @@ DEFLATION = 1032
 
 
 def read_exr(path: str | os.PathLike, check_size: Callable[[int, int], None]) -> np.ndarray:
-    """(H, W, C) linear values of the layer that holds the colour.
+    """(H, W, C) linear values of the layer that holds the colour; as `read_exr_with_alpha`."""
+    return read_exr_with_alpha(path, check_size)[0]
+
+
+def read_exr_with_alpha(path: str | os.PathLike,
+                        check_size: Callable[[int, int], None]) -> tuple[np.ndarray, np.ndarray | None]:
+    """The layer that holds the colour: (H, W, C) linear values, and (H, W) alpha, by which they are multiplied, or None.
 
     Args:
         path: the file.
@@ -39,12 +45,14 @@ def read_exr(path: str | os.PathLike, check_size: Callable[[int, int], None]) ->
     parts = OpenEXR.File(str(path), separate_channels=True).parts
     if len(parts) < len(headers):  # which it prints and leaves out
         raise ValueError("its pixels are damaged or cut short")
-    found: dict[str, np.ndarray] = {}  # layer -> its colour, of the first part that has it
+    found: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # layer -> colour and alpha of the first part that has it
     for channels in (part.channels for part in parts):
         for layer in sorted({name.rpartition(".")[0] for name in channels}):
-            colour = layer_colour(channels, f"{layer}." if layer else "")
+            prefix = f"{layer}." if layer else ""
+            colour = layer_colour(channels, prefix)
             if colour is not None:
-                found.setdefault(layer, colour)
+                alpha = next((channels[name].pixels for name in (f"{prefix}A", f"{prefix}a") if name in channels), None)
+                found.setdefault(layer, (colour, alpha))
     if not found:
         names = ", ".join(name for part in parts for name in part.channels)
         raise ValueError(f"no colour among its channels {names}; supported: R, G, B or Y, alone or in a layer")

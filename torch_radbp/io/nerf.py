@@ -110,8 +110,7 @@ def size_of(place: str, given: dict[str, Any], folder: Path, name: str, other: t
     """Width and height as the file says them, or the image does, or the caller."""
     size = [number(place, given, key) for key in ("w", "h")]
     if None in size:
-        images = [folder / f"{name}{suffix}" for suffix in ("", ".png", ".jpg")]
-        image = next((image for image in images if image.is_file()), None)
+        image = image_of(folder, name)
         size = list(other) if None not in other else size_of_image(image) if image is not None else [None]
     if None in size:
         raise SceneError(f"{place}: the size of the image is not known: neither w and h are given nor is there a file "
@@ -119,6 +118,12 @@ def size_of(place: str, given: dict[str, Any], folder: Path, name: str, other: t
     if min(size) < 1 or any(side != int(side) for side in size):
         raise SceneError(f"{place}: w and h must be whole numbers of at least 1, got {size}")
     return [int(side) for side in size]
+
+
+def image_of(folder: Path, name: str) -> Path | None:
+    """The file of an image, whose name may lack its extension; None if there is none."""
+    images = [folder / f"{name}{suffix}" for suffix in ("", ".png", ".jpg")]
+    return next((image for image in images if image.is_file()), None)
 
 
 def size_of_image(path: Path) -> list[int]:

@@ -1,4 +1,6 @@
-"""Optimising shapes: large steps, an optimiser for them, losses of meshes, and another mesh on the way (`rb.optim`).
+"""Optimising: parametrisations of shapes, maps and ranges, an optimiser, losses of meshes, and another mesh on the way.
+
+Parametrisations are for `torch.nn.utils.parametrize` (`rb.optim`):
 
     mesh = scene.bunny
     parametrize.register_parametrization(mesh, "vertex_positions", rb.optim.LargeSteps(mesh.faces, mesh.vertex_positions))
@@ -6,8 +8,11 @@
 """
 
 from torch_radbp.optim.adam_uniform import AdamUniform
+from torch_radbp.optim.coarse_to_fine import CoarseToFine, refine
 from torch_radbp.optim.large_steps import LargeSteps
 from torch_radbp.optim.mesh_losses import laplacian_loss, normal_consistency_loss
+from torch_radbp.optim.ranges import Log, Sigmoid
 from torch_radbp.optim.remeshing import remesh
 
-__all__ = ["AdamUniform", "LargeSteps", "laplacian_loss", "normal_consistency_loss", "remesh"]
+__all__ = ["AdamUniform", "CoarseToFine", "LargeSteps", "Log", "Sigmoid", "laplacian_loss", "normal_consistency_loss",
+           "refine", "remesh"]

@@ -76,8 +76,7 @@ class Renderer(nn.Module):
             "detached": those neither, so that what is seen in them does not follow their shape and index of refraction.
             "attached": all do: the derivative of the estimator itself, `d_Li` of the note. Noisier, and the one to take
             where a density becomes very narrow, as roughness near 0 does.
-        nee: next-event estimation with multiple importance sampling; None: what the integrator element says, which is
-            True but for `direct` without samples of emitters.
+        nee: next-event estimation with multiple importance sampling; None: what the integrator element says.
         chunk: lanes (paths) traced together at most, but for a row of pixels with 8 samples; None picks.
         memory_budget: bytes, or a string such as "2GiB" or "2GB": picks chunk and, unless `adjoint` is given, the stride, so
             that the predicted peak fits. `renderer.memory_plan()` tells what was picked and predicted.

@@ -176,6 +176,7 @@ class Calibrated(ProjectiveCamera):
     """
 
     optional_parameters: ClassVar = BrownConrady._fields  # that there are if they are given
+    in_pixels: ClassVar = ("fx", "fy", "cx", "cy", "skew")
 
     def __init__(self, *, fx: float, fy: float | None = None, cx: float | None = None, cy: float | None = None,
                  skew: float = 0.0, distortion: str = BROWN_CONRADY, k1: float | None = None, k2: float | None = None,
@@ -207,6 +208,13 @@ class Calibrated(ProjectiveCamera):
     def domains(self) -> dict[str, Domain]:
         return super().domains() | {"fx": FOCAL_LENGTH, "fy": FOCAL_LENGTH} | dict.fromkeys(
             ("cx", "cy", "skew", *self.optional_parameters), NUMBER)
+
+    @torch.no_grad()
+    def rescale(self, x: float, y: float) -> None:
+        for parameter, factor in ((self.fx, x), (self.skew, x), (self.fy, y)):
+            parameter.mul_(factor)
+        for parameter, factor in ((self.cx, x), (self.cy, y)):  # from the centre of the first pixel, not its corner
+            parameter.add_(0.5).mul_(factor).sub_(0.5)
 
     def kind(self) -> CalibratedKind:
         return CalibratedKind(self.distortion == FISHEYE)

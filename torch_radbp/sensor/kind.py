@@ -6,12 +6,14 @@ lens, a record of the kind's own, and the film. A `Camera` holds all three; it i
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.utils import parametrize
 
 from torch_radbp.domain import POSE, Domain
 from torch_radbp.film.hdrfilm import HDRFilm
@@ -154,6 +156,7 @@ class ProjectiveCamera(Sensor):
     """
 
     takes_scale: ClassVar[bool] = False  # the length of its axes says how much it sees
+    in_pixels: ClassVar[tuple[str, ...]] = ()  # its parameters that depend on the size of the image
 
     def place(self, to_world: Matrix4 | None, near_clip: float, far_clip: float, film: Film | None,
               sampler: Sampler | None) -> None:
@@ -191,6 +194,40 @@ class ProjectiveCamera(Sensor):
     def aspect(self) -> float:
         """Width / height of the whole image."""
         return self.film.width / self.film.height
+
+    def resized(self, width: int, height: int) -> ProjectiveCamera:
+        """A camera that sees the same with another number of pixels.
+
+        Parameters that do not depend on the size, such as the pose, are shared with this camera: who optimises one
+        optimises both. The others start from their values now.
+
+        Args:
+            width, height: of the new image, pixels.
+
+        Raises:
+            ValueError: if the film has a crop window, a parameter in pixels is parametrized, or the sides of the image
+                would have another ratio and the camera cannot express that.
+        """
+        film = self.film
+        if (film.crop_width, film.crop_height) != (film.width, film.height):
+            raise ValueError(f"a camera with a crop window, {film.crop_width} x {film.crop_height} of {film.width} x "
+                             f"{film.height}, cannot be resized; crop the images instead, and calibrate them so")
+        if not self.in_pixels and width * film.height != height * film.width:
+            raise ValueError(f"a {self.type} camera of {film.width} x {film.height} pixels cannot be one of {width} x "
+                             f"{height}: its pixels would not be square; choose a scale by which both sides are whole "
+                             f"numbers, or take the sensor calibrated")
+        bound = [name for name in self.in_pixels if parametrize.is_parametrized(self, name)]
+        if bound:
+            raise ValueError(f"{', '.join(bound)} has a parametrization, which would not fit another size; remove it first")
+        shared = {id(value): value for name, value in self.named_parameters() if name not in self.in_pixels}
+        camera = copy.deepcopy(self, shared)
+        camera.film.width = camera.film.crop_width = width
+        camera.film.height = camera.film.crop_height = height
+        camera.rescale(width / film.width, height / film.height)
+        return camera
+
+    def rescale(self, x: float, y: float) -> None:
+        """Multiplies the parameters in pixels, in place, by the ratios of the new width and height to the old ones."""
 
     def kind(self) -> ProjectiveKind:
         """The functions."""

@@ -1,0 +1,42 @@
+"""The images that were asked for last, within a limit of memory."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+
+from torch import Tensor
+
+
+class ImageCache:
+    """Tuples of tensors by number; those that were not asked for the longest are forgotten first.
+
+    Args:
+        limit: bytes; what is larger by itself is not kept.
+    """
+
+    def __init__(self, limit: int):
+        self.limit, self.held = limit, 0
+        self.images: OrderedDict[int, tuple[Tensor, ...]] = OrderedDict()
+
+    def get(self, key: int, make: Callable[[], tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
+        """What is kept under a number, or what `make` returns, which is kept then."""
+        if key in self.images:
+            self.images.move_to_end(key)
+            return self.images[key]
+        made = make()
+        if size_of(made) <= self.limit:
+            self.images[key] = made
+            self.held += size_of(made)
+        while self.held > self.limit:
+            self.held -= size_of(self.images.popitem(last=False)[1])
+        return made
+
+    def __getstate__(self) -> dict:
+        """Copies, as for the processes of a `DataLoader`, start empty."""
+        return {"limit": self.limit, "held": 0, "images": OrderedDict()}
+
+
+def size_of(tensors: tuple[Tensor, ...]) -> int:
+    """Bytes of some tensors."""
+    return sum(tensor.numel() * tensor.element_size() for tensor in tensors)

@@ -1,0 +1,29 @@
+"""What the models of a camera take, checked."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def check_images(images: Tensor) -> None:
+    """Raises ValueError unless `images` are (B, 3, H, W), TypeError unless they are floats."""
+    if not isinstance(images, Tensor) or not images.is_floating_point():
+        got = images.dtype if isinstance(images, Tensor) else type(images).__name__
+        raise TypeError(f"images must be a tensor of floating point numbers, got {got}")
+    if images.ndim != 4 or images.shape[1] != 3:
+        raise ValueError(f"images must have shape (B, 3, H, W), got {tuple(images.shape)}")
+
+
+def view_indices(views: int | Tensor, images: Tensor, count: int) -> Tensor:
+    """The views of some images, (B,) int64 on their device.
+
+    Raises:
+        ValueError: if there is not one for each image, or there is no such view.
+    """
+    found = torch.as_tensor(views, device=images.device).reshape(-1)
+    if found.is_floating_point() or found.dtype == torch.bool or len(found) != len(images):
+        raise ValueError(f"views must be one integer for each of {len(images)} images, got {views!r:.80}")
+    if len(found) and not 0 <= int(found.min()) <= int(found.max()) < count:
+        raise ValueError(f"views must be from 0 to {count - 1}, got {found.tolist()}")
+    return found.long()

@@ -1,0 +1,126 @@
+"""One photograph: where its image and its mask are, and their linear values."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.io.alpha import image_size, read_alpha
+from torch_radbp.io.image import LINEAR, READABLE, read_image, srgb_to_linear
+from torch_radbp.plugin import nearest
+
+CURVES = {"srgb": srgb_to_linear, "linear": lambda values: values}
+ASSOCIATED = ("EXR",)  # their colours are multiplied by alpha already
+
+Source = Path | Tensor
+
+
+class Picture(NamedTuple):
+    """One photograph as it was given."""
+
+    image: Source
+    mask: Source | None
+
+
+def as_source(name: str, value: str | os.PathLike | Tensor, channels: int) -> Source:
+    """A path, or a tensor (channels, H, W) of finite floats.
+
+    Raises:
+        TypeError: if it is neither.
+        ValueError: if the tensor has another shape.
+    """
+    if isinstance(value, (str, os.PathLike)):
+        return Path(value)
+    if not isinstance(value, Tensor) or not value.is_floating_point():
+        got = value.dtype if isinstance(value, Tensor) else type(value).__name__
+        raise TypeError(f"{name} must be a path or a tensor of floating point numbers, got {got}")
+    if value.ndim != 3 or value.shape[0] != channels or value.numel() == 0:
+        raise ValueError(f"{name} must have shape ({channels}, H, W), got {tuple(value.shape)}")
+    return value.detach()
+
+
+def size_of(source: Source) -> tuple[int, int]:
+    """Width and height, of a file from its header."""
+    return image_size(source) if isinstance(source, Path) else (source.shape[2], source.shape[1])
+
+
+def checked_curve(curve: str | float) -> str | float:
+    """`curve`, if it is the name of a known one or a gamma.
+
+    Raises:
+        ValueError: otherwise.
+    """
+    if isinstance(curve, str) and curve in CURVES:
+        return curve
+    if isinstance(curve, (int, float)) and not isinstance(curve, bool) and 0 < curve < float("inf"):
+        return float(curve)
+    raise ValueError(f"curve must be a gamma greater than 0, such as 2.2, or the name of a curve, got {curve!r:.60}; "
+                     f"{nearest(str(curve)[:60], CURVES)}")
+
+
+def decoded(path: Path, curve: str | float) -> Tensor:
+    """(3, H, W) linear values of a file, without regard to its alpha."""
+    values = read_image(path, raw=True)
+    if READABLE[path.suffix.lower()] not in LINEAR:
+        values = CURVES[curve](values) if isinstance(curve, str) else values**curve
+    return values.expand(-1, -1, 3).movedim(-1, 0)
+
+
+def read_picture(picture: Picture, curve: str | float, background: Tensor) -> tuple[Tensor, Tensor]:
+    """The image, (3, H, W), and the mask, (1, H, W), of a photograph, float32; as `Photographs` describes them.
+
+    Args:
+        picture: where they are.
+        curve: of files that are not linear.
+        background: (3,) linear, behind what alpha lets through.
+
+    Raises:
+        ValueError: names a file whose values are not finite, or whose size is not that of its image.
+    """
+    if isinstance(picture.image, Tensor):
+        image, alpha = picture.image.float(), None
+    else:
+        image, alpha = decoded(picture.image, curve), read_alpha(picture.image)
+    if alpha is not None:
+        over = image if READABLE[picture.image.suffix.lower()] in ASSOCIATED else image * alpha
+        image = over + (1 - alpha) * background[:, None, None]
+    mask = torch.ones_like(image[:1]) if alpha is None else alpha[None]
+    if picture.mask is not None:
+        mask = mask * read_mask(picture.mask)
+    bad = int((~image.isfinite()).sum()) + int((~mask.isfinite()).sum())
+    if bad:
+        raise ValueError(f"{name_of(picture.image)}: {bad} values of the image or its mask are NaN or infinite; mend it "
+                         f"first")
+    return image.contiguous(), mask.clamp(0, 1).contiguous()
+
+
+def read_mask(source: Source) -> Tensor:
+    """(1, H, W) float32; of a file the mean of its channels, without any curve."""
+    if isinstance(source, Tensor):
+        return source.float()
+    return read_image(source, raw=True).mean(-1)[None]
+
+
+def name_of(source: Source) -> str:
+    """What errors call an image."""
+    return str(source) if isinstance(source, Path) else f"a tensor of shape {tuple(source.shape)}"
+
+
+def background_colour(value: float | Sequence[float] | Tensor) -> Tensor:
+    """(3,) float32 of a number or three.
+
+    Raises:
+        ValueError: if it is something else.
+    """
+    try:
+        colour = torch.as_tensor(value, dtype=torch.float32).detach().cpu()
+    except (TypeError, ValueError, RuntimeError):
+        colour = torch.empty(0)
+    if colour.shape not in ((), (3,)) or not bool(colour.isfinite().all()):
+        raise ValueError(f"background must be a number or three, linear, got {value!r:.60}")
+    return colour.expand(3)

@@ -1,0 +1,67 @@
+"""Priors of maps: that neighbouring texels are alike."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import positive
+
+
+def total_variation(values: Tensor, epsilon: float = 1e-3, wrap_rows: bool = False, wrap_columns: bool = False) -> Tensor:
+    """The mean length of the differences between a texel and its neighbours to the right and below, channels together.
+
+    Few large jumps cost no more than many small ones, so that maps become piecewise constant and keep their edges. Lengths
+    are sqrt(difference^2 + epsilon^2) - epsilon, which are smooth at 0. `kornia.losses.total_variation` is that of images
+    (C, H, W), a sum, with each direction and channel by itself.
+
+    Args:
+        values: (H, W, C), such as `data` of a bitmap or an environment; attached.
+        epsilon: differences below count by their squares; in units of the map.
+        wrap_rows, wrap_columns: whether the last row, or column, is the neighbour of the first: both of a bitmap that
+            repeats, columns alone of an environment.
+
+    Returns:
+        A scalar, in units of the map.
+
+    Raises:
+        ValueError: for another shape, or if epsilon is not positive.
+
+    Reference: Rudin, Osher and Fatemi 1992, "Nonlinear Total Variation Based Noise Removal Algorithms".
+    """
+    down, right = differences(values, wrap_rows, wrap_columns)
+    least = positive("epsilon", epsilon)
+    square = down.square().sum(-1) + right.square().sum(-1)
+    return ((square + least**2).sqrt() - least).mean()
+
+
+def smoothness(values: Tensor, wrap_rows: bool = False, wrap_columns: bool = False) -> Tensor:
+    """The mean squared difference between a texel and its next neighbours to the right and below, summed over channels.
+
+    Large jumps cost most, so that maps become smooth and lose their edges; for light from all around, and at the beginning.
+
+    Args:
+        values: (H, W, C), such as `data` of a bitmap or an environment; attached.
+        wrap_rows, wrap_columns: as of `total_variation`.
+
+    Returns:
+        A scalar, in squared units of the map.
+
+    Raises:
+        ValueError: for another shape.
+    """
+    down, right = differences(values, wrap_rows, wrap_columns)
+    return (down.square() + right.square()).sum(-1).mean()
+
+
+def differences(values: Tensor, wrap_rows: bool, wrap_columns: bool) -> tuple[Tensor, Tensor]:
+    """(H, W, C) the texel below less each texel, and the one to the right less it; 0 where there is none."""
+    if values.ndim != 3 or not values.is_floating_point() or values.numel() == 0:
+        raise ValueError(f"values must be floats of shape (H, W, C), got {values.dtype} of {tuple(values.shape)}; of an "
+                         f"image (C, H, W) take values.movedim(0, -1)")
+    down, right = (torch.roll(values, -1, axis) - values for axis in (0, 1))
+    if not wrap_rows:
+        down = torch.cat([down[:-1], torch.zeros_like(down[-1:])])
+    if not wrap_columns:
+        right = torch.cat([right[:, :-1], torch.zeros_like(right[:, -1:])], 1)
+    return down, right
