@@ -33,7 +33,11 @@ def write_page(script: Path) -> None:
             continue
         page.append(f"```python\n{cell.source}\n```")
         with redirect_stdout(io.StringIO()) as printed:
-            exec(compile(cell.source, str(script), "exec"), names)
+            try:
+                exec(compile(cell.source, f"{script.name}, cell {len(page)}", "exec"), names)
+            except BaseException:
+                print(*page, printed.getvalue(), sep="\n\n", file=sys.stderr)  # what it found so far
+                raise
         if printed.getvalue().strip():
             page.append(f"```text\n{printed.getvalue().rstrip()}\n```")
         for number in plt.get_fignums():

@@ -45,7 +45,7 @@ class MinnaertKind(rb.bsdf.kind.Kind):
 
     def sample(self, values, wi, choice, u, v):
         radius, angle = u.sqrt(), 2 * math.pi * v  # as likely as the cosine is large
-        return type(wi)(radius * angle.cos(), radius * angle.sin(), (1 - u).clamp_min(1e-12).sqrt())
+        return rb.vec.Vec3(radius * angle.cos(), radius * angle.sin(), (1 - u).clamp_min(1e-12).sqrt())
 
 
 # %% [markdown]
