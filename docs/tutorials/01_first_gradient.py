@@ -67,6 +67,7 @@ for step in range(60):
 
 # %%
 show(before=before, target=target, after=rb.render(scene, spp=64, max_depth=5)[0])
+plt.figure(figsize=(5, 3))
 plt.semilogy(losses)
 plt.xlabel("step")
 plt.ylabel("squared error")
