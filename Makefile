@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-deep test-peer test-torch gpu-check lint clean
+.PHONY: demo docs test test-deep test-peer test-torch gpu-check lint clean
 
 $(VENV)/.installed: setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -15,6 +15,11 @@ $(VENV)/.installed: setup.py constraints.txt
 
 demo: $(VENV)/.installed
 	$(BIN)/radbp optimize cornell_reflectance
+
+# The documentation, in site/: runs the tutorials that have changed, some minutes for all. A warning is an error.
+docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[docs]"
+	$(BIN)/python -m docs.build
 
 # Workers begin at either end of the list, and who is done takes from the other; compiled code is kept for all of them.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
@@ -52,4 +57,4 @@ lint: $(VENV)/.installed
 	$(BIN)/ruff check .
 
 clean:
-	rm -rf $(VENV) build dist runs *.egg-info
+	rm -rf $(VENV) build dist runs site *.egg-info

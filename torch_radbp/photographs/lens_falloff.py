@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 
@@ -28,7 +30,7 @@ class LensFalloff(nn.Module):
     Reference: Goldman 2010, "Vignette and Exposure Calibration and Compensation".
     """
 
-    def __init__(self, coefficients=(0.0, 0.0, 0.0)):
+    def __init__(self, coefficients: Sequence[float] | Tensor = (0.0, 0.0, 0.0)):
         super().__init__()
         start = torch.as_tensor(coefficients, dtype=torch.get_default_dtype()).detach().clone()
         if start.ndim != 1 or not len(start) or not bool(start.isfinite().all()):

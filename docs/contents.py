@@ -1,0 +1,69 @@
+"""What is on which page of the reference and of the plugins."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch_radbp as rb
+
+
+class Group(NamedTuple):
+    """A page of the reference."""
+
+    title: str
+    about: str
+    names: tuple[str, ...]  # as written after `rb.`; a method after its class
+
+
+class Category(NamedTuple):
+    """A page of plugins."""
+
+    title: str
+    about: str
+
+
+GROUPS = {
+    "rendering": Group("Rendering", "Images with derivatives, and derivatives as images.", (
+        "Renderer", "Renderer.forward", "Renderer.radiance", "Renderer.aovs", "Renderer.memory_plan", "render", "jvp")),
+    "strategies": Group("Strategies", "Where the backward pass keeps its memory; see "
+                        "[the tutorial](../tutorials/11_memory.md).", (
+        "MemoizedAdjoint", "ReplayAdjoint", "QuadraticAdjoint", "TapeAdjoint", "AdjointStrategy", "AdjointStrategy.kept",
+        "AdjointStrategy.replayed", "AdjointStrategy.backward")),
+    "scenes": Group("Scenes and files", "Reading, changing and writing scenes.", (
+        "load", "load_dict", "save", "save_image", "Scene", "NeuralTexture")),
+    "cameras": Group("Cameras and poses", "Poses, and cameras of other programs.", (
+        "look_at", "se3", "camera_from_opencv", "cameras_from_colmap", "cameras_from_nerf", "cameras_from_kornia")),
+    "losses": Group("Losses", "Losses whose gradients noise does not bias; see "
+                    "[the tutorial](../tutorials/02_samples_and_losses.md).",
+                    tuple(f"losses.{name}" for name in rb.losses.__all__)),
+    "photographs": Group("Photographs", "Images with cameras and masks, and how a camera makes pictures of radiance.", (
+        "Photographs", "Photographs.from_nerf", "Photographs.from_colmap", "Photographs.at_scale", "Photographs.batches",
+        "Photographs.batch", "Photograph", "Exposure", "LensFalloff", "ToneCurve")),
+    "optim": Group("Optimising", "Parametrisations, an optimiser, losses of meshes; see "
+                   "[the tutorial](../tutorials/06_shape.md).", tuple(f"optim.{name}" for name in rb.optim.__all__)),
+    "priors": Group("Priors", "What is likely of maps and colours.", tuple(f"priors.{name}" for name in rb.priors.__all__)),
+    "checks": Group("Checks", "Is this derivative right? See [the tutorial](../tutorials/10_checks_and_reports.md).", (
+        "check_gradient", "GradientCheck", "GradientCheck.figures")),
+    "errors": Group("Errors and warnings", "What is raised and what is warned of, by class.", (
+        "SceneError", "NonFiniteError", "SceneWarning", "GltfWarning", "SilhouetteWarning", "JumpWarning",
+        "RepeatedNoiseWarning")),
+}
+PAGES = {
+    "bsdf": Category("BSDFs", "How surfaces scatter light. The pictures show a ball of each on a checkered floor, under a "
+                     "square lamp and an even sky. Your own: [](../tutorials/09_own_material.md)."),
+    "texture": Category("Textures and spectra", "What varies over a surface, and colours. Every texture of a material can "
+                        "also be a network: [](../tutorials/07_network.md)."),
+    "emitter": Category("Emitters", "What sends light. The pictures show a ball under each of them alone."),
+    "shape": Category("Shapes", "Surfaces. All have a pose, `to_world`, with derivatives."),
+    "sensor": Category("Sensors", "Cameras. Their poses and optics have derivatives."),
+    "film": Category("Films", "The size of an image and how samples become pixels."),
+    "rfilter": Category("Reconstruction filters", "How much a sample counts in the pixels around it."),
+    "sampler": Category("Samplers", "Which random numbers the samples of a pixel get."),
+    "integrator": Category("Integrators", "What of the light transport an image shows. How derivatives are computed, "
+                           "`adjoint=` of {py:obj}`Renderer <torch_radbp.Renderer>` says."),
+}
+
+
+def ungrouped() -> set[str]:
+    """The public names that are on no page of the reference."""
+    return set(rb.__all__) - {name for group in GROUPS.values() for name in group.names}

@@ -1,0 +1,77 @@
+# %% [markdown]
+# # A network in the light path
+#
+# Any `nn.Module` from surface coordinates or positions to values can stand in the place of a texture. It runs on the
+# points that paths meet, bounce by bounce, and its weights get gradients like everything else. Here a small network
+# becomes the painting on the wall of a room.
+
+# %%
+import matplotlib.pyplot as plt
+import torch
+
+import torch_radbp as rb
+
+
+def show(**images):
+    """Linear images (3, H, W) side by side, on the screen's scale."""
+    axes = plt.subplots(1, len(images), figsize=(3 * len(images), 3.2), squeeze=False)[1][0]
+    for axis, (title, image) in zip(axes, images.items()):
+        axis.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
+        axis.set_title(title)
+        axis.axis("off")
+    plt.show()
+
+# %%
+scene = rb.load("assets/textured_room/scene.xml", resolution=64, max_depth=4)
+target = rb.render(scene, spp=256, seed=1).detach()
+painting = scene.painting.bsdf.reflectance.data.detach().clone()  # (64, 64, 3), to compare with
+
+
+# %% [markdown]
+# A network of coordinates alone learns blurs; sines and cosines of them, of many frequencies, let it have edges. The
+# frequencies are fixed, so they are a buffer.
+
+# %%
+class Waves(torch.nn.Module):
+    """Sines and cosines of coordinates (N, 2), of random frequencies."""
+
+    def __init__(self, count, frequency):
+        super().__init__()
+        self.register_buffer("frequencies", frequency * torch.randn(2, count))
+
+    def forward(self, uv):
+        phases = uv @ self.frequencies
+        return torch.cat([phases.sin(), phases.cos()], -1)
+
+
+torch.manual_seed(0)
+network = torch.nn.Sequential(Waves(48, 20.0), torch.nn.Linear(96, 48), torch.nn.ReLU(), torch.nn.Linear(48, 48),
+                              torch.nn.ReLU(), torch.nn.Linear(48, 3), torch.nn.Sigmoid())
+scene.painting.bsdf.reflectance = rb.NeuralTexture(network)
+before = rb.render(scene, spp=64).detach()
+print(sum(weights.numel() for weights in network.parameters()), "weights, such as painting.bsdf.reflectance.module.1.weight")
+
+# %%
+renderer = rb.Renderer(scene, spp=4, share_samples=True)
+optimizer = torch.optim.Adam(network.parameters(), lr=0.01)
+schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 120)
+for step in range(120):
+    optimizer.zero_grad()
+    rb.losses.two_buffer_l2(renderer(seed=2 * step), renderer(seed=2 * step + 1), target).backward()
+    optimizer.step()
+    schedule.step()
+
+# %% [markdown]
+# The painting, read off the network at the centres of the texels of the original; the row 0 of a bitmap is at the top,
+# v = 1.
+
+# %%
+centres = (torch.arange(64) + 0.5) / 64
+v, u = torch.meshgrid(1 - centres, centres, indexing="ij")
+with torch.no_grad():
+    found = network(torch.stack([u, v], -1).reshape(-1, 2)).reshape(64, 64, 3)
+show(before=before[0], target=target[0], after=rb.render(scene, spp=64)[0])
+show(network=found.permute(2, 0, 1), painting=painting.permute(2, 0, 1))
+error = (found - painting).square().mean().sqrt().item()
+print(f"off by {error:.3f} (root mean square); plain grey would be by {(0.5 - painting).square().mean().sqrt().item():.3f}")
+assert error < 0.12
