@@ -47,7 +47,8 @@ def functions() -> Iterator[tuple[str, Callable]]:
 @pytest.mark.parametrize("function", [pytest.param(function, id=name) for name, function in functions()])
 def test_every_argument_and_every_result_has_a_type(function):
     signature = inspect.signature(function)
-    untyped = [name for name, each in signature.parameters.items() if each.annotation is each.empty and name not in ("self", "cls")]
+    untyped = [name for name, each in signature.parameters.items()
+               if each.annotation is each.empty and name not in ("self", "cls")]
     if signature.return_annotation is signature.empty and function.__name__ != "__init__":
         untyped.append("the result")
     assert not untyped
