@@ -1,7 +1,7 @@
 """Derivatives of moving scenes against finite differences, in numbers and pictures: ``python -m benchmarks.derivatives``.
 
-Every scene of `tests/derivatives/moving_scenes.py` and `shadow_scenes.py` is rendered by finite differences, and by forward
-mode with every sampling that gives the whole derivative, with samples of their own, until the noise is below the target or
+Every scene of `tests/derivatives/` (`moving_scenes.py`, `inner_jumps.py`, `shadow_scenes.py`) is rendered by finite
+differences, and by forward mode with every sampling that gives the whole derivative, with samples of their own, until the noise is below the target or
 the rounds are used up. A row of the table holds
 
     error   mean over pixels and channels of |JVP - D| / max(|D|, 0.2 S), D the finite differences, S its 99.5% quantile
@@ -26,6 +26,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from benchmarks.sheet import derivative_panels, write_sheet
 from tests.derivatives.in_expectation import Effort, Estimate
+from tests.derivatives.inner_jumps import INNER_JUMPS
 from tests.derivatives.moving_scenes import SCENES
 from tests.derivatives.shadow_scenes import SHADOWS
 from torch_radbp.check.outcome import GradientCheck, uncertainty
@@ -63,7 +64,7 @@ def main() -> None:
     parser.add_argument("--only", default="", help="parts of names, with commas between")
     parser.add_argument("--sheet", type=Path, default=Path("runs/derivatives.png"))
     options = parser.parse_args()
-    scenes, parts = SCENES | SHADOWS, options.only.split(",")
+    scenes, parts = SCENES | INNER_JUMPS | SHADOWS, options.only.split(",")
     chosen = {name: moving for name, moving in scenes.items() if any(part in name for part in parts)}
     panels = []
     with Progress(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),

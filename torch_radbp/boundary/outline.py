@@ -184,6 +184,8 @@ class Outlines:
         chosen = torch.cat(own)
         faces = torch.stack([rows(corner, chosen) for corner in triangles.corners], 1)
         edges = edges_of(triangles.vertices.p.stack(), faces)
+        if not len(edges.a):
+            return None
         if int(chosen[-1]) >= len(chosen):
             edges = edges._replace(corner=tuple(
                 3 * rows(chosen, torch.div(corner, 3, rounding_mode="floor")) + corner % 3 for corner in edges.corner))

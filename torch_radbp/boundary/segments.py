@@ -131,8 +131,11 @@ def drift_of(passed: Corners, corners: Corners, pace: list[Vec2], normal: Vec2) 
 
 
 def crossings(f0: Tensor, f1: Tensor, f2: Tensor) -> tuple[Vec2, Vec2]:
-    """The two places on the sides of triangles where a linear function, given at the corners, is 0; barycentric."""
-    at_1, at_2 = (f0 >= 0.0) == (f2 >= 0.0), (f0 >= 0.0) == (f1 >= 0.0)  # the corner that is alone on its side
+    """The two places on the sides of triangles where a linear function, given at the corners, is 0; barycentric.
+
+    They are one if it is 0 in a corner alone, or nowhere.
+    """
+    at_1, at_2 = (f0 > 0.0) == (f2 > 0.0), (f0 > 0.0) == (f1 > 0.0)  # the corner that is alone on its side
     at_2 = at_2 & ~at_1
     ends = []
     for other in (1, 2):
@@ -140,7 +143,7 @@ def crossings(f0: Tensor, f1: Tensor, f2: Tensor) -> tuple[Vec2, Vec2]:
         alone = torch.where(at_1, f1, torch.where(at_2, f2, f0))
         beyond = torch.where(at_1, (f0, f1, f2)[(1 + other) % 3], torch.where(at_2, (f0, f1, f2)[(2 + other) % 3],
                                                                              (f1, f2)[other - 1]))
-        share = alone / torch.where(alone == beyond, 1.0, alone - beyond)
+        share = (alone / torch.where(alone == beyond, 1.0, alone - beyond)).clamp(0.0, 1.0)
         weight = [torch.zeros_like(share) for _ in range(3)]
         for apex, here in ((0, ~(at_1 | at_2)), (1, at_1), (2, at_2)):
             weight[apex] = torch.where(here, 1.0 - share, weight[apex])

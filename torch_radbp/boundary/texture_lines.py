@@ -16,7 +16,8 @@ from torch_radbp.scene.attributes import textures_of
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.vec import Vec2, Vec3, rows
 
-ASIDE = 0.01  # of the distance of two lines, by which a place lies surely on one side of one
+ASIDE = 1e-5  # of the distance of two lines, by which a place lies on one side of one; so little that no light changes
+ROUNDED = 2e-6  # the same for each of the lines that are counted up to it, for the rounding of coordinates in float32
 LARGEST_STEP = 0.01  # the same as barycentric coordinates, at most
 ON_EDGE = 1e-6  # of the rise of a triangle, below which a line runs along one of its edges; it counts for one neighbour
 
@@ -77,12 +78,12 @@ def segments_along(faces: Faces, level: tuple[Tensor, Tensor, Tensor], lines: Ju
     count = torch.where(rise > 0.0, last - first + 1.0, 0.0).clamp_min(0.0).long()
     which = torch.repeat_interleave(count)
     place = torch.arange(len(which), device=which.device) - rows(count.cumsum(0) - count, which)
-    own, level = rows(faces, which), rows(level, which)
-    f0, f1, f2 = (value - rows(first, which) - place for value in level)
+    own, number = rows(faces, which), rows(first, which) + place
+    f0, f1, f2 = (value - number for value in rows(level, which))
     by_u, by_v = f1 - f0, f2 - f0
     steep, on_edge = by_u * by_u + by_v * by_v, rows(ON_EDGE * rise, which)
     runs_along = torch.stack([value.abs() <= on_edge for value in (f0, f1, f2)]).sum(0) > 1
-    step = ASIDE / steep
+    step = (ASIDE + ROUNDED * (number.abs() + abs(lines.z) + 1.0)) / steep
     step = step * (LARGEST_STEP / (step * torch.sqrt(steep))).clamp_max(1.0)
     step = torch.where(runs_along, 0.0, step)
     start, end = crossings(f0, f1, f2)

@@ -11,8 +11,7 @@ light's point y through the point p of the edge meets the plane of the receiver,
 for moving lights, blockers, receivers and cameras, and for all samplings but those whose directions towards a light of some
 extent carry derivatives.
 
-Light samples are few, and each has many places on the edges that are silhouettes from there: so all edges are examined for
-each sample, but no edge for each place.
+From each light sample edges that are silhouettes from there are looked for by a tree (`edge_tree.py`).
 
 References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
 Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5 (samples that start at edges).
