@@ -1,8 +1,8 @@
 """Derivatives of moving scenes against finite differences, in numbers and pictures: ``python -m benchmarks.derivatives``.
 
 Every scene of `tests/derivatives/` (`moving_scenes.py`, `inner_jumps.py`, `shadow_scenes.py`) is rendered by finite
-differences, and by forward mode with every sampling that gives the whole derivative, with samples of their own, until the noise is below the target or
-the rounds are used up. A row of the table holds
+differences, and by forward mode with every sampling that gives the whole derivative, with samples of their own, until the
+noise is below the target or the rounds are used up. A row of the table holds
 
     error   mean over pixels and channels of |JVP - D| / max(|D|, 0.2 S), D the finite differences, S its 99.5% quantile
     noise   what of it the standard errors explain alone: the same with sqrt(2 / pi) standard errors in place of |JVP - D|
