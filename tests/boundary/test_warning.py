@@ -40,7 +40,7 @@ def warnings_of(scene: rb.Scene, *names: str, calls: int = 1, **settings) -> lis
     """What the renderer says when derivatives of parameters are asked for."""
     for name in names:
         scene.get_parameter(name).requires_grad_()
-    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="brute", terms=["interior"], **settings)
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="embree", terms=["interior"], **settings)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for seed in range(calls):
@@ -319,7 +319,7 @@ def soft_shadows(scene: rb.Scene, *names: str) -> list[str]:
     """The warnings about shadows, where edges in view are computed."""
     for name in names:
         scene.get_parameter(name).requires_grad_()
-    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="brute", terms=["interior", "primary"])
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="embree", terms=["interior", "primary"])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for seed in range(2):
