@@ -41,8 +41,7 @@ SHOWN = {
     (0.2, 512): ("lamp, ball", "plate before a wall, rectangle, four bounces",
                  "camera before a wall, rectangle, four bounces", "many lamps", "camera, shadow in a mirror"),
     (0.2, 2048): ("plate, ball", "plate before a wall, spot"),
-    (0.4, 512): ("wall before a wall, spot",),
-    (0.4, 1024): ("plate, constant", "plate, envmap", "plate, shadow in a mirror",
+    (0.4, 1024): ("wall before a wall, spot", "plate, constant", "plate, envmap", "plate, shadow in a mirror",
                   "plate, compensated envmap", "plate, rectangle of weight 0"),
     (0.4, 2048): ("floor before a wall, spot",),
 }

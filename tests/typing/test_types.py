@@ -26,7 +26,7 @@ rb.render(scene).no_method()
 rb.Renderer(scene)(seed=0, aovs=["depth"]).mean()
 rb.losses.two_buffer_l3
 rb.optim.LargeSteps(1)
-rb.boundary
+rb.no_such_part
 """
 
 

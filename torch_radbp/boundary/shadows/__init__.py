@@ -23,7 +23,7 @@ from torch_radbp.boundary.shadows.seen_edges import Casting
 from torch_radbp.differentiated import any_differentiated, detached
 from torch_radbp.rendering.call.render_call import RenderCall
 
-BYTES_OF_EDGE = 250  # nodes of the tree
+BYTES_OF_EDGE = 400  # nodes of the tree, and what they are made of
 BYTES_OF_WAY = 120  # down the tree: where it is, and what it has found
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
 BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
