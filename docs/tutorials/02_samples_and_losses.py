@@ -92,7 +92,7 @@ plt.show()
 #
 # What is left of the unbiased ones is the noise of their last steps, which a learning rate that falls averages out. A
 # gradient need only be right on average, so cheap steps do: as many samples in a tenth of the steps, of ten times the
-# samples and larger steps, come as near and no nearer. Start with 1 to 8 samples. Take more where a loss bends sharply
+# samples and larger steps, come about as near. Start with 1 to 8 samples. Take more where a loss bends sharply
 # in each pixel (SSIM, logarithms): noise biases these a little, whatever the samples of the derivative are.
 
 # %%
