@@ -19,6 +19,7 @@ from torch_radbp.boundary.places import (
     Sight,
     counts_somewhere,
     depth_of,
+    length_in_view,
     numbers_of,
     on_film,
     picked,
@@ -41,16 +42,11 @@ def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
         sight: of the camera.
         outline: (E,).
     """
-    edges, camera = outline.edges, sight.camera
+    edges = outline.edges
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), outline.instance)
     silhouette = is_silhouette(a, b, opposite, sight.eye.towards(a), sight.eye.radius)
     jump = torch.where(silhouette, 1.0, jump_of_creases(outline, a, b, opposite))
-    enters, leaves = sight.frustum.clipped(a, b, torch.float32)  # weights need not be exact
-    middle = Vec2(*(torch.full_like(a.x, 0.5),) * 2) if camera.kind.has_aperture else None
-    start, end = (on_film(camera, a + (b - a) * along, middle) for along in (enters, leaves))
-    across, down = end.x - start.x, end.y - start.y
-    seen = (enters < leaves) & (jump > 0.0)
-    return torch.where(seen, torch.sqrt(across * across + down * down) * jump, 0.0)
+    return torch.where(jump > 0.0, length_in_view(sight, a, b) * jump, 0.0)
 
 
 def jump_of_creases(outline: Outline, a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> Tensor:

@@ -169,6 +169,19 @@ def on_film(camera: Camera, p: Vec3, aperture: Vec2 | None) -> Vec2:
     return Vec2(place.x * film.size_x - film.crop_x, place.y * film.size_y - film.crop_y)
 
 
+def length_in_view(sight: Sight, a: Vec3, b: Vec3) -> Tensor:
+    """The lengths in view of lines from a to b, (N,) points of the world; float64 pixels, seen from the middle of a lens.
+
+    They are those by which lines are picked, and need not be exact.
+    """
+    camera = sight.camera
+    enters, leaves = sight.frustum.clipped(a, b, torch.float32)
+    middle = Vec2(*(torch.full_like(a.x, 0.5),) * 2) if camera.kind.has_aperture else None
+    start, end = (on_film(camera, a + (b - a) * along, middle) for along in (enters, leaves))
+    across, down = end.x - start.x, end.y - start.y
+    return torch.where(enters < leaves, torch.sqrt(across * across + down * down), 0.0)
+
+
 def velocities_on_film(camera: Camera, p: Vec3, directions: Sequence[Vec3], aperture: Vec2 | None) -> list[Vec2]:
     """How fast points are seen to move, pixels, that move in some directions; (N,) each, by the derivative of `on_film`."""
     def velocity(direction: Vec3, coordinate: int) -> Tensor:

@@ -141,12 +141,14 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
 
 def places_of(call: RenderCall, number: int, viewed: Viewed, jumps: Jumps, rims: bool) -> list[Places]:
     """Places on all curves at which view `number` may jump; `rims`: those of shading normals are among them."""
-    found = [] if jumps.outline is None else [outline_in_view(viewed, jumps.outline)]
+    stages, found = viewed.stages, []
+    if jumps.outline is not None:
+        found.append(lines_in_view(viewed, jumps.outline, stages.edge_weight, stages.edge_place))
     if jumps.faces is not None:
         kinds = [RIM] * (rims and call.scene.triangles.vertices.n is not None) + [NEAR] + [FAR] * call.views[number].clips
         found += [contours_in_view(viewed, jumps.faces, kind) for kind in kinds]
     if jumps.segments is not None:
-        found.append(segments_in_view(viewed, jumps.segments))
+        found.append(lines_in_view(viewed, jumps.segments, stages.segment_weight, stages.segment_place))
     found = [curves for curves in found if curves is not None]
     counts = numbers_of_places([curves.length for curves in found], call, call.views[number])
     return [curves.places(count) for curves, count in zip(found, counts)]
@@ -159,27 +161,20 @@ class CurvesInView(NamedTuple):
     places: Callable[[int], Places]  # so many, in proportion to lengths
 
 
-def outline_in_view(viewed: Viewed, outline: Outline) -> CurvesInView | None:
-    """What is seen of an outline; None: nothing."""
-    stages, geometry, sight, _ = viewed
-    weight = stages.edge_weight(geometry, sight, outline)
+def lines_in_view(viewed: Viewed, lines: Outline | Segments, weigh: Callable, place: Callable) -> CurvesInView | None:
+    """What is seen of straight lines; None: nothing.
+
+    Args:
+        viewed: from where.
+        lines: in the world.
+        weigh, place: the stages that give their lengths in view, and places on them.
+    """
+    _, geometry, sight, _ = viewed
+    weight = weigh(geometry, sight, lines)
     total = running_sum(weight)
 
     def places(count: int) -> Places:
-        return stages.edge_place(geometry, sight, outline, lot_of(weight, count, total), lanes(count, weight))
-
-    length = float(total[-1])
-    return CurvesInView(length, places) if length > 0.0 else None
-
-
-def segments_in_view(viewed: Viewed, segments: Segments) -> CurvesInView | None:
-    """What is seen of segments; None: nothing."""
-    stages, geometry, sight, _ = viewed
-    weight = stages.segment_weight(geometry, sight, segments)
-    total = running_sum(weight)
-
-    def places(count: int) -> Places:
-        return stages.segment_place(geometry, sight, segments, lot_of(weight, count, total), lanes(count, weight))
+        return place(geometry, sight, lines, lot_of(weight, count, total), lanes(count, weight))
 
     length = float(total[-1])
     return CurvesInView(length, places) if length > 0.0 else None

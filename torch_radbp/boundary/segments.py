@@ -22,6 +22,7 @@ from torch_radbp.boundary.places import (
     Sight,
     counts_somewhere,
     depth_of,
+    length_in_view,
     numbers_of,
     on_film,
     picked,
@@ -56,13 +57,8 @@ def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tens
         sight: of the camera.
         segments: (S,).
     """
-    camera, corners = sight.camera, segments.corners(geometry)
-    a, b = (interpolated(corners, end.x, end.y) for end in (segments.start, segments.end))
-    enters, leaves = sight.frustum.clipped(a, b, torch.float32)  # weights need not be exact
-    middle = Vec2(*(torch.full_like(a.x, 0.5),) * 2) if camera.kind.has_aperture else None
-    start, end = (on_film(camera, a + (b - a) * along, middle) for along in (enters, leaves))
-    across, down = end.x - start.x, end.y - start.y
-    return torch.where(enters < leaves, torch.sqrt(across * across + down * down), 0.0)
+    corners = segments.corners(geometry)
+    return length_in_view(sight, *(interpolated(corners, end.x, end.y) for end in (segments.start, segments.end)))
 
 
 def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot, place: Tensor) -> Places:
