@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 from safetensors.torch import load_file
 
-from torch_radbp.io.image import linear_to_srgb, read_image
+from torch_radbp.formats.image import linear_to_srgb, read_image
 from torch_radbp.training.false_colour import absolute_error, error_scale, false_colour
 
 ASSETS = Path(__file__).parent

@@ -17,7 +17,7 @@ import torch
 from PIL import Image
 
 import torch_radbp as rb
-from torch_radbp.io.image import srgb_to_linear
+from torch_radbp.formats.image import srgb_to_linear
 
 POT = Path(__file__).parent / "pot"
 COLUMNS, ROWS = 40, 24  # of the mesh

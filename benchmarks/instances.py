@@ -24,7 +24,7 @@ import trimesh
 
 import torch_radbp as rb
 from benchmarks.resident import MIB, resident
-from torch_radbp.io.image import save_image
+from torch_radbp.formats.image import save_image
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.pose import look_at
 

@@ -24,12 +24,12 @@ import torch_radbp as rb
 from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
+from torch_radbp.call.chunks import Chunk
+from torch_radbp.call.pixels import deposit, developed
+from torch_radbp.call.render_call import film_places, start_paths
 from torch_radbp.path.wavefront import add_at, survivors, take_step
-from torch_radbp.record import joined
-from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.pixels import deposit, developed
-from torch_radbp.rendering.call.render_call import film_places, start_paths
-from torch_radbp.vec import Vec3, masked, rows
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import Vec3, masked, rows
 
 CHECKPOINT = "checkpoint per bounce"
 DEFAULT = "default"

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from torch_radbp.io.mesh_arrays import MeshArrays
-from torch_radbp.io.ply import write_ply
+from torch_radbp.formats.mesh_arrays import MeshArrays
+from torch_radbp.formats.ply import write_ply
 from torch_radbp.shape.surface import grid
 
 READERS = {
-    "torch_radbp": "from torch_radbp.io.mesh import read_mesh as read",
+    "torch_radbp": "from torch_radbp.formats.mesh import read_mesh as read",
     "trimesh": "from trimesh.exchange import obj, ply\n"
                "def read(path):\n"
                "    {'obj': obj.load_obj, 'ply': ply.load_ply}[path[-3:]](open(path, 'rb'), skip_materials=True)",

@@ -35,7 +35,7 @@ from tests.peer.agreement import Comparison, Estimate, compare, estimate, p_valu
 from tests.peer.matrix import cases
 from tests.peer.mitsuba_images import render
 from tests.peer.scene_files import Case, Folder
-from torch_radbp.io.image import linear_to_srgb
+from torch_radbp.formats.image import linear_to_srgb
 from torch_radbp.training.false_colour import signed_colour
 
 SIZE = {"width": 64, "height": 48}

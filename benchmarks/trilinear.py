@@ -25,7 +25,7 @@ from PIL import Image
 from torch import Tensor
 
 import torch_radbp as rb
-from torch_radbp.io.image import linear_to_srgb
+from torch_radbp.formats.image import linear_to_srgb
 from torch_radbp.io.transform import rotate, scale, translate
 
 WIDTH, HEIGHT = 240, 140

@@ -74,7 +74,7 @@ MUTANTS = (
            ("io/test_transform.py",)),
     Mutant("io/gltf/material.py", 'scaled(image, 1, numbers["roughness"])', 'scaled(image, 2, numbers["roughness"])',
            ("io/test_gltf.py",)),
-    Mutant("io/obj.py", "np.where(index > 0, index - 1, before + index)", "np.where(index > 0, index - 1, index)",
+    Mutant("formats/obj.py", "np.where(index > 0, index - 1, before + index)", "np.where(index > 0, index - 1, index)",
            ("io/test_mesh.py", "io/test_bad_mesh.py")),
 )
 

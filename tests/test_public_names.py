@@ -56,7 +56,7 @@ def test_dir_lists_the_public_names_and_parts_and_no_imports():
 
 
 def test_parts_are_there_without_an_import_of_their_own():
-    assert rb.io.image.read_image and rb.plugin.SceneError is rb.SceneError
+    assert rb.formats.image.read_image and rb.plugin.SceneError is rb.SceneError
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error():

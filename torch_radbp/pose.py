@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Frame, Vec3
+from torch_radbp.tensors.vec import Frame, Vec3
 
 TERMS = 11  # of the series below: the first omitted term is 1e-22 of the sum at an angle of 1
 

@@ -26,23 +26,23 @@ modules and names, and the bits of an image at a given seed.
 
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
+from torch_radbp.call.finite import NonFiniteError
 from torch_radbp.check import GradientCheck, check_gradient
+from torch_radbp.formats.image import save_image
 from torch_radbp.io.colmap import cameras_from_colmap
 from torch_radbp.io.gltf.document import GltfWarning
-from torch_radbp.io.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.nerf import cameras_from_nerf
+from torch_radbp.io.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.io.write import save
 from torch_radbp.photographs import Exposure, LensFalloff, Photograph, Photographs, ToneCurve
 from torch_radbp.plugin import SceneError, SceneWarning
 from torch_radbp.pose import look_at, se3
-from torch_radbp.rendering.call.finite import NonFiniteError
 from torch_radbp.rendering.jvp import jvp
 from torch_radbp.rendering.noise_watch import RepeatedNoiseWarning
 from torch_radbp.rendering.render import render
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.scene import Scene
-from torch_radbp.sensor.opencv import camera_from_opencv, cameras_from_kornia
 from torch_radbp.texture.neural import NeuralTexture
 
 __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff",

@@ -17,8 +17,8 @@ from typing import TypeVar
 import torch
 
 from torch_radbp.jit.team import alone_in_torch
-from torch_radbp.jit.torch_internals import without_compiler
 from torch_radbp.plugin import nearest
+from torch_radbp.tensors.torch_internals import without_compiler
 
 Function = TypeVar("Function", bound=Callable)
 

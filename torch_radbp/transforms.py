@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import POSE
 from torch_radbp.plugin import finite
+from torch_radbp.plugin.domain import POSE
 
 
 def transform(name: str, matrix: Tensor | None) -> Tensor:

@@ -6,7 +6,7 @@ from pathlib import Path
 import tomli_w
 from pydantic import ValidationError
 
-from torch_radbp.io.atomic import replacing
+from torch_radbp.formats.atomic import replacing
 from torch_radbp.training.commands.bundled import is_bundled
 from torch_radbp.training.recipe import OFFSET, VALUE, Recipe
 

@@ -8,8 +8,8 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from torch_radbp.io.atomic import replacing
-from torch_radbp.io.image import linear_to_srgb
+from torch_radbp.formats.atomic import replacing
+from torch_radbp.formats.image import linear_to_srgb
 from torch_radbp.training.false_colour import signed_colour
 
 LEAST_WIDTH, LARGEST_ZOOM = 256, 64  # of a panel, pixels, and of a pixel in it

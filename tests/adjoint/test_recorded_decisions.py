@@ -10,10 +10,10 @@ import torch_radbp as rb
 from tests.scenes import cornell, parameters
 from torch_radbp.adjoint import record
 from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.call.render_call import start_paths
 from torch_radbp.path.state import Arrival
 from torch_radbp.path.wavefront import bounces, survivors, take_step
-from torch_radbp.rendering.call.render_call import start_paths
-from torch_radbp.vec import rows
+from torch_radbp.tensors.vec import rows
 
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 1}
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
-from torch_radbp.interleaved import LEAST, are_columns, columns_of_rows
 from torch_radbp.jit.cpu import SMALL
+from torch_radbp.texture.interleaved import LEAST, are_columns, columns_of_rows
 
 LENGTHS = (1, 4, 511, 513, SMALL, SMALL + 1, 200_000)
 

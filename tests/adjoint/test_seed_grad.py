@@ -16,11 +16,11 @@ from tests.gradients import image_and_gradients, relative_error, z_score
 from tests.scenes import CASES, cornell, furnace, parameters
 from torch_radbp.adjoint import function, images
 from torch_radbp.adjoint.record import record_chunk, trace_both
-from torch_radbp.differentiated import detached
-from torch_radbp.record import leaves_of
 from torch_radbp.rendering import cost
 from torch_radbp.rendering.cost import traced_together
 from torch_radbp.rendering.jvp import rendering_with_tangent
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.record import leaves_of
 
 SETTINGS = {"spp": 2, "max_depth": 4}
 CHUNK = 16  # lanes

@@ -6,7 +6,7 @@ from benchmarks.kinds import Counted
 from benchmarks.peers import Ours
 from benchmarks.scenes import QUICK, material_room
 from torch_radbp.raycast import Ray
-from torch_radbp.vec import Vec3, normalize
+from torch_radbp.tensors.vec import Vec3, normalize
 
 
 def test_no_ray_leaves_the_room():

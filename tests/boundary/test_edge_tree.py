@@ -14,7 +14,7 @@ from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.vec import Vec3, normalize, rows
+from torch_radbp.tensors.vec import Vec3, normalize, rows
 
 FLOOR = {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)), "bsdf": diffuse(0.5, 0.5, 0.5)}
 CUBE = {"type": "cube", "to_world": translate((0.1, 0.1, 0.5)) @ rotate((1, 0.7, 0.4), 35) @ scale((0.25, 0.2, 0.15)),

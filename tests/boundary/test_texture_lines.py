@@ -13,7 +13,7 @@ from tests.scenes import load, rectangle, rgb
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.texture_lines import segments_along
 from torch_radbp.io.transform import scale
-from torch_radbp.jump_lines import JumpLines
+from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.checkerboard import Checkerboard
 

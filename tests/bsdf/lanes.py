@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
 from torch_radbp.plugin import BSDF, REGISTRY
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 
 def material(description: dict) -> BSDF:

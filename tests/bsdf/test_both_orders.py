@@ -20,7 +20,7 @@ import torch
 from tests.bsdf.lanes import KINDS, MATERIALS, ROUGH, choices, material, numbers, values_of
 from tests.deep import deep_but_every
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
-from torch_radbp.vec import Vec3, where
+from torch_radbp.tensors.vec import Vec3, where
 
 COUNT = 60_000
 STEP = 1e-4

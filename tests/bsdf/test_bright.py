@@ -11,7 +11,7 @@ import torch_radbp as rb
 from tests.bsdf import reference
 from tests.bsdf.lanes import directions, material, values_of
 from tests.scenes import load, rectangle, rgb, sensor
-from torch_radbp.io.image import save_image
+from torch_radbp.formats.image import save_image
 from torch_radbp.plugin import REGISTRY, attributes
 
 SKY = {"type": "constant", "radiance": rgb(0.5, 1.0, 2.0)}

@@ -11,8 +11,8 @@ from tests.bsdf.lanes import MATERIALS, directions, material, values_of
 from tests.scenes import load, rectangle, rgb, sensor
 from torch_radbp.bsdf.bumpmap import BumpMapKind
 from torch_radbp.scene.barycentric_gradients import barycentric_gradients
+from torch_radbp.tensors.vec import ShadingFrame, Vec2, Vec3, cross, dot, normalize
 from torch_radbp.texture.slope import along_surface
-from torch_radbp.vec import ShadingFrame, Vec2, Vec3, cross, dot, normalize
 
 SLOPE = (0.3, -0.2)  # dh/dx, dh/dy
 SUN = {"type": "directional", "direction": [-0.3, -0.4, -0.8], "irradiance": rgb(2, 3, 4)}

@@ -16,7 +16,7 @@ from tests.bsdf.lanes import (
     sampled,
     values_of,
 )
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 COUNT = 24
 TURNED = [name for name in ROUGH if KINDS[name].steering]  # whose samples depend on parameters

@@ -18,7 +18,7 @@ from tests.bsdf.lanes import (
 )
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
 from torch_radbp.bsdf.principledthin import PrincipledThinKind
-from torch_radbp.vec import Vec3, where
+from torch_radbp.tensors.vec import Vec3, where
 
 COUNT = 50_000
 # Beckmann's shadowing in `eval` is Walter's rational function, right to 0.35 per cent each way.

@@ -21,7 +21,7 @@ from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.bsdf.roughdielectric import RoughDielectricKind
 from torch_radbp.bsdf.roughplastic import RoughPlasticKind
 from torch_radbp.bsdf.thindielectric import ThinDielectricKind
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 ALPHA = (0.0, 1e-4, 1e-3, 0.1, 1.0)
 ETA = (0.3, 0.66, 1 - 1e-7, 1.0, 1 + 1e-7, 1.5, 3.0)

@@ -6,7 +6,7 @@ import torch
 import torch_radbp as rb
 from tests.scenes import rectangle, sensor
 from torch_radbp.bsdf.microfacet import SMALLEST_ALPHA, microfacets
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 
 def direction(x: float, y: float) -> Vec3:

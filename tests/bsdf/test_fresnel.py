@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torch_radbp.bsdf.fresnel import conductor_reflectance, dielectric_reflectance
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 ANGLES = torch.linspace(0.0, math.pi / 2 - 1e-3, 200, dtype=torch.float64)
 

@@ -22,7 +22,7 @@ from tests.bsdf.lanes import (
     values_of,
 )
 from torch_radbp.bsdf.ior import CONDUCTORS, DIELECTRICS
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 COUNT = 1500
 # Mitsuba's bump maps take heights over a surface, and not slopes: see `tests/peer` and `test_bumpmap`.

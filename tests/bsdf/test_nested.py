@@ -10,7 +10,7 @@ from tests.bsdf.lanes import MATERIALS, Numbers, direction, directions, material
 from tests.bsdf.test_both_orders import light
 from tests.bsdf.test_finite import assert_finite
 from tests.scenes import load, rectangle, rgb, sensor
-from torch_radbp.vec import Vec3, where
+from torch_radbp.tensors.vec import Vec3, where
 
 COUNT = 80_000
 DIFFUSE = {"type": "diffuse", "reflectance": [0.2, 0.8, 0.3]}

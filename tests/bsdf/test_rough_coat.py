@@ -8,7 +8,7 @@ import torch
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.microfacet import microfacets
 from torch_radbp.bsdf.rough_coat import abscissa, coat_of, escaping
-from torch_radbp.vec import Vec3, dot
+from torch_radbp.tensors.vec import Vec3, dot
 
 CASES = [("beckmann", 0.1, 1.49), ("beckmann", 0.7, 1.67), ("beckmann", 0.3, 0.7), ("ggx", 0.03, 1.9), ("ggx", 0.2, 1.966),
          ("ggx", 0.5, 0.75), ("ggx", 1.0, 1.3)]

@@ -22,7 +22,7 @@ from tests.bsdf.lanes import (
     values_of,
 )
 from tests.sampling.chi_square import SIGNIFICANCE, p_value
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 COUNT = 100_000
 CELLS = (16, 32)  # polar angle, azimuth

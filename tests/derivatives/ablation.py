@@ -16,7 +16,7 @@ import torch
 from torch_radbp.emitter.area import AreaKind
 from torch_radbp.rendering.stages import EAGER
 from torch_radbp.scene import outgoing_ray
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 WITHOUT = {"nothing": (), "the area Jacobian": ("Jacobian",), "re-attached directions": ("directions",),
            "both": ("Jacobian", "directions")}

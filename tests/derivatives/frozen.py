@@ -21,11 +21,11 @@ from torch.func import functional_call
 import torch_radbp as rb
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_images
-from torch_radbp.differentiated import detached, settled
-from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
+from torch_radbp.tensors.differentiated import detached, settled
+from torch_radbp.tensors.record import leaves_of, with_leaves
 
 RENDER = import_module("torch_radbp.rendering.renderer")
 DETACH = Tensor.detach
@@ -35,7 +35,7 @@ class Decisions:
     """While active, `Tensor.detach` and the ray caster answer as they did the first time that it was active, in order.
 
     The method is exchanged meanwhile: a `TorchFunctionMode` would be asked about every other operation as well, which takes
-    as long as they do. What belongs to a choice is told by `torch_radbp.differentiated.settled`, which detaches it.
+    as long as they do. What belongs to a choice is told by `torch_radbp.tensors.differentiated.settled`, which detaches it.
 
     Args:
         choices: only what `settled` detaches, and the tables of lights; else everything.

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from tests.io.serialized_files import mesh, serialized
+from tests.formats.serialized_files import mesh, serialized
 from tests.scenes import texels
 
 # Its normals are not its own.

@@ -10,7 +10,7 @@ from torch_radbp.scene.interaction import at_corners, corner_rows, surface_inter
 from torch_radbp.scene.material import Material, sample
 from torch_radbp.scene.outgoing_ray import glued_direction
 from torch_radbp.scene.pack import pack
-from torch_radbp.vec import Ray, Vec3
+from torch_radbp.tensors.vec import Ray, Vec3
 
 LAMP = {"type": "area", "radiance": rgb(1, 2, 3)}
 

@@ -17,7 +17,7 @@ from torch_radbp.scene.interaction import SurfaceInteraction, surface_interactio
 from torch_radbp.scene.light import LightNumbers
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Ray, Vec3
+from torch_radbp.tensors.vec import Ray, Vec3
 
 FLOOR = {"floor": rectangle((0, -0.6, 0), 1.3, angle=-90, bsdf=diffuse(0.5, 0.6, 0.7))}
 

@@ -30,7 +30,7 @@ from tests.scenes import load, look_at, rgb, sensor
 from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.light import emitted, emitted_pdf, sample_light
 from torch_radbp.scene.pack import pack
-from torch_radbp.vec import Ray, Vec3, normalize
+from torch_radbp.tensors.vec import Ray, Vec3, normalize
 
 LANES = 12
 MESH = {"lamp": SQUARE | {"emitter": {"type": "area", "radiance": slide()}}}

@@ -16,7 +16,7 @@ from tests.scenes import load, sensor, texels
 from torch_radbp.emitter.envmap import EnvmapKind, EnvmapTable, density, sample_direction
 from torch_radbp.emitter.latitude_longitude import latitude_longitude
 from torch_radbp.sampling.grid import grid_distribution
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 COUNT = 200_000
 SPLIT = 2  # parts of a cell of the map, along each axis, that the samples are counted in

@@ -33,7 +33,7 @@ from torch_radbp.scene.light import (
     pdf_of_surround,
     sample_light,
 )
-from torch_radbp.vec import Ray, rows
+from torch_radbp.tensors.vec import Ray, rows
 
 COUNT = 100_000
 

@@ -15,7 +15,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import at_corners, edges, surface_interaction
 from torch_radbp.scene.light import LightNumbers, emitted, emitted_pdf, sample_light
 from torch_radbp.scene.pack import pack
-from torch_radbp.vec import Ray, Vec3
+from torch_radbp.tensors.vec import Ray, Vec3
 
 DTYPES = [torch.float32, torch.float64]
 AXES = [[0, 1, 0], [0, -1, 0], [0, 0, -1], [0, 0, 1], [1, 0, 0], [1e-20, 1, 0], [1e-7, -1, 1e-7], [1e-4, 1, 0],

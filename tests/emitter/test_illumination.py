@@ -12,7 +12,7 @@ from torch_radbp.emitter.directional import facing
 from torch_radbp.emitter.spot import SpotKind
 from torch_radbp.scene.light import LightSample, sample_light
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 ORIGIN = (0.3, 1.0, -0.2)
 POSE = look_at(ORIGIN, (0.5, -0.4, 0.3), (0.2, 1, 0))

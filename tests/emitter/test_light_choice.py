@@ -10,12 +10,12 @@ from tests.emitter.lights import EMITTERS, FLOOR, light_numbers, mean_and_error,
 from tests.gradients import relative_error
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
 from torch_radbp.io.transform import scale, translate
-from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.scene.light import sample_light, vantage
 from torch_radbp.scene.light_choice import MANY, LightPick, chance_of_emitter, drawn_element
 from torch_radbp.scene.light_tree import Vantage, halved, importance
 from torch_radbp.scene.pack import pack
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.vec import Vec3
 
 COUNT = 100_000
 GROUPS = {"area": ("area",), "point": ("point",),

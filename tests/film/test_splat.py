@@ -9,6 +9,8 @@ import torch
 import torch_radbp as rb
 from tests.gradients import assert_informative, cotangent, relative_error
 from tests.scenes import cornell, sensor
+from torch_radbp.call import chunks
+from torch_radbp.call.pixels import asked_of_pixels, deposit, developed, film_places, filters_of, lane_adjoint
 from torch_radbp.film.box import Box
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.hdrfilm import HDRFilm
@@ -16,10 +18,8 @@ from torch_radbp.film.lanczos import Lanczos
 from torch_radbp.film.mitchell import Mitchell
 from torch_radbp.film.splat import Block, Deposited, asked_of_sums, sums_of
 from torch_radbp.film.tent import Tent
-from torch_radbp.rendering.call import chunks
-from torch_radbp.rendering.call.pixels import asked_of_pixels, deposit, developed, film_places, filters_of, lane_adjoint
 from torch_radbp.rendering.stages import EAGER, compiled
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.vec import Vec2
 
 FILTERS = {"box": Box(), "wide box": Box(radius=1.2), "tent": Tent(), "narrow tent": Tent(radius=0.4),
            "gaussian": Gaussian(), "wide gaussian": Gaussian(stddev=0.8), "mitchell": Mitchell(), "lanczos": Lanczos()}

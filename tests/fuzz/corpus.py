@@ -16,8 +16,8 @@ import OpenEXR
 import torch
 from PIL import Image
 
+from tests.formats.serialized_files import mesh, serialized
 from tests.io.gltf_files import SQUARE, GltfFile
-from tests.io.serialized_files import mesh, serialized
 from tests.io.test_colmap import CAMERAS as CAMERA_LINES
 from tests.io.test_colmap import IMAGES as IMAGE_LINES
 from tests.io.test_gltf_write import everything

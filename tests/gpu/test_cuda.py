@@ -14,7 +14,7 @@ from torch_radbp.jit.elementary_double import FORMULAS
 from torch_radbp.jit.order import chosen, partition, put
 from torch_radbp.jit.scatter import Sums, copies, scatter_add
 from torch_radbp.jit.structure import replaced
-from torch_radbp.record import leaves_of
+from torch_radbp.tensors.record import leaves_of
 
 pytestmark = [pytest.mark.gpu, pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning",
                                                           "ignore::torch_radbp.SilhouetteWarning",

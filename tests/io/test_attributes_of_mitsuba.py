@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from torch_radbp.io.image import save_image
+from torch_radbp.formats.image import save_image
 from torch_radbp.plugin import REGISTRY
 
 IMAGE, POSE = "the name of an image", "a matrix"

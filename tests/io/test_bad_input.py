@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.io.documents import LAMP, SENSOR, TRIANGLE_OBJ, scene_dict, scene_text, write_scene
-from torch_radbp.io.image import save_image
+from torch_radbp.formats.image import save_image
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.plugin import SceneError
 

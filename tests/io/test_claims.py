@@ -13,11 +13,11 @@ import pytest
 from PIL import Image
 
 import torch_radbp as rb
+from tests.formats.serialized_files import mesh, serialized
 from tests.io.gltf_files import GltfFile, set_to
-from tests.io.serialized_files import mesh, serialized
-from torch_radbp.io.image import read_image
-from torch_radbp.io.mesh import read_mesh
-from torch_radbp.io.volume import read_volume
+from torch_radbp.formats.image import read_image
+from torch_radbp.formats.mesh import read_mesh
+from torch_radbp.formats.volume import read_volume
 
 pytestmark = pytest.mark.hostile
 

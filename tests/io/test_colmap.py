@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.sensor.test_opencv import seen_by
+from tests.io.test_opencv import seen_by
 from torch_radbp.plugin import SceneError
 
 CAMERAS = """# Camera list with one line of data per camera:

@@ -9,9 +9,9 @@ import torch
 
 import torch_radbp as rb
 from tests.io.documents import scene_dict
-from torch_radbp.io.atomic import replacing
-from torch_radbp.io.mesh_arrays import MeshArrays
-from torch_radbp.io.ply import write_ply
+from torch_radbp.formats.atomic import replacing
+from torch_radbp.formats.mesh_arrays import MeshArrays
+from torch_radbp.formats.ply import write_ply
 
 pytestmark = pytest.mark.hostile
 

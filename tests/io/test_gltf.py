@@ -14,8 +14,8 @@ import trimesh
 
 import torch_radbp as rb
 from tests.io.gltf_files import SQUARE, SQUARE_FACES, GltfFile
+from torch_radbp.formats.image import srgb_to_linear
 from torch_radbp.io.gltf.document import GltfWarning
-from torch_radbp.io.image import srgb_to_linear
 from torch_radbp.plugin import SceneError
 
 

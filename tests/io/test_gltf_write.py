@@ -14,8 +14,8 @@ from tests.derivatives.everything import build_everything
 from tests.io.gltf_files import SQUARE_FACES, GltfFile
 from tests.io.gltf_rules import check_rules
 from tests.io.test_gltf import lamp as punctual
+from torch_radbp.formats.image import linear_to_srgb, srgb_to_linear
 from torch_radbp.io.gltf.document import GltfWarning
-from torch_radbp.io.image import linear_to_srgb, srgb_to_linear
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.plugin import SceneError
 

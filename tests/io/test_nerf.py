@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 import torch_radbp as rb
-from tests.sensor.test_opencv import seen_by
+from tests.io.test_opencv import seen_by
 from torch_radbp.io.transform import rotate, translate
 from torch_radbp.plugin import SceneError
 

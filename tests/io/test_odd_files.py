@@ -15,8 +15,8 @@ import torch_radbp as rb
 from tests.io.documents import scene_dict
 from tests.io.test_colmap import CAMERAS, IMAGES
 from tests.io.test_nerf import BLENDER
-from torch_radbp.io.image import read_image, save_image
-from torch_radbp.io.mesh import read_mesh
+from torch_radbp.formats.image import read_image, save_image
+from torch_radbp.formats.mesh import read_mesh
 from torch_radbp.training.recipe_file import read_recipe
 
 pytestmark = pytest.mark.hostile

@@ -6,11 +6,11 @@ import torch
 
 from tests.derivatives.everything import EVERYTHING as EVERY_PLUGIN
 from tests.derivatives.everything import build_everything
+from tests.formats.serialized_files import mesh, serialized
 from tests.io.documents import scene_dict, write_scene
-from tests.io.serialized_files import mesh, serialized
-from torch_radbp.io.image import save_image
+from torch_radbp.formats.image import save_image
+from torch_radbp.formats.volume import write_volume
 from torch_radbp.io.load import load, load_dict
-from torch_radbp.io.volume import write_volume
 from torch_radbp.io.write import save
 from torch_radbp.plugin import Plugin, SceneError, attributes
 from torch_radbp.shape.mesh import Mesh

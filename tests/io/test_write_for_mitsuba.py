@@ -8,7 +8,7 @@ import torch
 
 import torch_radbp as rb
 from torch_radbp.plugin import SceneError
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.vec import Vec2
 
 POSE = rb.look_at([0.3, 0.2, 2.5], [0.1, 0, 0], [0, 1, 0.1])
 CAMERA = {"type": "calibrated", "fx": 9.0, "cx": 2.5, "cy": 4.25, "to_world": POSE,

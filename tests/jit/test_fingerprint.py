@@ -109,7 +109,8 @@ def test_it_is_the_same_in_another_process_whatever_was_run_before():
     code = ("import torch, torch_radbp as rb; from torch_radbp.jit.fingerprint import fingerprint; "
             "from torch_radbp.rendering import stages; {}; print([fingerprint(stage) for stage in stages.EAGER])")
     rendered = "rb.render(rb.load('assets/cornell_box/scene.xml', resolution=4), spp=1)"
-    copied = "from torch_radbp.vec import Vec3; import copy; copy.copy(Vec3(1, 2, 3))"  # leaves something in the class
+    # Leaves something in the class.
+    copied = "from torch_radbp.tensors.vec import Vec3; import copy; copy.copy(Vec3(1, 2, 3))"
     found = {subprocess.run([sys.executable, "-c", code.format(before)], capture_output=True, text=True, check=True,
                             env={**os.environ, "PYTHONHASHSEED": seed}).stdout
              for before, seed in (("pass", "1"), (rendered, "2"), (copied, "3"))}

@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from tests.jit.emulated import emulated
-from torch_radbp.interleaved import LEAST, interleaved
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.emit import emit
 from torch_radbp.jit.machine import host_width
 from torch_radbp.jit.window import Window
-from torch_radbp.lookup import lookup
-from torch_radbp.record import leaves_of
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.texture.interleaved import LEAST, interleaved
 
 LANES = 1000
 DTYPES = (torch.float32, torch.int32, torch.bool, torch.float64)

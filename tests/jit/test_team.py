@@ -14,9 +14,10 @@ from collections import deque
 import pytest
 import torch
 
-from torch_radbp.jit import team, torch_internals
+from torch_radbp.jit import team
 from torch_radbp.jit.team import HERE, alone_in_torch, each, threads, together, until_none_is_left
-from torch_radbp.jit.torch_internals import setters_of_threads
+from torch_radbp.tensors import torch_internals
+from torch_radbp.tensors.torch_internals import setters_of_threads
 
 NUMBER = 3
 

@@ -18,9 +18,9 @@ from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.light import emitted, emitted_by_surround, sample_light
 from torch_radbp.scene.pack import pack
+from torch_radbp.tensors.vec import Ray, ShadingFrame, Vec2, Vec3
 from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.reader import TexturePoint, TriangleEdges
-from torch_radbp.vec import Ray, ShadingFrame, Vec2, Vec3
 
 from .derivative_subjects import PLACES, WI, WO, Subject, objects, tangent
 

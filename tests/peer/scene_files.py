@@ -12,8 +12,8 @@ import OpenEXR
 import trimesh
 from PIL import Image
 
-from tests.io.serialized_files import mesh, serialized
-from torch_radbp.io.volume import write_volume
+from tests.formats.serialized_files import mesh, serialized
+from torch_radbp.formats.volume import write_volume
 
 
 class Folder:

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from torch_radbp.io.image import linear_to_srgb
+from torch_radbp.formats.image import linear_to_srgb
 
 VIEWS = torch.tensor([2, 0])
 

@@ -11,8 +11,8 @@ from torch.utils.data import DataLoader
 
 import torch_radbp as rb
 from tests.photographs.nerf_folder import HEIGHT, WIDTH, ball_in_the_open, write_photographs, write_transforms
-from torch_radbp.io.exr import write_exr
-from torch_radbp.io.image import srgb_to_linear
+from torch_radbp.formats.exr import write_exr
+from torch_radbp.formats.image import srgb_to_linear
 
 K, R, T = [[10.0, 0, 3.5], [0, 10, 2.5], [0, 0, 1]], np.eye(3), [0, 0, 2.0]
 

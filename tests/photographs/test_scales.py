@@ -5,9 +5,9 @@ import torch
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
+from tests.io.test_opencv import seen_by
 from tests.photographs.nerf_folder import ball_in_the_open
 from tests.scenes import load, look_at, sensor
-from tests.sensor.test_opencv import seen_by
 from torch_radbp.photographs.area_average import area_average
 
 K = torch.tensor([[30.0, 0.5, 17.0], [0, 28.0, 14.0], [0, 0, 1]], dtype=torch.float64)

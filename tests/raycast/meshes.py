@@ -5,7 +5,7 @@ import trimesh
 from torch import Tensor
 
 from torch_radbp.raycast import Ray
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 
 def mesh(name: str, dtype: torch.dtype = torch.float32) -> tuple[Tensor, Tensor]:

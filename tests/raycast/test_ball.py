@@ -15,7 +15,7 @@ from torch_radbp.raycast.refined import refined
 from torch_radbp.scene.interaction import clearance
 from torch_radbp.scene.pack import pack
 from torch_radbp.shape.ball import RINGS, SEGMENTS, TRIANGLES, Balls
-from torch_radbp.vec import Vec3, dot, normalize, unit_normal
+from torch_radbp.tensors.vec import Vec3, dot, normalize, unit_normal
 
 LANES = 20_000
 FLOOR = {"type": "rectangle", "to_world": torch.diag(torch.tensor([3.0, 3.0, 3.0, 1.0]))}

@@ -16,7 +16,7 @@ from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.raycast.runs import MOST_TRIANGLES
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 pytestmark = pytest.mark.usefixtures("threads")  # with one and with two
 

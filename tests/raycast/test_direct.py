@@ -9,7 +9,7 @@ from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import Ray, batches, make_caster
 from torch_radbp.raycast.direct import Direct, addresses, machine_code
 from torch_radbp.raycast.runs import BOX, LOST, MOST, VISIT, area, runs_of
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 LANES = 5003
 

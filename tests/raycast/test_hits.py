@@ -7,7 +7,7 @@ import torch
 
 from tests.raycast.meshes import mesh, random_rays, single_ray
 from torch_radbp.raycast import Ray, make_caster
-from torch_radbp.vec import Vec3, cross, dot
+from torch_radbp.tensors.vec import Vec3, cross, dot
 
 WARP = pytest.param("warp", marks=pytest.mark.skipif(find_spec("warp") is None, reason="no module named 'warp'"))
 CASTERS = ("embree", "direct", "brute", WARP)

@@ -6,7 +6,7 @@ import torch
 from tests.raycast.meshes import mesh, random_rays, take
 from tests.raycast.test_hits import CASTERS, COMPILED
 from torch_radbp.raycast import Ray, make_caster
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 
 @pytest.fixture

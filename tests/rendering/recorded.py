@@ -12,11 +12,11 @@ import torch_radbp as rb
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import cotangent
 from tests.texture.networks import lit_room, room
-from torch_radbp.differentiated import detached
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.integrand import Stages
 from torch_radbp.rendering.stages import EAGER
+from torch_radbp.tensors.differentiated import detached
 
 NETWORKS = {"networks": room, "shining networks": lit_room}
 SCENES = (*EVERYTHING, *NETWORKS)

@@ -8,9 +8,9 @@ from tests.deep import deep, deep_but
 from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters
-from torch_radbp.differentiated import detached
 from torch_radbp.rendering import stages
 from torch_radbp.sampling.sampler import sample_key
+from torch_radbp.tensors.differentiated import detached
 
 pytestmark = pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning")
 SIZE, NAMES = 16, CASES["cornell"].parameters

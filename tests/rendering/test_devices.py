@@ -21,8 +21,8 @@ from tests.deep import deep_but
 from tests.rendering.recorded import SAMPLINGS, SCENES, build, calls_of
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.nvptx import ptx
-from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.rendering.stages import EAGER, CompiledStage, fused
+from torch_radbp.tensors.record import leaves_of, with_leaves
 
 CUDA = torch.device("cuda", 0)
 ANSWERS = {Tensor.is_cuda.__get__: lambda tensor: tensor.is_meta, Tensor.is_meta.__get__: lambda tensor: False,

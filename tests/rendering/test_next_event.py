@@ -8,7 +8,7 @@ import torch_radbp as rb
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
 from torch_radbp.bsdf.diffuse import Diffuse, DiffuseKind
 from torch_radbp.sampling.warp import square_to_cosine_hemisphere
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 
 @dataclass(frozen=True)

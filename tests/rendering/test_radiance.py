@@ -17,12 +17,12 @@ from tests.rendering.on_gpu import render_on
 from tests.scenes import cornell, diffuse, furnace, load, rectangle, rgb, sensor
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_images
+from torch_radbp.call.view import OF_NO_SENSOR, Shot
 from torch_radbp.jit.gpu import Gpu
-from torch_radbp.rendering.call.view import OF_NO_SENSOR, Shot
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.sensor.rays import given_rays
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.vec import Vec2
 
 quiet = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 HEIGHT, EDGE, ALBEDO, GLOW = 1.0, 0.1, 0.7, 3.0  # of the lamp above the floor, of the screen below it, and of light

@@ -15,7 +15,7 @@ from torch_radbp.sampling.warp import (
     square_to_uniform_sphere,
     square_to_uniform_triangle,
 )
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 DIFFUSE, WHITE = DiffuseKind(), (Vec3(*torch.ones(3, 1, dtype=torch.float64)),)
 COUNT = 200_000

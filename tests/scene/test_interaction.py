@@ -6,7 +6,7 @@ from tests.scenes import load, sensor
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.pack import pack
-from torch_radbp.vec import Ray, Vec3
+from torch_radbp.tensors.vec import Ray, Vec3
 
 TENT = {"type": "mesh", "vertex_positions": torch.tensor([[0.0, 0, 0], [1, 0, 0.3], [1, 1, 0], [0, 1, 0.2]]),
         "faces": torch.tensor([[0, 1, 2], [0, 2, 3]])}

@@ -12,7 +12,7 @@ from torch_radbp.emitter.point import PointKind
 from torch_radbp.scene.pack import pack
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.shape.rectangle import Rectangle
-from torch_radbp.vec import rows
+from torch_radbp.tensors.vec import rows
 
 
 def test_a_shared_material_is_registered_once_under_its_own_name():

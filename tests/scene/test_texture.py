@@ -6,10 +6,10 @@ import torch
 
 from tests.scenes import texels
 from torch_radbp.scene.pack import BankBuilder
+from torch_radbp.tensors.vec import Vec2
 from torch_radbp.texture.bank import sample_texture
 from torch_radbp.texture.bitmap import Bitmap, texture_bank
 from torch_radbp.texture.rgb import RGB
-from torch_radbp.vec import Vec2
 
 HEIGHT, WIDTH = 3, 4
 

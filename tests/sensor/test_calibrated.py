@@ -10,7 +10,6 @@ import torch_radbp as rb
 from tests.derivatives.parts import FISHEYE, calibrated
 from tests.scenes import load, look_at, rectangle, rgb, texels
 from torch_radbp.boundary import SilhouetteWarning
-from torch_radbp.differentiated import detached
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.tent import Tent
@@ -20,7 +19,8 @@ from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import sample_key
 from torch_radbp.sensor.calibrated import Calibrated
 from torch_radbp.sensor.perspective import Perspective
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.vec import Vec2, Vec3
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
 GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}

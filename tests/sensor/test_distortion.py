@@ -5,7 +5,7 @@ import torch
 from torch.autograd import gradcheck
 
 from torch_radbp.sensor.distortion import BrownConrady, KannalaBrandt
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.tensors.vec import Vec2, Vec3
 
 BROWN = {
     "none": {},

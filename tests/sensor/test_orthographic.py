@@ -13,7 +13,7 @@ from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.sensor.orthographic import Orthographic
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.vec import Vec2
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
 POSE = translate((1, 2, 3)) @ rotate((0, 1, 0), 30) @ scale((2, 3, 4))

@@ -9,7 +9,6 @@ import torch
 import torch_radbp as rb
 from tests.scenes import load, look_at, rectangle, rgb
 from torch_radbp.boundary import SilhouetteWarning
-from torch_radbp.differentiated import detached
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, translate
@@ -19,7 +18,8 @@ from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, lane_key, sample_key, uniform
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.sensor.thinlens import ThinLens
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.vec import Vec2
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
 GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}

@@ -12,7 +12,7 @@ from torch_radbp.raycast import make_caster
 from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.part import part_of
-from torch_radbp.vec import Ray, Vec3
+from torch_radbp.tensors.vec import Ray, Vec3
 
 TEXTURED = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels(2, 3)}}
 

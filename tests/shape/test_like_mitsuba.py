@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.io.serialized_files import mesh, serialized
+from tests.formats.serialized_files import mesh, serialized
 from tests.shape.surfaces import TEXTURED, meets, of_point
-from torch_radbp.io.mesh_arrays import MeshArrays
-from torch_radbp.io.ply import write_ply
+from torch_radbp.formats.mesh_arrays import MeshArrays
+from torch_radbp.formats.ply import write_ply
 from torch_radbp.io.transform import rotate, scale, translate
 
 MIRROR = scale((-1, 1, 1))

@@ -10,10 +10,10 @@ from tests.scenes import load, rectangle, sensor, texels
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.emitter.attributes import Scaled
 from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.tensors.vec import Vec2
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.checkerboard import Checkerboard
 from torch_radbp.texture.reader import TexturePoint
-from torch_radbp.vec import Vec2
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 TO_UV = translate((0.11, -0.07, 0)) @ rotate((0, 0, 1), 25) @ scale((1.4, 1.7, 1))

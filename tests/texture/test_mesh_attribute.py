@@ -8,8 +8,8 @@ import torch_radbp as rb
 from tests.gradients import MEMOIZED, QUADRATIC, cotangent, image_and_gradients, relative_error
 from tests.scenes import load, rectangle, rgb, sensor
 from tests.texture.meshes import PLY, add_attributes, tetrahedron
-from torch_radbp.io.mesh import read_mesh
-from torch_radbp.io.ply_attributes import attributes_in
+from torch_radbp.formats.mesh import read_mesh
+from torch_radbp.formats.ply_attributes import attributes_in
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}

@@ -8,10 +8,10 @@ import torch_radbp as rb
 from tests.deep import deep_but
 from tests.gradients import MEMOIZED, QUADRATIC, relative_error
 from tests.texture.networks import mlp, room
+from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture import module_bank
 from torch_radbp.texture.module_bank import ModuleBank
 from torch_radbp.texture.module_function import ModuleFunction, Use
-from torch_radbp.vec import Vec2, Vec3
 
 LANES = 101
 TOLERANCE = 1e-14  # sums of a hundred numbers in another order

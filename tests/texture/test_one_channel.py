@@ -6,7 +6,7 @@ import torch
 from PIL import Image
 
 import torch_radbp as rb
-from torch_radbp.io.image import read_image, save_image
+from torch_radbp.formats.image import read_image, save_image
 from torch_radbp.io.transform import translate
 from torch_radbp.texture.bitmap import Bitmap
 

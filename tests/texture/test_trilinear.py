@@ -11,14 +11,14 @@ from tests.derivatives.parts import lamp, plane
 from tests.gradients import relative_error
 from tests.scene.test_texture import reference
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
+from torch_radbp.call.render_call import start_paths
 from torch_radbp.io.transform import scale
-from torch_radbp.rendering.call.render_call import start_paths
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.tensors.vec import Vec2
 from torch_radbp.texture import bitmap as bitmap_file
 from torch_radbp.texture.bitmap import Bitmap, pyramid_bank
 from torch_radbp.texture.pyramid import halved, pyramid, sample_pyramid
-from torch_radbp.vec import Vec2
 
 SKY = {"type": "constant", "radiance": rgb(1, 1, 1)}
 LEVEL_STEP = 0.1  # of the values that stand for levels

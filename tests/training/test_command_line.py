@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import torch_radbp as rb
 from tests.io.gltf_files import GltfFile
-from torch_radbp.io.image import read_image, srgb_to_linear
+from torch_radbp.formats.image import read_image, srgb_to_linear
 from torch_radbp.training.cli import app
 from torch_radbp.training.recovery import optimize
 

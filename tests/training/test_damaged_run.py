@@ -17,7 +17,7 @@ import safetensors.torch
 import torch
 from rich.console import Console
 
-from torch_radbp.io.image import save_image
+from torch_radbp.formats.image import save_image
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, CheckpointError, load_checkpoint, save_checkpoint
 from torch_radbp.training.recovery.continuation import check_state, expected_moments, state_bytes

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from torch_radbp.io.image import read_image
+from torch_radbp.formats.image import read_image
 
 ROOM = Path(__file__).parents[2] / "assets" / "calibrated_room"
 PASSES, SPP, BLOCK = 8, 8, 8  # pixels along a side of a block

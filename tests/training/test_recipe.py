@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from torch_radbp.io.image import save_image
+from torch_radbp.formats.image import save_image
 from torch_radbp.training.recipe_file import RecipeError, read_recipe, write_recipe
 from torch_radbp.training.recovery.optimize import Recovery
 

@@ -10,7 +10,7 @@ import safetensors.torch
 import torch
 from rich.console import Console
 
-from torch_radbp.io.image import read_image
+from torch_radbp.formats.image import read_image
 from torch_radbp.training.false_colour import error_scale, false_colour
 from torch_radbp.training.progress import TimedProgress, duration
 from torch_radbp.training.recipe_file import read_recipe

@@ -7,7 +7,7 @@ import torch
 from rich.console import Console
 
 import torch_radbp as rb
-from torch_radbp.io.image import save_image
+from torch_radbp.formats.image import save_image
 from torch_radbp.training.commands.optimize import recovered_table
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.recovery.optimize import Recovery

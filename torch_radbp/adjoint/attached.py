@@ -6,15 +6,15 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.local_map import Verdict
-from torch_radbp.differentiated import detached
 from torch_radbp.path.bounce import places_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.wavefront import add_at, first_hit, surviving, take_step, trace
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.record import joined, rows_between
-from torch_radbp.vec import Vec3, rows
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.record import joined, rows_between
+from torch_radbp.tensors.vec import Vec3, rows
 
 
 def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:

@@ -16,15 +16,15 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.local_map import Verdict, local_map
-from torch_radbp.jit.torch_internals import tree_map
-from torch_radbp.lookup import Tap, tapped
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.lookup import Tap, tapped
+from torch_radbp.tensors.torch_internals import tree_map
+from torch_radbp.tensors.vec import Ray, Vec3, rows
 from torch_radbp.texture.reader import TextureValue
-from torch_radbp.vec import Ray, Vec3, rows
 
 
 class Memo(NamedTuple):

@@ -18,11 +18,11 @@ from torch.autograd import forward_ad
 
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_images
-from torch_radbp.differentiated import tangent_of
-from torch_radbp.jit import torch_internals
-from torch_radbp.jit.torch_internals import tree_map
-from torch_radbp.record import leaves_of
-from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.tensors import torch_internals
+from torch_radbp.tensors.differentiated import tangent_of
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.torch_internals import tree_map
 
 
 def has_tangents(record) -> bool:

@@ -14,21 +14,21 @@ from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.record import record_chunk
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
-from torch_radbp.differentiated import detached, differentiable
-from torch_radbp.jit.torch_internals import batched
-from torch_radbp.lookup import summed
-from torch_radbp.public_call import public_call
-from torch_radbp.record import leaves_of, with_leaves
-from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.finite import Finding, NonFiniteError, count_of_bad, finite, gradient_error
-from torch_radbp.rendering.call.pixels import asked_of_pixels, filters_of, lane_adjoint, weighted
-from torch_radbp.rendering.call.render_call import (
+from torch_radbp.call.chunks import Chunk
+from torch_radbp.call.finite import Finding, NonFiniteError, count_of_bad, finite, gradient_error
+from torch_radbp.call.pixels import asked_of_pixels, filters_of, lane_adjoint, weighted
+from torch_radbp.call.render_call import (
     RenderCall,
     integrand_of,
     start_paths,
 )
-from torch_radbp.rendering.call.workers import in_turns
+from torch_radbp.call.workers import in_turns
+from torch_radbp.public_call import public_call
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.tensors.differentiated import detached, differentiable
+from torch_radbp.tensors.lookup import summed
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.torch_internals import batched
 
 SAVED = object()  # stands for a tensor that autograd keeps
 

@@ -9,12 +9,12 @@ from torch import Tensor
 
 from torch_radbp.adjoint.record import Allowance, trace_both, trace_chunk
 from torch_radbp.adjoint.sweep import PathRecord
+from torch_radbp.call.chunks import Chunk
+from torch_radbp.call.finite import Finding, checked_stages, finite, image_error
+from torch_radbp.call.pixels import Images, developed
+from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
-from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.finite import Finding, checked_stages, finite, image_error
-from torch_radbp.rendering.call.pixels import Images, developed
-from torch_radbp.rendering.call.render_call import RenderCall
 
 
 def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> Images:

@@ -14,8 +14,8 @@ from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.interaction import Corners
 from torch_radbp.scene.outgoing_ray import attached_outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import Ray, Vec3, masked
 from torch_radbp.texture.reader import TextureValue
-from torch_radbp.vec import Ray, Vec3, masked
 
 
 class LocalMap(NamedTuple):

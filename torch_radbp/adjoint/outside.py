@@ -7,8 +7,8 @@ from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.texture_networks import banks_outside
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.reader import Place, TextureValue
-from torch_radbp.vec import Vec3
 
 
 def values_that_move(integrand: Integrand, event: Event, places: tuple[Place, ...]) -> tuple[TextureValue, ...]:

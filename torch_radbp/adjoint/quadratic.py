@@ -12,7 +12,7 @@ from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import add_at, bounces
 from torch_radbp.plugin import boolean
-from torch_radbp.vec import Vec3, rows
+from torch_radbp.tensors.vec import Vec3, rows
 
 
 @dataclass(frozen=True)

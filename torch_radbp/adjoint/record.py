@@ -10,24 +10,24 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import PathRecord
-from torch_radbp.differentiated import detached
-from torch_radbp.path.bounce import CameraSample
-from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Step, trace, walk
-from torch_radbp.raycast.protocol import Hit
-from torch_radbp.record import joined, leaves_of, rows_between
-from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.pixels import deposit, weighted
-from torch_radbp.rendering.call.render_call import (
+from torch_radbp.call.chunks import Chunk
+from torch_radbp.call.pixels import deposit, weighted
+from torch_radbp.call.render_call import (
     RenderCall,
     camera_samples,
     integrand_of,
     start_paths,
     started,
 )
+from torch_radbp.path.bounce import CameraSample
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import Step, trace, walk
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.record import joined, leaves_of, rows_between
+from torch_radbp.tensors.vec import Vec3
 
 
 def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey, record: bool,

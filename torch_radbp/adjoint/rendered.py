@@ -7,8 +7,8 @@ from torch import Tensor
 
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.images import render_detached
-from torch_radbp.differentiated import differentiable, with_derivative_of
-from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.tensors.differentiated import differentiable, with_derivative_of
 
 
 def rendered(call: RenderCall) -> Tensor:

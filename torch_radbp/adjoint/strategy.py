@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_radbp.adjoint.forward_mode import render_tangents
 from torch_radbp.adjoint.function import render_with_derivative
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.call.render_call import RenderCall
 
 
 class AdjointStrategy(ABC):

@@ -31,11 +31,11 @@ from torch_radbp.path.integrand import Integrand, knowing, taken
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
-from torch_radbp.record import rows_between, with_leaves
 from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Vec2, Vec3, rows
+from torch_radbp.tensors.record import rows_between, with_leaves
+from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
 
 class PathRecord(NamedTuple):

@@ -11,8 +11,8 @@ from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_detached, render_images
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.differentiated import with_derivative_of
-from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.tensors.differentiated import with_derivative_of
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,18 @@ from torch.utils.checkpoint import checkpoint
 
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.aov import material, path, surface
-from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, TURNING, UNDIFFERENTIATED, plain
-from torch_radbp.boundary.outline import Jumps
-from torch_radbp.boundary.primary import Seen, jumps_of_views
-from torch_radbp.differentiated import detached, differentiable, with_derivative_of
-from torch_radbp.lookup import summed
+from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, UNDIFFERENTIATED, plain
+from torch_radbp.call.chunks import Chunk
+from torch_radbp.call.pixels import deposit, developed
+from torch_radbp.call.render_call import RenderCall, camera_samples, integrand_of, started
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import first_hit
 from torch_radbp.public_call import public_call
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.rendering.call.chunks import Chunk
-from torch_radbp.rendering.call.pixels import deposit, developed
-from torch_radbp.rendering.call.render_call import RenderCall, camera_samples, integrand_of, started
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.differentiated import detached, differentiable, with_derivative_of
+from torch_radbp.tensors.lookup import summed
+from torch_radbp.tensors.vec import Vec3
 
 
 def beside_image(names: tuple[str, ...]) -> Callable[[Integrand, PathState, Hit | None, Vec3], list[Tensor]]:
@@ -88,36 +86,6 @@ def by_name(names: tuple[str, ...], channels: Tensor) -> dict[str, Tensor]:
 def channels_of(names: tuple[str, ...], values: dict[str, surface.Values]) -> list[Tensor]:
     """The channels of quantities, one after the other, from the values of those that they are about."""
     return [channel for name in names for channel in moments(name, values[plain(name)])]
-
-
-def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> dict[str, Tensor]:
-    """By name, zeros whose derivative is what the edges of surfaces contribute to images of quantities; see `image_jumps`.
-
-    Args:
-        call: of which something moves.
-        jumps: of each view.
-        names: of quantities; those that have no derivative are left out.
-    """
-    names = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
-
-    def values(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
-        found = lane_values(integrand, start, tuple(dict.fromkeys(map(plain, group))), hit)
-        return tuple(channels_of(group, found))
-
-    found: dict[str, Tensor] = {}
-    for of_paths in (False, True):
-        group = tuple(name for name in names if (plain(name) in OF_PATHS) == of_paths)
-        counts = [len(QUANTITIES[plain(name)]) for name in group]
-        if group:
-            seen = call if of_paths else call._replace(integrand=with_emitters(call.integrand))
-            turns = tuple(plain(name) in TURNING for name, count in zip(group, counts) for _ in range(count))
-            found |= zip(group, jumps_of_views(seen, jumps, Seen(turns, values)).split(counts, 1))
-    return found
-
-
-def with_emitters(integrand: Integrand) -> Integrand:
-    """The integrand of a scene in which nothing is hidden."""
-    return integrand._replace(settings=integrand.settings._replace(hide_emitters=False))
 
 
 def moments(name: str, values: surface.Values) -> surface.Values:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from torch_radbp.aov.surface import Values
-from torch_radbp.differentiated import detached
-from torch_radbp.lookup import lookup, summed
 from torch_radbp.path.bounce import surface_met
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Arrival, PathState, Settings
@@ -13,8 +11,10 @@ from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.material import material_at, material_places
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.lookup import lookup, summed
+from torch_radbp.tensors.vec import rows, where
 from torch_radbp.texture.reader import TextureValue
-from torch_radbp.vec import rows, where
 
 
 def turns_normals(scene: SceneTensors) -> bool:

@@ -10,7 +10,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Bounce, bounces, trace
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.vec import Vec3, rows
+from torch_radbp.tensors.vec import Vec3, rows
 
 # Of linear sRGB primaries and white D65, as Mitsuba has them. Reference: IEC 61966-2-1.
 XYZ_OF_RGB = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.lookup import lookup
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import (
     at_corners,
@@ -21,7 +20,8 @@ from torch_radbp.scene.interaction import (
 from torch_radbp.scene.part import part_of
 from torch_radbp.scene.placement import for_lanes, shown
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Frame, Ray, Vec2, Vec3, attached, dot, interpolated, where
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, attached, dot, interpolated, where
 
 Values = tuple[Tensor, ...]  # (N,) one for each channel
 

@@ -49,9 +49,9 @@ from torch_radbp.boundary.places import (
     unknown,
     velocities_on_film,
 )
-from torch_radbp.lookup import lookup
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.vec import TINY, Vec2, Vec3, dot, interpolated, rows
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, interpolated, rows
 
 PROBES = ((0.1, 0.15, 0.5), (0.3, 0.5, 0.15), (0.5, 0.5, 0.5), (0.7, 0.5, 0.85), (0.9, 0.85, 0.5))  # s, and the aperture
 ASIDE = 1e-9  # share of its distance by which a rim is moved off the edges of triangles

@@ -26,8 +26,8 @@ from torch_radbp.boundary.places import (
     velocities_on_film,
 )
 from torch_radbp.boundary.silhouette import is_silhouette
-from torch_radbp.lookup import lookup
-from torch_radbp.vec import Vec2, Vec3, dot, rows, unit_normal
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec2, Vec3, dot, rows, unit_normal
 
 COPLANAR = 1e-6  # half of the difference of unit normals, below which triangles lie in one plane
 STEP = 1e-5  # of the width of a triangle, by which it is told on which side of an edge it is seen

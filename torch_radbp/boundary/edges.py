@@ -12,7 +12,7 @@ from torch import Tensor
 from torch_radbp.boundary.junctions import cut_at_vertices
 from torch_radbp.jit.order import chosen as chosen_lanes
 from torch_radbp.jit.order import partition
-from torch_radbp.vec import rows
+from torch_radbp.tensors.vec import rows
 
 WELDED = 1e-5  # vertices nearer than about this share of the mesh's extent count as one
 HASH, SLOTS = 0x1E3779B97F4A7C15, 1 << 22  # the multiplier of a hash, and how many values it has

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, positions
-from torch_radbp.lookup import lookup
+from torch_radbp.tensors.lookup import lookup
 
 
 class Faces(NamedTuple):

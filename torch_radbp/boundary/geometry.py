@@ -7,10 +7,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.lookup import lookup
 from torch_radbp.scene.placement import for_lanes, shown, shown_normals
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec3
 
 Corners = tuple[Vec3, Vec3, Vec3]
 

@@ -12,7 +12,7 @@ from torch_radbp.boundary.places import CREASE, FAR, NEAR, RIM, SILHOUETTE, TEXT
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
-from torch_radbp.vec import TINY, Ray, dot, rows
+from torch_radbp.tensors.vec import TINY, Ray, dot, rows
 
 NEARER = 1e-3  # share of the distance to an edge by which a surface that hides it is nearer, and one behind it farther
 SAME = 1e-5  # the same of surfaces that are one at a rim

@@ -17,7 +17,7 @@ from torch_radbp.scene.attributes import with_nested
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.tensors import TriangleTable, proposal_of
 from torch_radbp.shape.surface import Surface
-from torch_radbp.vec import rows
+from torch_radbp.tensors.vec import rows
 
 RIM = 0.1  # share of the camera rays that meet the front of a smooth surface at most, where it is seen at grazing angles
 BLOCK = 1 << 16  # triangles that are examined together

@@ -12,12 +12,12 @@ from torch_radbp.adjoint.function import asks_for_gradient, first_derivatives_on
 from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
 from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.places import Places
-from torch_radbp.differentiated import detached, differentiable
-from torch_radbp.lookup import summed
 from torch_radbp.path.integrand import Stages
 from torch_radbp.public_call import public_call
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.vec import rows
+from torch_radbp.tensors.differentiated import detached, differentiable
+from torch_radbp.tensors.lookup import summed
+from torch_radbp.tensors.vec import rows
 
 
 class Jumping(NamedTuple):

@@ -12,11 +12,11 @@ from torch_radbp.boundary.contour import LEVELS, level_at
 from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.places import INTERSECTION, Places
 from torch_radbp.boundary.segments import height_above, place_of
-from torch_radbp.differentiated import primal
-from torch_radbp.lookup import Tap, tapped
-from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.vec import Vec2, rows
+from torch_radbp.tensors.differentiated import primal
+from torch_radbp.tensors.lookup import Tap, tapped
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.vec import Vec2, rows
 
 
 def swept(geometry: Geometry, camera: Camera, places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Tensor:

@@ -24,16 +24,16 @@ from torch_radbp.boundary.intersections import intersections
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.texture_lines import lines_of_textures, texture_segments
-from torch_radbp.differentiated import detached
-from torch_radbp.jump_lines import JumpLines
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.caster_cache import same
-from torch_radbp.record import joined as joined_records
-from torch_radbp.record import leaves_of, with_leaves
-from torch_radbp.rendering.call.render_call import RenderCall
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances
-from torch_radbp.vec import rows
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.record import joined as joined_records
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.vec import rows
 
 # How much of a jump an edge may be that is no silhouette. At a fold by the normals of two triangles, of which one may be
 # turned round.

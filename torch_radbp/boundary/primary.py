@@ -42,18 +42,18 @@ from torch_radbp.boundary.places import (
     sight_of,
 )
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.differentiated import any_differentiated
+from torch_radbp.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.call.workers import in_turns
 from torch_radbp.jit.order import chosen
 from torch_radbp.path.integrand import Integrand, Stages, taken
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import first_hit, trace
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.record import joined
-from torch_radbp.rendering.call.render_call import RenderCall, integrand_of, started
-from torch_radbp.rendering.call.workers import in_turns
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.vec import rows
+from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import rows
 
 LEAST_BLOCK = 1 << 13  # places that are traced together: below, a second block costs more in Python than it gains
 BYTES_OF_TRIANGLE = 48  # weights of its edges and their sums

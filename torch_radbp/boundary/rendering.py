@@ -12,11 +12,10 @@ from torch import Tensor
 
 from torch_radbp.boundary.silhouette import CameraSight
 from torch_radbp.bsdf.kind import Kind
-from torch_radbp.differentiated import detached, tangent_of
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.call.view import View
 from torch_radbp.plugin import BSDF, Plugin, Sensor, Texture
 from torch_radbp.raycast.protocol import RayCaster
-from torch_radbp.rendering.call.render_call import RenderCall
-from torch_radbp.rendering.call.view import View
 from torch_radbp.scene import Scene
 from torch_radbp.scene.geometry import PlacedShape, number_of_triangles, placed_shape
 from torch_radbp.scene.material import turning_values
@@ -26,6 +25,7 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Lens
 from torch_radbp.shape.placement import Instances, expanded
 from torch_radbp.shape.surface import Surface
+from torch_radbp.tensors.differentiated import detached, tangent_of
 
 MOVE_SHAPES = ("to_world", "vertex_positions", "grid")
 MOST_OF_GROUP = 1 << 16  # triangles of instances of a group that are looked at

@@ -28,8 +28,8 @@ from torch_radbp.boundary.places import (
     picked,
     velocities_on_film,
 )
-from torch_radbp.lookup import lookup
-from torch_radbp.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows
 
 
 class Segments(NamedTuple):

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_radbp.boundary.edges import Edges
 from torch_radbp.boundary.silhouette import CameraSight, crosses_view, outlines_seen
 from torch_radbp.raycast.protocol import RayCaster
-from torch_radbp.vec import Ray, Vec3
+from torch_radbp.tensors.vec import Ray, Vec3
 
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # along each edge, from which rays are cast
 MOST_EDGES = 1 << 14  # that are examined

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.edges import Edges
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.vec import Vec3, cross, dot, rows
+from torch_radbp.tensors.vec import Vec3, cross, dot, rows
 
 ROUNDING = 1e-9  # of sums of products, relative
 MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a surface may end exactly there

@@ -16,7 +16,7 @@ from torch_radbp.boundary.rendering import Rendering, ShownTriangles
 from torch_radbp.boundary.shadow import APART, ray_from
 from torch_radbp.boundary.silhouette import CameraSight
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.vec import Vec2
 
 SIDE = 24  # points are looked for in a grid of this many rows and columns of the image
 DIRECTIONS = 48  # in which rays are cast from each point, spread over the sphere

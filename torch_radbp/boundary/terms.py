@@ -10,7 +10,7 @@ from torch_radbp.boundary.outline import Jumps, Outline, outlines_of
 from torch_radbp.boundary.primary import bytes_of_jumps, image_jumps, moves
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move
-from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.call.render_call import RenderCall
 from torch_radbp.scene import Scene
 
 

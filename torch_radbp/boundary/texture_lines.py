@@ -10,11 +10,11 @@ from torch import Tensor
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments, crossings
-from torch_radbp.jump_lines import JumpLines
-from torch_radbp.record import joined
+from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.scene.attributes import textures_of
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Vec2, Vec3, rows
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
 ASIDE = 1e-5  # of the distance of two lines, by which a place lies on one side of one; so little that no light changes
 ROUNDED = 2e-6  # the same for each of the lines that are counted up to it, for the rounding of coordinates in float32

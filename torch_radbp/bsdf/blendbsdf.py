@@ -9,12 +9,12 @@ from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, chance_of_lobe, either, on_horizon_unless
 from torch_radbp.bsdf.number import NumberOf
-from torch_radbp.differentiated import differentiated
-from torch_radbp.domain import FRACTION, Domain
 from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin.domain import FRACTION, Domain
+from torch_radbp.tensors.differentiated import differentiated
+from torch_radbp.tensors.vec import Vec3, where
 from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3, where
 
 LEAST_CHANCE = 0.02  # of either material: one of weight zero is still sampled, and the weight has its derivative
 ROUNDING = 1e-6  # by which weights of 0 and 1 may be off when they are read from an image in float32

@@ -10,10 +10,10 @@ import torch
 from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.number import OwnNumber, SlopeOf
 from torch_radbp.bsdf.turned import TurnedKind
-from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import BSDF, Texture, boolean, finite, register
+from torch_radbp.plugin.domain import NUMBER, Domain
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3
 
 LIMIT = 1e6  # of heights and of their scale: the squares of slopes are finite in float32
 

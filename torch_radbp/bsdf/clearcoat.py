@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 DULL, GLOSSY = 0.1, 0.001  # roughness at a gloss of 0 and of 1
 SHADOWING = 0.25**2  # squared roughness

@@ -9,10 +9,10 @@ from torch import Tensor
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values, reflects
-from torch_radbp.domain import AMOUNT, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin.domain import AMOUNT, REFLECTANCE, Domain
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3
 
 
 @dataclass(frozen=True)

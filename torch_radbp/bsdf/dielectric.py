@@ -12,10 +12,10 @@ from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
 from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values, side_of
 from torch_radbp.bsdf.number import OwnNumber
-from torch_radbp.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin.domain import NUMBER, REFLECTANCE, Domain
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3
 
 
 def relative_index(eta: Tensor, side: Tensor) -> Tensor:

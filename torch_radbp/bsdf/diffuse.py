@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
-from torch_radbp.domain import REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin.domain import REFLECTANCE, Domain
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import ClassVar
 from torch import Tensor, nn
 
 from torch_radbp.bsdf.kind import Kind, Values
-from torch_radbp.differentiated import differentiated
 from torch_radbp.plugin import Texture
+from torch_radbp.tensors.differentiated import differentiated
 from torch_radbp.texture.rgb import RGB
 
 Number = Tensor | float  # of a parameter that a material does not have: its value, zero

@@ -13,7 +13,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 SMALLEST_COSINE = 1e-12
 SMALLEST_INDEX = 1e-20  # of the squared modulus of eta^2 - k^2 - sin^2 + 2 i eta k

@@ -34,8 +34,8 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import settled
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.differentiated import settled
+from torch_radbp.tensors.vec import Vec3
 
 SMALLEST_LEVEL = 1e-12  # squared length of a direction's horizontal part
 

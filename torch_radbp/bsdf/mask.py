@@ -8,10 +8,10 @@ from torch_radbp.bsdf.blendbsdf import BlendKind, is_still
 from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.null import NullKind
 from torch_radbp.bsdf.number import NumberOf
-from torch_radbp.domain import FRACTION, Domain
 from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin.domain import FRACTION, Domain
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3
 
 
 @dataclass(frozen=True)

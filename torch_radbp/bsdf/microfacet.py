@@ -35,7 +35,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, Values
-from torch_radbp.vec import TINY, Vec2, Vec3, dot, normalize
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, normalize
 
 SMALLEST_ALPHA = 1e-4  # as in Mitsuba: a smoother surface counts as this rough
 SMALLEST_COSINE = 1e-5  # of a microfacet normal; Beckmann's density is zero long before

@@ -9,11 +9,11 @@ import torch
 
 from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.turned import TurnedKind
-from torch_radbp.domain import Domain
 from torch_radbp.plugin import BSDF, Texture, boolean, register
+from torch_radbp.plugin.domain import Domain
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values
 from torch_radbp.plugin import BSDF, Texture, register
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 
 @dataclass(frozen=True)

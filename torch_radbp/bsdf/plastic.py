@@ -18,11 +18,11 @@ from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, chance_of_lobe, reflects
 from torch_radbp.bsdf.number import OwnNumber
-from torch_radbp.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, boolean, register
+from torch_radbp.plugin.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
+from torch_radbp.tensors.vec import Vec3, where
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3, where
 
 LEAST_SHARE = 0.02  # of a reflectance when lobes are chosen: a black one is still sampled, and has a derivative
 LEAST_ESCAPE = 1e-3  # of 1 - r R; reached at indices beyond 3.9, where the fit of R is too large

@@ -8,8 +8,8 @@ from torch_radbp.bsdf.burley import check_rates
 from torch_radbp.bsdf.features import features_of
 from torch_radbp.bsdf.number import NumberOf, OwnNumber
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
-from torch_radbp.domain import FRACTION, NUMBER, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin.domain import FRACTION, NUMBER, REFLECTANCE, Domain
 from torch_radbp.texture.rgb import as_texture
 
 # Parameters that cost nothing while they are zero, in the order of their values.

@@ -53,7 +53,7 @@ from torch_radbp.bsdf.kind import (
 from torch_radbp.bsdf.microfacet import GGX, half_vector
 from torch_radbp.bsdf.roughdielectric import apart_from_one
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
-from torch_radbp.vec import Vec3, dot, where
+from torch_radbp.tensors.vec import Vec3, dot, where
 
 DIFFUSE, CLEARCOAT, REFRACTION, REFLECTION = range(4)  # lobes
 LEAST_SPECULAR = 1e-5  # below it counts as this: the index of refraction has an infinite derivative at zero

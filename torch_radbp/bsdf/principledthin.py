@@ -38,11 +38,11 @@ from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import LobeChoice, Values, above, choice_among, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import GGX, half_vector
 from torch_radbp.bsdf.number import NumberOf
-from torch_radbp.domain import FRACTION, LARGEST_AMOUNT, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin.domain import FRACTION, LARGEST_AMOUNT, REFLECTANCE, Domain
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
+from torch_radbp.tensors.vec import Vec3, dot, where
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3, dot, where
 
 # Parameters that cost nothing while they are zero, or what they are part of is, in the order of the values.
 FEATURES = ("eta", "anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "flatness", "diff_trans")

@@ -42,7 +42,7 @@ from torch import Tensor
 from torch_radbp.bsdf.fresnel import dielectric_reflectance, unpolarised
 from torch_radbp.bsdf.kind import above
 from torch_radbp.bsdf.microfacet import GGX, Beckmann, floored, microfacets
-from torch_radbp.vec import Vec3, dot
+from torch_radbp.tensors.vec import Vec3, dot
 
 TERMS = 11  # of the polynomial
 SUMS = 1 + TERMS  # numbers that describe the coat: R, then the polynomial's coefficients

@@ -11,10 +11,10 @@ from torch_radbp.bsdf.ior import complex_index
 from torch_radbp.bsdf.kind import LobeChoice, Values, above, reflects
 from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
 from torch_radbp.bsdf.roughness import ROUGHNESS, make_rough
-from torch_radbp.domain import AMOUNT, REFLECTANCE, Domain
 from torch_radbp.plugin import BSDF, Texture, register
+from torch_radbp.plugin.domain import AMOUNT, REFLECTANCE, Domain
+from torch_radbp.tensors.vec import Vec3, dot
 from torch_radbp.texture.rgb import as_texture
-from torch_radbp.vec import Vec3, dot
 
 
 @dataclass(frozen=True)

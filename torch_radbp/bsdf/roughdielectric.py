@@ -13,9 +13,9 @@ from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import LobeChoice, Values, above, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
 from torch_radbp.bsdf.roughness import ROUGHNESS, make_rough
-from torch_radbp.domain import Domain
 from torch_radbp.plugin import Texture, register
-from torch_radbp.vec import Vec3, dot
+from torch_radbp.plugin.domain import Domain
+from torch_radbp.tensors.vec import Vec3, dot
 
 
 class Microgeometry(NamedTuple):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from torch_radbp.bsdf.microfacet import DISTRIBUTIONS
 from torch_radbp.bsdf.number import NumberOf
-from torch_radbp.domain import AMOUNT
 from torch_radbp.plugin import BSDF, Texture, boolean, nearest
+from torch_radbp.plugin.domain import AMOUNT
 from torch_radbp.texture.rgb import as_texture
 
 ROUGHNESS = {"alpha": AMOUNT, "alpha_u": AMOUNT, "alpha_v": AMOUNT}  # domains

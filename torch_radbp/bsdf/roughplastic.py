@@ -18,10 +18,10 @@ from torch_radbp.bsdf.number import ComputedNumbers, OwnNumber
 from torch_radbp.bsdf.plastic import Plastic, coat_or_base, coated, specular_chance
 from torch_radbp.bsdf.rough_coat import SUMS, abscissa, coat_of
 from torch_radbp.bsdf.roughness import check_distribution
-from torch_radbp.domain import LARGEST_AMOUNT, NUMBER, Domain
 from torch_radbp.plugin import Texture, boolean, register
+from torch_radbp.plugin.domain import LARGEST_AMOUNT, NUMBER, Domain
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
-from torch_radbp.vec import Vec3, attached, dot, where
+from torch_radbp.tensors.vec import Vec3, attached, dot, where
 
 
 @dataclass(frozen=True)

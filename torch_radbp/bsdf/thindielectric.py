@@ -18,7 +18,7 @@ from torch_radbp.bsdf.dielectric import Dielectric, blend, decide
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values
 from torch_radbp.plugin import register
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 
 @dataclass(frozen=True)

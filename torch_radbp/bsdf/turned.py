@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, on_horizon_unless
-from torch_radbp.vec import Frame, Vec3, dot, where
+from torch_radbp.tensors.vec import Frame, Vec3, dot, where
 
 SHORTEST = 1e-8  # squared length of a normal; one that is shorter counts as not turned
 FLATTEST = 1e-12  # squared cosine in a tangent

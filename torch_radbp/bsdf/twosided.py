@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, either, side_of
 from torch_radbp.plugin import BSDF, Texture, boolean, register
-from torch_radbp.vec import Vec3, where
+from torch_radbp.tensors.vec import Vec3, where
 
 
 @dataclass(frozen=True)

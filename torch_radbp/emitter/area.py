@@ -13,11 +13,11 @@ from torch import Tensor
 from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import NEAREST, Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind
 from torch_radbp.emitter.surface import SurfaceLight
-from torch_radbp.lookup import lookup
 from torch_radbp.plugin import register
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import square_to_uniform_triangle
-from torch_radbp.vec import Vec3, angle_between, dot, interpolated
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec3, angle_between, dot, interpolated
 
 SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
 

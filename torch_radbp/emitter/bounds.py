@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec3, angle_between, normalize
+from torch_radbp.tensors.vec import Vec3, angle_between, normalize
 
 LEEWAY = 1e-3  # relative, of radii, and in radians, of angles: rounding must not put light outside of its bounds
 LEAST_LENGTH = 1e-3  # of the mean of some unit vectors: shorter ones have no axis in common

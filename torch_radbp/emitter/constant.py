@@ -8,15 +8,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import AMOUNT, Domain
 from torch_radbp.emitter.attributes import colour, weight
 from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
-from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Matrix4, Texture, register
+from torch_radbp.plugin.domain import AMOUNT, Domain
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.transforms import affine
-from torch_radbp.vec import Vec3
 
 
 class ConstantTable(NamedTuple):

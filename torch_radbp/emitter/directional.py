@@ -8,14 +8,14 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import AMOUNT, POSE, Domain
 from torch_radbp.emitter.attributes import colour, weight
 from torch_radbp.emitter.kind import Aim, Light, LightKind, Pick, ShadowSource
-from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
+from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
 from torch_radbp.pose import look_at
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.transforms import transform
-from torch_radbp.vec import Vec3
 
 
 class DirectionalTable(NamedTuple):

@@ -17,19 +17,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import primal
-from torch_radbp.domain import AMOUNT, POSE, Domain
 from torch_radbp.emitter.attributes import FACTOR, factor, linear_inverse, weight
 from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
 from torch_radbp.emitter.latitude_longitude import latitude_longitude, local_direction, texels_around
-from torch_radbp.interleaved import columns_of_rows
-from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Filename, Matrix4, register
+from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
 from torch_radbp.sampling.grid import GridDistribution, grid_distribution
 from torch_radbp.sampling.sampler import fine_unit
+from torch_radbp.tensors.differentiated import primal
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Frame, Vec2, Vec3, dot
 from torch_radbp.texture.bitmap import IMAGES, LUMINANCE, linear_image
+from torch_radbp.texture.interleaved import columns_of_rows
 from torch_radbp.transforms import transform
-from torch_radbp.vec import TINY, Frame, Vec2, Vec3, dot
 
 EVEN = 30.0  # the mean square of light, over the square of its mean, up to which it is even
 LEAST_WEIGHING = 1e-7  # per steradian; keeps quotients of densities finite

@@ -20,9 +20,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.bounds import LightBounds
-from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Emitter
-from torch_radbp.vec import Vec2, Vec3, interpolated
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec2, Vec3, interpolated
 
 NEAREST = 1e-9  # the least distance that counts; 1 / NEAREST^4 is finite in float32
 

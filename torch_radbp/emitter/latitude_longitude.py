@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import TINY, Frame, Vec2, Vec3, cross, dot
+from torch_radbp.tensors.vec import TINY, Frame, Vec2, Vec3, cross, dot
 
 NEAR_POLE = 1e-12  # squared distance from the axis below which the longitude is undefined
 

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from torch_radbp.emitter.attributes import linear_inverse
 from torch_radbp.emitter.kind import NEAREST, Aim, LightKind, Pick, ShadowSource, Table
-from torch_radbp.lookup import lookup
-from torch_radbp.vec import Frame, Vec2, Vec3, dot
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Frame, Vec2, Vec3, dot
 
 FLATTEST = 1e-4  # cosine with a light's axis below which its image is not read
 

@@ -9,16 +9,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import AMOUNT, POSE, Domain
 from torch_radbp.emitter.attributes import FACTOR, Scaled, factor, weight
 from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes
 from torch_radbp.plugin import Matrix4, Texture, register
+from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
 from torch_radbp.sensor.perspective import field_of_view, horizontal_fov
+from torch_radbp.tensors.vec import Frame, Vec2, Vec3, normalize
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.transforms import transform
-from torch_radbp.vec import Frame, Vec2, Vec3, normalize
 
 
 class ProjectorTable(NamedTuple):

@@ -9,15 +9,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import AMOUNT, NUMBER, POSE, Domain
 from torch_radbp.emitter.attributes import Scaled, colour, weight
 from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction
 from torch_radbp.plugin import Matrix4, Texture, register
+from torch_radbp.plugin.domain import AMOUNT, NUMBER, POSE, Domain
+from torch_radbp.tensors.vec import Frame, Vec2, Vec3, normalize
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.transforms import transform
-from torch_radbp.vec import Frame, Vec2, Vec3, normalize
 
 CUTOFF = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, unit=" degrees")
 

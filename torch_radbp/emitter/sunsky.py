@@ -22,17 +22,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import FRACTION, NUMBER, Domain
 from torch_radbp.emitter.attributes import FACTOR, colour, factor, weight
 from torch_radbp.emitter.envmap import Envmap, EnvmapKind, EnvmapTable, density, envmap_table, sample_direction
 from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
 from torch_radbp.emitter.sun_position import DAY, check_place_and_time, sun_position
-from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Matrix4, Point3, SceneWarning, Texture, finite, register
+from torch_radbp.plugin.domain import FRACTION, NUMBER, Domain
 from torch_radbp.sampling.sampler import fine_unit
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Frame, Vec3, dot, where
 from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.transforms import affine
-from torch_radbp.vec import Frame, Vec3, dot, where
 
 DATA = Path(__file__).with_name("sunsky_data.npz")  # its origin: sunsky_data.md
 ELEVATIONS = 2.0 + 3.0 * np.arange(30)  # degrees, of the table of the sun's radiance

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_radbp.film.filter import Kernel
 from torch_radbp.film.splat import PIECE, TOGETHER, Block, offset_sums
 from torch_radbp.film.window import Window
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.vec import Vec2
 
 
 class Grid(NamedTuple):

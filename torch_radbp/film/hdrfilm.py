@@ -11,7 +11,7 @@ from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.position import FilmTensors
 from torch_radbp.film.window import Span, Window
 from torch_radbp.plugin import Film, ReconstructionFilter, boolean, integer, nearest, register
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.vec import Vec2
 
 PIXEL_FORMATS, COMPONENT_FORMATS, FILE_FORMATS = ("rgb", "rgba"), ("float16", "float32", "uint32"), ("openexr",)
 

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.film.filter import Kernel
-from torch_radbp.lookup import lookup
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec2
 
 
 class FilmTensors(NamedTuple):

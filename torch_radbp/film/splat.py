@@ -13,9 +13,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import any_differentiated
 from torch_radbp.film.filter import Kernel
-from torch_radbp.vec import Vec2, gather
+from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.vec import Vec2, gather
 
 TOGETHER = 8  # samples of a pixel that a lane adds up; compiled, for it takes the more operations the more there are
 MOST_VALUES = 4  # that are added up at once: of many, code takes long to compile

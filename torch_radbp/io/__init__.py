@@ -1,1 +1,1 @@
-"""Files: scenes (Mitsuba XML and dict, glTF), cameras (COLMAP, NeRF), meshes (OBJ, PLY, serialized) and images."""
+"""Scenes and cameras from files and back: Mitsuba XML and dict, glTF; COLMAP, NeRF, OpenCV."""

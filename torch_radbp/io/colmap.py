@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from torch_radbp.formats.files import opened
+from torch_radbp.formats.text_lines import BYTE_ORDER_MARK
 from torch_radbp.io.colmap_binary import binary_cameras, binary_images
-from torch_radbp.io.files import opened
-from torch_radbp.io.text_lines import BYTE_ORDER_MARK
+from torch_radbp.io.opencv import LARGEST, SMALLEST, Intrinsics, pose_of, sensor_of
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
 from torch_radbp.public_call import public_call
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
-from torch_radbp.sensor.opencv import LARGEST, SMALLEST, Intrinsics, pose_of, sensor_of
 
 MODELS = {  # the parameters in their order; f is both focal lengths
     "SIMPLE_PINHOLE": (BROWN_CONRADY, ("f", "cx", "cy")),

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from torch_radbp.io.files import opened
+from torch_radbp.formats.files import opened
 from torch_radbp.plugin import SceneError
 
 # Models and how many parameters they have, in the order of their numbers.

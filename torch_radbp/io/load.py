@@ -10,8 +10,8 @@ from typing import Any
 
 import torch
 
+from torch_radbp.formats.files import unknown_kind
 from torch_radbp.io.build import build_scene
-from torch_radbp.io.files import unknown_kind
 from torch_radbp.io.gltf.read import read_gltf
 from torch_radbp.io.xml_scene import read_scene
 from torch_radbp.plugin import SceneError

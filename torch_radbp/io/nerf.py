@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from torch_radbp.io.files import opened
+from torch_radbp.formats.files import opened
+from torch_radbp.io.opencv import FROM_OPENGL, LARGEST, ORTHOGONAL, SMALLEST, Intrinsics, sensor_of
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
 from torch_radbp.public_call import public_call
 from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
-from torch_radbp.sensor.opencv import FROM_OPENGL, LARGEST, ORTHOGONAL, SMALLEST, Intrinsics, sensor_of
 
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "k1", "k2", "k3", "k4", "p1", "p2",
               "camera_model", "is_fisheye")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from torch_radbp.io.files import opened
-from torch_radbp.io.text_lines import read_lines
+from torch_radbp.formats.files import opened
+from torch_radbp.formats.text_lines import read_lines
 from torch_radbp.texture.spectrum import Samples
 
 

@@ -11,7 +11,7 @@ import warnings
 from typing import NamedTuple
 from xml.parsers import expat
 
-from torch_radbp.io.files import opened
+from torch_radbp.formats.files import opened
 from torch_radbp.plugin import SceneError, SceneWarning
 
 MAX_DEPTH = 100

@@ -14,11 +14,11 @@ from typing import Any
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from torch_radbp.differentiated import primal, tangent_of
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.jit.target import Target
-from torch_radbp.jit.torch_internals import inside_dual_level
-from torch_radbp.record import leaves_of, with_leaves
+from torch_radbp.tensors.differentiated import primal, tangent_of
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.torch_internals import inside_dual_level
 
 
 def parted(record: Any) -> tuple[Any, Any]:

@@ -20,7 +20,7 @@ from typing import TypeVar
 
 import torch
 
-from torch_radbp.jit.torch_internals import operations_on_this_thread
+from torch_radbp.tensors.torch_internals import operations_on_this_thread
 
 Item, Result = TypeVar("Item"), TypeVar("Result")
 PART = 4096  # lanes that a thread takes at a time

@@ -16,7 +16,7 @@ from torch_radbp.jit.graph import NUMBER, TABLE, Builder, Program, Value, progra
 from torch_radbp.jit.inference import INFERRED
 from torch_radbp.jit.operations import DECOMPOSED, HANDLERS
 from torch_radbp.jit.refusal import refusal
-from torch_radbp.jit.torch_internals import TorchDispatchMode, functions_of_torch_only
+from torch_radbp.tensors.torch_internals import TorchDispatchMode, functions_of_torch_only
 
 QUESTIONS = ("is_same_size", "_has_same_storage_numel")  # about shapes; what is answered is no tensor
 SIZE = 1_000_003  # of lanes while tracing; what they are is known by their kind, not by their size

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torch_radbp.optim.adjacency import edges_of, neighbours_of, welded
 from torch_radbp.optim.large_steps import laplacian
-from torch_radbp.vec import TINY
+from torch_radbp.tensors.vec import TINY
 
 
 def laplacian_loss(vertices: Tensor, faces: Tensor) -> Tensor:

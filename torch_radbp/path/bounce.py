@@ -22,7 +22,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.lookup import lookup
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import (
@@ -55,8 +54,9 @@ from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_
 from torch_radbp.scene.outgoing_ray import outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, masked, max_component, rows
 from torch_radbp.texture.reader import Place, TextureValue
-from torch_radbp.vec import Ray, Vec2, Vec3, masked, max_component, rows
 
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)

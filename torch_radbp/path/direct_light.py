@@ -18,8 +18,8 @@ from torch_radbp.scene.light import emission_places, light_aims, sample_light, s
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
 from torch_radbp.scene.material import evaluate, material_at, material_places
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import Vec3, masked, rows
 from torch_radbp.texture.reader import Place, TextureValue
-from torch_radbp.vec import Vec3, masked, rows
 
 
 class LightDraw(NamedTuple):

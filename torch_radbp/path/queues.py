@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.order import chosen, partition
-from torch_radbp.lookup import lookup
 from torch_radbp.path.event import Ends, Event, Scatters
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Ray, rows
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Ray, rows
 
 
 class Queue(NamedTuple):

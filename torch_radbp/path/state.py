@@ -7,13 +7,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import settled
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.scene.light_tree import Vantage
-from torch_radbp.vec import Ray, Vec3
+from torch_radbp.tensors.differentiated import settled
+from torch_radbp.tensors.vec import Ray, Vec3
 
 
 class Settings(NamedTuple):

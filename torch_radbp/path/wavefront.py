@@ -13,10 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import any_differentiated, recording
 from torch_radbp.jit.order import chosen, put
-from torch_radbp.jit.torch_internals import inside_dual_level
-from torch_radbp.lookup import lookup
 from torch_radbp.path.bounce import Vertex, gathered
 from torch_radbp.path.event import Ends, Scatters
 from torch_radbp.path.integrand import Integrand, taken
@@ -24,11 +21,14 @@ from torch_radbp.path.queues import ImageLanes, Queue, one_queue, queues_by
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.record import joined, leaves_of
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
+from torch_radbp.tensors.differentiated import any_differentiated, recording
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import joined, leaves_of
+from torch_radbp.tensors.torch_internals import inside_dual_level
+from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
 from torch_radbp.texture.reader import TextureValue
-from torch_radbp.vec import Ray, Vec3, masked, rows
 
 
 class Step(NamedTuple):

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.io.alpha import image_size, read_alpha
-from torch_radbp.io.image import LINEAR, READABLE, read_image, srgb_to_linear
+from torch_radbp.formats.alpha import image_size, read_alpha
+from torch_radbp.formats.image import LINEAR, READABLE, read_image, srgb_to_linear
 from torch_radbp.plugin import nearest
 
 CURVES = {"srgb": srgb_to_linear, "linear": lambda values: values}

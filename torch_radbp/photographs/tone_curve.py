@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.io.image import linear_to_srgb, srgb_to_linear
+from torch_radbp.formats.image import linear_to_srgb, srgb_to_linear
 from torch_radbp.photographs.linear_images import check_images
 from torch_radbp.plugin import integer, nearest
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.shape.ball import Balls
-from torch_radbp.vec import Vec3, cross, dot
+from torch_radbp.tensors.vec import Vec3, cross, dot
 
 # Bytes of one (lanes, triangles) tensor; about twenty of them are alive at a time.
 TABLE_BYTES = 4 << 20

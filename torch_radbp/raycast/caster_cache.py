@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.shape.ball import Balls
 from torch_radbp.shape.placement import Instances
-from torch_radbp.vec import Vec3
+from torch_radbp.tensors.vec import Vec3
 
 
 class CastTriangles(NamedTuple):

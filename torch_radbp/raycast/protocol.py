@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 from torch import Tensor
 
-from torch_radbp.vec import Ray
+from torch_radbp.tensors.vec import Ray
 
 
 class Hit(NamedTuple):

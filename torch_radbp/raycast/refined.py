@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.shape.placement import Instances
-from torch_radbp.vec import Vec3, crossing, dot
+from torch_radbp.tensors.vec import Vec3, crossing, dot
 
 
 def refined(vertices: Tensor, faces: Tensor, ray: Ray, hit: Hit, instances: Instances | None = None) -> Hit:

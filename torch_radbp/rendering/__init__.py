@@ -1,1 +1,1 @@
-"""What serves every rendering: the renderer, its settings, the call and what is planned for it."""
+"""What users render with: the renderer, its settings, and what is planned for a call."""

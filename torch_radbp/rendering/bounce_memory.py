@@ -20,13 +20,13 @@ from torch_radbp.adjoint.outside import add_adjoint, values_that_move
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
 from torch_radbp.jit.team import alone_in_torch
-from torch_radbp.jit.torch_internals import TorchDispatchMode, tree_flatten, tree_map_only
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, take_step
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.torch_internals import TorchDispatchMode, tree_flatten, tree_map_only
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.module_bank import ModuleBank
-from torch_radbp.vec import Vec3
 
 LANES = (1024, 3072)  # of the two measurements
 

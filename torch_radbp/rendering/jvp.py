@@ -10,7 +10,6 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call
 
-from torch_radbp.jit.torch_internals import tree_map
 from torch_radbp.plugin import finite
 from torch_radbp.public_call import arguments_of, check_arguments, public_call
 from torch_radbp.rendering.radiance import RadianceOf
@@ -18,6 +17,7 @@ from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import SensorChoice
 from torch_radbp.rendering.shots import WindowChoice
 from torch_radbp.scene import Scene
+from torch_radbp.tensors.torch_internals import tree_map
 
 
 @overload

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from math import inf
 from typing import NamedTuple
 
+from torch_radbp.call.chunks import fair_chunk
 from torch_radbp.film.window import Window
-from torch_radbp.rendering.call.chunks import fair_chunk
 from torch_radbp.rendering.cost import Request, check_cost, lanes_of_chunks, recorded_lanes, traced_together
 
 

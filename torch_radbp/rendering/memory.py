@@ -24,10 +24,10 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.path.wavefront import Step, take_step, trace
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.record import leaves_of
 from torch_radbp.rendering.bounce_memory import BounceMemory, LinearSize
 from torch_radbp.sampling.sampler import LaneKey
-from torch_radbp.vec import Ray, Vec2, Vec3
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3
 
 # Resident memory is more than what torch holds: by this factor, and by so many numbers a lane. The factor counts where
 # every operation takes memory and gives it back, and where chunks follow each other, whose records do not fit the holes

@@ -14,10 +14,13 @@ from torch.func import functional_call
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint
 from torch_radbp.adjoint.forward_mode import inside_transforms, outside_transforms
 from torch_radbp.adjoint.rendered import rendered
-from torch_radbp.aov.images import aov_jumps, beside_image, render_aovs
+from torch_radbp.aov.images import beside_image
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
 from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, rendering_of
-from torch_radbp.differentiated import detached, primal
+from torch_radbp.call.chunks import plan_chunks
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
+from torch_radbp.call.zeroed_memory import ZeroedMemory
 from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
@@ -25,15 +28,12 @@ from torch_radbp.public_call import public_call
 from torch_radbp.raycast import RayCaster
 from torch_radbp.raycast.caster_cache import CastTriangles
 from torch_radbp.raycast.kept_caster import KeptCaster
-from torch_radbp.rendering.call.chunks import plan_chunks
-from torch_radbp.rendering.call.render_call import RenderCall
-from torch_radbp.rendering.call.view import OF_NO_SENSOR, Shot, view_of
-from torch_radbp.rendering.call.zeroed_memory import ZeroedMemory
 from torch_radbp.rendering.cost import Request, bytes_of_records
 from torch_radbp.rendering.lanes import plan_lanes
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
+from torch_radbp.rendering.quantities import images_of_quantities
 from torch_radbp.rendering.radiance import radiance_outside
 from torch_radbp.rendering.settings import (
     INTERIOR,
@@ -57,6 +57,7 @@ from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
 from torch_radbp.sensor.rays import given_rays
+from torch_radbp.tensors.differentiated import detached, primal
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 
@@ -305,10 +306,7 @@ class Renderer(nn.Module):
         quantities = tuple(dict.fromkeys(outputs.values()))
         if call.scene.layout.surround is not None and not self.hide_emitters:
             self.jump_watch.say(alpha_of_surroundings(quantities))
-        images = render_aovs(call, quantities, channels)
-        images = images if INTERIOR in self.terms else {name: primal(image) for name, image in images.items()}
-        if edges.in_view is not None:
-            images |= {name: images[name] + jump for name, jump in aov_jumps(call, edges.in_view, quantities).items()}
+        images = images_of_quantities(call, edges, quantities, channels, self.terms)
         return {output: images[quantity] for output, quantity in outputs.items()}
 
     def look(self, call: RenderCall, seed: int) -> EdgesOfCall:

@@ -10,7 +10,6 @@ from torch import nn
 
 import torch_radbp.adjoint as adjoint
 from torch_radbp.adjoint.strategy import AdjointStrategy
-from torch_radbp.differentiated import any_differentiated
 from torch_radbp.integrator.settings import depths
 from torch_radbp.path.state import Settings
 from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
@@ -19,6 +18,7 @@ from torch_radbp.scene import Scene
 from torch_radbp.scene.light_choice import CHOICES
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.differentiated import any_differentiated
 
 SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None: all
 

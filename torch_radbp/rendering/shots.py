@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from torch import Tensor
 
+from torch_radbp.call.view import Shot
 from torch_radbp.plugin import Sensor, integer
-from torch_radbp.rendering.call.view import Shot
 from torch_radbp.rendering.cost import MOST_NUMBERED
 from torch_radbp.rendering.settings import SensorChoice, sensor_indices
 from torch_radbp.scene import Scene

@@ -22,7 +22,6 @@ from torch_radbp.boundary.places import rays_beside
 from torch_radbp.boundary.segments import segment_place, segment_weight
 from torch_radbp.boundary.shadows.edge_tree import descended, edge_bounds, merged_bounds
 from torch_radbp.boundary.shadows.seen_edges import edge_found, edge_passed
-from torch_radbp.differentiated import any_differentiated
 from torch_radbp.film.splat import asked, deposited
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.jit.allocator import keep_freed_memory
@@ -30,14 +29,15 @@ from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.dual import DualFunction
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.target import Target
-from torch_radbp.jit.torch_internals import inside_dual_level
 from torch_radbp.path.bounce import bounce, chance_of_light, ending, film_place, pick_light, places, sample_camera
 from torch_radbp.path.direct_light import direct_light, scattered
 from torch_radbp.path.integrand import Stages
 from torch_radbp.path.queues import appearance_met, shines, side_met
 from torch_radbp.path.wavefront import brightened
-from torch_radbp.record import leaves_of
-from torch_radbp.vec import rows
+from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.torch_internals import inside_dual_level
+from torch_radbp.tensors.vec import rows
 
 EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, local_map, bounce_adjoint, places, pick_light,
                chance_of_light, appearance_met, side_met, shines, rows, brightened, direct_light, scattered, surface_values,

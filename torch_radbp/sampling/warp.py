@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.tensors.vec import Vec2, Vec3
 
 
 def square_to_cosine_hemisphere(u: Tensor, v: Tensor) -> Vec3:

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import differentiated
-from torch_radbp.domain import LEEWAY, Domain
 from torch_radbp.plugin import Plugin, Shape, Texture, nearest
+from torch_radbp.plugin.domain import LEEWAY, Domain
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.scene import Scene
+from torch_radbp.tensors.differentiated import differentiated
 from torch_radbp.texture.bitmap import reader_of
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import torch
 
-from torch_radbp.vec import TINY, ShadingFrame, Vec3, cross, dot
+from torch_radbp.tensors.vec import TINY, ShadingFrame, Vec3, cross, dot
 
 LEAST_COSINE = 1e-6  # between a shading normal and that of the triangle
 

@@ -7,7 +7,7 @@ import torch
 from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.vec import Ray, dot, rows
+from torch_radbp.tensors.vec import Ray, dot, rows
 
 
 def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: Camera | None, hide_emitters: bool):

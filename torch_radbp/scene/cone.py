@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot
 
 SHARING = 16.0  # samples among which the directions that a surface scatters to are divided
 ISOTROPIC = 1.0 / (4.0 * math.pi)  # density of directions

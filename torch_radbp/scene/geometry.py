@@ -9,8 +9,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import differentiated
-from torch_radbp.interleaved import interleaved
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.placement import InstanceTable, boxes, instance_table
@@ -19,7 +17,9 @@ from torch_radbp.shape.ball import TRIANGLES, Ball, Balls
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.placement import Instances
 from torch_radbp.shape.surface import Surface, Triangles
-from torch_radbp.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
+from torch_radbp.tensors.differentiated import differentiated
+from torch_radbp.tensors.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
+from torch_radbp.texture.interleaved import interleaved
 
 BLOCK = 1 << 15  # number of triangles that are processed at a time
 FEW = 1 << 10  # number of triangles examined before all of a surface are

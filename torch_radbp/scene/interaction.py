@@ -7,7 +7,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.lookup import lookup
 from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.scene.cone import Cone, footprint
 from torch_radbp.scene.placement import (
@@ -18,8 +17,8 @@ from torch_radbp.scene.placement import (
     shown_normals,
 )
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.texture.reader import TexturePoint, TriangleEdges
-from torch_radbp.vec import (
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import (
     TINY,
     LocalVec3,
     Ray,
@@ -34,6 +33,7 @@ from torch_radbp.vec import (
     unit_normal,
     where,
 )
+from torch_radbp.texture.reader import TexturePoint, TriangleEdges
 
 ROUNDINGS = 16  # of float32, whatever the scene's dtype: the distance off a surface at which rays start
 

@@ -8,16 +8,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import settled
 from torch_radbp.emitter.kind import Aim, LightKind, Pick
-from torch_radbp.lookup import lookup
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import settled
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, masked, where
 from torch_radbp.texture.reader import Place, TexturePoint, TextureValue
-from torch_radbp.vec import TINY, Ray, Vec3, dot, masked, where
 
 SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends just before its light
 FAR = 1e10  # the distance of the surround

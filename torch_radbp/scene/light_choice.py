@@ -20,14 +20,14 @@ from torch import Tensor
 
 from torch_radbp.emitter.bounds import LightBounds, bounds_of_groups
 from torch_radbp.emitter.kind import EmittingTriangles, LightKind, Table
-from torch_radbp.lookup import lookup
-from torch_radbp.record import leaves_of, with_leaves
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import fine_unit
 from torch_radbp.scene.light_tree import LightTree, Vantage, chance_of_leaf, drawn_leaf, light_tree
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.vec import Vec2, Vec3, interpolated, where
 from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.texture.reader import OutsideReader, TableReader, TexturePoint
-from torch_radbp.vec import Vec2, Vec3, interpolated, where
 
 CHOICES = ("uniform", "tree")
 # Emitters with bounds from which on the tree is the default. With 8, noise times time is less than with a uniform choice, as

@@ -16,7 +16,7 @@ from torch_radbp.scene.interaction import edges
 from torch_radbp.scene.light_choice import MANY, Textures, TreeChoice, bounds_of_kind, tree_choice
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import Layout, LightTable, TriangleTable
-from torch_radbp.vec import attached, cross, rows, unit_normal
+from torch_radbp.tensors.vec import attached, cross, rows, unit_normal
 
 SMALLEST_SHARE = 1e-12  # of a lamp's area: smaller triangles are never picked
 

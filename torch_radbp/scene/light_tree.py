@@ -23,8 +23,8 @@ from torch import Tensor
 
 from torch_radbp.emitter.bounds import LEEWAY, LightBounds, bounds_of_groups
 from torch_radbp.emitter.kind import NEAREST
-from torch_radbp.lookup import lookup
-from torch_radbp.vec import TINY, Vec3, dot
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Vec3, dot
 
 LEAST_COSINE = 0.05  # at the illuminated surface: shading normals, and rounding, must not rule out a light that contributes
 

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, values_for_choice
-from torch_radbp.differentiated import settled
-from torch_radbp.lookup import lookup
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import settled
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec3, where
 from torch_radbp.texture.reader import Place, TextureValue
-from torch_radbp.vec import Vec3, where
 
 LEAST_DENSITY = 1e-15  # of a direction that can be drawn; the square of its reciprocal is finite in float32
 

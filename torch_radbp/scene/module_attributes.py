@@ -16,8 +16,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torch_radbp.domain import Domain
 from torch_radbp.plugin import BSDF, Emitter, Plugin, Shape
+from torch_radbp.plugin.domain import Domain
 
 # Values that are equal if and only if they compare so.
 PLAIN = (int, str, bool, type(None), type, torch.dtype, torch.device, Domain)

@@ -15,9 +15,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.differentiated import differentiated, primal
-from torch_radbp.jit.torch_internals import inside_dual_level
 from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.tensors.differentiated import differentiated, primal
+from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.texture.module_bank import ModuleBank
 from torch_radbp.texture.module_function import ModuleFunction, Use
 from torch_radbp.texture.neural import PLACES

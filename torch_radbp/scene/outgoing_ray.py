@@ -21,7 +21,7 @@ from torch_radbp.scene.interaction import Corners, SurfaceInteraction, at_corner
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, sampling_at
 from torch_radbp.scene.placement import shown
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
 
 
 def outgoing_ray(si: SurfaceInteraction, wo: Vec3) -> Ray:

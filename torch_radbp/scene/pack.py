@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.twosided import TwoSided
-from torch_radbp.differentiated import differentiated
 from torch_radbp.emitter.kind import Light
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.appearance import Appearance
@@ -23,6 +22,7 @@ from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, MaterialTable, SceneTensors
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
+from torch_radbp.tensors.differentiated import differentiated
 from torch_radbp.texture.bitmap import BitmapReader, reader_of
 from torch_radbp.texture.colour import ColourReader
 from torch_radbp.texture.mixed import MixedReader, reader_for

@@ -19,7 +19,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torch_radbp.differentiated import differentiated, primal
 from torch_radbp.plugin import Plugin
 from torch_radbp.scene.module_attributes import (
     OF_EVERY_MODULE,
@@ -38,6 +37,7 @@ from torch_radbp.scene.module_attributes import (
     stands_still,
 )
 from torch_radbp.scene.same_bits import bits_of, comparable, same_bits
+from torch_radbp.tensors.differentiated import differentiated, primal
 
 
 class Result(NamedTuple):

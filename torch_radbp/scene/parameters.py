@@ -13,14 +13,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.differentiated import differentiated, primal
-from torch_radbp.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
+from torch_radbp.plugin.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.scene.module_attributes import modules_in
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
+from torch_radbp.tensors.differentiated import differentiated, primal
 from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.module_function import Use
 

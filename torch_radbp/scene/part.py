@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from torch_radbp.record import leaves_of
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.light_choice import TreeChoice
 from torch_radbp.scene.placement import for_lanes
 from torch_radbp.scene.tensors import Layout, SceneTensors
+from torch_radbp.tensors.record import leaves_of
 
 
 def part_of(scene: SceneTensors, scatterer: Appearance | None) -> SceneTensors:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.lookup import lookup
 from torch_radbp.shape.placement import Instances
-from torch_radbp.vec import Vec3, dot, max_component, normalize
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec3, dot, max_component, normalize
 
 Rows = tuple[Vec3, Vec3, Vec3]  # (I,) or (N,) of a matrix each
 

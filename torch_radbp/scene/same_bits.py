@@ -11,8 +11,8 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import primal
 from torch_radbp.jit.team import Task, threads, together, until_none_is_left
+from torch_radbp.tensors.differentiated import primal
 
 PART = 16 << 20  # bytes that a thread compares at a time
 

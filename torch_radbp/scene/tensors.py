@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import detached
 from torch_radbp.emitter.kind import LightKind, Table
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.scene.appearance import Appearance
@@ -16,8 +15,9 @@ from torch_radbp.scene.light_choice import TreeChoice
 from torch_radbp.scene.placement import InstanceTable
 from torch_radbp.shape.ball import Balls
 from torch_radbp.shape.placement import Instances
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.reader import OutsideReader, Reader, TableReader
-from torch_radbp.vec import Vec2, Vec3
 
 
 @dataclass(frozen=True)

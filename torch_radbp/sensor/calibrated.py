@@ -9,13 +9,13 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Plugin, Sampler, nearest, positive, register
+from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sensor.distortion import BrownConrady, Distortion, KannalaBrandt
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, number
 from torch_radbp.sensor.perspective import Perspective
-from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
+from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 FOCAL_LENGTH = NUMBER._replace(low=0.0, low_is_in=False, unit=" pixels")
 BROWN_CONRADY, FISHEYE = "brown_conrady", "fisheye"

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.tensors.vec import Vec2, Vec3
 
 STEPS = 10  # of Newton's method; from the distorted point a lens within its field needs 3 to 6 in float32
 SOLVED = 1e-5  # greatest error of an equation that counts as solved, relative to 1 + |y|

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec3, dot
+from torch_radbp.tensors.vec import Vec3, dot
 
 
 class Plane(NamedTuple):

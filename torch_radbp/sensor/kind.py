@@ -15,14 +15,14 @@ import torch
 from torch import Tensor
 from torch.nn.utils import parametrize
 
-from torch_radbp.domain import POSE, Domain
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.position import FilmTensors
 from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, positive
+from torch_radbp.plugin.domain import POSE, Domain
 from torch_radbp.sensor.frustum import Frustum
 from torch_radbp.sensor.sampler import LowDiscrepancy
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3
 from torch_radbp.transforms import transform
-from torch_radbp.vec import Ray, Vec2, Vec3
 
 Lens = Any  # a NamedTuple of tensors, attached
 RIGID = 1e-3  # how far products of the rows of a pose may be from those of a rotation, as in Mitsuba

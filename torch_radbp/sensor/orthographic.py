@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_radbp.plugin import Film, Matrix4, Sampler, register
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind
-from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
+from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 
 class OrthographicLens(NamedTuple):

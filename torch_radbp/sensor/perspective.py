@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register
+from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, number
-from torch_radbp.vec import Frame, Ray, Vec2, Vec3, dot, normalize
+from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 FIELD_OF_VIEW = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, high_is_in=False, unit=" degrees")
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")

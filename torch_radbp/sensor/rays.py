@@ -9,17 +9,17 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import primal
-from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.position import FilmTensors
-from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Sensor
+from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sensor.frustum import Plane
 from torch_radbp.sensor.kind import Camera, CameraKind
 from torch_radbp.sensor.sampler import LowDiscrepancy
-from torch_radbp.vec import Ray, Vec2, Vec3, dot, normalize
+from torch_radbp.tensors.differentiated import primal
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, dot, normalize
 
 LOOKOUTS = 8  # origins from which edges are looked for, at most
 NARROW = 1e-4  # rad, half of the angle of the cone around rays, at least

@@ -8,13 +8,13 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import NUMBER, Domain
 from torch_radbp.plugin import Film, Matrix4, Sampler, positive, register
+from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import ProjectiveKind, number
 from torch_radbp.sensor.perspective import FieldOfViewCamera, PinholeKind, PinholeLens
-from torch_radbp.vec import Ray, Vec2, Vec3, dot, normalize
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, dot, normalize
 
 LENGTH = NUMBER._replace(low=0.0, low_is_in=False)
 

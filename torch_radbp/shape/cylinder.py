@@ -9,8 +9,8 @@ from torch import Tensor
 
 from torch_radbp.plugin import BSDF, Emitter, Matrix4, Point3, finite, positive, register
 from torch_radbp.shape.surface import Tessellated, Triangles, grid
+from torch_radbp.tensors.vec import Frame, Vec3
 from torch_radbp.transforms import affine
-from torch_radbp.vec import Frame, Vec3
 
 SECTORS = 512
 START, END = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)  # of the unit cylinder's axis

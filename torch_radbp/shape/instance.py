@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torch_radbp.domain import POSE, Domain
 from torch_radbp.plugin import Matrix4, Shape, register
+from torch_radbp.plugin.domain import POSE, Domain
 from torch_radbp.shape.shapegroup import ShapeGroup
 from torch_radbp.shape.surface import Triangles, turned
 from torch_radbp.transforms import mirrors, transform, transform_normals, transform_points

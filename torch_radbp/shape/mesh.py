@@ -5,13 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.domain import LARGEST_COORDINATE, POSE, Domain
+from torch_radbp.formats.mesh import read_mesh
 from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, register
+from torch_radbp.plugin.domain import LARGEST_COORDINATE, POSE, Domain
 from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
 from torch_radbp.shape.surface import Surface, Triangles
+from torch_radbp.tensors.vec import attached
 from torch_radbp.texture.mesh_attribute import PREFIXES as ATTRIBUTE_PREFIXES
 from torch_radbp.transforms import affine, transform_normals, transform_points
-from torch_radbp.vec import attached
 
 
 class Mesh(Surface):
@@ -181,8 +182,6 @@ class FileMesh(Mesh):
 
     def read(self, filename: str, face_normals: bool, flip_tex_coords: bool, recompute_normals: bool,
              to_world: Tensor | None, shape_index: int | None = None) -> None:
-        from torch_radbp.io.mesh import read_mesh  # io reads files for every layer above `vec`
-
         if face_normals and recompute_normals:
             raise ValueError("face_normals shades flat and recompute_normals shades smooth: choose one")
         self.filename, self.face_normals, self.flip_tex_coords = filename, face_normals, flip_tex_coords

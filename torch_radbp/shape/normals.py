@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import TINY, Vec3, cross, dot, gather, max_component, where
+from torch_radbp.tensors.vec import TINY, Vec3, cross, dot, gather, max_component, where
 
 BLOCK = 1 << 15  # number of triangles that are processed at a time
 

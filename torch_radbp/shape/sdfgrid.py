@@ -8,11 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_radbp.differentiated import primal
-from torch_radbp.domain import LARGEST_AMOUNT, POSE, Domain
+from torch_radbp.formats.volume import read_volume
 from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, nearest, register
+from torch_radbp.plugin.domain import LARGEST_AMOUNT, POSE, Domain
 from torch_radbp.shape.surface import Surface, Triangles, turned
 from torch_radbp.shape.zero_set import Net, check_grid, smooth_normal, unit, vertices, voxel_gradient, zero_net
+from torch_radbp.tensors.differentiated import primal
 from torch_radbp.transforms import mirrors, transform, transform_normals, transform_points
 
 GRID = Domain(shapes=(("Z", "Y", "X", 1),), limit=LARGEST_AMOUNT)
@@ -33,7 +34,7 @@ class SDFGrid(Surface):
     equal; loses the surface where `to_world` turns it; and bends smooth normals at the upper borders of the grid.
 
     Args:
-        filename: a volume of one channel, see `io/volume.py`. Either this or `grid`.
+        filename: a volume of one channel, see `formats/volume.py`. Either this or `grid`.
         grid: the values.
         normals: how it is shaded: smooth, with normals that are continuous across voxels; or analytic, with the gradient
             of the interpolant, which is not. At vertices exactly, between them interpolated.
@@ -50,8 +51,6 @@ class SDFGrid(Surface):
         if (filename is None) == (grid is None):
             raise ValueError("an sdfgrid needs either filename or grid, and not both")
         if filename is not None:
-            from torch_radbp.io.volume import read_volume  # io reads files for every layer above `vec`
-
             grid = torch.from_numpy(read_volume(filename))
         self.filename, self.normals = filename, normals
         self.freeze("grid", finite("grid", grid).to(torch.get_default_dtype()))

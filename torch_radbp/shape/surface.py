@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.diffuse import Diffuse
-from torch_radbp.domain import POSE, Domain
-from torch_radbp.plugin import BSDF, Emitter, Shape
+from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Shape
+from torch_radbp.plugin.domain import POSE, Domain
 from torch_radbp.shape.ball import Ball
 from torch_radbp.transforms import mirrors, transform, transform_normals, transform_points
 
@@ -42,7 +41,8 @@ class Surface(Shape):
 
     def __init__(self, *, bsdf: BSDF | None = None, emitter: Emitter | None = None, flip_normals: bool = False):
         super().__init__()
-        self.bsdf = Diffuse(reflectance=0.5 if emitter is None else 0.0) if bsdf is None else bsdf
+        diffuse = REGISTRY["bsdf"]["diffuse"]
+        self.bsdf = diffuse(reflectance=0.5 if emitter is None else 0.0) if bsdf is None else bsdf
         if emitter is not None and not emitter.kind().on_surface:
             raise ValueError(f"a shape can carry an emitter that shines from surfaces, such as area; got {emitter.type!r}, "
                              f"which belongs to the scene itself")

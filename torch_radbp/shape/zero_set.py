@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.shape.marching_cubes import CORNERS, case_table, edge_starts
-from torch_radbp.vec import Vec3, gather, max_component, normalize, scaled, where
+from torch_radbp.tensors.vec import Vec3, gather, max_component, normalize, scaled, where
 
 LEAST_CELLS = 60  # of the lattice, along the longest side of the grid
 ROUNDING = 16.0  # in units of the last place, of a number that would be zero without

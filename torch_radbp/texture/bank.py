@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.lookup import lookup
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.uv_transform import transformed
-from torch_radbp.vec import Vec2, Vec3
 
 
 class TextureBank(NamedTuple):

@@ -10,15 +10,16 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import Domain
-from torch_radbp.interleaved import columns_of_rows
-from torch_radbp.jump_lines import JumpLines
+from torch_radbp.formats.image import read_image, srgb_to_linear
 from torch_radbp.plugin import Filename, Matrix4, Plugin, Texture, finite, nearest, register
+from torch_radbp.plugin.domain import Domain
+from torch_radbp.plugin.jump_lines import JumpLines
+from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
+from torch_radbp.texture.interleaved import columns_of_rows
 from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
 from torch_radbp.texture.reader import Reader, TableReader, TexturePoint, TriangleEdges
 from torch_radbp.texture.uv_transform import jump_lines, uv_matrix, uv_rows
-from torch_radbp.vec import Vec2, Vec3
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest", "trilinear")
@@ -46,8 +47,6 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
         own, other = arrays
         raise ValueError(f"{kind} needs either filename or {own}, and not both; {other} is another name for {own}")
     if not given:
-        from torch_radbp.io.image import read_image  # io reads files for every layer above `vec`
-
         given = {"filename": read_image(filename, raw=raw)}
     (name, data), = given.items()
     data = decoded(data, raw) if data.dtype == torch.uint8 else finite(name, data).to(torch.get_default_dtype())
@@ -59,8 +58,6 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
 
 def decoded(data: Tensor, raw: bool) -> Tensor:
     """Linear values of bytes, which are fractions of 255, coded as sRGB unless they are `raw`: as Mitsuba reads them."""
-    from torch_radbp.io.image import srgb_to_linear
-
     fractions = data.to(torch.get_default_dtype()) / 255.0
     return fractions if raw else srgb_to_linear(fractions)
 

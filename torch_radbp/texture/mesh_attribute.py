@@ -9,12 +9,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import NUMBER, Domain
-from torch_radbp.lookup import lookup
 from torch_radbp.plugin import Texture, finite, register
+from torch_radbp.plugin.domain import NUMBER, Domain
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.texture.reader import TableReader, TexturePoint
-from torch_radbp.vec import Vec2, Vec3
 
 PREFIXES = ("vertex_", "face_")
 

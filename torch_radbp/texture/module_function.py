@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.domain import LEEWAY, Domain
+from torch_radbp.plugin.domain import LEEWAY, Domain
 from torch_radbp.texture.bitmap import LUMINANCE
 
 SMOOTH = "keep square roots, norms, logarithms and quotients in the module away from 0"

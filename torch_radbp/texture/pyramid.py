@@ -23,9 +23,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.lookup import lookup
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
-from torch_radbp.vec import TINY, Vec2, Vec3
 
 TO_BINARY = 1.0 / math.log(2.0)
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.plugin import Texture
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.tensors.vec import Vec2, Vec3
 
 
 class TriangleEdges(NamedTuple):

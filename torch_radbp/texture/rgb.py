@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.domain import Domain
 from torch_radbp.plugin import Plugin, Texture, finite, no_module, register
+from torch_radbp.plugin.domain import Domain
 from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.neural import NeuralTexture
 from torch_radbp.texture.spectrum import Samples, Spectrum, role_of

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import AMOUNT, FRACTION, Domain
 from torch_radbp.plugin import Emitter, Plugin, Texture, finite
+from torch_radbp.plugin.domain import AMOUNT, FRACTION, Domain
 from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.observer import Role, at_wavelengths, linear_srgb, unclipped
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.domain import FRACTION
 from torch_radbp.plugin import finite, register
+from torch_radbp.plugin.domain import FRACTION
 from torch_radbp.texture.rgb import RGB
 
 

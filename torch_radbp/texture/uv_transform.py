@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.jump_lines import JumpLines
 from torch_radbp.plugin import finite
-from torch_radbp.vec import Vec2, Vec3
+from torch_radbp.plugin.jump_lines import JumpLines
+from torch_radbp.tensors.vec import Vec2, Vec3
 
 
 def uv_matrix(to_uv: Tensor | None) -> Tensor:

@@ -105,8 +105,8 @@ class _Differentiable:
         self.known: dict[tuple, bool] = {}
 
     def __call__(self, name: str) -> bool:
-        from torch_radbp.differentiated import any_differentiated
         from torch_radbp.scene.pack import pack
+        from torch_radbp.tensors.differentiated import any_differentiated
 
         owner, _, attribute = name.rpartition(".")
         holder, _, _ = owner.rpartition(".")

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.aov.quantity import channel_names, checked_names, plain
+from torch_radbp.formats.image import save_image, srgb_to_linear
 from torch_radbp.io.file_names import file_name
-from torch_radbp.io.image import save_image, srgb_to_linear
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.scene import Scene
 

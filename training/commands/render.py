@@ -54,7 +54,7 @@ def render(
     """Render a scene to an EXR (linear) or PNG (sRGB) image."""
     with clear_errors(debug):
         import torch_radbp as rb
-        from torch_radbp.io.image import WRITABLE
+        from torch_radbp.formats.image import WRITABLE
         from torch_radbp.rendering.settings import samples_per_pixel
         from torch_radbp.training.commands.outputs import image_paths, outputs_of, save_with_outputs
         from torch_radbp.training.device import usable_device

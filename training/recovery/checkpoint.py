@@ -12,7 +12,7 @@ import safetensors
 import safetensors.torch
 from torch import Tensor
 
-from torch_radbp.io.atomic import replacing
+from torch_radbp.formats.atomic import replacing
 
 FILE_NAME = "checkpoint.safetensors"
 HEADER, VALUES, MOMENTS = "state", "parameters/", "moments/"

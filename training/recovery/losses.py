@@ -10,7 +10,7 @@ import kornia
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.io.image import linear_to_srgb
+from torch_radbp.formats.image import linear_to_srgb
 from torch_radbp.losses import exchange_derivatives, two_buffer_l2
 from torch_radbp.training import recipe
 

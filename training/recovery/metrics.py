@@ -5,7 +5,7 @@ import io
 import math
 from pathlib import Path
 
-from torch_radbp.io.atomic import naming, replacing
+from torch_radbp.formats.atomic import naming, replacing
 
 COUNTS = ("step", "skipped")
 NEEDED = ("step", "loss")

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from torch_radbp.differentiated import differentiable
-from torch_radbp.io.files import opened_files
+from torch_radbp.formats.files import opened_files
 from torch_radbp.rendering.memory import parse_budget
+from torch_radbp.tensors.differentiated import differentiable
 from torch_radbp.training import recipe as schema
 from torch_radbp.training.device import usable_device
 from torch_radbp.training.interrupt import Interrupts

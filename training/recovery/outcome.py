@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_radbp.io.image import read_image
+from torch_radbp.formats.image import read_image
 from torch_radbp.training.false_colour import absolute_error, error_scale, false_colour
 from torch_radbp.training.recovery.optimize import Recovery, step_seed
 from torch_radbp.training.recovery.parameters import RecoveredParameter

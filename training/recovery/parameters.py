@@ -8,9 +8,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torch_radbp.domain import Domain
-from torch_radbp.io.image import read_image
+from torch_radbp.formats.image import read_image
 from torch_radbp.plugin import nearest
+from torch_radbp.plugin.domain import Domain
 from torch_radbp.scene.parameters import held_values
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.neural import NeuralTexture

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.io.image import linear_to_srgb
+from torch_radbp.formats.image import linear_to_srgb
 from torch_radbp.rendering.renderer import Renderer
 
 NEXT_SEED = 0x1000193  # passes share no samples

@@ -23,9 +23,9 @@ import safetensors.torch
 from torch import Tensor, nn
 
 import torch_radbp as rb
-from torch_radbp.io.atomic import replacing
+from torch_radbp.formats.atomic import replacing
+from torch_radbp.formats.image import save_image
 from torch_radbp.io.file_names import file_name
-from torch_radbp.io.image import save_image
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.recovery import checkpoint

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.io.image import read_image
+from torch_radbp.formats.image import read_image
 from torch_radbp.plugin import nearest
 from torch_radbp.scene import Scene
 from torch_radbp.texture.bitmap import LUMINANCE

@@ -5,7 +5,7 @@ from typing import Any
 
 import torch
 
-from torch_radbp.io.image import linear_to_srgb
+from torch_radbp.formats.image import linear_to_srgb
 
 CHANNELS = ("#c8383a", "#2e8b4f", "#2f6fb5")  # red, green, blue; also x, y, z
 PALETTE = ("#3b4a6b", "#b86b1d", "#7a4a9c", "#1f8a8a", "#c23d5f", "#5f6b1f", "#2b8fe0", "#3fae49", "#111111")  # of the rest

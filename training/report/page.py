@@ -4,7 +4,7 @@ import html
 from pathlib import Path
 from typing import Any
 
-from torch_radbp.io.atomic import replacing
+from torch_radbp.formats.atomic import replacing
 from torch_radbp.training.progress import duration
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recovery.run_folder import RunFolder

@@ -20,8 +20,8 @@ from torch_radbp.boundary.shadows import border, bounced, hidden_light
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import image_of
 from torch_radbp.boundary.shadows.seen_edges import Casting
-from torch_radbp.differentiated import any_differentiated, detached
-from torch_radbp.rendering.call.render_call import RenderCall
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.tensors.differentiated import any_differentiated, detached
 
 BYTES_OF_EDGE = 400  # nodes of the tree, and what they are made of
 BYTES_OF_WAY = 120  # down the tree: where it is, and what it has found

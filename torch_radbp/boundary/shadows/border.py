@@ -42,18 +42,18 @@ from torch_radbp.boundary.shadows.seen_edges import (
     point_of_edge,
     salted,
 )
+from torch_radbp.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.call.view import View
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import first_hit
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.rendering.call.render_call import RenderCall, integrand_of, started
-from torch_radbp.rendering.call.view import View
 from torch_radbp.sampling.sampler import LaneKey, bounce_key, fine_unit, random_bits
 from torch_radbp.scene.cone import camera_cone
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
 SHARE, MOST = 4, 1 << 17  # one place for so many paths of the image; and at most

@@ -21,12 +21,12 @@ from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, lig
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.rendering.call.render_call import RenderCall, integrand_of
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, rows
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, rows
 
 SHARE = 16  # one place for so many paths of the image
 SALT = 0x2B3E6C1F  # tells the random numbers that connect borders with paths from others

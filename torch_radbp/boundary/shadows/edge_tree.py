@@ -25,10 +25,10 @@ from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import COPLANAR, Eyes, how_much_counts
-from torch_radbp.lookup import lookup
 from torch_radbp.path.integrand import Stages
-from torch_radbp.record import joined
-from torch_radbp.vec import TINY, Vec3, angle_between, cross, dot, normalize, rows, unit_normal, where
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import TINY, Vec3, angle_between, cross, dot, normalize, rows, unit_normal, where
 
 LEVELS = 3  # that places go down at once
 LEAST = 0.02  # how much nodes count in which directions across are just possible

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.vec import Vec3, dot
+from torch_radbp.tensors.vec import Vec3, dot
 
 COPLANAR = 1e-6  # a cosine; what lies in the plane of an eye's surface hides nothing from it
 

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.boundary.geometry import Geometry, geometry_of
-from torch_radbp.differentiated import detached, primal
-from torch_radbp.lookup import summed
-from torch_radbp.rendering.call.view import View
+from torch_radbp.call.view import View
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Vec2
+from torch_radbp.tensors.differentiated import detached, primal
+from torch_radbp.tensors.lookup import summed
+from torch_radbp.tensors.vec import Vec2
 
 
 class FilmJumps(NamedTuple):

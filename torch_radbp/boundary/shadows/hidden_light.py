@@ -45,12 +45,12 @@ from torch_radbp.boundary.shadows.seen_edges import (
     salted,
 )
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import scattered_light
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.rendering.call.render_call import RenderCall, integrand_of
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 16, 1 << 15  # one path for so many of the image; and at most

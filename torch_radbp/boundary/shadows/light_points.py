@@ -9,14 +9,14 @@ from torch import Tensor
 
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import salted
+from torch_radbp.call.view import View
 from torch_radbp.path.bounce import light_numbers
 from torch_radbp.path.direct_light import LightDraw
-from torch_radbp.rendering.call.view import View
 from torch_radbp.sampling.sampler import bounce_key, fine_unit, lane_key, unit
 from torch_radbp.scene.light import Aims, among, light_aims
 from torch_radbp.scene.light_choice import LightPick, TreeChoice
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.vec import Vec3, masked, normalize, where
+from torch_radbp.tensors.vec import Vec3, masked, normalize, where
 
 BEHIND = 0.05  # how much edges count behind a light: interpolated normals may let some light go there
 SALT = 0x1F83D9AC  # tells the random numbers of these samples from others

@@ -16,10 +16,9 @@ from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of, picked
 from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts
 from torch_radbp.boundary.silhouette import is_silhouette
-from torch_radbp.lookup import lookup
+from torch_radbp.call.view import View
 from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.rendering.call.view import View
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
@@ -32,7 +31,8 @@ from torch_radbp.sampling.sampler import (
     random_bits,
     uniform,
 )
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, crossing, dot, normalize, rows
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, crossing, dot, normalize, rows
 
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at

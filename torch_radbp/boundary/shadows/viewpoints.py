@@ -10,18 +10,18 @@ from torch import Tensor
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.shadows.seen_edges import corners_of, numbers, salted
-from torch_radbp.differentiated import any_differentiated
+from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.bounce import CameraSample, sample_camera
 from torch_radbp.path.event import Scatters
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, bounces
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.record import joined
-from torch_radbp.rendering.call.render_call import RenderCall, started
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.cone import Cone
-from torch_radbp.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
+from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others
 

@@ -10,7 +10,7 @@ from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
-from torch_radbp.io.files import opened
+from torch_radbp.formats.files import opened
 from torch_radbp.io.gltf.document import Document, Part
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

@@ -8,7 +8,7 @@ import struct
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from torch_radbp.io.files import opened
+from torch_radbp.formats.files import opened
 from torch_radbp.plugin import SceneError
 
 MAGIC, VERSION = b"glTF", 2

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torch_radbp.formats.image import linear_to_srgb, srgb_to_linear
 from torch_radbp.io.gltf.document import Losses
 from torch_radbp.io.gltf.written import Written
-from torch_radbp.io.image import linear_to_srgb, srgb_to_linear
 from torch_radbp.plugin import SceneError, Texture
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.checkerboard import Checkerboard

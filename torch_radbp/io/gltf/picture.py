@@ -7,10 +7,10 @@ import io
 import numpy as np
 from PIL import UnidentifiedImageError
 
+from torch_radbp.formats.image import SIGNATURES, open_picture
+from torch_radbp.formats.png import check_pixel_data
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.document import Document, Part
-from torch_radbp.io.image import SIGNATURES, open_picture
-from torch_radbp.io.png import check_pixel_data
 
 KINDS = ("PNG", "JPEG")  # by their first bytes; what mimeType and file names say does not count
 MAX_TEXELS = 2**28  # of all images together

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torch_radbp.formats.image import srgb_to_linear
 from torch_radbp.io.gltf.document import Document, Losses, Part
 from torch_radbp.io.gltf.picture import Pictures
-from torch_radbp.io.image import srgb_to_linear
 from torch_radbp.texture.bitmap import Bitmap
 
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}

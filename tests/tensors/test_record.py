@@ -1,0 +1,26 @@
+"""Records of nested tuples: leaves counted as torch's own `pytree` counts them."""
+
+from typing import NamedTuple
+
+import torch
+from torch.utils._pytree import tree_flatten
+
+from torch_radbp.tensors.record import leaves_of, with_leaves
+
+
+class Pair(NamedTuple):
+    a: object
+    b: object
+
+
+RECORD = Pair((torch.tensor(1.0), None, ()), Pair("name", (Pair(2, 3.5),)))
+
+
+def test_leaves_are_those_of_pytree():
+    assert leaves_of(RECORD) == tree_flatten(RECORD)[0] and len(leaves_of(RECORD)) == 5
+
+
+def test_a_record_with_other_leaves_has_the_same_structure():
+    found = with_leaves(RECORD, range(5))
+    assert found == Pair((0, 1, ()), Pair(2, (Pair(3, 4),))) and type(found.b) is Pair
+    assert with_leaves(RECORD, leaves_of(RECORD)) == RECORD and with_leaves(7, [8]) == 8

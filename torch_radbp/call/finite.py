@@ -1,0 +1,198 @@
+"""When an image or a gradient is NaN or infinite: where it came from, in words.
+
+Rendering pays for one look at the image and one at the gradients. Only if something is wrong everything is computed once
+more, bounce by bounce and with a look at each, to tell which parameter, which material, which bounce and how many paths.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from torch_radbp.path.bounce import bounce, ending, scattering
+from torch_radbp.path.integrand import Integrand, Stages
+from torch_radbp.path.state import Arrival, Position
+from torch_radbp.plugin import Plugin, Texture
+from torch_radbp.scene import Scene
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import rows
+from torch_radbp.texture.module_function import SMOOTH
+from torch_radbp.texture.neural import NeuralTexture
+
+ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) and smaller steps"
+
+
+class NonFiniteError(FloatingPointError):
+    """An image or a gradient is NaN or infinite; the message says which, and where that began.
+
+    Raised by a rendering, and by the backward pass through its image: it names the parameter, the bounce, the material and
+    the number of paths. Neither image nor gradient is handed out, so that an optimiser's state stays finite.
+    """
+
+
+def finite(tensors: list[Tensor]) -> bool:
+    """True if every value is finite."""
+    # The extremes of a tensor are infinite or NaN if any value is, and are found in one pass over it.
+    extremes = [torch.stack(tensor.detach().aminmax()).double() for tensor in tensors if tensor.numel()]
+    return not extremes or bool(torch.isfinite(torch.cat(extremes)).all())  # the host waits for the device once
+
+
+def count_of_bad(tensor: Tensor) -> str:
+    """The number of values that are not finite, in words."""
+    return f"{int((~torch.isfinite(tensor)).sum())} of {tensor.numel()} values"
+
+
+class Finding:
+    """The first bounce, in the order of computation, at which numbers were not finite."""
+
+    def __init__(self) -> None:
+        self.depth: int | None = None
+        self.lanes, self.of = 0, 0
+        self.prim: Tensor | None = None  # (lanes,) what the bad lanes had hit
+        self.in_light = False  # the light is not finite before any surface has reflected it
+
+    def look(self, depth: int, bad: Tensor, prim: Tensor, light: Tensor | None = None) -> None:
+        """Notes a bounce whose lanes `bad` (N,) bool, which met `prim`, are not finite, unless one was found before.
+
+        `light`: (N,) bool, whether the light that emitters send there is finite; None: unknown.
+        """
+        if self.depth is None and bool(bad.any()):
+            self.depth, self.lanes, self.of, self.prim = depth, int(bad.sum()), len(bad), prim[bad]
+            self.in_light = light is not None and not bool(light[bad].all())
+
+    def place(self, tensors: SceneTensors, scene: Scene | None) -> str:
+        """The finding in words."""
+        if self.depth is None:
+            return "in no bounce alone: sums or products of finite numbers overflow"
+        start = f"first at bounce {self.depth + 1}, in {self.lanes} of {self.of} paths, "
+        if self.in_light and scene is not None:
+            sources = " or ".join(described(scene, emitter) for emitter in scene.emitters)
+            return f"{start}in the light of {sources}, which is too bright"
+        return start + most_frequent_surface(self.prim, tensors, scene)
+
+
+def most_frequent_surface(prim: Tensor, tensors: SceneTensors, scene: Scene | None) -> str:
+    """The material that most of some triangles have."""
+    prim = prim[prim >= 0]
+    if scene is None or not len(prim):
+        return "of which none hit a surface" if not len(prim) else "on some surface"
+    bsdfs = list(scene.bsdfs())
+    row = Counter((tensors.triangles.material[prim.long()] % len(bsdfs)).tolist()).most_common(1)[0][0]
+    return f"on {described(scene, bsdfs[row])}"
+
+
+def described(scene: Scene, plugin: Plugin) -> str:
+    """A plugin by its type and its name in the scene."""
+    return f"the {plugin.type} `{scene.name_of(plugin)}`"
+
+
+def owner_of(scene: Scene, parameter: str) -> str:
+    """The plugin that a parameter belongs to, textures left out, in words; or the rays, if it is none of the scene's."""
+    path = parameter.split(".")[:-1]
+    if not path:
+        return "the rays"
+    for length in range(len(path), 0, -1):
+        plugin = scene.get_submodule(".".join(path[:length]))
+        if isinstance(plugin, Plugin) and not isinstance(plugin, Texture):
+            return described(scene, plugin)
+    return described(scene, scene.get_submodule(".".join(path)))
+
+
+def network_of(scene: Scene | None, parameter: str) -> str | None:
+    """The name of the texture whose module a parameter belongs to; None: it belongs to none."""
+    owner = parameter.partition(".module.")[0]
+    return owner if scene is not None and isinstance(dict(scene.named_modules()).get(owner), NeuralTexture) else None
+
+
+def plain_name(parameter: str) -> str:
+    """The name of a parameter as the scene has it, of one that `torch.nn.utils.parametrize` has taken over too."""
+    return parameter.replace("parametrizations.", "").removesuffix(".original")
+
+
+def checked_stages(stages: Stages, finding: Finding) -> Stages:
+    """Stages that note the first bounce whose terms are not finite; for one chunk."""
+    depth, counter = -1, None
+
+    def checked(stage: Callable, terms_of: Callable) -> Callable:
+        def call(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, *rest):
+            nonlocal depth, counter
+            if at.counter is not counter:  # the first queue of a bounce
+                depth, counter = depth + 1, at.counter
+            found = stage(scene, proposal, arrival, lanes, at, *rest)
+            bad = ~torch.isfinite(torch.stack(terms_of(found))).all(0)
+            light = light_is_finite(scene, proposal, arrival, lanes, at, *rest) if bool(bad.any()) else None
+            finding.look(depth, bad, arrival.hit.prim[lanes], light)
+            return found
+
+        return call
+
+    return stages._replace(bounce=checked(bounce, lambda vertex: [*vertex.Le, *vertex.Ld, *vertex.F]),
+                           ending=checked(ending, list))
+
+
+def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, *rest) -> Tensor:
+    """True in those lanes of a bounce, (N,), to which emitters send finite light, before any surface reflects it."""
+    local = scattering(scene, proposal, rows(arrival, lanes), *rest)
+    sent = (*local.Le, *(() if local.light is None else local.light.radiance))
+    return torch.isfinite(torch.stack(sent)).all(0)
+
+
+def image_error(images: Tensor, integrand: Integrand, scene: Scene | None, trace_again: Callable[[Integrand, Finding], None]
+                ) -> NonFiniteError:
+    """The error about an image.
+
+    Args:
+        images: (B, 3, H, W).
+        integrand: detached.
+        scene: gives names; None: there are none.
+        trace_again: traces all chunks in turn until the finding has found something.
+    """
+    finding = Finding()
+    trace_again(integrand, finding)
+    return NonFiniteError(f"the image is NaN or infinite in {count_of_bad(images)}: "
+                          f"{finding.place(integrand.scene, scene)}; {ADVICE}")
+
+
+def gradient_error(bad: list[tuple[Tensor, Tensor]], integrand: Integrand, scene: Scene | None,
+                   parameters: dict[str, Tensor], sweep_again: Callable[[Finding], None]) -> NonFiniteError:
+    """The error about a gradient.
+
+    Args:
+        bad: leaves of the scene's tensors with their gradients, of which some numbers are not finite.
+        integrand: detached.
+        scene: gives names; None: there are none.
+        parameters: by name, those that derivatives are wanted of, attached to the leaves.
+        sweep_again: sweeps all chunks in turn until the finding has found something.
+    """
+    finding = Finding()
+    sweep_again(finding)
+    names = parameters_behind(bad, parameters)
+    if scene is not None and names:
+        whose = ", ".join(f"`{plain_name(name)}` of {owner_of(scene, plain_name(name))}" for name in names)
+    else:
+        whose = "the scene"
+    bad_values = sum(int((~torch.isfinite(gradient)).sum()) for _, gradient in bad)
+    networks = sorted({texture for name in names for texture in [network_of(scene, plain_name(name))] if texture})
+    if finding.depth is None and networks:
+        place = f"in the derivative of the module of {' or '.join(map(repr, networks))} by its own parameters; {SMOOTH}"
+    else:
+        place = f"{finding.place(integrand.scene, scene)}; {ADVICE}"
+    return NonFiniteError(f"the gradient of {whose} is NaN or infinite in {bad_values} values: {place}")
+
+
+def parameters_behind(bad: list[tuple[Tensor, Tensor]], parameters: dict[str, Tensor]) -> list[str]:
+    """The parameters that entries with bad gradients were made of."""
+    names = []
+    with torch.enable_grad():
+        marked = [(leaf, (~torch.isfinite(gradient)).to(leaf.dtype)) for leaf, gradient in bad if leaf.grad_fn is not None]
+        for name, parameter in parameters.items():
+            if not marked or not parameter.requires_grad:
+                continue
+            leaves, marks = zip(*marked)
+            behind, = torch.autograd.grad(leaves, [parameter], marks, retain_graph=True, allow_unused=True)
+            if behind is not None and bool((behind != 0).any()):
+                names.append(name)
+    return names

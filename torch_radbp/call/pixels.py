@@ -1,0 +1,112 @@
+"""What the lanes of a call count in its pixels, and what its pixels ask of the lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import groupby
+from typing import NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from torch_radbp.call.chunks import Chunk
+from torch_radbp.call.render_call import RenderCall, film_places, of_chunks
+from torch_radbp.film.develop import Development, Grid, across, row_sums
+from torch_radbp.film.splat import Block, asked_of, offset_sums, sums_in_pairs
+from torch_radbp.tensors.vec import Vec2, Vec3, rows
+
+Result = TypeVar("Result")
+
+
+class Images(NamedTuple):
+    """Developed images."""
+
+    pixels: Tensor  # (B, C, H, W)
+    filters: Tensor  # (B, H, W) the sums of the reconstruction filter over the samples around pixels
+    results: list  # what else was found of each chunk
+
+
+def deposit(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], place: Vec2) -> Tensor:
+    """What the lanes of a chunk count in the pixels around them; `developed` takes it.
+
+    Args:
+        values: C of (N,), of the lanes.
+        place: (N,) of the lanes in their pixels.
+    """
+    grid, block, stage = call.views[chunk.sensor].grid, Block(place, chunk.samples, call.spp), call.stages.deposited
+    if chunk.samples == call.spp:
+        return row_sums(stage, grid, tuple(values), block)
+    return offset_sums(stage, grid.kernel, tuple(values), block)  # moved once all samples of the row are there
+
+
+def developed(call: RenderCall, work: Callable[[Chunk], tuple[Tensor, Result]]) -> Images:
+    """The images of C values of lanes: means of the samples around each pixel, weighted by the reconstruction filter.
+
+    Args:
+        work: gives of each chunk what `deposit` does, and anything else.
+    """
+    developments, results = [Development(view.grid) for view in call.views], []
+    for _, members in groupby(call.chunks, lambda chunk: chunk.group):
+        chunks = list(members)
+        found = of_chunks(call, chunks, work)
+        results += [result for _, result in found]
+        sums = zip(chunks, (own for own, _ in found))
+        for (sensor, band), parts in groupby(sums, lambda part: (part[0].sensor, part[0].band)):
+            developments[sensor].add(put_together(call.views[sensor].grid, band, list(parts)))
+    pixels, filters = zip(*(development.image() for development in developments))
+    # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
+    return Images(torch.stack(pixels), torch.stack(filters), results)
+
+
+def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
+    """(R, 1 + C, n, columns) of the n rows of a band, from what its chunks count."""
+    total = None
+    for part, own in groupby(parts, lambda part: part[0].rows):
+        found = [sums for _, sums in own]
+        one = found[0] if len(found) == 1 else across(grid, sums_in_pairs(torch.stack(found, 3), 3))
+        if total is None:
+            if part.count == len(band):
+                return one
+            total = one.new_empty(*one.shape[:2], len(band), grid.columns)
+        total[:, :, part.first - band.start::part.apart] = one
+    return total
+
+
+def filters_of(call: RenderCall, which: int) -> Tensor:
+    """(B, H, W) as in `Images`, of the samples of the image (0) or of its derivative (1)."""
+    if all(view.grid.kernel.flat for view in call.views):
+        view = call.views[0]
+        return torch.full((len(call.views), view.height, view.width), float(call.spp), dtype=call.scene.dtype,
+                          device=call.scene.device)
+
+    def work(chunk: Chunk) -> tuple[Tensor, None]:
+        return deposit(call, chunk, (), film_places(call, chunk, call.views[chunk.sensor].sample_keys[which])), None
+
+    return developed(call, work).filters
+
+
+def asked_of_pixels(call: RenderCall, grad_images: Tensor, filters: Tensor) -> list[Vec3]:
+    """For each view the derivative of the loss by what samples add to the sums of pixels; tables for `lane_adjoint`."""
+    return [Vec3(*view.grid.quotient(own, sums).flatten(1))
+            for view, own, sums in zip(call.views, grad_images, filters)]
+
+
+def lane_adjoint(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
+    """Derivative of the loss with respect to what counts of L_1 of each lane.
+
+    Args:
+        place: (N,) of the lanes in their pixels.
+        pixels: of the chunk's view, as `asked_of_pixels` has them.
+    """
+    grid = call.views[chunk.sensor].grid
+    width = grid.columns + 2 * grid.kernel.reach
+    entry = chunk.rows.numbers(call.scene.device, width)
+    if grid.kernel.flat:
+        return rows(pixels, entry.repeat_interleave(chunk.samples))
+    block = Block(place, chunk.samples, call.spp)
+    return Vec3(*asked_of(call.stages.asked, grid.kernel, tuple(pixels), block, entry, width, 1))
+
+
+def weighted(L: Vec3, weight: Tensor | None) -> Vec3:
+    """What counts of the lanes' radiance, or of its adjoint."""
+    return L if weight is None else L * weight

@@ -1,0 +1,111 @@
+"""One call of a renderer: all that is needed to trace its paths, and the camera paths of its chunks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from torch_radbp.call.chunks import Chunk
+from torch_radbp.call.view import View
+from torch_radbp.call.workers import in_turns
+from torch_radbp.call.zeroed_memory import ZeroedMemory
+from torch_radbp.path.bounce import CameraSample
+from torch_radbp.path.integrand import Integrand, Stages
+from torch_radbp.path.state import PathState, start_path
+from torch_radbp.raycast import RayCaster
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene import Scene
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.vec import Vec2, Vec3
+
+Result = TypeVar("Result")
+
+
+class RenderCall(NamedTuple):
+    """All that one rendering needs beside the scene's leaves."""
+
+    scene: SceneTensors
+    caster: RayCaster | None  # of its triangles; as the next one, None where the integrand is made
+    make_integrand: Callable[[SceneTensors], Integrand] | None
+    integrand: Integrand | None  # of the detached scene, made once for all that is traced
+    stages: Stages
+    adjoint: object  # the strategy
+    views: list[View]
+    chunks: list[Chunk]
+    spp: int
+    shares_samples: bool  # the backward pass differentiates the very samples of the image
+    record_bytes: float  # of these that are kept for it at most; it traces the others again
+    together: bool  # samples of its own are traced beside those of the image, which takes half as many calls
+    workers: int  # chunks that are traced side by side
+    memory: ZeroedMemory  # for the totals of gradients
+    following: bool = False  # see `Settings.following`
+    module: Scene | None = None  # whose tensors these are; gives names to errors
+    parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
+    # What of camera paths is shown beside the image, C of (N,), detached: of the integrand, the paths, what their rays meet
+    # (None: not known), and their radiance.
+    quantities: Callable[[Integrand, PathState, Hit | None, Vec3], Sequence[Tensor]] | None = None
+
+    def still(self) -> RenderCall:
+        """The call without derivatives."""
+        return self._replace(scene=detached(self.scene), views=[detached(view) for view in self.views])
+
+    def of_derivative(self) -> RenderCall:
+        """The call whose image has the samples of the derivative."""
+        return self._replace(views=[view._replace(sample_keys=view.sample_keys[1:] * 2) for view in self.views])
+
+
+def started(call: RenderCall, sample: CameraSample) -> PathState:
+    """The paths that begin with camera rays."""
+    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone)
+
+
+def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
+    """The camera paths of a chunk, pixel by pixel."""
+    return started(call, camera_samples(call, chunk, key))
+
+
+def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> CameraSample:
+    """The rays of a chunk's lanes; see `sample_camera`."""
+    view = call.views[chunk.sensor]
+    return call.stages.sample_camera(view.camera, view.numbered, *numbers_of(call, chunk), key,
+                                     call.scene.layout.traces_cones)
+
+
+def film_places(call: RenderCall, chunk: Chunk, key: SampleKey) -> Vec2:
+    """Where in their pixels a chunk's lanes lie, (N,) in [0, 1)."""
+    return call.stages.film_place(call.views[chunk.sensor].camera.film.size_x, *numbers_of(call, chunk), key)
+
+
+def numbers_of(call: RenderCall, chunk: Chunk) -> tuple[Tensor, Tensor]:
+    """The numbers of a chunk's lanes' pixels, pixel by pixel, and those of their samples; (N,) int32."""
+    window = call.views[chunk.sensor].window
+    pixel = chunk.rows.numbers(call.scene.device, window.numbered) + window.numbers(0, 0)
+    sample = torch.arange(chunk.samples, dtype=torch.int32, device=pixel.device) + chunk.first_sample
+    return pixel.repeat_interleave(chunk.samples), sample.repeat(len(pixel))
+
+
+def pilot_paths(call: RenderCall, lanes: int) -> PathState:
+    """Some camera paths of the first sensor, spread over its image."""
+    view, grid, device = call.views[0], call.views[0].grid, call.scene.device
+    pixel = torch.linspace(0, grid.columns * grid.rows - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
+    sample = torch.arange(lanes, dtype=torch.int32, device=device)
+    number = view.window.numbers(pixel % grid.columns, torch.div(pixel, grid.columns, rounding_mode="floor"))
+    return started(call, call.stages.sample_camera(view.camera, view.numbered, number, sample, view.sample_keys[0],
+                                                   call.scene.layout.traces_cones))
+
+
+def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:
+    """The integrand as the camera of a chunk sees it."""
+    view = call.views[chunk.sensor]
+    return integrand._replace(clipping=view.camera if view.clips else None)
+
+
+def of_chunks(call: RenderCall, chunks: list[Chunk], work: Callable[[Chunk], Result]) -> list[Result]:
+    """`work` on some chunks, side by side; the results in their order."""
+    shares = in_turns(len(chunks), call.workers, lambda share: [work(chunks[index]) for index in share])
+    return [shares[index % len(shares)][index // len(shares)] for index in range(len(chunks))]

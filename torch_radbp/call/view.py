@@ -1,0 +1,83 @@
+"""What one sensor of a call sees."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.film.develop import Grid
+from torch_radbp.film.window import Window
+from torch_radbp.plugin import Sensor
+from torch_radbp.sampling.sampler import SampleKey, sample_key
+from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.shape.placement import Instances
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.vec import Vec3
+
+OF_NO_SENSOR = -1  # the index of a sensor that is none of the scene's
+
+
+class View(NamedTuple):
+    """One sensor of a call."""
+
+    sensor: Sensor
+    camera: Camera  # attached
+    window: Window  # of its film
+    sample_keys: tuple[SampleKey, SampleKey]  # of the forward pass, and of the backward pass
+    clips: bool  # whether something lies beyond the far plane
+
+    @property
+    def width(self) -> int:
+        """Pixels of the image."""
+        return self.window.columns.size
+
+    @property
+    def height(self) -> int:
+        return self.window.rows.size
+
+    @property
+    def numbered(self) -> Tensor:
+        """() int32, the columns by which pixels are numbered; see `Window`."""
+        return torch.full((), self.window.numbered, dtype=torch.int32, device=self.camera.film.size_x.device)
+
+    @property
+    def grid(self) -> Grid:
+        """The pixels that have samples."""
+        return Grid(self.camera.film.kernel, self.window)
+
+
+class Shot(NamedTuple):
+    """An image that a call is to make."""
+
+    sensor: Sensor
+    index: int  # of the sensor among those of the scene, or `OF_NO_SENSOR`
+    window: Window  # of its film
+
+
+def view_of(shot: Shot, seeds: tuple[int, int], scene: SceneTensors, cache: PackCache) -> View:
+    """What a shot shows in a call with these seeds, forwards and backwards."""
+    sensor, sampler = shot.sensor, shot.sensor.sampler
+    camera = cache(camera_of, cache.twin(id(sensor), sensor))
+    keys = tuple(sample_key(seed + sampler.seed, shot.index, sampler.low_discrepancy, scene.device) for seed in seeds)
+    reaches = cache(reaches_beyond, scene.triangles.vertices.p, scene.triangles.casting_instances, camera)
+    if shot.window != sensor.film.window():
+        camera = camera._replace(film=sensor.film.tensors(camera.film.size_x, shot.window))
+    return View(sensor, camera, shot.window, keys, reaches)
+
+
+def camera_of(sensor: Sensor) -> Camera:
+    """The camera of a sensor with its whole film, attached."""
+    return sensor.tensors()
+
+
+def reaches_beyond(vertices: Vec3, instances: Instances | None, camera: Camera) -> bool:
+    """True if any vertex, (V,), or a corner of the box around an instance lies beyond the far plane of a camera."""
+    points = vertices.detach()
+    if instances is not None:
+        own, boxes = int(instances.first_vertex[0]), Vec3.of(instances.boxes.flatten(0, 1))
+        points = Vec3(*(torch.cat([own_vertices[:own], corners]) for own_vertices, corners in zip(points, boxes)))
+    return bool(detached(camera).beyond_far_plane(points).any())

@@ -1,0 +1,226 @@
+"""Images: EXR through OpenEXR; PNG, JPEG, BMP and TGA through Pillow; HDR and PFM. In memory they are linear float32."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from torch_radbp.formats.atomic import replacing
+from torch_radbp.formats.exr import read_exr, write_exr
+from torch_radbp.formats.files import opened, unknown_kind
+from torch_radbp.formats.pfm import read_pfm
+from torch_radbp.formats.png import check_pixel_data
+from torch_radbp.formats.radiance import read_radiance
+
+READABLE = {".exr": "EXR", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".tga": "TGA", ".hdr": "HDR",
+            ".pfm": "PFM"}
+WRITABLE = (".exr", ".png")
+LINEAR = ("EXR", "HDR", "PFM")
+SIGNATURES = {"EXR": b"\x76\x2f\x31\x01", "PNG": b"\x89PNG\r\n\x1a\n", "JPEG": b"\xff\xd8\xff", "BMP": b"BM",
+              "HDR": b"#?", "PFM": (b"PF", b"Pf"), "TGA": b""}  # TGA has none
+MAX_PIXELS = 2**27  # 16384 x 8192
+JPEG_PIXELS = 512  # that a byte of a JPEG file can stand for: 8 x 8 of them take a bit at least
+
+
+def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
+    """Reads an image.
+
+    EXR: half and float, all compressions; channels R, G, B or Y, also inside a layer (`beauty.R`). HDR: Radiance's RGBE.
+    PFM: grey and colour. PNG, JPEG, BMP and TGA: grey, colour and palette, 8 or 16 bits. Alpha is dropped in every format,
+    without multiplying by it.
+
+    Args:
+        path: the file; its extension says what it is.
+        raw: take values as linear instead of decoding sRGB. EXR, HDR and PFM are always linear.
+
+    Returns:
+        (H, W, C) float32, C = 1 for grey images and 3 otherwise; row 0 is at the top.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        IsADirectoryError: if it is a folder.
+        ValueError: on unknown extensions, damaged files, files cut short or of another format than their extension says,
+            EXR files without a colour, and images of more than `MAX_PIXELS` pixels.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in READABLE:
+        raise ValueError(unknown_kind(path, "image", READABLE))
+    kind = READABLE[suffix]
+    _check_signature(path, kind)
+    try:
+        pixels = READERS[kind](path) if kind in READERS else _read_with_pillow(path, kind)
+    except MemoryError:
+        raise
+    except Exception as error:  # the libraries raise whatever their decoders stumble over
+        inner = isinstance(error, (LookupError, ArithmeticError, UnicodeError))  # whose messages speak of their own code
+        reason = "its content is damaged" if inner else " ".join(str(error).split())
+        raise ValueError(f"{path}: cannot be read as {kind}: {reason}") from error
+    image = torch.from_numpy(np.ascontiguousarray(pixels, dtype=np.float32))
+    return image if raw or kind in LINEAR else srgb_to_linear(image)
+
+
+def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Tensor] | None = None) -> None:
+    """Writes an image, completely or not at all.
+
+        rb.save_image("image.exr", rb.render(scene, spp=16)[0])
+
+    Args:
+        path: .exr (float32, linear) or .png (8 bits, sRGB, values cut to [0, 1]).
+        image: (3, H, W) linear RGB of any floating dtype and device; one of the (B, 3, H, W) that a renderer returns. Or
+            (4, H, W), with alpha, or (1, H, W), grey.
+        channels: more of them by name, (H, W) each; of .exr only.
+
+    Raises:
+        TypeError: if `image` is no dense tensor of floating point numbers.
+        ValueError: on unknown extensions, other shapes, values that are NaN or infinite, and more channels in a .png.
+        FileNotFoundError: if the folder does not exist.
+        OSError: names the file if it cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in WRITABLE:
+        raise ValueError(f"{path}: unknown kind of image {suffix!r}; supported: {', '.join(WRITABLE)}")
+    if not isinstance(image, Tensor) or not image.is_floating_point():
+        got = image.dtype if isinstance(image, Tensor) else type(image).__name__
+        raise TypeError(f"{path}: an image must be a tensor of floating point numbers, got {got}")
+    if image.ndim != 3 or image.shape[0] not in (1, 3, 4) or image.numel() == 0:
+        raise ValueError(f"{path}: an image must have shape (3, H, W), got {tuple(image.shape)}{_advice(image)}")
+    named = {**dict(zip("Y" if len(image) == 1 else "RGBA", image)), **(channels or {})}
+    if channels and suffix != ".exr":
+        raise ValueError(f"{path}: a {suffix} has no channels for {', '.join(channels)}; write an .exr")
+    for name, channel in named.items():
+        if not isinstance(channel, Tensor) or channel.is_meta or channel.layout != torch.strided:
+            got = type(channel).__name__ if not isinstance(channel, Tensor) else "one on the device meta, which holds none" \
+                if channel.is_meta else f"one of {channel.layout}, which .to_dense() makes dense"
+            raise TypeError(f"{path}: channel {name!r} must be a dense tensor of numbers, got {got}")
+        if channel.shape != image[0].shape:
+            raise ValueError(f"{path}: channel {name!r} must have shape {tuple(image[0].shape)}, got {tuple(channel.shape)}")
+    pixels = torch.stack([channel.detach().to("cpu", torch.float32) for channel in named.values()])
+    bad = int((~torch.isfinite(pixels)).any(dim=0).sum())
+    if bad:
+        raise ValueError(f"{path}: not written, {bad} of {image[0].numel()} pixels are NaN or infinite in float32")
+    with replacing(path) as temporary:
+        if suffix == ".exr":
+            write_exr(temporary, {name: channel.numpy() for name, channel in zip(named, pixels)})
+        else:
+            levels = torch.cat([linear_to_srgb(pixels[:3].clamp(0.0, 1.0)), pixels[3:].clamp(0.0, 1.0)])
+            pixels = (levels * 255.0).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
+            Image.fromarray(pixels[..., 0] if len(image) == 1 else pixels).save(temporary)
+
+
+def _advice(image: Tensor) -> str:
+    """Advice about an image of the wrong shape."""
+    if image.ndim == 4 and image.shape[1] == 3:
+        return f", a batch of {image.shape[0]}; pick one, image[0]"
+    if image.ndim == 3 and image.shape[2] == 3:
+        return "; move the channels to the front, image.movedim(-1, 0)"
+    return ""
+
+
+def srgb_to_linear(values: Tensor) -> Tensor:
+    """Decodes sRGB. Reference: IEC 61966-2-1."""
+    return torch.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055).clamp_min(0.0) ** 2.4)
+
+
+def linear_to_srgb(values: Tensor) -> Tensor:
+    """Encodes sRGB, with finite derivatives everywhere. Reference: IEC 61966-2-1."""
+    # The power's derivative is infinite at 0; torch.where would turn that into NaN.
+    power = 1.055 * values.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
+    return torch.where(values <= 0.0031308, values * 12.92, power)
+
+
+def _check_signature(path: str | os.PathLike, kind: str) -> None:
+    """Raises ValueError unless the file begins as one of its `kind` does, and as `opened` does."""
+    with opened(path) as file:
+        begin = file.read(8)
+    if begin.startswith(SIGNATURES[kind]):
+        return
+    other = next((name for name, signature in SIGNATURES.items() if signature and begin.startswith(signature)), None)
+    found = f"begins as {other} does; change its extension" if other else f"begins with {begin!r}" if begin else "is empty"
+    raise ValueError(f"{path}: cannot be read as {kind}: the file {found}")
+
+
+def check_size(width: int, height: int) -> None:
+    """Raises ValueError if an image is empty or larger than what is read."""
+    if not 0 < width * height <= MAX_PIXELS:
+        raise ValueError(f"an image may have 1 to {MAX_PIXELS} pixels, this one has {width} x {height}")
+
+
+def open_picture(source: str | os.PathLike | BinaryIO, kind: str, held: int) -> Image.Image:
+    """A picture of one of Pillow's kinds, whose pixels are not decoded yet.
+
+    Args:
+        source: the file.
+        kind: such as JPEG.
+        held: how many bytes it has.
+
+    Raises:
+        ValueError: if it is larger than what is read, or than what its bytes can hold.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # below our own limit, too
+        try:
+            picture = Image.open(source, formats=(kind,))
+        except Image.DecompressionBombError:
+            raise ValueError(f"an image may have 1 to {MAX_PIXELS} pixels, this one has more") from None
+    try:
+        check_size(*picture.size)
+        check_held(kind, *picture.size, held)
+    except ValueError:
+        picture.close()
+        raise
+    return picture
+
+
+def check_held(kind: str, width: int, height: int, held: int) -> None:
+    """Raises ValueError if a JPEG file of `held` bytes is too short for its pixels; the decoder would fill in grey."""
+    if kind == "JPEG" and width * height > JPEG_PIXELS * held:
+        raise ValueError(f"its {width} x {height} pixels cannot be in {held} bytes; is the file cut short?")
+
+
+def _read_with_pillow(path: str | os.PathLike, kind: str) -> np.ndarray:
+    """(H, W, C) values in [0, 1]."""
+    with open_picture(path, kind, os.path.getsize(path)) as file:
+        file.verify()  # the check sums of PNG, which reading ignores
+    if kind == "PNG":
+        with opened(path) as file:
+            check_pixel_data(file)
+    high = _decode(path, kind)
+    if high.dtype == np.uint16:
+        return high[:, :, None] / np.float32(65535)
+    low = _decode(path, kind, low_bytes=True)
+    if low is not None:
+        return (high * np.float32(256) + low) / np.float32(65535)
+    return high / np.float32(255)
+
+
+def _decode(path: str | os.PathLike, kind: str, low_bytes: bool = False) -> np.ndarray | None:
+    """(H, W) 16-bit grey, or (H, W, 1 or 3) bytes: of 16-bit colour the high ones, or the low ones if asked.
+
+    Pillow keeps 8 bits of 16-bit colour, the first of each pair of bytes. Told that the pairs are little-endian, it
+    keeps the second. Returns None if low bytes are asked of an image that has none.
+    """
+    with open_picture(path, kind, os.path.getsize(path)) as file:
+        wide = bool(file.tile) and file.tile[0].args in ("RGB;16B", "RGBA;16B")
+        if low_bytes and not wide:
+            return None
+        if low_bytes:
+            file.tile = [tile._replace(args=tile.args.replace("16B", "16L")) for tile in file.tile]
+        if file.mode.startswith("I"):
+            return np.asarray(file).astype(np.uint16)
+        grey = file.mode in ("1", "L", "LA")
+        pixels = np.asarray(file.convert("L" if grey else "RGB"))
+    return pixels[:, :, None] if grey else pixels
+
+
+READERS: dict[str, Callable[[str | os.PathLike], np.ndarray]] = {
+    kind: partial(read, check_size=check_size)
+    for kind, read in (("EXR", read_exr), ("HDR", read_radiance), ("PFM", read_pfm))}

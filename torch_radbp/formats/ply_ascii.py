@@ -1,0 +1,97 @@
+"""The tables of an ascii PLY file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import BinaryIO
+
+import numpy as np
+
+from torch_radbp.formats.ply_header import Element
+from torch_radbp.formats.text_lines import Lines, read_lines
+
+
+class AsciiTables:
+    """The tables behind the header of an ascii file, a row a line, read in their order."""
+
+    def __init__(self, file: BinaryIO, first_line: int, place: str):
+        self.place = place
+        self.blocks = read_lines(file, place, first_line)
+        self.rest: Lines | None = None  # lines of the last block that are not taken
+        self.numbers: dict[str, np.ndarray] = {}  # element -> (rows,) its lines
+
+    def where(self, element: str, row: int) -> str:
+        """A row, for messages."""
+        return f"{self.place}, line {self.numbers[element][row]}"
+
+    def finish(self) -> None:
+        """Raises ValueError if lines are left."""
+        for lines in (self.rest, *self.blocks):
+            if lines is not None and lines.rows > 0:
+                raise ValueError(f"{self.place}, line {lines.numbers[0]}: follows after the last element of the header")
+
+    def take(self, element: Element) -> Iterator[Lines]:
+        """The lines of an element."""
+        missing, numbers = element.rows, [np.empty(0, np.int64)]
+        while missing > 0:
+            lines = self.rest if self.rest is not None and self.rest.rows > 0 else next(self.blocks, None)
+            if lines is None:
+                raise ValueError(f"{self.place}: cut short, it has {element.rows - missing} of the {element.rows} rows of "
+                                 f"element {element.name!r}")
+            self.rest = lines.between(missing, lines.rows)
+            taken = lines.between(0, missing)
+            missing -= taken.rows
+            numbers.append(taken.numbers)
+            yield taken
+        self.numbers[element.name] = np.concatenate(numbers)
+
+    def columns(self, element: Element) -> dict[str, np.ndarray]:
+        """The properties of an element without lists."""
+        width = len(element.properties)
+        blocks = [np.empty((0, width))]
+        for lines in self.take(element):
+            self.check_width(element, lines, np.diff(lines.first), np.full(lines.rows, width))
+            blocks.append(lines.values(np.arange(lines.first[0], lines.first[-1]), self.place).reshape(-1, width))
+        table = np.concatenate(blocks)
+        return {p.name: table[:, column] for column, p in enumerate(element.properties)}
+
+    def lists(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """The entries of the list `wanted` of all rows, (rows,) their numbers, and the other properties; nothing if None."""
+        entries, counts = [np.empty(0)], [np.empty(0, np.int64)]
+        others = {p.name: [np.empty(0)] for p in element.properties if p.count is None and wanted is not None}
+        for lines in self.take(element):
+            values = lines.values(np.arange(lines.first[0], lines.first[-1]), self.place)
+            begin, words = lines.first[:-1] - lines.first[0], np.diff(lines.first)
+            read = np.zeros_like(words)  # of each row, how many of its words are accounted for
+            for name, _, count in element.properties:
+                if count is None:
+                    self.check_width(element, lines, words, np.maximum(words, read + 1))
+                    if name in others:
+                        others[name].append(values[begin + read])
+                    read += 1
+                    continue
+                self.check_width(element, lines, words, np.maximum(words, read + 1))
+                length = values[begin + read]
+                bad = (length < 0) | (length % 1 != 0) | (length > words)
+                if bad.any():
+                    row = int(np.argmax(bad))
+                    raise ValueError(f"{self.place}, line {lines.numbers[row]}: a list of {length[row]:g} entries, but the "
+                                     f"line has {words[row]} numbers")
+                length = length.astype(np.int64)
+                if name == wanted:
+                    first = begin + read + 1
+                    self.check_width(element, lines, words, np.maximum(words, read + 1 + length))
+                    step = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
+                    entries.append(values[np.repeat(first, length) + step])
+                    counts.append(length)
+                read += 1 + length
+            self.check_width(element, lines, words, read)
+        return (np.concatenate(entries), np.concatenate(counts),
+                {name: np.concatenate(parts) for name, parts in others.items()})
+
+    def check_width(self, element: Element, lines: Lines, words: np.ndarray, wanted: np.ndarray) -> None:
+        """Raises ValueError with the line of the first row that has not as many numbers as `wanted`."""
+        if (words != wanted).any():
+            row = int(np.argmax(words != wanted))
+            raise ValueError(f"{self.place}, line {lines.numbers[row]}: a row of element {element.name!r} has {wanted[row]} "
+                             f"numbers here, got {words[row]}")

@@ -1,0 +1,59 @@
+"""Images of quantities with all parts of their derivatives: of the interior, and of jumps at the edges of surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from torch import Tensor
+
+from torch_radbp.aov.images import channels_of, lane_values, render_aovs
+from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, TURNING, UNDIFFERENTIATED, plain
+from torch_radbp.boundary import EdgesOfCall
+from torch_radbp.boundary.outline import Jumps
+from torch_radbp.boundary.primary import Seen, jumps_of_views
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import PathState
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.rendering.settings import INTERIOR
+from torch_radbp.tensors.differentiated import primal
+
+
+def images_of_quantities(call: RenderCall, edges: EdgesOfCall, names: tuple[str, ...], channels: Tensor | None,
+                         terms: Collection[str]) -> dict[str, Tensor]:
+    """Images of quantities by name; `call` and `channels` as for `render_aovs`, `edges` of the call, `terms` of derivatives."""
+    images = render_aovs(call, names, channels)
+    images = images if INTERIOR in terms else {name: primal(image) for name, image in images.items()}
+    if edges.in_view is not None:
+        images |= {name: images[name] + jump for name, jump in aov_jumps(call, edges.in_view, names).items()}
+    return images
+
+
+def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> dict[str, Tensor]:
+    """By name, zeros whose derivative is what the edges of surfaces contribute to images of quantities; see `image_jumps`.
+
+    Args:
+        call: of which something moves.
+        jumps: of each view.
+        names: of quantities; those that have no derivative are left out.
+    """
+    names = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
+
+    def values(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
+        found = lane_values(integrand, start, tuple(dict.fromkeys(map(plain, group))), hit)
+        return tuple(channels_of(group, found))
+
+    found: dict[str, Tensor] = {}
+    for of_paths in (False, True):
+        group = tuple(name for name in names if (plain(name) in OF_PATHS) == of_paths)
+        counts = [len(QUANTITIES[plain(name)]) for name in group]
+        if group:
+            seen = call if of_paths else call._replace(integrand=with_emitters(call.integrand))
+            turns = tuple(plain(name) in TURNING for name, count in zip(group, counts) for _ in range(count))
+            found |= zip(group, jumps_of_views(seen, jumps, Seen(turns, values)).split(counts, 1))
+    return found
+
+
+def with_emitters(integrand: Integrand) -> Integrand:
+    """The integrand of a scene in which nothing is hidden."""
+    return integrand._replace(settings=integrand.settings._replace(hide_emitters=False))

@@ -1,0 +1,64 @@
+"""Whether tensors are differentiated, backward (`requires_grad`) or forward (`forward_ad`), and records of them cut off."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.torch_internals import inside_dual_level
+
+
+def tangent_of(tensor: Tensor) -> Tensor | None:
+    """The tangent of a dual tensor, None if it has none."""
+    if not inside_dual_level():
+        return None
+    return forward_ad.unpack_dual(tensor).tangent if tensor.is_floating_point() else None
+
+
+def primal(tensor: Tensor) -> Tensor:
+    """The tensor without its gradient and its forward-mode tangent."""
+    return forward_ad.unpack_dual(tensor).primal.detach() if tensor.is_floating_point() else tensor
+
+
+def differentiated(tensor: Tensor) -> bool:
+    """True if `tensor` requires a gradient or has a tangent."""
+    return tensor.requires_grad or tangent_of(tensor) is not None
+
+
+def recording() -> bool:
+    """True if torch notes what is done with tensors that are differentiated, in either mode."""
+    return torch.is_grad_enabled() or inside_dual_level()
+
+
+def any_differentiated(record) -> bool:
+    """True if any tensor of a record requires a gradient or has a tangent."""
+    return any(differentiated(leaf) for leaf in leaves_of(record) if isinstance(leaf, Tensor))
+
+
+def detached(tensors):
+    """A record of tensors without derivatives; the record itself if it has none."""
+    leaves = leaves_of(tensors)
+    if not any([isinstance(leaf, Tensor) and differentiated(leaf) for leaf in leaves]):
+        return tensors
+    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves])
+
+
+def with_derivative_of(value: Tensor, attached: Tensor) -> Tensor:
+    """A detached value with the derivative, backward and forward, of another estimate of the same."""
+    return value + (attached - primal(attached))
+
+
+def settled(value: Tensor) -> Tensor:
+    """What a discrete choice is made by (of a lobe, of a light), or its probability: without derivative in every way of
+    sampling.
+
+    All choices go through here, so that tests can hold them while parameters move.
+    """
+    return value.detach()
+
+
+def differentiable(tensors) -> list[Tensor]:
+    """The leaves of a record that derivatives are wanted of, in order."""
+    return [leaf for leaf in leaves_of(tensors) if isinstance(leaf, Tensor) and leaf.requires_grad]

@@ -1,0 +1,91 @@
+"""Tables that are read together, laid out in rows: what lanes read of a vertex or a texel lies in one line of the cache.
+
+Tables are columns (struct of arrays) everywhere. Those of many entries may be columns of the same memory, of which compiled
+loops read whole rows (`jit/row_reads.py`); what few entries have is quicker to permute (`jit/window.py`). Images lie so
+already, and are read where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.row_reads import AT_ONCE
+from torch_radbp.tensors.differentiated import differentiated, tangent_of
+from torch_radbp.tensors.record import leaves_of, with_leaves
+
+LEAST = 256  # entries
+
+
+class Placed(torch.autograd.Function):
+    """A table in another place, with its derivative."""
+
+    @staticmethod
+    def forward(ctx, table: Tensor, column: Tensor) -> Tensor:
+        return column.view_as(column)
+
+    @staticmethod
+    def backward(ctx, adjoint: Tensor) -> tuple[Tensor, None]:
+        return adjoint, None
+
+
+def interleaved(record: Any) -> Any:
+    """A record with its tables of 4-byte entries as columns of rows; contiguous if they are few, or in forward mode.
+
+    Args:
+        record: of tables, (N,) each, attached; None stays None.
+    """
+    leaves = [leaf.contiguous() if isinstance(leaf, Tensor) and leaf.itemsize != 4 else leaf for leaf in leaves_of(record)]
+    places = [place for place, leaf in enumerate(leaves) if isinstance(leaf, Tensor) and leaf.itemsize == 4]
+    for place, column in zip(places, columns([leaves[place] for place in places])):
+        leaves[place] = column
+    return with_leaves(record, leaves)
+
+
+class Columns(torch.autograd.Function):
+    """The columns of rows, where these lie; their gradients become that of the rows without a copy if they lie so, too."""
+
+    @staticmethod
+    def forward(ctx, rows: Tensor) -> tuple[Tensor, ...]:
+        ctx.shape = rows.shape
+        ctx.set_materialize_grads(False)
+        return rows.detach().unbind(1)
+
+    @staticmethod
+    def backward(ctx, *adjoints: Tensor | None) -> Tensor:
+        found = next(adjoint for adjoint in adjoints if adjoint is not None)
+        if not torch.is_grad_enabled() and are_columns(adjoints, ctx.shape):
+            return found.as_strided(ctx.shape, (ctx.shape[1], 1), found.storage_offset())
+        return torch.stack([torch.zeros_like(found) if adjoint is None else adjoint for adjoint in adjoints], 1)
+
+
+def are_columns(tables: Sequence[Tensor | None], shape: torch.Size) -> bool:
+    """True if tables are the columns of contiguous rows (N, C), and no others'."""
+    if len(tables) != shape[1] or any(table is None for table in tables):
+        return False
+    start, memory = tables[0].storage_offset(), tables[0].untyped_storage().data_ptr()
+    return all(table.shape == shape[:1] and table.stride() == (shape[1],) and table.storage_offset() == start + place
+               and table.untyped_storage().data_ptr() == memory for place, table in enumerate(tables))
+
+
+def columns_of_rows(rows: Tensor) -> tuple[Tensor, ...]:
+    """The columns, (N,) each, of rows (N, C), attached; where these lie if they are many and of 4-byte entries."""
+    if rows.itemsize != 4 or len(rows) < LEAST:
+        return tuple(column.contiguous() for column in rows.unbind(1))
+    return Columns.apply(rows) if rows.requires_grad and tangent_of(rows) is None else rows.unbind(1)
+
+
+def columns(tables: Sequence[Tensor]) -> list[Tensor]:
+    """Tables, (N,) each of 4 bytes, as columns of rows; attached."""
+    entries, count = len(tables[0]) if tables else 0, len(tables)
+    if count < 2 or entries < LEAST or any(tangent_of(table) is not None for table in tables):
+        return [table.contiguous() for table in tables]
+    width = count if count <= AT_ONCE else -(-count // AT_ONCE) * AT_ONCE
+    rows = torch.empty(entries, width, dtype=torch.float32, device=tables[0].device)
+    found = [rows[:, place].view(table.dtype) for place, table in enumerate(tables)]
+    for table, column in zip(tables, found):
+        column.copy_(table.detach())
+    return [Placed.apply(table, column) if differentiated(table) else column for table, column in zip(tables, found)]
