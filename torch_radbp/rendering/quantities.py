@@ -21,7 +21,7 @@ from torch_radbp.tensors.differentiated import primal
 
 def images_of_quantities(call: RenderCall, edges: EdgesOfCall, names: tuple[str, ...], channels: Tensor | None,
                          terms: Collection[str]) -> dict[str, Tensor]:
-    """Images of quantities by name; `call` and `channels` as for `render_aovs`, `edges` of the call, `terms` of derivatives."""
+    """Images of quantities by name; `call` and `channels` as for `render_aovs`, `edges` of the call, `terms` as settings."""
     images = render_aovs(call, names, channels)
     images = images if INTERIOR in terms else {name: primal(image) for name, image in images.items()}
     if edges.in_view is not None:
