@@ -37,7 +37,7 @@ import torch
 
 from benchmarks.peers import Ours
 from benchmarks.resident import MIB, peak_of
-from benchmarks.scenes import QUICK, SCENES
+from benchmarks.scenes import ALL, QUICK, SCENES
 from torch_radbp.adjoint import function
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary import JumpWatch
@@ -109,7 +109,7 @@ def kernel_seconds() -> float:
 
 def measure(options: argparse.Namespace) -> dict:
     """The seconds of each part on one scene, in this process, and the peak of memory."""
-    make, setting = SCENES[options.only]
+    make, setting = ALL[options.only]
     with tempfile.TemporaryDirectory() as folder:
         small = Ours(make(Path(folder), QUICK), not options.eager)
         ours = Ours(make(Path(folder), QUICK if options.quick else setting), not options.eager)
@@ -148,11 +148,11 @@ def row(result: dict) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", choices=SCENES, nargs="+", default=list(SCENES))
+    parser.add_argument("--scene", choices=ALL, nargs="+", default=list(SCENES))
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--eager", action="store_true", help="with compile=False")
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
-    parser.add_argument("--only", choices=SCENES, help=argparse.SUPPRESS)
+    parser.add_argument("--only", choices=ALL, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.only:
         print(json.dumps(measure(options)))
