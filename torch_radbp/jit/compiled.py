@@ -19,6 +19,7 @@ from torch_radbp.jit.arguments import Arguments, Column
 from torch_radbp.jit.fingerprint import Opaque, fingerprint
 from torch_radbp.jit.structure import assembler
 from torch_radbp.jit.target import Loop, Target
+from torch_radbp.tensors import torch_internals
 
 UNREADABLE = (pickle.UnpicklingError, AttributeError, ImportError, EOFError, IndexError, TypeError, ValueError)
 
@@ -80,9 +81,9 @@ def plain(column: Column | None) -> tuple[int, ...] | None:
 
 @functools.cache
 def compiler() -> tuple[str, ...]:
-    """What compiles: versions, and a digest of the source of this package."""
+    """What compiles: versions, and a digest of the source of this package, and of how it sees torch."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in (*sorted(Path(__file__).parent.glob("*.py")), Path(torch_internals.__file__)):
         digest.update(path.read_bytes())
     return str(torch.__version__), llvmlite.__version__, sys.version, digest.hexdigest()
 
