@@ -50,6 +50,20 @@ STORE_LANE = """\
   %lane_at{k} = getelementptr i32, ptr %order, i64 %place{k}
   %stored{k} = trunc i64 %lane{k} to i32
   store i32 %stored{k}, ptr %lane_at{k}, align 4"""
+# The counters of a queue's runs, one after the other, become the places where each begins; `%found` are the queue's lanes.
+BEGIN = """\
+  %place0 = phi i64 [ 0, %entry ], [ %place{runs}, %turn ]
+{counters}
+  %lanes = sub i64 %place{runs}, %place0
+  %found_at = getelementptr i64, ptr %found, i64 %i
+  store i64 %lanes, ptr %found_at, align 8"""
+BEGIN_RUN = """\
+  %own{k} = mul i64 %count, {k}
+  %counter{k} = add i64 %own{k}, %i
+  %place_at{k} = getelementptr i64, ptr %places, i64 %counter{k}
+  %lanes{k} = load i64, ptr %place_at{k}, align 8
+  store i64 %place{k}, ptr %place_at{k}, align 8
+  %place{after} = add i64 %place{k}, %lanes{k}"""
 # Without a branch: a lane that is not chosen is overwritten by the next.
 CHOOSE = """\
   %place = phi i64 [ 0, %entry ], [ %after, %turn ]
@@ -91,7 +105,9 @@ def loop(name: str, arguments: str, body: str, result: str = "void", end: str = 
 
 def text() -> str:
     """The module: how lanes are counted, partitioned and put into places, for each size of an element, and are chosen."""
-    functions = [loop("choose", "ptr %flags, ptr %order", CHOOSE, "i64", CHOSEN)]
+    begins = "\n".join(BEGIN_RUN.format(k=k, after=k + 1) for k in range(ABREAST))
+    functions = [loop("choose", "ptr %flags, ptr %order", CHOOSE, "i64", CHOSEN),
+                 loop("begin", "ptr %places, ptr %found", BEGIN.format(runs=ABREAST, counters=begins))]
     for bits in BITS:
         scalar = f"i{bits}"
         wide, as_wide = ("add i64", ", 0") if bits == 64 else (f"zext {scalar}", " to i64")
@@ -113,7 +129,7 @@ class Code:
 
     def __init__(self) -> None:
         self.module = cached_code(text(), entry="choose")
-        self.choose = self.function("choose", "ppn", ctypes.c_int64)
+        self.choose, self.begin = self.function("choose", "ppn", ctypes.c_int64), self.function("begin", "ppn")
         self.count, self.count_rest, self.partition, self.partition_rest, self.put_all = (
             {bits // 8: self.function(f"{name}_i{bits}", arguments) for bits in BITS}
             for name, arguments in (("count_abreast", "ppnnn"), ("count_rest", "ppnnn"), ("partition_abreast", "pppnnn"),
@@ -144,15 +160,11 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
     last, first, rest = counters + 8 * queues * (ABREAST - 1), ABREAST * run, lanes % ABREAST
     code().count[size](numbers, counters, queues, 0, run)
     code().count_rest[size](numbers, last, queues, first, rest)
-    found, place = [], 0
-    for queue in range(queues):
-        begins = place
-        for counter in range(queue, len(counts), queues):
-            counts[counter], place = place, place + counts[counter]
-        found.append(place - begins)
+    found = array("q", bytes(8 * queues))
+    code().begin(counters, found.buffer_info()[0], queues)
     code().partition[size](order.data_ptr(), numbers, counters, queues, 0, run)
     code().partition_rest[size](order.data_ptr(), numbers, last, queues, first, rest)
-    return order, found
+    return order, found.tolist()
 
 
 def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
