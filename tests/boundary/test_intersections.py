@@ -10,8 +10,9 @@ from tests.scenes import diffuse, load, rectangle, rgb
 from torch_radbp.boundary import intersections as module
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Geometry, NormalsOnly
-from torch_radbp.boundary.intersections import Pairs, intersections, segments_between
+from torch_radbp.boundary.intersections import Bodies, Pairs, intersections, segments_between
 from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.rendering.stages import EAGER
 from torch_radbp.scene.tensors import TriangleTable, VertexTable
 from torch_radbp.tensors.vec import Vec3
 
@@ -39,14 +40,14 @@ def test_all_pairs_of_triangles_of_two_bodies_that_meet_are_found(most, monkeypa
     one, other = torch.triu_indices(120, 120, 1)
     wanted = (body[one] != body[other]) & (moves[body[one]] | moves[body[other]])
     expected = segments_between(geometry, faces, Pairs(one[wanted], other[wanted]))
-    found = intersections(geometry, faces, sizes, moves)
+    found = intersections(EAGER, geometry, Bodies(faces, sizes, moves))
     pairs = [set(zip(own.triangle.tolist(), own.through.tolist())) for own in (found, expected)]
     assert pairs[0] == pairs[1] and len(found.triangle) == len(expected.triangle) > 30
 
 
 def test_segments_lie_on_both_triangles_and_end_at_an_edge_of_one():
     geometry, faces, sizes = triangles(60, 2)
-    found = intersections(geometry, faces, sizes, torch.tensor([True, True]))
+    found = intersections(EAGER, geometry, Bodies(faces, sizes, torch.tensor([True, True])))
     p = geometry.triangles.vertices.p.stack().view(-1, 3, 3)
     ends_on_edges = torch.zeros(2, len(found.triangle), dtype=torch.bool)
     for place, end in enumerate((found.start, found.end)):

@@ -18,6 +18,7 @@ from torch import Tensor
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Corners, Geometry
 from torch_radbp.boundary.segments import Segments, crossings, height_above
+from torch_radbp.path.integrand import Stages
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, Vec3, cross, dot, interpolated, rows
 
@@ -31,12 +32,6 @@ class Boxes(NamedTuple):
     low: Vec3
     high: Vec3
 
-    @staticmethod
-    def around(corners: Corners) -> Boxes:
-        """The boxes around triangles."""
-        return Boxes(*(Vec3(*(extreme(extreme(a, b), c) for a, b, c in zip(*corners)))
-                       for extreme in (torch.minimum, torch.maximum)))
-
     def overlap(self, others: Boxes) -> Tensor:
         """True where boxes overlap others; bool."""
         found = None
@@ -46,6 +41,13 @@ class Boxes(NamedTuple):
         return found
 
 
+def boxes_around(geometry: Geometry, faces: Faces) -> Boxes:
+    """The boxes around triangles, (F,); float64. A function of lanes."""
+    corners = faces.corners(geometry)
+    return Boxes(*(Vec3(*(extreme(extreme(a, b), c) for a, b, c in zip(*corners)))
+                   for extreme in (torch.minimum, torch.maximum)))
+
+
 class Pairs(NamedTuple):
     """N pairs of rows, (N,) int64 each."""
 
@@ -53,22 +55,24 @@ class Pairs(NamedTuple):
     other: Tensor
 
 
-def intersections(geometry: Geometry, faces: Faces, sizes: Tensor, moves: Tensor) -> Segments | None:
-    """The segments along which bodies meet; None: there are none.
+class Bodies(NamedTuple):
+    """The triangles of all bodies, one body after the other."""
 
-    Args:
-        geometry: of the scene, detached.
-        faces: (F,) the triangles of all bodies, one body after the other.
-        sizes: (B,) int64, how many are those of each.
-        moves: (B,) bool, whether each moves: of two bodies one must.
-    """
-    boxes = Boxes.around(faces.corners(geometry))
-    bodies = boxes_of_bodies(boxes, sizes)
-    pairs = meeting(bodies, moves)
+    faces: Faces  # (F,)
+    sizes: Tensor  # (B,) int64, how many are those of each
+    moves: Tensor  # (B,) bool, whether each moves: of two bodies that are looked at, one must
+
+
+def intersections(stages: Stages, geometry: Geometry, bodies: Bodies) -> Segments | None:
+    """The segments along which bodies meet; None: there are none. `geometry`: of the scene, detached."""
+    faces, sizes, moves = bodies
+    boxes = stages.boxes_around(geometry, faces)
+    around = boxes_of_bodies(boxes, sizes)
+    pairs = meeting(around, moves)
     if not len(pairs.one):
         return None
     first = sizes.cumsum(0) - sizes
-    reach = [reaching(boxes, bodies, first, sizes, own, other) for own, other in (pairs, pairs[::-1])]
+    reach = [reaching(boxes, around, first, sizes, own, other) for own, other in (pairs, pairs[::-1])]
     found = [segments_between(geometry, faces, own) for own in candidates(boxes, *reach, len(pairs.one))]
     found = [own for own in found if len(own.triangle)]
     return joined(found) if found else None

@@ -20,7 +20,7 @@ from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.faces import joined as joined_faces
 from torch_radbp.boundary.geometry import geometry_of, in_world
-from torch_radbp.boundary.intersections import intersections
+from torch_radbp.boundary.intersections import Bodies, intersections
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.texture_lines import lines_of_textures, texture_segments
@@ -82,6 +82,7 @@ class Outlines:
     def __init__(self) -> None:
         self.known: dict[object, OutlinedMesh] = {}
         self.order: tuple[tuple[Tensor, ...], Tensor] | None = None
+        self.met: tuple[tuple, Bodies | None] | None = None
 
     def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
         """Where each view of a call may jump: at all shapes where the camera moves, at those that move where it does not.
@@ -100,7 +101,7 @@ class Outlines:
         sizes = rendering.sizes
         lines = lines_of_textures(rendering)
         found = {pair: Jumps(self.of(scene, sizes, pair[0], generator), faces_of(scene, sizes, pair[1], generator),
-                             segments_of(scene, sizes, pair[0], generator, lines)) for pair in dict.fromkeys(wanted)}
+                             self.segments(call, sizes, pair[0], generator, lines)) for pair in dict.fromkeys(wanted)}
         return [found[pair] for pair in wanted]
 
     def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
@@ -142,6 +143,38 @@ class Outlines:
             parts += [self.in_group(triangles, counts, moving, instances, group, generator)
                       for group in range(len(instances.first_triangle) - 1)]
         return joined([part for part in parts if part is not None])
+
+    def segments(self, call: RenderCall, counts: Sequence[int], moving: Moving, generator: torch.Generator,
+                 lines: Sequence[tuple[JumpLines, ...]]) -> Segments | None:
+        """The straight curves inside of triangles of all that moves; None: there are none.
+
+        Args:
+            call: whose scene it is.
+            counts, moving, generator: as for `of`.
+            lines: for each shape those at which its textures jump.
+        """
+        scene, found = detached(call.scene), []
+        faces = faces_of(scene, counts, moving, generator) if any(lines) else None
+        if faces is not None:
+            found.append(texture_segments(scene, faces, counts, lines))
+        bodies = self.bodies(scene, counts, moving, generator)
+        if bodies is not None:
+            found.append(intersections(call.stages, geometry_of(scene), bodies))
+        found = [own for own in found if own is not None]
+        return joined_records(found) if found else None
+
+    def bodies(self, scene: SceneTensors, counts: Sequence[int], moving: Moving,
+               generator: torch.Generator) -> Bodies | None:
+        """The bodies that may meet another, found anew only if others are asked for; None: there are less than two."""
+        instances = scene.triangles.casting_instances
+        key = scene.device, tuple(counts), moving, None if instances is None else (
+            *instances.first_triangle.tolist(), *instances.first_instance.tolist())
+        if self.met is None or self.met[0] != key:
+            bodies = bodies_of(scene, counts, moving, generator)
+            if bodies is not None and bodies.faces.share is not None:
+                return bodies  # some instances, others in the next call
+            self.met = key, bodies
+        return self.met[1]
 
     def in_world(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Outline | None:
         """The edges of some shapes that are in the world."""
@@ -229,24 +262,8 @@ def faces_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generat
     return joined_faces([part for part in parts if len(part.triangle)])
 
 
-def segments_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator,
-                lines: Sequence[tuple[JumpLines, ...]]) -> Segments | None:
-    """The straight curves inside of triangles of all that moves; None: there are none.
-
-    Args:
-        scene, counts, moving, generator: as for `Outlines.of`.
-        lines: for each shape those at which its textures jump.
-    """
-    faces = faces_of(scene, counts, moving, generator) if any(lines) else None
-    found = [None if faces is None else texture_segments(scene, faces, counts, lines),
-             intersections_of(scene, counts, moving, generator)]
-    found = [own for own in found if own is not None]
-    return joined_records(found) if found else None
-
-
-def intersections_of(scene: SceneTensors, counts: Sequence[int], moving: Moving,
-                     generator: torch.Generator) -> Segments | None:
-    """The segments along which bodies of which one moves meet; None: there are none. Args as for `Outlines.of`."""
+def bodies_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Bodies | None:
+    """All bodies, and which of them move; None: there are less than two. Args as for `Outlines.of`."""
     faces = faces_of(scene, counts, Moving(*((True,) * len(part) for part in moving)), generator)
     if faces is None:
         return None
@@ -259,7 +276,7 @@ def intersections_of(scene: SceneTensors, counts: Sequence[int], moving: Moving,
         body = torch.where(shown, shapes + faces.instance, body)
     _, sizes = torch.unique_consecutive(body, return_counts=True)
     moves = torch.segment_reduce(moves.float(), "max", lengths=sizes) > 0
-    return intersections(geometry_of(scene), faces, sizes, moves) if len(sizes) > 1 else None
+    return Bodies(faces, sizes, moves) if len(sizes) > 1 else None
 
 
 def chosen_instances(instances: Instances, group: int, moving: Moving, everywhere: bool, size: int,

@@ -59,6 +59,7 @@ class Stages(NamedTuple):
     swept: Callable
     slopes: Callable
     asked_of_places: Callable
+    boxes_around: Callable
     edge_bounds: Callable
     merged_bounds: Callable
     descended: Callable

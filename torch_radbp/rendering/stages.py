@@ -17,6 +17,7 @@ from torch_radbp.aov.surface import surface_values
 from torch_radbp.boundary.contour import contour_length, contour_place, crosses
 from torch_radbp.boundary.edge_places import edge_place, edge_weight
 from torch_radbp.boundary.in_sight import in_sight, paths_beside
+from torch_radbp.boundary.intersections import boxes_around
 from torch_radbp.boundary.motion import asked_of_places, slopes, swept
 from torch_radbp.boundary.places import rays_beside
 from torch_radbp.boundary.segments import segment_place, segment_weight
@@ -42,8 +43,8 @@ from torch_radbp.tensors.vec import rows
 EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, local_map, bounce_adjoint, places, pick_light,
                chance_of_light, appearance_met, side_met, shines, rows, brightened, direct_light, scattered, surface_values,
                material_value, edge_weight, edge_place, crosses, contour_length, contour_place, segment_weight,
-               segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, edge_bounds,
-               merged_bounds, descended, edge_found, edge_passed)
+               segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, boxes_around,
+               edge_bounds, merged_bounds, descended, edge_found, edge_passed)
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
@@ -59,7 +60,7 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     segment_weight=CURVES, segment_place=(*CURVES, "segments", "lot"),
     rays_beside=("sight", "places", "chosen"), in_sight=("geometry", "places", "sent"),
     paths_beside=("places", "chosen", "sent", "times", "shown"), swept=MOTION, slopes=MOTION,
-    asked_of_places=("camera", "pixels", "film"), edge_bounds=(*OUTLINE, "slots"),
+    asked_of_places=("camera", "pixels", "film"), boxes_around=("geometry",), edge_bounds=(*OUTLINE, "slots"),
     merged_bounds=("below",), descended=("nodes", "eyes"), edge_found=(*OUTLINE, "tree", "eyes"),
     edge_passed=(*OUTLINE, "eyes", "lot", "found", "eye"))
 
