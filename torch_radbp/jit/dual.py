@@ -7,9 +7,11 @@ any other, as a function of values and tangents, and both are computed in one lo
 from __future__ import annotations
 
 import inspect
+import operator
 from collections.abc import Callable
 from contextlib import nullcontext
-from typing import Any
+from copy import copy
+from typing import Any, NamedTuple
 
 from torch import Tensor
 from torch.autograd import forward_ad
@@ -36,17 +38,17 @@ def joined(values: Any, tangents: Any) -> Any:
 
 
 def with_tangents(function: Callable) -> Callable:
-    """A function of values, and then of their tangents; it returns both, too."""
+    """A function of values, each followed by its tangents; it returns both, too."""
     names = list(inspect.signature(function).parameters)
     kind = inspect.Parameter.POSITIONAL_ONLY
 
     def of_parts(*parts):
         with nullcontext() if inside_dual_level() else forward_ad.dual_level():
-            return parted(function(*map(joined, parts[:len(names)], parts[len(names):])))
+            return parted(function(*map(joined, parts[::2], parts[1::2])))
 
     of_parts.__name__ = function.__name__
-    of_parts.__signature__ = inspect.Signature([inspect.Parameter(name, kind)
-                                                for name in (*names, *map(tangents_of, names))])
+    of_parts.__signature__ = inspect.Signature([inspect.Parameter(part, kind) for name in names
+                                                for part in (name, tangents_of(name))])
     return of_parts
 
 
@@ -55,12 +57,47 @@ def tangents_of(name: str) -> str:
     return f"tangents_of_{name}"
 
 
+class Parts(NamedTuple):
+    """Arguments of a dual function, taken apart."""
+
+    arguments: tuple[Any, ...]  # values and tangents of each
+    moving: bool  # there is a tangent
+
+    @staticmethod
+    def of(arguments: tuple) -> Parts:
+        """Those of some arguments."""
+        pairs = [parted(argument) for argument in arguments]
+        moving = any([leaf is not None for _, tangents in pairs for leaf in leaves_of(tangents)])
+        return Parts(tuple([part for pair in pairs for part in pair]), moving)
+
+
 class DualFunction:
     """A function of dual tensors of the lanes, run as one fused loop. Arguments, errors: see `LaneFunction`."""
 
     def __init__(self, function: Callable, tables: tuple[str, ...] = (), target: Target | None = None):
         self.fused = LaneFunction(with_tangents(function), (*tables, *map(tangents_of, tables)), target)
+        self.known: tuple = ()  # the first arguments of all calls that are to be quick
+        self.known_parts: Parts | None = None
+
+    def knowing(self, *arguments) -> DualFunction:
+        """As of `LaneFunction`; for one dual level."""
+        other = copy(self)
+        other.known, other.known_parts = arguments, None
+        return other
+
+    def parts(self, arguments: tuple) -> Parts:
+        """Arguments taken apart; known ones once."""
+        if not self.known or not all(map(operator.is_, self.known, arguments)):
+            return Parts.of(arguments)
+        if self.known_parts is None:
+            self.known_parts = Parts.of(self.known)
+            self.fused = self.fused.knowing(*self.known_parts.arguments)
+        rest = Parts.of(arguments[len(self.known):])
+        return Parts((*self.known_parts.arguments, *rest.arguments), self.known_parts.moving or rest.moving)
+
+    def of_parts(self, parts: Parts):
+        """What a call with arguments of these parts returns."""
+        return joined(*self.fused(*parts.arguments))
 
     def __call__(self, *arguments):
-        values, tangents = zip(*map(parted, arguments))
-        return joined(*self.fused(*values, *tangents))
+        return self.of_parts(self.parts(arguments))

@@ -35,7 +35,6 @@ from torch_radbp.path.direct_light import direct_light, scattered
 from torch_radbp.path.integrand import Stages
 from torch_radbp.path.queues import appearance_met, shines, side_met
 from torch_radbp.path.wavefront import brightened
-from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import rows
@@ -97,6 +96,7 @@ class CompiledStage:
         """The same stage, for calls that begin with these very arguments."""
         other = copy(self)
         other.fused = self.fused.knowing(*arguments)
+        other.dual = self.dual.knowing(*map(as_it_is, arguments))
         return other
 
     def taken(self, **arguments) -> tuple[Taken, ...]:
@@ -109,8 +109,8 @@ class CompiledStage:
 
     def __call__(self, *arguments):
         try:
-            if inside_dual_level() and any_differentiated(given := tuple(map(as_it_is, arguments))):
-                return self.dual(*given)
+            if inside_dual_level() and (parts := self.dual.parts(tuple(map(as_it_is, arguments)))).moving:
+                return self.dual.of_parts(parts)
             return self.fused(*arguments)
         except UnknownOperation as error:
             return self.eagerly(error, arguments)
