@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.outline import Jumps, Outline, outlines_of
 from torch_radbp.boundary.primary import bytes_of_jumps, image_jumps, moves
+from torch_radbp.boundary.reflections import reflected_jumps, seen_by_way_of_others
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move
 from torch_radbp.call.render_call import RenderCall
@@ -19,6 +20,7 @@ class EdgesOfCall(NamedTuple):
 
     in_view: list[Jumps] | None  # of each view
     casting: Outline | None  # the edges of all that casts shadows
+    reflected: list[Outline] | None  # the edges of everything that is seen by way of mirrors and glass
 
     def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
         """The images, (B, 3, H, W), with the derivatives of their jumps."""
@@ -26,6 +28,8 @@ class EdgesOfCall(NamedTuple):
             images = images + image_jumps(call, self.in_view)
         if self.casting is not None:
             images = images + shadow_jumps(call, self.casting)
+        if self.reflected is not None:
+            images = images + reflected_jumps(call, self.reflected)
         return images
 
 
@@ -48,4 +52,5 @@ def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: in
     in_view = outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
     casts = rendering.shadows and rendering.max_depth > 1 and shadows_move(call)
     casting = outlines.of_everything(rendering, call, seed) if casts else None
-    return EdgesOfCall(in_view, casting)
+    by_way = rendering.primary and seen_by_way_of_others(call)
+    return EdgesOfCall(in_view, casting, outlines.of_meshes(rendering, call) if by_way else None)

@@ -1,0 +1,116 @@
+"""Where two camera paths from nearby points of the film part: between these the image may jump."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import zip_longest
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.edge_places import jump_of_creases
+from torch_radbp.boundary.geometry import geometry_of, in_world
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, Reached
+from torch_radbp.scene.interaction import triangle_normal
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
+
+# How two paths part: one meets another surface; they meet different sides of a surface, by its shading normals; they leave
+# it on different sides of its triangles; or chance lets one go another way, which is no jump.
+SAME, SURFACE, RIM, HORIZON, CHANCE = range(5)
+LEAST = 0.02  # likelihood of a jump between points of what may be one smooth surface
+BEND = 2.0  # sine of the angle between a surface and the way to a point of another, of which 1 / BEND is surely a jump
+
+
+class Difference(NamedTuple):
+    """How the paths of N pairs part."""
+
+    kind: Tensor  # (N,) int64
+    depth: Tensor  # (N,) int64, after how many ideal vertices
+    likelihood: Tensor  # (N,) float64, of a jump between the two; 0 if the paths are alike
+
+
+def continued(scene: SceneTensors, meshes: Sequence[Outline]) -> Tensor:
+    """For each side of the triangles, three each, opposite their corners, the triangle on which the surface goes on without
+    a jump; -1: it does not. (3 T,) int32.
+
+    Args:
+        scene: detached.
+        meshes: the edges of all of them, in the frames of their vertices.
+    """
+    geometry = geometry_of(scene)
+    found = torch.full((3 * len(scene.triangles.material),), -1, dtype=torch.int32, device=scene.device)
+    for mesh in meshes:
+        edges = mesh.edges
+        a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite[:2]), None)
+        smooth = (edges.count == 2) & (jump_of_creases(mesh, a, b, opposite) == 0)
+        one, other = (corner[smooth] for corner in edges.corner[:2])
+        for here, there in ((one, other), (other, one)):
+            found[here.long()] = torch.div(there, 3, rounding_mode="floor")
+    return found
+
+
+def difference(scene: SceneTensors, continues: Tensor, first: IdealPath, second: IdealPath) -> Difference:
+    """How the paths of pairs part: by the first vertex at which they do.
+
+    Args:
+        scene: detached.
+        continues: from `continued`.
+        first, second: (N,) each.
+    """
+    undecided = torch.ones_like(first[0].here)
+    kind, depth = (torch.zeros(len(undecided), dtype=torch.int64, device=undecided.device) for _ in range(2))
+    likelihood = torch.zeros(len(undecided), dtype=torch.float64, device=undecided.device)
+    for number, (one, other) in enumerate(zip_longest(first, second)):
+        if one is None or other is None:  # where only one of two goes on they have parted before
+            break
+        both = undecided & one.here & other.here
+        together = joined(continues, one, other)
+        turned, sideways = one.front ^ other.front, one.outside ^ other.outside
+        by_chance = (one.onwards ^ other.onwards) | (one.through ^ other.through)
+        met = torch.where(~together, SURFACE, torch.where(turned, RIM, torch.where(by_chance, CHANCE, torch.where(
+            sideways, HORIZON, SAME))))
+        kind = torch.where(both, met, kind)
+        depth = torch.where(both, number, depth)
+        parts = both & (met != SAME)
+        own = (parts & (met == SURFACE)).nonzero().squeeze(1)
+        likelihood = torch.where(parts, torch.where(met == CHANCE, LEAST, 1.0), likelihood)
+        if len(own):
+            likelihood[own] = likelihood_of_jump(scene, *(rows(met, own) for met in (one, other)))
+        undecided = both & ~parts & one.onwards
+    return Difference(kind, depth, likelihood)
+
+
+def joined(continues: Tensor, one: Reached, other: Reached) -> Tensor:
+    """(N,) bool: two rays meet the same triangle, neighbours on a smooth surface, or both nothing."""
+    same, there = one.hit.prim == other.hit.prim, one.hit.prim.clamp_min(0)
+    near = torch.zeros_like(same)
+    for side in range(3):
+        near = near | (lookup(continues, 3 * there + side) == other.hit.prim)
+    same = same | (near & (one.hit.prim >= 0) & (other.hit.prim >= 0))
+    return same if one.hit.instance is None else same & (one.hit.instance == other.hit.instance)
+
+
+def likelihood_of_jump(scene: SceneTensors, one: Reached, other: Reached) -> Tensor:
+    """How likely a jump is between two different triangles that nearby rays meet; (N,) float64."""
+    hits = one.hit.prim >= 0, other.hit.prim >= 0
+    p, q = (point_met(met) for met in (one, other))
+    way = q - p
+    length = torch.sqrt(dot(way, way)).clamp_min(TINY)
+    bend = torch.zeros_like(length)
+    for met in (one, other):
+        bend = torch.maximum(bend, dot(triangle_normal(scene, met.hit).map(torch.Tensor.double), way).abs() / length)
+    materials = [lookup(scene.triangles.material, met.hit.prim.clamp_min(0)) for met in (one, other)]
+    surely = ~(hits[0] & hits[1]) | (materials[0] != materials[1]) | (one.front ^ other.front)
+    if one.hit.instance is not None:
+        surely = surely | (one.hit.instance != other.hit.instance)
+    return torch.where(surely, 1.0, (BEND * bend).clamp(LEAST, 1.0))
+
+
+def point_met(met: Reached) -> Vec3:
+    """Where rays meet surfaces, (N,) world, float64."""
+    o, d = (part.map(torch.Tensor.double) for part in met.ray)
+    return o + d * met.hit.t.double()
