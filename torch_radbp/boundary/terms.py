@@ -6,11 +6,19 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.boundary.outline import Jumps, Outline, outlines_of
+from torch_radbp.boundary.outline import Jumps, Outline, Outlines, outlines_of
 from torch_radbp.boundary.primary import bytes_of_jumps, image_jumps, moves
-from torch_radbp.boundary.reflections import reflected_jumps, seen_by_way_of_others
+from torch_radbp.boundary.reflections import (
+    Reflected,
+    follows_mirrors,
+    reflected_jumps,
+    reflections_move,
+    sharp_lights,
+)
+from torch_radbp.boundary.reflections.surfaces import line_table
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move
+from torch_radbp.boundary.texture_lines import lines_of_textures
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.scene import Scene
 
@@ -20,7 +28,7 @@ class EdgesOfCall(NamedTuple):
 
     in_view: list[Jumps] | None  # of each view
     casting: Outline | None  # the edges of all that casts shadows
-    reflected: list[Outline] | None  # the edges of everything that is seen by way of mirrors and glass
+    reflected: Reflected | None  # what is seen by way of mirrors and glass
 
     def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
         """The images, (B, 3, H, W), with the derivatives of their jumps."""
@@ -52,5 +60,16 @@ def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: in
     in_view = outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
     casts = rendering.shadows and rendering.max_depth > 1 and shadows_move(call)
     casting = outlines.of_everything(rendering, call, seed) if casts else None
-    by_way = rendering.primary and seen_by_way_of_others(call)
-    return EdgesOfCall(in_view, casting, outlines.of_meshes(rendering, call) if by_way else None)
+    return EdgesOfCall(in_view, casting, reflected_of(rendering, outlines, call))
+
+
+def reflected_of(rendering: Rendering, outlines: Outlines, call: RenderCall) -> Reflected | None:
+    """What a rendering asks for by way of mirrors and glass; None: nothing, or nothing moves."""
+    if not follows_mirrors(call):
+        return None
+    surfaces, lit = rendering.primary and reflections_move(call), rendering.shadows and sharp_lights(call)
+    shadows = lit and (reflections_move(call) or shadows_move(call))
+    if not (surfaces or shadows):
+        return None
+    lines = line_table(lines_of_textures(rendering), rendering.sizes, call.scene.device)
+    return Reflected(outlines.of_meshes(rendering, call), lines, surfaces, shadows)

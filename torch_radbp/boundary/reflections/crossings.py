@@ -10,14 +10,28 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.places import APART
-from torch_radbp.boundary.reflections.differences import CHANCE, Difference, difference
-from torch_radbp.boundary.reflections.ideal_paths import IdealPath, Reached, along, begins, either
-from torch_radbp.boundary.reflections.scans import SALT, STEPS, FilmPoints, Scans, neighbours, paths_from, points_of
+from torch_radbp.boundary.reflections.differences import CHANCE, HORIZON, SHADOW, Difference, difference
+from torch_radbp.boundary.reflections.ideal_paths import (
+    IdealPath,
+    LightLooks,
+    Reached,
+    along,
+    begins,
+    either,
+)
+from torch_radbp.boundary.reflections.scans import (
+    SALT,
+    STEPS,
+    FilmPoints,
+    Scans,
+    Searched,
+    neighbours,
+    paths_from,
+    points_of,
+)
 from torch_radbp.boundary.shadows.seen_edges import numbers, salted
-from torch_radbp.call.render_call import RenderCall
-from torch_radbp.path.integrand import Integrand
 from torch_radbp.sampling.sampler import LaneKey
-from torch_radbp.tensors.vec import Vec2, rows, where
+from torch_radbp.tensors.vec import Vec2, rows
 
 FINEST = 12  # halvings of a step, at most
 
@@ -29,10 +43,11 @@ class Crossings(NamedTuple):
     high: Vec2
     aperture: Vec2 | None
     key: LaneKey
+    looks: LightLooks | None
     times: Tensor  # (K,) float64, how many square pixels there are for each scan, over the probability to be followed
     kind: Tensor  # (K,) int64, how the paths part there
     depth: Tensor  # (K,) int64, after how many vertices
-    below: Reached  # what the path from the low point meets there
+    below: Reached  # what the path from the low point meets there; on a horizon, what it leaves
     above: Reached  # and that from the high point
 
 
@@ -43,62 +58,60 @@ class Pairs(NamedTuple):
     high: Vec2
     aperture: Vec2 | None
     key: LaneKey
+    looks: LightLooks | None
     times: Tensor
     below: IdealPath
     above: IdealPath
 
 
-def crossings(call: RenderCall, number: int, integrand: Integrand, continues: Tensor, scans: Scans,
-              lot: int) -> Crossings | None:
-    """Where scans in view `number` cross curves, one for each step of a scan at most; None: nowhere.
+def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
+    """Where scans cross curves, one for each step of a scan at most; None: nowhere.
 
     Args:
-        call: without derivatives.
-        integrand: from `only_ideal`.
-        continues: from `continued`.
         scans: of the view.
         lot: another number for other scans, of which random numbers are made.
     """
     count, points = len(scans.times), points_of(scans)
-    path = paths_from(call, number, integrand, points)
+    path = paths_from(searched, points)
     low, high = neighbours(count, scans.times.device)
     first, second = rows(path, low), rows(path, high)
-    found = difference(integrand.proposal, continues, first, second)
+    found = difference(searched.call.scene, searched.surfaces, first, second)
     own = ((found.likelihood > 0) & (begins(first) | begins(second))).nonzero().squeeze(1)
-    if not len(own):
-        return None
     low, high = low[own], high[own]
-    pairs = Pairs(rows(points.film, low), rows(points.film, high), rows(points.aperture, low), rows(points.key, low),
+    pairs = Pairs(rows(points.film, low), rows(points.film, high), *rows((points.aperture, points.key, points.looks), low),
                   scans.times[low % count], rows(first, own), rows(second, own))
     found = rows(found, own)
-    for turn in range(halvings(call, number)):
-        pairs, found = halved(call, number, integrand, continues, pairs, turn + FINEST * lot)
+    for turn in range(halvings(searched)):
         if not len(pairs.times):
             return None
+        pairs, found = halved(searched, pairs, turn + FINEST * lot)
     own = ((found.depth > 0) & (found.kind != CHANCE)).nonzero().squeeze(1)
     if not len(own):
         return None
     pairs, found = rows(pairs, own), rows(found, own)
-    return Crossings(*pairs[:5], found.kind, found.depth, along(pairs.below, found.depth), along(pairs.above, found.depth))
+    met = found.depth - (found.kind == HORIZON).long()
+    if pairs.looks is not None:
+        chance = torch.where(found.kind == SHADOW, pairs.looks.draw.picked.pmf.double(), 1.0)
+        pairs = pairs._replace(times=pairs.times / chance)
+    return Crossings(*pairs[:6], found.kind, found.depth, along(pairs.below, met), along(pairs.above, met))
 
 
-def halvings(call: RenderCall, number: int) -> int:
+def halvings(searched: Searched) -> int:
     """How often a step of a scan is halved: until rounding of camera rays would decide."""
-    film = call.views[number].camera.film
+    film = searched.call.views[searched.number].camera.film
     least = 2.0 * APART * float(torch.maximum(film.size_x, film.size_y))
     return max(1, min(FINEST, math.ceil(-math.log2(STEPS * least))))
 
 
-def halved(call: RenderCall, number: int, integrand: Integrand, continues: Tensor, pairs: Pairs,
-           turn: int) -> tuple[Pairs, Difference]:
+def halved(searched: Searched, pairs: Pairs, turn: int) -> tuple[Pairs, Difference]:
     """Halves of pairs between which something differs: where it does in both, one of them, by chance."""
     middle = Vec2(*(0.5 * (one + other) for one, other in zip(pairs.low, pairs.high)))
-    path = paths_from(call, number, integrand, FilmPoints(middle, pairs.aperture, pairs.key))
-    scene = integrand.proposal
-    first, second = difference(scene, continues, pairs.below, path), difference(scene, continues, path, pairs.above)
+    path = paths_from(searched, FilmPoints(middle, pairs.aperture, pairs.key, pairs.looks))
+    first, second = (difference(searched.call.scene, searched.surfaces, *ends)
+                     for ends in ((pairs.below, path), (path, pairs.above)))
     total = first.likelihood + second.likelihood
     lane = torch.arange(len(total), dtype=torch.int32, device=total.device)
-    draw = numbers(salted(call.views[number], SALT + 2), lane, SALT + turn, torch.float64)
+    draw = numbers(salted(searched.call.views[searched.number], SALT + 2), lane, SALT + turn, torch.float64)
     lower = draw * total < first.likelihood
     found = Difference(*(torch.where(lower, one, other) for one, other in zip(first, second)))
     pairs = pairs._replace(low=Vec2(*(torch.where(lower, a, b) for a, b in zip(pairs.low, middle))),

@@ -11,60 +11,111 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import Between, Corners, Geometry, positions, vertex_normals
+from torch_radbp.boundary.geometry import Between, Corners, Geometry, geometry_of, positions, vertex_normals
+from torch_radbp.boundary.reflections import differences
 from torch_radbp.boundary.reflections.crossings import Crossings
-from torch_radbp.boundary.reflections.differences import RIM as TURNED
-from torch_radbp.boundary.reflections.differences import SURFACE
-from torch_radbp.boundary.reflections.ideal_paths import Reached
+from torch_radbp.boundary.reflections.ideal_paths import to_light
+from torch_radbp.boundary.reflections.scans import Searched
+from torch_radbp.boundary.reflections.surfaces import LineTable, level_of_line
+from torch_radbp.boundary.shadows.film_jumps import attached_geometry
+from torch_radbp.boundary.shadows.light_points import light_line
 from torch_radbp.boundary.shadows.seen_edges import crossed_at
+from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, interpolated, rows, where
 
-EDGE, RIM, MEETING = range(3)
+EDGE, RIM, MEETING, LINE, HORIZON, SHADOW = range(6)
 OFF = 4.0  # times the distance of the two rays, by which an edge may lie off them
 ROUNDED = 2e-5  # the same as a share of the distance, for the rounding of what rays meet
+
+
+class Side(NamedTuple):
+    """A side of a triangle each, (K,)."""
+
+    prim: Tensor  # int32, the triangle
+    instance: Tensor | None  # int32
+    corner: Tensor  # int64, that lies opposite
 
 
 class Curves(NamedTuple):
     """K curves."""
 
     kind: Tensor  # (K,) int64
-    prim: Tensor  # (K,) int32, the triangle of the edge, or of the rim, or one of those that cross
-    instance: Tensor | None  # (K,) int32
-    side: Tensor  # (K,) int64, of the triangle, the one opposite this corner
-    other: Tensor  # (K,) int32, the triangle that crosses
+    edge: Side  # of an edge; of a shadow that which casts it; the triangle of a rim, a horizon, a line
+    other: Tensor  # (K,) int32, the triangle that crosses, or on which the shadow falls
     shown_by: Tensor | None  # (K,) int32, its instance
+    line: Tensor  # (K,) int64, row of the table of lines
+    number: Tensor  # (K,) float64, of the line
 
 
-def curves_crossed(geometry: Geometry, crossed: Crossings) -> tuple[Curves, Tensor]:
+def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tensor]:
     """The curves, and (K,) bool which of them are known; of edges the nearest to the rays."""
-    both = crossed.below, crossed.above
-    corners = [corners_of(geometry, met.hit.prim, met.hit.instance) for met in both]
-    rays = [Ray(*(part.map(torch.Tensor.double) for part in met.ray)) for met in both]
-    nearest, prim, side = None, both[0].hit.prim, torch.zeros_like(crossed.depth)
-    instance, far = both[0].hit.instance, torch.zeros_like(crossed.times)
-    for met, own in zip(both, corners):
+    scene, lines = searched.call.scene, searched.surfaces.lines
+    geometry, hit, beyond = geometry_of(scene), crossed.below.hit, crossed.above.hit
+    rays = [in_double(met.ray) for met in (crossed.below, crossed.above)]
+    side, is_edge = nearest_side(geometry, rays, [hit, beyond])
+    meets = (hit.prim >= 0) & (beyond.prim >= 0) & inside(corners_of(geometry, beyond.prim, beyond.instance), rays[0]) & (
+        inside(corners_of(geometry, hit.prim, hit.instance), rays[1]))
+    kind = torch.where(meets, MEETING, EDGE)
+    for how, curve in ((differences.RIM, RIM), (differences.TEXTURE, LINE), (differences.HORIZON, HORIZON),
+                       (differences.SHADOW, SHADOW)):
+        kind = torch.where(crossed.kind == how, curve, kind)
+    known = (kind != EDGE) | is_edge
+    own = kind != EDGE
+    side = Side(torch.where(own, hit.prim, side.prim),
+                None if hit.instance is None else torch.where(own, hit.instance, side.instance), side.corner)
+    other, shown_by = torch.where(kind == SHADOW, hit.prim, beyond.prim), beyond.instance
+    if shown_by is not None:
+        shown_by = torch.where(kind == SHADOW, hit.instance, shown_by)
+    line, number = torch.zeros_like(kind), torch.zeros_like(crossed.times)
+    for slot, (one, another) in enumerate(zip(crossed.below.cells, crossed.above.cells)):
+        passed = one != another
+        line = torch.where(passed, lines.row(hit.prim, slot), line)
+        number = torch.where(passed, torch.maximum(one, another), number)
+    shadows = (kind == SHADOW).nonzero().squeeze(1)
+    if len(shadows):
+        casting, is_casting = side_that_casts(searched, rows(crossed, shadows))
+        side = Side(*(None if part is None else part.index_copy(0, shadows, found) for part, found in zip(side, casting)))
+        known = known.index_copy(0, shadows, is_casting)
+    return Curves(kind, side, other, shown_by, line, number), known
+
+
+def nearest_side(geometry: Geometry, rays: list[Ray], hits: list[Hit]) -> tuple[Side, Tensor]:
+    """Of triangles that one of two rays right beside each other meets, the side that is nearest to them; and (K,) bool: it
+    may pass between them."""
+    sides = []
+    for hit in hits:
+        own = corners_of(geometry, hit.prim, hit.instance)
         for number in range(3):
             off, reach = distance_to_side(rays[0], own[(number + 1) % 3], own[(number + 2) % 3])
-            off = torch.where(met.hit.prim >= 0, off, torch.inf)
-            if nearest is None:
-                nearest, far = off, reach
-                continue
-            nearer = off < nearest
-            nearest, far = torch.where(nearer, off, nearest), torch.where(nearer, reach, far)
-            prim, side = torch.where(nearer, met.hit.prim, prim), torch.where(nearer, number, side)
-            instance = None if instance is None else torch.where(nearer, met.hit.instance, instance)
+            sides.append((torch.where(hit.prim >= 0, off, torch.inf), reach, hit, number))
+    nearest, far, hit, number = sides[0]
+    prim, instance, corner = hit.prim, hit.instance, torch.full_like(hit.prim, number, dtype=torch.int64)
+    for off, reach, hit, number in sides[1:]:
+        nearer = off < nearest
+        nearest, far, prim = (torch.where(nearer, *pair) for pair in ((off, nearest), (reach, far), (hit.prim, prim)))
+        corner = torch.where(nearer, number, corner)
+        instance = None if instance is None else torch.where(nearer, hit.instance, instance)
     apart = rays[1].o + rays[1].d * far - rays[0].o - rays[0].d * far
-    apart = torch.sqrt(dot(apart, apart))
-    is_edge = nearest <= OFF * apart + ROUNDED * far
-    meets = (both[0].hit.prim >= 0) & (both[1].hit.prim >= 0) & inside(corners[1], rays[0]) & inside(corners[0], rays[1])
-    rim = crossed.kind == TURNED
-    kind = torch.where(rim, RIM, torch.where(meets, MEETING, EDGE))
-    known = rim | ((crossed.kind == SURFACE) & (meets | is_edge))
-    of_low = rim | meets
-    prim = torch.where(of_low, both[0].hit.prim, prim)
-    instance = None if instance is None else torch.where(of_low, both[0].hit.instance, instance)
-    return Curves(kind, prim, instance, side, both[1].hit.prim, both[1].hit.instance), known
+    return Side(prim, instance, corner), nearest <= OFF * torch.sqrt(dot(apart, apart)) + ROUNDED * far
+
+
+def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[Side, Tensor]:
+    """The edges that cast the shadows of whose borders some crossings are, and (K,) bool whether they are known."""
+    scene, rays, hits = searched.call.scene, [], []
+    for met in (crossed.below, crossed.above):
+        ray, distance = to_light(scene, met.ray, met.hit, crossed.looks.draw)
+        hit = searched.integrand.caster.intersect(ray)
+        rays.append(in_double(ray))
+        hits.append(hit._replace(prim=torch.where((hit.t < distance) & ~met.lit, hit.prim, -1)))
+    return nearest_side(geometry_of(scene), rays, hits)
+
+
+def in_double(ray: Ray) -> Ray:
+    """Rays in float64."""
+    return Ray(*(part.map(torch.Tensor.double) for part in ray))
 
 
 def corners_of(geometry: Geometry, prim: Tensor, instance: Tensor | None) -> Corners:
@@ -94,42 +145,63 @@ def inside(corners: Corners, ray: Ray) -> Tensor:
     return (u > 0) & (v > 0) & (u + v < 1)
 
 
-def level(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
+def level(scene: SceneTensors, lines: LineTable | None, curves: Curves, ray: Ray, draw: LightDraw | None) -> Tensor:
     """(K,) float64, attached: 0 on the curves, but for what they lie off the points of the film.
 
     Args:
-        geometry: attached.
+        scene: attached.
+        lines: of textures.
         curves: (K,).
-        ray: by which they are seen, attached.
+        ray: by which they are seen, attached; on a horizon, that leaves the surface.
+        draw: the light samples whose shadows are meant.
     """
-    ray = Ray(*(part.map(torch.Tensor.double) for part in ray))
+    geometry, ray = attached_geometry(scene), in_double(ray)
     found = torch.zeros_like(ray.d.x)
-    for kind, of_kind in LEVELS.items():
+    for kind in (EDGE, RIM, MEETING, LINE, HORIZON, SHADOW):
         own = (curves.kind == kind).nonzero().squeeze(1)
-        if len(own):
-            found = found.index_add(0, own, of_kind(geometry, rows(curves, own), rows(ray, own)))
+        if not len(own):
+            continue
+        some, seen_by = rows((curves, ray), own)
+        if kind == LINE:
+            value = across_line(scene, geometry, lines, some, seen_by)
+        elif kind == SHADOW:
+            value = across_shadow(scene, geometry, some, seen_by, rows(draw, own))
+        else:
+            value = {EDGE: beside_edge, RIM: facing, MEETING: nearer, HORIZON: above}[kind](geometry, some, seen_by)
+        found = found.index_add(0, own, value)
     return found
 
 
+def ends_of(geometry: Geometry, side: Side) -> tuple[Vec3, Vec3]:
+    """The ends of sides, attached."""
+    first, second, third = corners_of(geometry, side.prim, side.instance)
+    return (where(side.corner == 0, second, where(side.corner == 1, third, first)),
+            where(side.corner == 0, third, where(side.corner == 1, first, second)))
+
+
 def beside_edge(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """Of edges: on which side rays pass them."""
-    first, second, third = corners_of(geometry, curves.prim, curves.instance)
-    a = where(curves.side == 0, second, where(curves.side == 1, third, first))
-    b = where(curves.side == 0, third, where(curves.side == 1, first, second))
+    """On which side rays pass edges."""
+    a, b = ends_of(geometry, curves.edge)
     return dot(cross(b - a, ray.d), a - ray.o)
 
 
 def facing(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """Of rims: how far shading normals are turned away."""
-    corners = corners_of(geometry, curves.prim, curves.instance)
-    normals = vertex_normals(geometry, between(geometry, curves.prim), curves.instance)
+    """How far shading normals are turned away."""
+    corners = corners_of(geometry, curves.edge.prim, curves.edge.instance)
+    normals = vertex_normals(geometry, between(geometry, curves.edge.prim), curves.edge.instance)
     return dot(interpolated(normals, *crossed_at(corners, ray)), ray.d)
 
 
+def above(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
+    """How far rays that leave triangles do so on the side of these triangles' own normals."""
+    corners = corners_of(geometry, curves.edge.prim, curves.edge.instance)
+    return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), ray.d)
+
+
 def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """Of triangles that cross: how much farther the one is than the other."""
+    """How much farther one of two triangles is than the other."""
     distances = []
-    for prim, instance in ((curves.prim, curves.instance), (curves.other, curves.shown_by)):
+    for prim, instance in ((curves.edge.prim, curves.edge.instance), (curves.other, curves.shown_by)):
         corners = corners_of(geometry, prim, instance)
         n = cross(corners[1] - corners[0], corners[2] - corners[0])
         along = dot(ray.d, n)
@@ -137,4 +209,15 @@ def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
     return distances[0] - distances[1]
 
 
-LEVELS = {EDGE: beside_edge, RIM: facing, MEETING: nearer}
+def across_line(scene: SceneTensors, geometry: Geometry, lines: LineTable, curves: Curves, ray: Ray) -> Tensor:
+    """How far beyond a line of a texture rays meet triangles."""
+    u, v = crossed_at(corners_of(geometry, curves.edge.prim, curves.edge.instance), ray)
+    return level_of_line(scene, lines, curves.edge.prim, curves.line, u, v) - curves.number
+
+
+def across_shadow(scene: SceneTensors, geometry: Geometry, curves: Curves, ray: Ray, draw: LightDraw) -> Tensor:
+    """On which side light passes edges on its way to what rays meet."""
+    corners = corners_of(geometry, curves.other, curves.shown_by)
+    start, d, _ = light_line(scene, interpolated(corners, *crossed_at(corners, ray)), draw)
+    a, b = ends_of(geometry, curves.edge)
+    return dot(cross(b - a, d), a - start)

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import zip_longest
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.edge_places import jump_of_creases
-from torch_radbp.boundary.geometry import geometry_of, in_world
-from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.reflections.ideal_paths import IdealPath, Reached
+from torch_radbp.boundary.reflections.surfaces import Surfaces
 from torch_radbp.scene.interaction import triangle_normal
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
 
-# How two paths part: one meets another surface; they meet different sides of a surface, by its shading normals; they leave
-# it on different sides of its triangles; or chance lets one go another way, which is no jump.
-SAME, SURFACE, RIM, HORIZON, CHANCE = range(5)
+# How two paths part: one meets another surface; they meet different sides of a surface, by its shading normals; a texture
+# jumps between them; chance lets one go another way, which is no jump; they leave the surface on different sides of its
+# triangles; light reaches only one of their ends.
+SAME, SURFACE, RIM, TEXTURE, CHANCE, HORIZON, SHADOW = range(7)
 LEAST = 0.02  # likelihood of a jump between points of what may be one smooth surface
 BEND = 2.0  # sine of the angle between a surface and the way to a point of another, of which 1 / BEND is surely a jump
 
@@ -29,36 +27,16 @@ class Difference(NamedTuple):
     """How the paths of N pairs part."""
 
     kind: Tensor  # (N,) int64
-    depth: Tensor  # (N,) int64, after how many ideal vertices
+    depth: Tensor  # (N,) int64, after how many ideal vertices; of a horizon that of the surface counts
     likelihood: Tensor  # (N,) float64, of a jump between the two; 0 if the paths are alike
 
 
-def continued(scene: SceneTensors, meshes: Sequence[Outline]) -> Tensor:
-    """For each side of the triangles, three each, opposite their corners, the triangle on which the surface goes on without
-    a jump; -1: it does not. (3 T,) int32.
-
-    Args:
-        scene: detached.
-        meshes: the edges of all of them, in the frames of their vertices.
-    """
-    geometry = geometry_of(scene)
-    found = torch.full((3 * len(scene.triangles.material),), -1, dtype=torch.int32, device=scene.device)
-    for mesh in meshes:
-        edges = mesh.edges
-        a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite[:2]), None)
-        smooth = (edges.count == 2) & (jump_of_creases(mesh, a, b, opposite) == 0)
-        one, other = (corner[smooth] for corner in edges.corner[:2])
-        for here, there in ((one, other), (other, one)):
-            found[here.long()] = torch.div(there, 3, rounding_mode="floor")
-    return found
-
-
-def difference(scene: SceneTensors, continues: Tensor, first: IdealPath, second: IdealPath) -> Difference:
+def difference(scene: SceneTensors, surfaces: Surfaces, first: IdealPath, second: IdealPath) -> Difference:
     """How the paths of pairs part: by the first vertex at which they do.
 
     Args:
         scene: detached.
-        continues: from `continued`.
+        surfaces: of the scene.
         first, second: (N,) each.
     """
     undecided = torch.ones_like(first[0].here)
@@ -68,13 +46,18 @@ def difference(scene: SceneTensors, continues: Tensor, first: IdealPath, second:
         if one is None or other is None:  # where only one of two goes on they have parted before
             break
         both = undecided & one.here & other.here
-        together = joined(continues, one, other)
+        together = joined(surfaces.continues, one, other)
         turned, sideways = one.front ^ other.front, one.outside ^ other.outside
         by_chance = (one.onwards ^ other.onwards) | (one.through ^ other.through)
-        met = torch.where(~together, SURFACE, torch.where(turned, RIM, torch.where(by_chance, CHANCE, torch.where(
-            sideways, HORIZON, SAME))))
+        shadow, drawn = one.lit ^ other.lit, torch.zeros_like(turned)
+        for cell, another in zip(one.cells, other.cells):
+            drawn = drawn | ((cell != another) & (one.hit.prim >= 0))
+        met = torch.full_like(kind, SAME)
+        for how, parts in ((SHADOW, shadow), (HORIZON, sideways), (CHANCE, by_chance), (TEXTURE, drawn), (RIM, turned),
+                           (SURFACE, ~together)):
+            met = torch.where(parts, how, met)  # the last of them counts
         kind = torch.where(both, met, kind)
-        depth = torch.where(both, number, depth)
+        depth = torch.where(both, number + (met == HORIZON).long(), depth)
         parts = both & (met != SAME)
         own = (parts & (met == SURFACE)).nonzero().squeeze(1)
         likelihood = torch.where(parts, torch.where(met == CHANCE, LEAST, 1.0), likelihood)

@@ -7,15 +7,20 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.reflections.surfaces import LineTable, cells_met
+from torch_radbp.boundary.shadows.light_points import light_line
+from torch_radbp.boundary.shadows.seen_edges import BEFORE, FAR
 from torch_radbp.path.bounce import Vertex
+from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, bounce_queues, first_hit, queued
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.interaction import shading_normal, triangle_normal
+from torch_radbp.scene.interaction import shading_normal, surface_interaction, triangle_normal
+from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of, with_leaves
-from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component, rows
+from torch_radbp.tensors.vec import Ray, dot, max_component, rows
 
 MOST_VERTICES = 16  # of a path that are looked at
 NO_ROULETTE = 1 << 30
@@ -31,6 +36,15 @@ class Reached(NamedTuple):
     onwards: Tensor  # (N,) bool: it is scattered ideally, and goes on
     through: Tensor  # (N,) bool: to the other side of the shading normal
     outside: Tensor  # (N,) bool: it goes on on the side of the triangle's own normal
+    lit: Tensor  # (N,) bool: it ends on a surface that the light of a sample reaches
+    cells: tuple[Tensor, ...]  # (N,) each, from `cells_met`
+
+
+class LightLooks(NamedTuple):
+    """Light samples, N, from which shadows are looked for."""
+
+    draw: LightDraw
+    sharp: Tensor  # (N,) bool: of light without extent; others are left out
 
 
 IdealPath = tuple[Reached, ...]  # vertex by vertex, from what the camera sees on
@@ -42,12 +56,13 @@ def only_ideal(integrand: Integrand) -> Integrand:
                               max_depth=min(integrand.max_depth, MOST_VERTICES))
 
 
-def ideal_path(integrand: Integrand, start: PathState) -> IdealPath:
+def ideal_path(integrand: Integrand, start: PathState, lines: LineTable | None) -> IdealPath:
     """Follows paths until they meet something that does not scatter ideally, or nothing; at most to their last vertex.
 
     Args:
         integrand: from `only_ideal`, of a detached scene.
         start: (N,) of the paths, lanes in order.
+        lines: of textures.
     """
     found, state = [], start
     for depth in range(integrand.max_depth):
@@ -65,7 +80,8 @@ def ideal_path(integrand: Integrand, start: PathState) -> IdealPath:
             onwards[own] = goes_on
             through[own] = goes_on & (dot(rows(shading, own), d) * cosine[own] > 0)
             outside[own] = goes_on & (dot(rows(n, own), d) > 0)
-        met = Reached(torch.ones_like(onwards), state.ray, hit, (cosine < 0) | (hit.prim < 0), onwards, through, outside)
+        met = Reached(torch.ones_like(onwards), state.ray, hit, (cosine < 0) | (hit.prim < 0), onwards, through, outside,
+                      torch.zeros_like(onwards), cells_met(integrand.proposal, lines, hit))
         found.append(met if depth == 0 else scattered_to(met, state.lane, len(start.lane)))
         if not len(lanes):
             break
@@ -125,6 +141,22 @@ def along(path: IdealPath, depth: Tensor) -> Reached:
     return found
 
 
-def direction_of(ray: Ray) -> Vec3:
-    """Unit directions in float64."""
-    return ray.d.map(torch.Tensor.double)
+def with_light(integrand: Integrand, path: IdealPath, looks: LightLooks) -> IdealPath:
+    """The paths, with `Reached.lit` where they end after at least one ideal vertex."""
+    found = list(path)
+    for number, met in enumerate(path[1:integrand.max_depth - 1], 1):
+        ends = (met.here & ~met.onwards & (met.hit.prim >= 0) & looks.sharp).nonzero().squeeze(1)
+        if len(ends):
+            ray, distance = to_light(integrand.proposal, *rows((met.ray, met.hit, looks.draw), ends))
+            free = ~integrand.caster.occluded(ray, distance)
+            found[number] = met._replace(lit=met.lit.index_copy(0, ends, free))
+    return tuple(found)
+
+
+def to_light(scene: SceneTensors, ray: Ray, hit: Hit, draw: LightDraw) -> tuple[Ray, Tensor]:
+    """The rays from what rays meet towards light samples, and how far, (N,); detached."""
+    si = surface_interaction(scene, ray, hit)
+    _, d, parallel = light_line(scene, si.p.map(torch.Tensor.double), draw)
+    length = torch.sqrt(dot(d, d))
+    towards = (d * (-1.0 / length)).map(lambda c: c.to(scene.dtype))
+    return Ray(si.offset(towards), towards), torch.where(parallel, FAR, length * (1.0 - BEFORE)).to(scene.dtype)

@@ -13,13 +13,16 @@ from torch import Tensor
 
 from torch_radbp.boundary.places import FEWEST, NEIGHBOURS, lot_of, picked
 from torch_radbp.boundary.reflections.differences import CHANCE, Difference, difference
-from torch_radbp.boundary.reflections.ideal_paths import IdealPath, begins, ideal_path
-from torch_radbp.boundary.shadows.border import aperture_of, camera_sample
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, begins, ideal_path, with_light
+from torch_radbp.boundary.reflections.surfaces import Surfaces
+from torch_radbp.boundary.shadows.border import Lights, aperture_of, camera_sample
+from torch_radbp.boundary.shadows.light_points import light_points
 from torch_radbp.boundary.shadows.seen_edges import salted
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fine_unit, lane_key, random_bits
+from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, rows
 
 STEPS = 4  # of a scan; what is narrower than one is likely missed
@@ -36,6 +39,17 @@ class FilmPoints(NamedTuple):
     film: Vec2  # pixels from the upper left corner of the window; float64
     aperture: Vec2 | None  # on the lens
     key: LaneKey
+    looks: LightLooks | None  # at light whose shadows are looked for; None: at none
+
+
+class Searched(NamedTuple):
+    """What is searched, without derivatives."""
+
+    call: RenderCall
+    number: int  # of the view
+    integrand: Integrand  # from `only_ideal`
+    surfaces: Surfaces
+    shadows: bool  # borders of shadows of light without extent are looked for
 
 
 class Scans(NamedTuple):
@@ -45,26 +59,33 @@ class Scans(NamedTuple):
     row: Tensor  # (M,) float64, likewise
     at: Vec2  # where in the pixel the scans run
     times: Tensor  # (M,) float64, how many square pixels there are for each
-    key: LaneKey
     aperture: Vec2 | None
+    key: LaneKey
+    looks: LightLooks | None
 
 
-def paths_from(call: RenderCall, number: int, integrand: Integrand, points: FilmPoints) -> IdealPath:
-    """The ideal paths from points of the film of view `number`."""
-    sample = camera_sample(call, call.views[number], points.film, points.aperture, points.key)
-    return ideal_path(integrand, started(call, sample))
+def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
+    """The ideal paths from points of the film."""
+    call = searched.call
+    sample = camera_sample(call, call.views[searched.number], points.film, points.aperture, points.key)
+    path = ideal_path(searched.integrand, started(call, sample), searched.surfaces.lines)
+    return path if points.looks is None else with_light(searched.integrand, path, points.looks)
 
 
-def scans_of(call: RenderCall, number: int, integrand: Integrand, continues: Tensor) -> Scans | None:
-    """Where view `number` is scanned; None: it sees neither mirrors nor glass.
+def looks_of(searched: Searched, count: int) -> LightLooks | None:
+    """So many light samples whose shadows are looked for; None: none are."""
+    if not searched.shadows:
+        return None
+    scene = searched.call.scene
+    points = light_points(scene, searched.call.views[searched.number], count)
+    return LightLooks(points.draw, Lights(sharp=True, soft=False, around=False).of(scene)[points.kind])
 
-    Args:
-        call: without derivatives.
-        integrand: from `only_ideal`.
-        continues: from `continued`.
-    """
-    view, (columns, height) = call.views[number], (call.views[number].grid.columns, call.views[number].grid.rows)
-    weight = pixel_weights(call, number, integrand, continues)
+
+def scans_of(searched: Searched) -> Scans | None:
+    """Where a view is scanned; None: it sees neither mirrors nor glass."""
+    call = searched.call
+    view = call.views[searched.number]
+    columns, weight = view.grid.columns, pixel_weights(searched)
     total = running_sum(weight)
     if not float(total[-1]) > 0.0:
         return None
@@ -77,17 +98,17 @@ def scans_of(call: RenderCall, number: int, integrand: Integrand, continues: Ten
     pixel, left, times = picked(lot_of(weight, count, total), place, across)
     row = torch.div(pixel, columns, rounding_mode="floor")
     before = view.window.columns.before, view.window.rows.before
-    return Scans((pixel - row * columns - before[0]).double(), (row - before[1]).double(), Vec2(left, down), times, key,
-                 aperture_of(view, key))
+    return Scans((pixel - row * columns - before[0]).double(), (row - before[1]).double(), Vec2(left, down), times,
+                 aperture_of(view, key), key, looks_of(searched, count))
 
 
-def pixel_weights(call: RenderCall, number: int, integrand: Integrand, continues: Tensor) -> Tensor:
+def pixel_weights(searched: Searched) -> Tensor:
     """How often pixels are scanned, (P,) float64, row by row; 0 where no mirror or glass is in view."""
-    view = call.views[number]
-    columns, height = view.grid.columns, view.grid.rows
-    most, shows = None, None
-    for turn in range(max(1, min(PASSES, call.spp // SAMPLES_OF_PASS))):
-        found, seen = corner_pass(call, number, integrand, continues, turn)
+    call, most, shows = searched.call, None, None
+    turns = max(1, min(PASSES, call.spp // SAMPLES_OF_PASS))
+    looks = looks_of(searched, turns)
+    for turn in range(turns):
+        found, seen = corner_pass(searched, turn, looks)
         most = found if most is None else torch.maximum(most, found)
         shows = seen if shows is None else shows | seen
     shows = shows.double()[None, None]
@@ -97,25 +118,25 @@ def pixel_weights(call: RenderCall, number: int, integrand: Integrand, continues
     return torch.where(near, most + FLOOR * most.sum() / count + 1e-3, 0.0).flatten()
 
 
-def corner_pass(call: RenderCall, number: int, integrand: Integrand, continues: Tensor, turn: int) -> tuple[Tensor, Tensor]:
+def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
     """One path from each corner of the pixels: how likely a jump in each pixel is, (R, C) float64; and the corners from
-    which ideal surfaces are seen, (R + 1, C + 1) bool."""
-    view = call.views[number]
+    which ideal surfaces are seen, (R + 1, C + 1) bool. All go the same way at each vertex, and look at the same light."""
+    call = searched.call
+    view = call.views[searched.number]
     width, height = view.grid.columns + 1, view.grid.rows + 1
     corner = torch.arange(width * height, dtype=torch.int32, device=call.scene.device)
     row = torch.div(corner, width, rounding_mode="floor")
     film = Vec2((corner - row * width - view.window.columns.before).double(), (row - view.window.rows.before).double())
     salt = salted(view, SALT + 1)
-    # All go the same way at each vertex, but see through the lens at different points.
     shared = lane_key(salt, torch.full_like(corner, -1), torch.full_like(corner, turn))
     aperture = aperture_of(view, lane_key(salt, corner, torch.full_like(corner, turn)))
-    path = paths_from(call, number, integrand, FilmPoints(film, aperture, shared))
+    path = paths_from(searched, FilmPoints(film, aperture, shared, rows(looks, torch.full_like(corner, turn))))
     corner = corner.view(height, width).long()
     likely = torch.zeros(height - 1, width - 1, dtype=torch.float64, device=call.scene.device)
     for one, other, pixels in ((corner[:, :-1], corner[:, 1:], ((slice(0, -1), slice(None)), (slice(1, None), slice(None)))),
                                (corner[:-1], corner[1:], ((slice(None), slice(0, -1)), (slice(None), slice(1, None))))):
         first, second = (rows(path, ends.flatten()) for ends in (one, other))
-        found = counted(difference(integrand.proposal, continues, first, second)).view(one.shape)
+        found = counted(difference(call.scene, searched.surfaces, first, second)).view(one.shape)
         for part in pixels:
             likely = torch.maximum(likely, found[part])
     return likely, begins(path).view(height, width)
@@ -132,13 +153,8 @@ def points_of(scans: Scans) -> FilmPoints:
     x = [scans.column + share for share in shares] + [scans.column + scans.at.x] * len(shares)
     y = [scans.row + scans.at.y] * len(shares) + [scans.row + share for share in shares]
     times = 2 * len(shares)
-    key, aperture = repeated(scans.key, times), repeated(scans.aperture, times)
-    return FilmPoints(Vec2(torch.cat(x), torch.cat(y)), aperture, key)
-
-
-def repeated(record, times: int):
-    """A record of (M,) tensors, one after the other so many times."""
-    return None if record is None else type(record)(*(part.repeat(times) for part in record))
+    return FilmPoints(Vec2(torch.cat(x), torch.cat(y)), *(joined([part] * times) for part in (
+        scans.aperture, scans.key, scans.looks)))
 
 
 def neighbours(count: int, device: torch.device) -> tuple[Tensor, Tensor]:
