@@ -65,7 +65,7 @@ def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: in
 
 def reflected_of(rendering: Rendering, outlines: Outlines, call: RenderCall) -> Reflected | None:
     """What a rendering asks for by way of mirrors and glass; None: nothing, or nothing moves."""
-    if not follows_mirrors(call):
+    if rendering.sampling == "detached" or not follows_mirrors(call):
         return None
     surfaces, lit = rendering.primary and reflections_move(call), rendering.shadows and sharp_lights(call)
     shadows = lit and (reflections_move(call) or shadows_move(call))

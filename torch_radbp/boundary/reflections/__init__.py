@@ -56,10 +56,8 @@ class Reflected(NamedTuple):
 
 
 def follows_mirrors(call: RenderCall) -> bool:
-    """True if the scene has mirrors or glass, by way of which images of cameras show something, with derivatives."""
-    layout, settings = call.scene.layout, call.integrand.settings
-    return (settings.sampling != "detached" and call.integrand.max_depth > 1
-            and any(appearance.kind.delta for appearance in layout.appearances)
+    """True if the scene has mirrors or glass, by way of which images of cameras may show something."""
+    return (call.integrand.max_depth > 1 and any(look.kind.delta for look in call.scene.layout.appearances)
             and all(view.camera.kind.has_area for view in call.views))
 
 

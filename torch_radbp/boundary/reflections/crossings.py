@@ -99,7 +99,7 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
 def halvings(searched: Searched) -> int:
     """How often a step of a scan is halved: until rounding of camera rays would decide."""
     film = searched.call.views[searched.number].camera.film
-    least = 2.0 * APART * float(torch.maximum(film.size_x, film.size_y))
+    least = 4.0 * APART * float(torch.maximum(film.size_x, film.size_y))
     return max(1, min(FINEST, math.ceil(-math.log2(STEPS * least))))
 
 

@@ -156,7 +156,10 @@ def with_light(integrand: Integrand, path: IdealPath, looks: LightLooks) -> Idea
 def to_light(scene: SceneTensors, ray: Ray, hit: Hit, draw: LightDraw) -> tuple[Ray, Tensor]:
     """The rays from what rays meet towards light samples, and how far, (N,); detached."""
     si = surface_interaction(scene, ray, hit)
-    _, d, parallel = light_line(scene, si.p.map(torch.Tensor.double), draw)
+    _, d, _ = light_line(scene, si.p.map(torch.Tensor.double), draw)
+    # It aims from where it starts, off the surface, as shadow rays do: else the two would not agree beside a border.
+    start = si.offset((-d).map(lambda c: c.to(scene.dtype)))
+    _, d, parallel = light_line(scene, start.map(torch.Tensor.double), draw)
     length = torch.sqrt(dot(d, d))
     towards = (d * (-1.0 / length)).map(lambda c: c.to(scene.dtype))
-    return Ray(si.offset(towards), towards), torch.where(parallel, FAR, length * (1.0 - BEFORE)).to(scene.dtype)
+    return Ray(start, towards), torch.where(parallel, FAR, length * (1.0 - BEFORE)).to(scene.dtype)

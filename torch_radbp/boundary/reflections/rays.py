@@ -25,7 +25,7 @@ def ray_after(call: RenderCall, integrand: Integrand, sample: CameraSample, dept
         depth: (K,) int64, less than the vertices of each.
     """
     integrand = only_ideal(integrand)
-    settings = integrand.settings._replace(moving=True)
+    settings = integrand.settings._replace(moving=True, sampling="hybrid")  # whether all directions are followed or not
     rays, lanes = [], []
 
     def visit(number: int, state: PathState, step: Step) -> None:
