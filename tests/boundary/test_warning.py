@@ -360,7 +360,7 @@ def test_sharp_shadows_seen_in_a_mirror_are_warned_of_where_they_are_not_compute
     scene.get_parameter("plate.to_world").requires_grad_()
     with pytest.warns(SilhouetteWarning, match=f"`light`, a light without.*{warned}") if warned else (
             warnings.catch_warnings()):
-        warnings.simplefilter("always" if warned else "error")
+        warnings.simplefilter("always" if warned else "error", SilhouetteWarning)
         rb.Renderer(scene, spp=1, max_depth=max_depth)(seed=1)
 
 
@@ -371,7 +371,7 @@ def test_edges_that_cameras_see_in_ideal_mirrors_and_glass_are_not_warned_of(kin
     scene = load(near=sensor(4, (0, 0, 3.5), fov=2), sky=SKY, box={**CUBE, "bsdf": {"type": kind}}, **others)
     scene.get_parameter("box.to_world").requires_grad_()
     with pytest.warns(SilhouetteWarning, match=said) if said else warnings.catch_warnings():
-        warnings.simplefilter("always" if said else "error")
+        warnings.simplefilter("always" if said else "error", SilhouetteWarning)
         rb.Renderer(scene, spp=1, max_depth=4)(seed=1)
 
 

@@ -10,6 +10,7 @@ from torch_radbp.boundary.outline import Jumps, Outline, Outlines, outlines_of
 from torch_radbp.boundary.primary import bytes_of_jumps, image_jumps, moves
 from torch_radbp.boundary.reflections import (
     Reflected,
+    bytes_of_reflections,
     follows_mirrors,
     reflected_jumps,
     reflections_move,
@@ -44,7 +45,17 @@ class EdgesOfCall(NamedTuple):
 def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
     """The most that a call may take of memory for edges in view, and for those that cast shadows, if they are asked for."""
     in_view = bytes_of_jumps(call) if primary and moves(call) else 0
-    return max(in_view, bytes_of_shadows(call) if shadows and shadows_move(call) else 0)
+    reflected = bytes_of_reflections(call) if any(asked_by_way_of_others(call, primary, shadows)) else 0
+    return max(in_view, bytes_of_shadows(call) if shadows and shadows_move(call) else 0) + reflected
+
+
+def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
+    """Whether jumps of what is seen by way of mirrors and glass, and borders of shadows there, are to be looked for; args as
+    for `bytes_of_edges`."""
+    if not follows_mirrors(call):
+        return False, False
+    moving = reflections_move(call)
+    return primary and moving, shadows and sharp_lights(call) and (moving or shadows_move(call))
 
 
 def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: int) -> EdgesOfCall:
@@ -65,11 +76,8 @@ def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: in
 
 def reflected_of(rendering: Rendering, outlines: Outlines, call: RenderCall) -> Reflected | None:
     """What a rendering asks for by way of mirrors and glass; None: nothing, or nothing moves."""
-    if rendering.sampling == "detached" or not follows_mirrors(call):
-        return None
-    surfaces, lit = rendering.primary and reflections_move(call), rendering.shadows and sharp_lights(call)
-    shadows = lit and (reflections_move(call) or shadows_move(call))
-    if not (surfaces or shadows):
+    surfaces, shadows = asked_by_way_of_others(call, rendering.primary, rendering.shadows)
+    if rendering.sampling == "detached" or not (surfaces or shadows):
         return None
     lines = line_table(lines_of_textures(rendering), rendering.sizes, call.scene.device)
     return Reflected(outlines.of_meshes(rendering, call), lines, surfaces, shadows)

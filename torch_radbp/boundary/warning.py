@@ -161,7 +161,7 @@ class JumpWatch:
         if not ((at_once or later) and lights and names) or rendering.max_depth < 3 or names <= self.looked_at:
             return None
         self.looked_at |= names
-        by, of = ("", at_once) if at_once else (" by surfaces, not by the camera", later)
+        by, of = ("", at_once) if at_once else (" by surfaces, not by the camera,", later)
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack the contribution of the borders "
                                  f"of shadows that `{rendering.scene.name_of(lights[0])}`, a light without extent, casts, "
                                  f"where they are seen{by} in `{rendering.scene.name_of(of[0])}`, a mirror or glass. "

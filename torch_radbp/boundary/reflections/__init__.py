@@ -26,12 +26,13 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.reflections.crossings import Crossings, crossings
 from torch_radbp.boundary.reflections.curves import Curves, curves_crossed, level
 from torch_radbp.boundary.reflections.differences import SHADOW
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
 from torch_radbp.boundary.reflections.rays import ray_after
-from torch_radbp.boundary.reflections.scans import Scans, Searched, scans_of
+from torch_radbp.boundary.reflections.scans import MOST, SHARE, STEPS, Scans, Searched, scans_of
 from torch_radbp.boundary.reflections.surfaces import LineTable, Surfaces, continued
 from torch_radbp.boundary.shadows.border import camera_sample
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
@@ -44,6 +45,11 @@ from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, rows
 
 BLOCK = 1 << 11  # places that are scanned together
+USUAL_VERTICES = 4  # of paths, by which memory is estimated
+BYTES_OF_VERTEX = 300  # what is known of it while a place is scanned
+BYTES_OF_CROSSING = 1000  # where it lies, and what it crosses
+BYTES_OF_BOUNCE = 4000  # what torch keeps of it for the backward pass
+CROSSINGS = 2  # of a place
 
 
 class Reflected(NamedTuple):
@@ -72,6 +78,16 @@ def sharp_lights(call: RenderCall) -> bool:
     """True if surfaces that are seen by way of others may have shadows with sharp borders."""
     return (call.integrand.settings.nee and call.integrand.max_depth > 2
             and any(kind.delta for kind in call.scene.layout.lights))
+
+
+def bytes_of_reflections(call: RenderCall) -> int:
+    """The most that scans, and the crossings that they find, may usually take of memory."""
+    paths = call.spp * max(view.width * view.height for view in call.views)
+    corners = max((view.grid.columns + 1) * (view.grid.rows + 1) for view in call.views)
+    places, vertices = max(FEWEST, min(MOST, paths // SHARE)), min(call.integrand.max_depth, USUAL_VERTICES)
+    points = max(corners, min(places, BLOCK) * 2 * (STEPS + 1) * call.workers)
+    crossed = places * CROSSINGS * len(call.views)
+    return points * vertices * BYTES_OF_VERTEX + crossed * (BYTES_OF_CROSSING + vertices * BYTES_OF_BOUNCE)
 
 
 def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:

@@ -63,6 +63,8 @@ def difference(scene: SceneTensors, surfaces: Surfaces, first: IdealPath, second
         likelihood = torch.where(parts, torch.where(met == CHANCE, LEAST, 1.0), likelihood)
         if len(own):
             likelihood[own] = likelihood_of_jump(scene, *(rows(met, own) for met in (one, other)))
+        if number == 0:  # what the camera sees at once is no matter of this term, unless something else is right beside it
+            likelihood = torch.where(parts & (met != HORIZON), LEAST, likelihood)
         undecided = both & ~parts & one.onwards
     return Difference(kind, depth, likelihood)
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.places import FEWEST, NEIGHBOURS, lot_of, picked
-from torch_radbp.boundary.reflections.differences import CHANCE, Difference, difference
+from torch_radbp.boundary.reflections.differences import CHANCE, SURFACE, difference
 from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, begins, ideal_path, with_light
 from torch_radbp.boundary.reflections.surfaces import Surfaces
 from torch_radbp.boundary.shadows.border import Lights, aperture_of, camera_sample
@@ -28,6 +28,7 @@ from torch_radbp.tensors.vec import Vec2, rows
 STEPS = 4  # of a scan; what is narrower than one is likely missed
 SHARE, MOST = 40, 1 << 15  # one place for so many paths of the image; and at most
 FLOOR = 0.25  # of the mean likelihood, by which each pixel with a mirror or glass in view is scanned
+OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror
 PASSES, SAMPLES_OF_PASS = 4, 16  # paths from each corner, at most; and one for so many samples of a pixel
 SALT = 0x3C6EF372  # tells the random numbers of these paths from others
 ACROSS, DOWN = 0, 1  # the random numbers of a place
@@ -136,15 +137,15 @@ def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tupl
     for one, other, pixels in ((corner[:, :-1], corner[:, 1:], ((slice(0, -1), slice(None)), (slice(1, None), slice(None)))),
                                (corner[:-1], corner[1:], ((slice(None), slice(0, -1)), (slice(None), slice(1, None))))):
         first, second = (rows(path, ends.flatten()) for ends in (one, other))
-        found = counted(difference(call.scene, searched.surfaces, first, second)).view(one.shape)
+        found = difference(call.scene, searched.surfaces, first, second)
+        likelihood = torch.where((found.depth > 0) & (found.kind != CHANCE), found.likelihood, 0.0)
+        if call.scene.layout.shading_normals:  # by which rays leave outlines of curved mirrors on the wrong side
+            outline = (found.kind == SURFACE) & (found.depth == 0) & (begins(first) | begins(second))
+            likelihood = torch.where(outline, OUTLINE, likelihood)
+        found = likelihood.view(one.shape)
         for part in pixels:
             likely = torch.maximum(likely, found[part])
     return likely, begins(path).view(height, width)
-
-
-def counted(found: Difference) -> Tensor:
-    """The likelihoods of jumps that are seen by way of ideal vertices."""
-    return torch.where((found.depth > 0) & (found.kind != CHANCE), found.likelihood, 0.0)
 
 
 def points_of(scans: Scans) -> FilmPoints:
