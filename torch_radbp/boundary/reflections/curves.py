@@ -62,7 +62,7 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
     for how, curve in ((differences.RIM, RIM), (differences.TEXTURE, LINE), (differences.HORIZON, HORIZON),
                        (differences.SHADOW, SHADOW)):
         kind = torch.where(crossed.kind == how, curve, kind)
-    known = (kind != EDGE) | is_edge
+    known = ((kind != EDGE) | is_edge) & ((kind != RIM) | (geometry.triangles.vertices.n is not None))
     own = kind != EDGE
     side = Side(torch.where(own, hit.prim, side.prim),
                 None if hit.instance is None else torch.where(own, hit.instance, side.instance), side.corner)
