@@ -350,16 +350,29 @@ def test_shadows_that_are_computed_are_not_warned_of(name):
         rb.Renderer(scene, spp=1, max_depth=2, sampling="attached")(seed=1)
 
 
-def test_sharp_shadows_that_may_be_seen_in_a_mirror_are_warned_of():
-    """Soft ones are computed, and what paths of two bounces do not reach is not missed."""
-    mirror = {**ASIDE, "bsdf": {"type": "conductor"}}
-    for light, max_depth, warned in ((POINT, 3, True), (POINT, 2, False), (SKY, 3, False)):
-        scene = load(camera=sensor(4), floor=FLOOR, plate=PLATE, mirror=mirror, light=light)
-        scene.get_parameter("plate.to_world").requires_grad_()
-        with pytest.warns(SilhouetteWarning, match="`light`, a light without.*`mirror.bsdf`") if warned else (
-                warnings.catch_warnings()):
-            warnings.simplefilter("always" if warned else "error")
-            rb.Renderer(scene, spp=1, max_depth=max_depth)(seed=1)
+@pytest.mark.parametrize("bsdf, light, max_depth, warned", [
+    ({"type": "conductor"}, POINT, 4, "seen by surfaces, not by the camera, in `mirror.bsdf`"),
+    ({"type": "conductor"}, POINT, 3, None), ({"type": "conductor"}, SKY, 4, None),
+    ({"type": "roughdielectric"}, POINT, 3, "seen in `mirror.bsdf`"), ({"type": "roughdielectric"}, POINT, 2, None)])
+def test_sharp_shadows_seen_in_a_mirror_are_warned_of_where_they_are_not_computed(bsdf, light, max_depth, warned):
+    """Those that the camera sees in ideal mirrors are, and soft ones; what paths do not reach is not missed."""
+    scene = load(camera=sensor(4), floor=FLOOR, plate=PLATE, mirror={**ASIDE, "bsdf": bsdf}, light=light)
+    scene.get_parameter("plate.to_world").requires_grad_()
+    with pytest.warns(SilhouetteWarning, match=f"`light`, a light without.*{warned}") if warned else (
+            warnings.catch_warnings()):
+        warnings.simplefilter("always" if warned else "error", SilhouetteWarning)
+        rb.Renderer(scene, spp=1, max_depth=max_depth)(seed=1)
+
+
+@pytest.mark.parametrize("kind, others, said", [
+    ("dielectric", {}, None), ("conductor", {}, None), ("roughdielectric", {}, "edges seen by reflection or refraction"),
+    ("dielectric", {"wall": rectangle((0, 0, -4), 9, bsdf=diffuse(0.5))}, "edges seen by surfaces, not by the camera, by")])
+def test_edges_that_cameras_see_in_ideal_mirrors_and_glass_are_not_warned_of(kind, others, said):
+    scene = load(near=sensor(4, (0, 0, 3.5), fov=2), sky=SKY, box={**CUBE, "bsdf": {"type": kind}}, **others)
+    scene.get_parameter("box.to_world").requires_grad_()
+    with pytest.warns(SilhouetteWarning, match=said) if said else warnings.catch_warnings():
+        warnings.simplefilter("always" if said else "error", SilhouetteWarning)
+        rb.Renderer(scene, spp=1, max_depth=4)(seed=1)
 
 
 def test_what_is_hidden_of_a_sky_that_turns_stays_what_it_was():

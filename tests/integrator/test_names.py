@@ -65,8 +65,8 @@ def test_projective_integrators_say_once_which_terms_there_are(name, plain, tmp_
         scene = scene_of(torch.float32, type=name, hide_emitters=True, **settings)
     assert [str(each.message) for each in found] == [
         f"{name} is rendered as {plain}: derivatives have the interior, the edges in view and the borders of shadows, as "
-        "Renderer(terms=) says; what edges seen by reflection contribute is missing, and Renderer warns where it does; "
-        "sppc, sppp, sppi, guiding and project_seed are without effect"]
+        "Renderer(terms=) says; what edges contribute that surfaces see by reflection is missing, and Renderer warns "
+        "where it does; sppc, sppp, sppi, guiding and project_seed are without effect"]
     same = scene_of(torch.float32, type=plain, hide_emitters=True)
     assert torch.equal(rb.render(scene, spp=2), rb.render(same, spp=2))
     assert (scene.integrator.max_depth, scene.integrator.alpha()) == (same.integrator.max_depth, same.integrator.alpha())

@@ -176,6 +176,15 @@ class Outlines:
             self.met = key, bodies
         return self.met[1]
 
+    def of_meshes(self, rendering: Rendering, call: RenderCall) -> list[Outline]:
+        """The edges of all shapes of the world, and of each group, in the frames of their vertices."""
+        triangles, counts = detached(call.scene).triangles, rendering.sizes
+        instances, firsts = triangles.casting_instances, list(accumulate(rendering.sizes, initial=0))
+        starts = [firsts[-1]] if instances is None else [int(first) for first in instances.first_triangle]
+        parts = [tuple(number for number, start in enumerate(firsts[:-1]) if first <= start < last)
+                 for first, last in zip([0, *starts], [*starts, firsts[-1]])]
+        return [outline for part in parts if (outline := self.mesh(triangles, counts, part)) is not None]
+
     def in_world(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Outline | None:
         """The edges of some shapes that are in the world."""
         outline = self.mesh(triangles, counts, shapes)

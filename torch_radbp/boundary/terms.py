@@ -6,10 +6,20 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.boundary.outline import Jumps, Outline, outlines_of
+from torch_radbp.boundary.outline import Jumps, Outline, Outlines, outlines_of
 from torch_radbp.boundary.primary import bytes_of_jumps, image_jumps, moves
+from torch_radbp.boundary.reflections import (
+    Reflected,
+    bytes_of_reflections,
+    follows_mirrors,
+    reflected_jumps,
+    reflections_move,
+    sharp_lights,
+)
+from torch_radbp.boundary.reflections.surfaces import line_table
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move
+from torch_radbp.boundary.texture_lines import lines_of_textures
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.scene import Scene
 
@@ -19,6 +29,7 @@ class EdgesOfCall(NamedTuple):
 
     in_view: list[Jumps] | None  # of each view
     casting: Outline | None  # the edges of all that casts shadows
+    reflected: Reflected | None  # what is seen by way of mirrors and glass
 
     def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
         """The images, (B, 3, H, W), with the derivatives of their jumps."""
@@ -26,13 +37,25 @@ class EdgesOfCall(NamedTuple):
             images = images + image_jumps(call, self.in_view)
         if self.casting is not None:
             images = images + shadow_jumps(call, self.casting)
+        if self.reflected is not None:
+            images = images + reflected_jumps(call, self.reflected)
         return images
 
 
 def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
     """The most that a call may take of memory for edges in view, and for those that cast shadows, if they are asked for."""
     in_view = bytes_of_jumps(call) if primary and moves(call) else 0
-    return max(in_view, bytes_of_shadows(call) if shadows and shadows_move(call) else 0)
+    reflected = bytes_of_reflections(call) if any(asked_by_way_of_others(call, primary, shadows)) else 0
+    return max(in_view, bytes_of_shadows(call) if shadows and shadows_move(call) else 0) + reflected
+
+
+def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
+    """Whether jumps of what is seen by way of mirrors and glass, and borders of shadows there, are to be looked for; args as
+    for `bytes_of_edges`."""
+    if not follows_mirrors(call):
+        return False, False
+    moving = reflections_move(call)
+    return primary and moving, shadows and sharp_lights(call) and (moving or shadows_move(call))
 
 
 def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: int) -> EdgesOfCall:
@@ -48,4 +71,13 @@ def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: in
     in_view = outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
     casts = rendering.shadows and rendering.max_depth > 1 and shadows_move(call)
     casting = outlines.of_everything(rendering, call, seed) if casts else None
-    return EdgesOfCall(in_view, casting)
+    return EdgesOfCall(in_view, casting, reflected_of(rendering, outlines, call))
+
+
+def reflected_of(rendering: Rendering, outlines: Outlines, call: RenderCall) -> Reflected | None:
+    """What a rendering asks for by way of mirrors and glass; None: nothing, or nothing moves."""
+    surfaces, shadows = asked_by_way_of_others(call, rendering.primary, rendering.shadows)
+    if rendering.sampling == "detached" or not (surfaces or shadows):
+        return None
+    lines = line_table(lines_of_textures(rendering), rendering.sizes, call.scene.device)
+    return Reflected(outlines.of_meshes(rendering, call), lines, surfaces, shadows)

@@ -2,9 +2,10 @@
 
 The derivative of an image has two parts: that of the radiance inside each surface, and what is gained or lost at the edges
 where one surface ends and another appears behind it. The second part is computed for the edges that the camera sees, see
-`primary.py`, unless the renderer is told to leave it out. It is missing for those seen by reflection, by refraction, and by
-light. Borders of shadows are silhouettes as seen from a light. They are searched for lights with a position or a direction;
-for light from all around see `sky.py`.
+`primary.py`, or sees in ideal mirrors and through ideal glass, see `reflections`, unless the renderer is told to leave it
+out. It is missing for those that surfaces see there, and for those seen through rough glass. Borders of shadows are
+silhouettes as seen from a light. They are searched for lights with a position or a direction; for light from all around see
+`sky.py`.
 """
 
 from __future__ import annotations
@@ -146,17 +147,24 @@ class JumpWatch:
                                  f"they fall.{of_all_around} {instead}")
 
     def sharp_shadows_in_mirrors(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about shadows of lights without extent that may be seen in ideal mirrors and glass, or None."""
-        ideal = [bsdf for bsdf, kind in rendering.materials() if followed(kind, "hybrid")]
+        """The warning about shadows of lights without extent that may be seen in ideal mirrors and glass, or None.
+
+        Those are computed that cameras see there, but not in rough glass; see `reflections`.
+        """
+        kinds = [(bsdf, kind) for bsdf, kind in rendering.materials() if followed(kind, "hybrid")]
+        scattering = any(kind.smooth for _, kind in rendering.materials())
+        at_once = [bsdf for bsdf, kind in kinds if kind.follows or not rendering.has_area]
+        later = [bsdf for bsdf, _ in kinds] if scattering and rendering.max_depth > 3 else []
         lights = [emitter for emitter in rendering.scene.emitters if emitter.kind().delta]
         names = {name for emitter in lights for name in rendering.moving(emitter, MOVE_LIGHTS)}
         names = names.union(*rendering.movers, *(rendering.moving(sensor) for sensor in rendering.sensors))
-        if not (ideal and lights and names) or rendering.max_depth < 3 or names <= self.looked_at:
+        if not ((at_once or later) and lights and names) or rendering.max_depth < 3 or names <= self.looked_at:
             return None
         self.looked_at |= names
+        by, of = ("", at_once) if at_once else (" by surfaces, not by the camera,", later)
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack the contribution of the borders "
                                  f"of shadows that `{rendering.scene.name_of(lights[0])}`, a light without extent, casts, "
-                                 f"where they are seen in `{rendering.scene.name_of(ideal[0])}`, an ideal mirror or glass. "
+                                 f"where they are seen{by} in `{rendering.scene.name_of(of[0])}`, a mirror or glass. "
                                  f"Give the light an extent, such as a small sphere with an area emitter; check_gradient "
                                  f"measures how much that matters")
 
@@ -219,11 +227,17 @@ class JumpWatch:
 
         Attached directions follow the roughness, the index of refraction or the normals of a surface; those of ideal
         mirrors and of all glass follow the surface itself and the camera, too. That attached directions at other materials
-        do so as well is not examined.
+        do so as well is not examined. Edges that cameras see by way of ideal mirrors and ideal glass alone are computed, see
+        `reflections`; those that other surfaces see there are not.
         """
         sampling = rendering.sampling
         turning: dict[str, bool] = {}  # names of parameters; True: hybrid sampling follows at all these surfaces, too
         materials = [(bsdf, kind) for bsdf, kind in rendering.materials() if followed(kind, sampling)]
+        computed = {id(bsdf) for bsdf, kind in materials if rendering.primary and kind.delta and not kind.follows
+                    and not (sampling == "attached" and kind.smooth)}
+        seen_by_others = rendering.max_depth > 2 and any(kind.smooth for _, kind in rendering.materials())
+        if not seen_by_others:
+            materials = [(bsdf, kind) for bsdf, kind in materials if id(bsdf) not in computed]
         for bsdf, kind in materials:
             turning |= {name: kind.follows or not kind.smooth for name in rendering.turning(bsdf, kind)}
         hybrid = {id(bsdf): followed(kind, "hybrid") for bsdf, kind in materials}
@@ -239,7 +253,8 @@ class JumpWatch:
             return None
         instead = "" if all(turning.values()) else (" With sampling='hybrid' those of surfaces that are neither ideal nor "
                                                     "of glass do not.")
-        return SilhouetteWarning(f"derivatives with respect to {listed(turning)} lack the contribution of edges seen by "
+        by = " by surfaces, not by the camera," if all(id(bsdf) in computed for bsdf, _ in materials) else ""
+        return SilhouetteWarning(f"derivatives with respect to {listed(turning)} lack the contribution of edges seen{by} by "
                                  f"reflection or refraction: scattered directions follow the parameter and slide over the "
                                  f"edges of shapes, where radiance is discontinuous.{instead} check_gradient measures how "
                                  f"much that matters")

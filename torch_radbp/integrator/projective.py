@@ -31,8 +31,9 @@ def sampling_of_boundaries(name: str, plain: str, sppc: int | None, sppp: int | 
     settings |= {"guiding": guiding, "guiding_proj": boolean("guiding_proj", guiding_proj),
                  "guiding_rounds": integer("guiding_rounds", guiding_rounds, 1), "project_seed": project_seed}
     warnings.warn(f"{name} is rendered as {plain}: derivatives have the interior, the edges in view and the borders of "
-                  "shadows, as Renderer(terms=) says; what edges seen by reflection contribute is missing, and Renderer "
-                  "warns where it does; sppc, sppp, sppi, guiding and project_seed are without effect", stacklevel=3)
+                  "shadows, as Renderer(terms=) says; what edges contribute that surfaces see by reflection is missing, "
+                  "and Renderer warns where it does; sppc, sppp, sppi, guiding and project_seed are without effect",
+                  stacklevel=3)
     return settings
 
 

@@ -90,8 +90,9 @@ class Renderer(nn.Module):
             their bounds; what surrounds the scene, comes from far away or is a beam stands beside it. None: "tree" in scenes
             of many emitters, where it is less noisy on diffuse surfaces; on glossy ones compare it with "uniform".
         terms: of derivatives, which to compute: "interior", of radiance where the image is continuous; "primary", of the
-            curves at which it jumps: silhouettes, creases, rims of smooth shading, lines of textures, surfaces that cross;
-            and "shadow", of the borders of shadows, direct and indirect, sharp and soft.
+            curves at which it jumps: silhouettes, creases, rims of smooth shading, lines of textures, surfaces that cross,
+            seen directly or by way of ideal mirrors and glass; and "shadow", of the borders of shadows, direct and indirect,
+            sharp and soft.
         share_samples: differentiate the very samples of the image, which saves a pass over the scene. By default the
             derivative has samples of its own, since the noise that image and derivative share biases the gradient of every
             loss that is not linear in the image. It does not where two independent images take each other's part:
@@ -100,11 +101,12 @@ class Renderer(nn.Module):
             backward pass as takes an eighth of the machine's memory; the rest is traced again.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
-    so far, edges that are seen by reflection; a `SilhouetteWarning` says so, once, if edges may be slid over by directions
-    that follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal mirrors and
-    glass). With attached sampling they also lack soft shadows and those of indirect light, and without the terms of edges
-    what these contribute: it says so if silhouettes or shadows that move are in view. The samplings that are not attached
-    miss a jump of GGX rough glass; a `JumpWarning` says so. No warning tells of edges that move in reflections out of view.
+    so far, edges that surfaces, not the camera, see by reflection; a `SilhouetteWarning` says so, once, if edges may be slid
+    over by directions that follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal
+    mirrors and glass). With attached sampling they also lack soft shadows and those of indirect light, and without the terms
+    of edges what these contribute: it says so if silhouettes or shadows that move are in view. The samplings that are not
+    attached miss a jump of GGX rough glass; a `JumpWarning` says so. No warning tells of edges that surfaces see move in
+    mirrors that do not.
 
     Several threads may render with one renderer. Each call takes the parameters as it finds them, and its image keeps the
     geometry that it shows: what moves later changes neither it nor its derivatives. `torch.autocast` and torch's default

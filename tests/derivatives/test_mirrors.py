@@ -1,0 +1,112 @@
+"""What jumps seen by way of mirrors and glass add to derivatives is that of finite differences, and of a closed form."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.deep import deep_but
+from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
+from tests.derivatives.mirror_scenes import CUBE, IN_MIRROR, MIRROR, MIRRORED, SKY, shaded
+from tests.scenes import diffuse, load, look_at, rgb
+from torch_radbp.boundary import terms
+from torch_radbp.io.transform import rotate, scale, translate
+
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+
+BATCHES = 8
+
+# The bias that a batch of so many samples shows.
+SHOWN = {
+}
+ROWS = [Row(name, bias, spp) for (bias, spp), names in SHOWN.items() for name in names]
+QUICK = ("camera before a pane", "cube in a mirror", "cube through a block", "floor, a shadow in a mirror")
+
+
+def test_every_scene_is_examined():
+    assert sorted(row.name for row in ROWS) == sorted(MIRRORED)
+
+
+@pytest.mark.parametrize("row", deep_but([row for row in ROWS if row.name in QUICK], ROWS), ids=str)
+def test_derivatives_are_those_of_finite_differences(row):
+    """And if they were wrong by the stated bias, that would be noticed; most would be without what jumps."""
+    measured = Estimate(MIRRORED[row.name], Effort(row.spp, BATCHES))
+    measured.add_round()
+    assert_agrees(measured, row, ("agrees", "too noisy"))
+
+
+RADIANCE, EDGE = 3.0, 0.35
+
+
+def half_plane() -> rb.Scene:
+    """A mirror at 45 degrees, x + z = 0, seen from above without perspective, from -1 to 1: x is seen at the height -x of a
+    bright half plane, which reaches from below to z = EDGE."""
+    view = {"type": "orthographic", "to_world": look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)),
+            "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
+    mirror = {"type": "rectangle", "to_world": rotate((0, 1, 0), 45) @ scale((9, 9, 1)), "bsdf": {"type": "conductor"}}
+    bright = {"type": "rectangle", "to_world": translate((15, 0, EDGE - 9)) @ rotate((0, 1, 0), -90) @ scale((9, 9, 1)),
+              "emitter": {"type": "area", "radiance": rgb(RADIANCE, RADIANCE, RADIANCE)}}
+    return load(torch.float64, sensor=view, mirror=mirror, bright=bright)
+
+
+@pytest.mark.parametrize("moving, along, speed", [
+    ("bright.to_world", 2, 1.0), ("bright.to_world", 0, 0.0), ("mirror.to_world", 2, -1.0), ("mirror.to_world", 0, -1.0),
+    ("sensor.to_world", 0, 1.0), ("sensor.to_world", 1, 0.0)])
+def test_an_edge_in_a_plane_mirror_moves_as_it_does_by_hand(moving, along, speed):
+    """Where x > shift of the mirror - EDGE the half plane is seen; its border is 2 long, of an image of area 4."""
+    scene = half_plane()
+    tangent = torch.zeros(4, 4, dtype=torch.float64)
+    tangent[along, 3] = 1.0
+    image = rb.render(scene, spp=64, max_depth=2)
+    assert torch.allclose(image.mean(), torch.tensor(RADIANCE * (1 + EDGE) / 2, dtype=torch.float64), rtol=0.02)
+    found = torch.stack([rb.jvp(scene, {moving: tangent}, seed=seed, spp=64, max_depth=2).mean() for seed in range(8)])
+    error = float(found.std()) / math.sqrt(len(found))
+    expected = speed * RADIANCE / 2
+    assert abs(float(found.mean()) - expected) <= 4 * error + 1e-3 * RADIANCE
+    assert error < 0.02 * RADIANCE
+
+
+def jumps(moving: str, direction: torch.Tensor, scene: rb.Scene, **settings) -> torch.Tensor:
+    """What `terms` add to the derivative of the image of a scene."""
+    chosen = settings.pop("terms")
+    whole, without = (rb.jvp(scene, {moving: direction}, seed=3, spp=16, max_depth=3, terms=some, **settings)
+                      for some in (("interior", *chosen), ("interior",)))
+    return whole - without
+
+
+def test_what_is_seen_belongs_to_the_primary_term_and_borders_of_shadows_to_that_of_shadows():
+    moving = MIRRORED["plate, its shadow in a mirror"]
+    scene = shaded()
+    tangent = moving.tangent(scene)
+    assert jumps(moving.name, tangent, scene, terms=("shadow",)).abs().max() > 0.1
+    assert not jumps(moving.name, tangent, scene, terms=("primary",)).any()  # the plate is out of sight
+    moving = MIRRORED["cube in a mirror"]
+    scene = moving.build()
+    assert jumps(moving.name, moving.tangent(scene), scene, terms=("primary",)).abs().max() > 0.1
+    assert not jumps(moving.name, moving.tangent(scene), scene, terms=("primary",), sampling="detached").any()
+
+
+@pytest.mark.parametrize("bsdf, wanted", [({"type": "conductor"}, "cube.bsdf.reflectance.value"),
+                                          (diffuse(0.5), "cube.to_world")])
+def test_nothing_is_looked_for_where_nothing_moves_or_nothing_is_seen_by_way_of_others(bsdf, wanted, monkeypatch):
+    monkeypatch.setattr(terms, "reflected_jumps", lambda *arguments: pytest.fail("mirrors have been looked into"))
+    scene = load(sensor=IN_MIRROR, mirror=MIRROR | {"bsdf": bsdf}, cube=CUBE, sky=SKY)
+    parameter = scene.get_parameter(wanted).requires_grad_()
+    rb.Renderer(scene, max_depth=3)(seed=1, spp=4).sum().backward()
+    assert float(parameter.grad.abs().sum()) > 0
+
+
+def test_threads_and_chunks_change_no_bit_and_single_precision_serves():
+    found = []
+    for dtype, settings in ((torch.float32, {}), (torch.float32, {"chunk": 512}), (torch.float64, {})):
+        scene = load(dtype, sensor=IN_MIRROR, mirror=MIRROR, cube=CUBE, sky=SKY)
+        pose = scene.get_parameter("cube.to_world").requires_grad_()
+        image = rb.Renderer(scene, max_depth=3, **settings)(seed=1, spp=64)
+        image.square().sum().backward()
+        found.append(pose.grad.double())
+    assert found[0].abs().max() > 0.1
+    assert torch.equal(found[0], found[1])
+    assert torch.allclose(found[0], found[2], rtol=0.05, atol=0.05 * float(found[2].abs().max()))

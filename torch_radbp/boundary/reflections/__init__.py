@@ -1,0 +1,195 @@
+"""What jumps that the camera sees by way of mirrors and glass add to derivatives of its image.
+
+After reflection and refraction into single directions, a point of the film sees something else, a ray of which the path is
+attached to the camera, to all mirrors and to all glass on its way. Where what it meets changes, at an edge, the radiance L
+jumps along a curve of the film. No edge is projected there: a curve has as many images as there are ways, and they are bent.
+Instead the film is scanned, along short horizontal and vertical lines; points on these that see different things are
+brought together by bisection. With g a level that is 0 on the curve, and n its normal, the curve moves by -g' / |grad g|,
+and N horizontal lines of unit length for each square pixel, with as many vertical ones, cross a piece dl of it
+N (|n_x| + |n_y|) dl times. So each crossing stands for
+
+    dI = h (L_low - L_high) (-g') sign / (N (|g_x| + |g_y|))
+
+with the sign by which g grows from the low to the high side of the curve.
+
+References: Loubet, Holzschuch and Jakob 2019, "Reparameterizing Discontinuous Integrands for Differentiable Rendering"
+(discontinuities seen by way of ideal surfaces); Santalo 1976, "Integral Geometry and Geometric Probability", chapter 3
+(lengths of curves by the lines that cross them).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.places import FEWEST
+from torch_radbp.boundary.reflections.crossings import Crossings, crossings
+from torch_radbp.boundary.reflections.curves import Curves, curves_crossed, level
+from torch_radbp.boundary.reflections.differences import SHADOW
+from torch_radbp.boundary.reflections.ideal_paths import only_ideal
+from torch_radbp.boundary.reflections.rays import ray_after
+from torch_radbp.boundary.reflections.scans import MOST, SHARE, STEPS, Scans, Searched, scans_of
+from torch_radbp.boundary.reflections.surfaces import LineTable, Surfaces, continued
+from torch_radbp.boundary.shadows.border import camera_sample
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
+from torch_radbp.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.call.workers import in_turns
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.wavefront import trace
+from torch_radbp.tensors.differentiated import any_differentiated, primal
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import Vec2, rows
+
+BLOCK = 1 << 11  # places that are scanned together
+USUAL_VERTICES = 4  # of paths, by which memory is estimated
+BYTES_OF_VERTEX = 300  # what is known of it while a place is scanned
+BYTES_OF_CROSSING = 1500  # where it lies, and what it crosses
+BYTES_OF_BOUNCE = 1000  # what torch keeps of it for the backward pass
+CROSSINGS = 2  # of a place
+
+
+class Reflected(NamedTuple):
+    """What is looked for by way of mirrors and glass."""
+
+    meshes: list[Outline]  # the edges of everything, in the frames of their vertices
+    lines: LineTable | None  # of textures
+    surfaces: bool  # jumps of what is seen
+    shadows: bool  # and borders of shadows of light without extent
+
+
+def follows_mirrors(call: RenderCall) -> bool:
+    """True if the scene has mirrors or glass, by way of which images of cameras may show something."""
+    return (call.integrand.max_depth > 1 and any(look.kind.delta for look in call.scene.layout.appearances)
+            and all(view.camera.kind.has_area for view in call.views))
+
+
+def reflections_move(call: RenderCall) -> bool:
+    """True if a vertex, a normal, an instance, a camera, or an index of refraction has derivatives."""
+    vertices = call.scene.triangles.vertices
+    return call.scene.layout.bending or any_differentiated((
+        vertices.p, vertices.n, call.scene.triangles.instances, [view.camera.lens for view in call.views]))
+
+
+def sharp_lights(call: RenderCall) -> bool:
+    """True if surfaces that are seen by way of others may have shadows with sharp borders."""
+    return (call.integrand.settings.nee and call.integrand.max_depth > 2
+            and any(kind.delta for kind in call.scene.layout.lights))
+
+
+def bytes_of_reflections(call: RenderCall) -> int:
+    """The most that scans, and the crossings that they find, may usually take of memory."""
+    paths = call.spp * max(view.width * view.height for view in call.views)
+    corners = max((view.grid.columns + 1) * (view.grid.rows + 1) for view in call.views)
+    places, vertices = max(FEWEST, min(MOST, paths // SHARE)), min(call.integrand.max_depth, USUAL_VERTICES)
+    points = max(corners, min(places, BLOCK) * 2 * (STEPS + 1) * call.workers)
+    crossed = places * CROSSINGS * len(call.views)
+    return points * vertices * BYTES_OF_VERTEX + crossed * (BYTES_OF_CROSSING + vertices * BYTES_OF_BOUNCE)
+
+
+def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
+    """(B, 3, H, W) zeros with the derivatives of jumps that are seen by way of ideal mirrors and glass.
+
+    Args:
+        call: of which something moves.
+        reflected: what is looked for.
+    """
+    images = []
+    with torch.no_grad():
+        still = call.still()
+        surfaces = Surfaces(continued(still.scene, reflected.meshes), reflected.lines)
+    for number, view in enumerate(call.views):
+        integrand = integrand_of(still, still.integrand, still.chunks[0]._replace(sensor=number))
+        searched = Searched(still, number, only_ideal(integrand), surfaces, reflected.shadows)
+        found = jumps_in_view(call, searched, integrand, reflected.surfaces)
+        images.append(image_of(view, [] if found is None else [found], call.scene.dtype))
+    return torch.stack(images)
+
+
+def jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, surfaces: bool) -> FilmJumps | None:
+    """What jumps in a view add to its derivative; None: it has none.
+
+    Args:
+        call: attached.
+        searched: the view.
+        integrand: of the view, detached.
+        surfaces: see `Reflected`.
+    """
+    with torch.no_grad():
+        found = jumping(searched, integrand, surfaces)
+    if found is None:
+        return None
+    crossed, curves, strength = found
+    seen = level_on_film(call, searched, crossed, curves, crossed.low)
+    middle = Vec2(*(0.5 * (low + high) for low, high in zip(crossed.low, crossed.high)))
+    return FilmJumps(middle, strength * (seen - primal(seen)))
+
+
+def level_on_film(call: RenderCall, searched: Searched, crossed: Crossings, curves: Curves, film: Vec2) -> Tensor:
+    """The level of curves at points of the film, (K,) float64, attached; args as of `jumps_in_view`."""
+    number = searched.number
+    integrand = integrand_of(call, call.make_integrand(call.scene), call.chunks[0]._replace(sensor=number))
+    sample = camera_sample(call, call.views[number], film, crossed.aperture, crossed.key)
+    ray = ray_after(call, integrand, sample, crossed.depth)
+    return level(call.scene, searched.surfaces.lines, curves, ray, None if crossed.looks is None else crossed.looks.draw)
+
+
+def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> tuple[Crossings, Curves, Tensor] | None:
+    """Where a view sees jumps, on what curves, and (3, K) float64 by how much more light an image has there for each change
+    of their level; None: nowhere. Args as for `jumps_in_view`."""
+    scans = scans_of(searched)
+    if scans is None:
+        return None
+    lots = torch.arange(len(scans.times), device=scans.times.device).split(BLOCK)
+
+    def work(share: Iterable[int]) -> list[tuple[Crossings, Curves, Tensor] | None]:
+        return [in_lot(searched, integrand, surfaces, rows(scans, lots[lot]), lot) for lot in share]
+
+    shares = in_turns(len(lots), searched.call.workers, work)
+    parts = [shares[lot % len(shares)][lot // len(shares)] for lot in range(len(lots))]
+    parts = [part for part in parts if part is not None]
+    if not parts:
+        return None
+    crossed, curves, strength = zip(*parts)
+    return joined(list(crossed)), joined(list(curves)), torch.cat(strength, 1)
+
+
+def in_lot(searched: Searched, integrand: Integrand, surfaces: bool, scans: Scans,
+           lot: int) -> tuple[Crossings, Curves, Tensor] | None:
+    """What `jumping` says of some scans; `lot`: as for `crossings`."""
+    crossed = crossings(searched, scans, lot)
+    if crossed is None:
+        return None
+    curves, known = curves_crossed(searched, crossed)
+    own = (known if surfaces else known & (crossed.kind == SHADOW)).nonzero().squeeze(1)
+    crossed, curves = rows((crossed, curves), own)
+    jump = radiance_at(searched, integrand, crossed, crossed.low) - radiance_at(searched, integrand, crossed, crossed.high)
+    own = (jump != 0).any(0).nonzero().squeeze(1)
+    if not len(own):
+        return None
+    crossed, curves = rows((crossed, curves), own)
+    slope = slope_on_film(searched, crossed, curves)
+    step = Vec2(*(high - low for low, high in zip(crossed.low, crossed.high)))
+    steepness = slope.x.abs() + slope.y.abs()
+    known = (steepness > 0) & torch.isfinite(steepness)
+    weight = -torch.sign(slope.x * step.x + slope.y * step.y) * crossed.times / torch.where(known, steepness, 1.0)
+    return crossed, curves, jump[:, own] * torch.where(known, weight, 0.0)
+
+
+def radiance_at(searched: Searched, integrand: Integrand, crossed: Crossings, film: Vec2) -> Tensor:
+    """(3, K) float64, what a camera sees at points of the film beside curves."""
+    call = searched.call
+    sample = camera_sample(call, call.views[searched.number], film, crossed.aperture, crossed.key)
+    found = torch.stack(tuple(trace(integrand, started(call, sample)))).double()
+    return found if sample.weight is None else found * sample.weight
+
+
+def slope_on_film(searched: Searched, crossed: Crossings, curves: Curves) -> Vec2:
+    """How the level of curves changes with the point of the film, (K,) float64."""
+    with torch.enable_grad():
+        film = Vec2(*(part.clone().requires_grad_() for part in crossed.low))
+        found = level_on_film(searched.call, searched, crossed, curves, film)
+        return Vec2(*torch.autograd.grad(found.sum(), tuple(film)))

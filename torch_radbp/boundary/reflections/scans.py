@@ -1,0 +1,164 @@
+"""Where the film is searched: short lines across pixels, most of them where neighbouring points see different things.
+
+First a path is followed from every corner of the pixels. A pixel is then scanned in proportion to how likely its corners see
+different things by way of mirrors and glass, and a little more, for what is smaller.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.places import FEWEST, NEIGHBOURS, lot_of, picked
+from torch_radbp.boundary.reflections.differences import CHANCE, SURFACE, difference
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, begins, ideal_path, with_light
+from torch_radbp.boundary.reflections.surfaces import Surfaces
+from torch_radbp.boundary.shadows.border import Lights, aperture_of, camera_sample
+from torch_radbp.boundary.shadows.light_points import light_points
+from torch_radbp.boundary.shadows.seen_edges import salted
+from torch_radbp.call.render_call import RenderCall, started
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.sampling.running_sum import running_sum
+from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fine_unit, lane_key, random_bits
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import Vec2, rows
+
+STEPS = 4  # of a scan; what is narrower than one is likely missed
+SHARE, MOST = 40, 1 << 15  # one place for so many paths of the image; and at most
+FLOOR = 0.25  # of the mean likelihood, by which each pixel with a mirror or glass in view is scanned
+OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror
+PASSES, SAMPLES_OF_PASS = 4, 16  # paths from each corner, at most; and one for so many samples of a pixel
+SALT = 0x3C6EF372  # tells the random numbers of these paths from others
+ACROSS, DOWN = 0, 1  # the random numbers of a place
+
+
+class FilmPoints(NamedTuple):
+    """N points of the film, and the random numbers of the paths that begin there."""
+
+    film: Vec2  # pixels from the upper left corner of the window; float64
+    aperture: Vec2 | None  # on the lens
+    key: LaneKey
+    looks: LightLooks | None  # at light whose shadows are looked for; None: at none
+
+
+class Searched(NamedTuple):
+    """What is searched, without derivatives."""
+
+    call: RenderCall
+    number: int  # of the view
+    integrand: Integrand  # from `only_ideal`
+    surfaces: Surfaces
+    shadows: bool  # borders of shadows of light without extent are looked for
+
+
+class Scans(NamedTuple):
+    """M places, each the middle of a horizontal and of a vertical scan across its pixel."""
+
+    column: Tensor  # (M,) float64, left edge of the pixel, from the left edge of the window
+    row: Tensor  # (M,) float64, likewise
+    at: Vec2  # where in the pixel the scans run
+    times: Tensor  # (M,) float64, how many square pixels there are for each
+    aperture: Vec2 | None
+    key: LaneKey
+    looks: LightLooks | None
+
+
+def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
+    """The ideal paths from points of the film."""
+    call = searched.call
+    sample = camera_sample(call, call.views[searched.number], points.film, points.aperture, points.key)
+    path = ideal_path(searched.integrand, started(call, sample), searched.surfaces.lines)
+    return path if points.looks is None else with_light(searched.integrand, path, points.looks)
+
+
+def looks_of(searched: Searched, count: int) -> LightLooks | None:
+    """So many light samples whose shadows are looked for; None: none are."""
+    if not searched.shadows:
+        return None
+    scene = searched.call.scene
+    points = light_points(scene, searched.call.views[searched.number], count)
+    return LightLooks(points.draw, Lights(sharp=True, soft=False, around=False).of(scene)[points.kind])
+
+
+def scans_of(searched: Searched) -> Scans | None:
+    """Where a view is scanned; None: it sees neither mirrors nor glass."""
+    call = searched.call
+    view = call.views[searched.number]
+    columns, weight = view.grid.columns, pixel_weights(searched)
+    total = running_sum(weight)
+    if not float(total[-1]) > 0.0:
+        return None
+    paths = view.width * view.height * call.spp
+    count = max(FEWEST, min(MOST, paths // SHARE, int(float(total[-1]) * call.spp)))
+    place = torch.arange(count, dtype=torch.int32, device=weight.device)
+    key = lane_key(salted(view, SALT), torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    numbers = bounce_key(key, CAMERA_COUNTER)
+    across, down = (fine_unit(random_bits(numbers, dimension)) for dimension in (ACROSS, DOWN))
+    pixel, left, times = picked(lot_of(weight, count, total), place, across)
+    row = torch.div(pixel, columns, rounding_mode="floor")
+    before = view.window.columns.before, view.window.rows.before
+    return Scans((pixel - row * columns - before[0]).double(), (row - before[1]).double(), Vec2(left, down), times,
+                 aperture_of(view, key), key, looks_of(searched, count))
+
+
+def pixel_weights(searched: Searched) -> Tensor:
+    """How often pixels are scanned, (P,) float64, row by row; 0 where no mirror or glass is in view."""
+    call, most, shows = searched.call, None, None
+    turns = max(1, min(PASSES, call.spp // SAMPLES_OF_PASS))
+    looks = looks_of(searched, turns)
+    for turn in range(turns):
+        found, seen = corner_pass(searched, turn, looks)
+        most = found if most is None else torch.maximum(most, found)
+        shows = seen if shows is None else shows | seen
+    shows = shows.double()[None, None]
+    near = torch.nn.functional.max_pool2d(shows, 2, stride=1)[0, 0] > 0
+    near = torch.nn.functional.max_pool2d(near.double()[None, None], 3, stride=1, padding=1)[0, 0] > 0
+    count = near.sum().clamp_min(1)
+    return torch.where(near, most + FLOOR * most.sum() / count + 1e-3, 0.0).flatten()
+
+
+def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
+    """One path from each corner of the pixels: how likely a jump in each pixel is, (R, C) float64; and the corners from
+    which ideal surfaces are seen, (R + 1, C + 1) bool. All go the same way at each vertex, and look at the same light."""
+    call = searched.call
+    view = call.views[searched.number]
+    width, height = view.grid.columns + 1, view.grid.rows + 1
+    corner = torch.arange(width * height, dtype=torch.int32, device=call.scene.device)
+    row = torch.div(corner, width, rounding_mode="floor")
+    film = Vec2((corner - row * width - view.window.columns.before).double(), (row - view.window.rows.before).double())
+    salt = salted(view, SALT + 1)
+    shared = lane_key(salt, torch.full_like(corner, -1), torch.full_like(corner, turn))
+    aperture = aperture_of(view, lane_key(salt, corner, torch.full_like(corner, turn)))
+    path = paths_from(searched, FilmPoints(film, aperture, shared, rows(looks, torch.full_like(corner, turn))))
+    corner = corner.view(height, width).long()
+    likely = torch.zeros(height - 1, width - 1, dtype=torch.float64, device=call.scene.device)
+    for one, other, pixels in ((corner[:, :-1], corner[:, 1:], ((slice(0, -1), slice(None)), (slice(1, None), slice(None)))),
+                               (corner[:-1], corner[1:], ((slice(None), slice(0, -1)), (slice(None), slice(1, None))))):
+        first, second = (rows(path, ends.flatten()) for ends in (one, other))
+        found = difference(call.scene, searched.surfaces, first, second)
+        likelihood = torch.where((found.depth > 0) & (found.kind != CHANCE), found.likelihood, 0.0)
+        if call.scene.layout.shading_normals:  # by which rays leave outlines of curved mirrors on the wrong side
+            outline = (found.kind == SURFACE) & (found.depth == 0) & (begins(first) | begins(second))
+            likelihood = torch.where(outline, OUTLINE, likelihood)
+        found = likelihood.view(one.shape)
+        for part in pixels:
+            likely = torch.maximum(likely, found[part])
+    return likely, begins(path).view(height, width)
+
+
+def points_of(scans: Scans) -> FilmPoints:
+    """The points of scans: all of the horizontal scans from left to right, M each, then those of the vertical ones."""
+    shares = [step / STEPS for step in range(STEPS + 1)]
+    x = [scans.column + share for share in shares] + [scans.column + scans.at.x] * len(shares)
+    y = [scans.row + scans.at.y] * len(shares) + [scans.row + share for share in shares]
+    times = 2 * len(shares)
+    return FilmPoints(Vec2(torch.cat(x), torch.cat(y)), *(joined([part] * times) for part in (
+        scans.aperture, scans.key, scans.looks)))
+
+
+def neighbours(count: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """The numbers of the points at either end of all steps of so many scans, (2 STEPS M,) int64 each."""
+    first = torch.arange(2 * (STEPS + 1) * count, device=device).view(2, STEPS + 1, count)
+    return first[:, :-1].flatten(), first[:, 1:].flatten()
