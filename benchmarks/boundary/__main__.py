@@ -34,8 +34,8 @@ def rows(found: dict) -> list[str]:
     best = min((who for who in costs if who not in (OURS, DEFAULT)), key=costs.get)
     for who, one in found["renderers"].items():
         ratio = "" if who == OURS else f"{costs[OURS] / costs[who]:.3f}{' (best split)' if who == best else ''}"
-        lines.append(f"| {found['scene']} | {who} | {1e3 * one['seconds']:.0f} | {one['variance']:.2e} | {one['bias']:.2e} | "
-                     f"{costs[who]:.2e} | {ratio} |")
+        numbers = f"{1e3 * one['seconds']:.0f} | {one['variance']:.2e} | {one['bias']:.2e} | {costs[who]:.2e}"
+        lines.append(f"| {found['scene']} | {who} | {numbers} | {ratio} |")
     return lines
 
 
@@ -64,8 +64,8 @@ def main() -> None:
             print(cost.HEADER, flush=True)
         for name in options.scene or SCENES:
             found = in_own_process(name, options)
-            print("\n".join([f"| {name} | failed |"] if found is None else [cost.row(found)] if options.cost else rows(found)),
-                  flush=True)
+            lines = [f"| {name} | failed |"] if found is None else [cost.row(found)] if options.cost else rows(found)
+            print("\n".join(lines), flush=True)
 
 
 def in_own_process(name: str, options: argparse.Namespace) -> dict | None:

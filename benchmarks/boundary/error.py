@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from rich.progress import track
 
-from benchmarks.boundary.projected import DEFAULT, OURS, SEEDS, UNGUIDED, differences, mitsubas, ours, splits
+from benchmarks.boundary.projected import DEFAULT, GUIDED, OURS, SEEDS, differences, mitsubas, ours, splits
 from benchmarks.boundary.scenes import SCENES
 from benchmarks.scenes.description import Setting
 
@@ -55,20 +55,21 @@ def measure(name: str, setting: Setting, effort: Effort) -> dict:
     with tempfile.TemporaryDirectory() as home:
         folder = Path(home)
         fine = make(folder, setting._replace(spp=FINER * setting.spp))
-        passes = {OURS: ours(fine, folder), DEFAULT: mitsubas(fine, UNGUIDED)}
+        passes = {OURS: ours(fine, folder), DEFAULT: mitsubas(fine, GUIDED)}
         means = {who: Mean.of([run(SEEDS + seed).gradient for seed in track(range(effort.references), who, transient=True)])
                  for who, run in passes.items()}
         found = {"references": {"theirs beside ours": means[DEFAULT].beside(means[OURS])}}
         if effort.differences:
             run = differences(fine, folder, 4 * fine.scene.setting.spp)
-            slopes = Mean.of([run(2 * SEEDS + seed) for seed in track(range(effort.differences), "differences", transient=True)])
+            seeds = track(range(effort.differences), "differences", transient=True)
+            slopes = Mean.of([run(2 * SEEDS + seed) for seed in seeds])
             found["references"] |= {f"{who} beside differences": mean.beside(slopes) for who, mean in means.items()}
         agree = found["references"]["theirs beside ours"]["z"] <= AGREES
         weights = {who: 1.0 / mean.variance.sum() if agree or who == OURS else 0.0 for who, mean in means.items()}
         reference = Mean(sum(weights[who] * mean.value for who, mean in means.items()) / sum(weights.values()),
                          sum(weights[who] ** 2 * mean.variance for who, mean in means.items()) / sum(weights.values()) ** 2)
         moving = make(folder, setting)
-        passes = {OURS: ours(moving, folder), DEFAULT: mitsubas(moving, {"type": "prb_projective"}),
+        passes = {OURS: ours(moving, folder), DEFAULT: mitsubas(moving, GUIDED),
                   **{who: mitsubas(moving, integrator) for who, integrator in splits(setting.spp).items()}}
     samples = {who: [] for who in passes}
     for seed in track(range(-WARM_UP, effort.rounds), name, transient=True):

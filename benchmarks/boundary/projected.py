@@ -13,9 +13,10 @@ from benchmarks.boundary.scenes import VERTICES, MovingMesh
 from benchmarks.peers import Mitsuba, Ours
 from benchmarks.scenes.description import without_samplers
 
-OURS, DEFAULT = "ours", "Mitsuba, guided"
+OURS, DEFAULT = "ours", "Mitsuba, defaults"
 TERMS = ("interior", "primary", "shadow")
-UNGUIDED = {"type": "prb_projective", "guiding": "none"}
+GUIDED = {"type": "prb_projective"}
+UNGUIDED = GUIDED | {"guiding": "none"}
 SEEDS = 1 << 20  # the first seed of a run of its own: no two runs share samples
 
 
@@ -30,10 +31,13 @@ Pass = Callable[[int], Sampled]
 
 
 def splits(spp: int) -> dict[str, dict]:
-    """Mitsuba's integrator with other numbers of samples for interior, primary and shadow than one for all."""
-    parts = {"equal": (1, 1, 1), "few on edges": (1, 0.25, 0.5), "many on shadows": (0.5, 0.5, 4)}
-    return {f"Mitsuba, {name}": UNGUIDED | dict(zip(("sppc", "sppp", "sppi"), (max(1, round(spp * part)) for part in shares)))
-            for name, shares in parts.items()}
+    """Mitsuba's integrator with three ways to split samples between interior, primary and shadow, for images of `spp`.
+
+    What guiding costs pays only where many samples follow.
+    """
+    parts = {"equal": (UNGUIDED, (1, 1, 1)), "many on shadows": (UNGUIDED, (1, 1, 4)), "guided, many": (GUIDED, (16, 4, 32))}
+    return {f"Mitsuba, {name}": integrator | {part: spp * share for part, share in zip(("sppc", "sppp", "sppi"), shares)}
+            for name, (integrator, shares) in parts.items()}
 
 
 def ours(moving: MovingMesh, folder: Path) -> Pass:

@@ -82,8 +82,9 @@ def ball(folder: Path, setting: Setting) -> MovingMesh:
     import trimesh  # which the other benchmarks do without
 
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.5).apply_translation((0.1, 0.8, 0.05))
-    return moving(mesh, folder, setting, rigid, 0.01, view=camera((0.3, 2.3, 4.2), (0.0, 0.35, 0.0), 38, setting.resolution),
-                  floor=FLOOR, lamp=lamp(translate((0.8, 3.2, 0.9)) @ rotate((1, 0, 0), 90) @ scale((0.5, 0.4, 1)), 14, 13, 12))
+    view = camera((0.3, 2.3, 4.2), (0.0, 0.35, 0.0), 38, setting.resolution)
+    above = translate((0.8, 3.2, 0.9)) @ rotate((1, 0, 0), 90) @ scale((0.5, 0.4, 1))
+    return moving(mesh, folder, setting, rigid, 0.01, view=view, floor=FLOOR, lamp=lamp(above, 14, 13, 12))
 
 
 def detailed(folder: Path, setting: Setting) -> MovingMesh:
@@ -115,7 +116,8 @@ def shadow_art(folder: Path, setting: Setting) -> MovingMesh:
     mesh.vertices[:, :2] *= 1.0 + 0.25 * np.sin(5 * np.arctan2(y, x))[:, None]
     mesh.apply_translation((0.0, 0.0, 1.5))
     facing = translate((0.1, 0.15, 4.0)) @ rotate((0, 1, 0), 180) @ scale((0.06, 0.06, 1))
-    return moving(mesh, folder, setting, waves, 0.01, view=camera((0.0, -2.7, 1.15), (0.0, 0.0, 0.0), 40, setting.resolution),
+    view = camera((0.0, -2.7, 1.15), (0.0, 0.0, 0.0), 40, setting.resolution)
+    return moving(mesh, folder, setting, waves, 0.01, view=view,
                   wall=plane(scale((3, 3, 1)), 0.8, 0.8, 0.8), lamp=lamp(facing, 600, 600, 600))
 
 

@@ -31,6 +31,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.light_points import light_points, lobes_of_light
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
     Casting,
@@ -50,6 +51,7 @@ from torch_radbp.path.direct_light import scattered_light
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
@@ -64,6 +66,11 @@ class FirstVertex(NamedTuple):
 
     surfaces: bool
     surroundings: bool
+
+    def meant(self, scene: SceneTensors) -> Tensor:
+        """For each kind of light in a scene, whether it counts; bool."""
+        return torch.tensor([self.surroundings if kind.surround else self.surfaces for kind in scene.layout.lights],
+                            dtype=torch.bool, device=scene.device)
 
 
 class Cuts(NamedTuple):
@@ -129,7 +136,9 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting,
     at = vertex_at(call, geometry, number, points)
     one = torch.ones_like(at.x)
     corners = corners_of(geometry, points.hit)
-    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN)
+    lights = light_points(call.scene, view, len(points.depth))
+    lobes = points.lobe, lobes_of_light(call.scene, at, lights, (points.depth > 0) | first.meant(call.scene)[lights.kind])
+    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS,
                          PLACES * len(points.depth))
     if passed is None:
