@@ -63,7 +63,8 @@ def eyes_around(count: int = 200) -> Eyes:
     place, n = (Vec3.of(part) for part in numbers.split(3, 1))
     kind = torch.arange(count) % 4
     n = normalize(n).map(lambda c: torch.where(kind == 0, 0.0, c))
-    lobes = Lobe(normalize(-place), torch.ones_like(place.x)), Lobe(normalize(n - place), 100.0 * (numbers[:, 0] > 0).double())
+    narrow = 100.0 * (numbers[:, 0] > 0).double()
+    lobes = Lobe(normalize(-place), torch.ones_like(narrow)), Lobe(normalize(n - place), narrow)
     return Eyes(place, (kind != 3).double(), n, (kind == 1).double(), 0.1 * (kind == 2).double(), lobes)
 
 
