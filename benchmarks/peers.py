@@ -6,9 +6,9 @@ import glob
 import os
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from benchmarks.scenes.description import NO_ROULETTE, BenchmarkScene, cotangent
 
 LLVM = ("/usr/lib/*/libLLVM.so.19*", "/usr/lib/*/libLLVM-19.so*")  # Debian's libllvm19
 CHANGE = 1e-5  # relative, of parameters
+PRB = ("interior",)  # the terms of derivatives that `prb` has
 
 
 class Pass(NamedTuple):
@@ -54,10 +55,10 @@ def timed(forward: Callable[[], object], backward: Callable[[object], None], set
 class Ours:
     """This renderer, on the CPU or on CUDA."""
 
-    def __init__(self, scene: BenchmarkScene, compiled: bool, device: str = "cpu", share_samples: bool = False):
+    def __init__(self, scene: BenchmarkScene, compiled: bool, device: str = "cpu", share_samples: bool = False,
+                 terms: Sequence[str] = PRB):
         warnings.simplefilter("ignore", rb.SilhouetteWarning)
-        self.renderer = scene.renderer(compiled, share_samples=share_samples).to(device)
-        self.renderer.terms = ["interior"]  # as `prb` has them
+        self.renderer = scene.renderer(compiled, share_samples=share_samples, terms=terms).to(device)
         self.settle = torch.cuda.synchronize if device == "cuda" else lambda: None
         self.parameters = {name: self.renderer.scene.get_parameter(name) for name in scene.parameters}
         self.cotangent = torch.from_numpy(cotangent(scene.setting.resolution)).permute(2, 0, 1)[None].to(device)
@@ -130,13 +131,19 @@ def translated(mi, description: dict) -> dict:
 
 
 class Mitsuba:
-    """Mitsuba's `prb` in the variant for a device; what it evaluates lazily is forced within the measured time.
+    """An integrator of Mitsuba's in the variant for a device; what it evaluates lazily is forced within the measured time.
+
+    Args:
+        scene: that is rendered.
+        device: "cpu" or "cuda".
+        integrator: in Mitsuba's dict vocabulary, without depths. If it has numbers of samples for the parts of a derivative,
+            those hold, and images have the samples of the scene's sampler.
 
     Raises:
         ImportError: if Mitsuba is not installed, or finds no LLVM.
     """
 
-    def __init__(self, scene: BenchmarkScene, device: str = "cpu"):
+    def __init__(self, scene: BenchmarkScene, device: str = "cpu", integrator: dict[str, Any] | None = None):
         mi = mitsuba_for(device)
         import drjit as dr
 
@@ -145,7 +152,9 @@ class Mitsuba:
             self.scene = mi.load_file(str(scene.source), resolution=resolution)
         else:
             self.scene = mi.load_dict(translated(mi, scene.source))
-        self.integrator = mi.load_dict({"type": "prb", "max_depth": max_depth, "rr_depth": NO_ROULETTE})
+        integrator = {"type": "prb"} if integrator is None else integrator
+        self.spp = 0 if "sppc" in integrator else self.spp
+        self.integrator = mi.load_dict(integrator | {"max_depth": max_depth, "rr_depth": NO_ROULETTE})
         self.parameters, self.names = mi.traverse(self.scene), scene.parameters
         self.parameters.keep(list(self.names))
         self.cotangent = mi.TensorXf(cotangent(resolution))

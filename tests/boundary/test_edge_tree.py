@@ -9,7 +9,7 @@ from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.edge_tree import angle_of_node
-from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
 from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_of, places_seen
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.rendering.stages import EAGER, compiled
@@ -55,18 +55,22 @@ def casting(request, monkeypatch) -> tuple[Geometry, Casting]:
 
 
 def eyes_around(count: int = 200) -> Eyes:
-    """Points in and around the scene, on surfaces, on such that are lit from behind or not, and on none; and directions."""
+    """Points in and around the scene, on surfaces, on such that are lit from behind or not, and on none; and directions.
+
+    Each has a wide lobe, and some a narrow one.
+    """
     numbers = torch.randn(count, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     place, n = (Vec3.of(part) for part in numbers.split(3, 1))
     kind = torch.arange(count) % 4
     n = normalize(n).map(lambda c: torch.where(kind == 0, 0.0, c))
-    return Eyes(place, (kind != 3).double(), n, (kind == 1).double(), 0.1 * (kind == 2).double())
+    narrow = 100.0 * (numbers[:, 0] > 0).double()
+    lobes = Lobe(normalize(-place), torch.ones_like(narrow)), Lobe(normalize(n - place), narrow)
+    return Eyes(place, (kind != 3).double(), n, (kind == 1).double(), 0.1 * (kind == 2).double(), lobes)
 
 
 def of_each(eyes: Eyes, count: int) -> Eyes:
     """Each eye so many times in a row."""
-    return Eyes(*(part.map(lambda c: c.repeat_interleave(count)) if isinstance(part, Vec3) else part.repeat_interleave(count)
-                  for part in eyes))
+    return rows(eyes, torch.arange(len(eyes.w)).repeat_interleave(count))
 
 
 def angles(geometry: Geometry, casting: Casting, eyes: Eyes) -> torch.Tensor:

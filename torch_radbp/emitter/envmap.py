@@ -31,7 +31,7 @@ from torch_radbp.texture.bitmap import IMAGES, LUMINANCE, linear_image
 from torch_radbp.texture.interleaved import columns_of_rows
 from torch_radbp.transforms import transform
 
-EVEN = 30.0  # the mean square of light, over the square of its mean, up to which it is even
+EVEN = 4.0  # the mean square of light, over the square of its mean, up to which it is even
 LEAST_WEIGHING = 1e-7  # per steradian; keeps quotients of densities finite
 
 

@@ -8,7 +8,9 @@ the border sweeps follows from the points that move.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from functools import partial
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,15 +20,23 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.shadows import border, bounced, hidden_light
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
-from torch_radbp.boundary.shadows.film_jumps import image_of
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.boundary.shadows.seen_edges import Casting
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.call.workers import in_turns
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 
 BYTES_OF_EDGE = 400  # nodes of the tree, and what they are made of
 BYTES_OF_WAY = 120  # down the tree: where it is, and what it has found
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
 BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
+
+
+class Part(NamedTuple):
+    """One of the integrals that are cut off."""
+
+    found: Callable[..., Any]  # of a call without derivatives, a view's number and edges: places; None: there are none
+    jumps: Callable[..., FilmJumps]  # of a call, the same and the places
 
 
 def shadows_move(call: RenderCall) -> bool:
@@ -66,14 +76,25 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
     stages, geometry = call.stages, geometry_of(detached(call.scene))
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
-    parts = [partial(border.jumps_in_view, lights=lights)] if on_film else []
+    parts = [Part(partial(border.borders_in_view, lights=lights), border.jumps_in_view)] if on_film else []
     if glued and (max_depth > 2 or not (surfaces and around)):
         first = hidden_light.FirstVertex(not surfaces, not around)
-        parts.append(partial(hidden_light.jumps_in_view, first=first))
+        parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view))
     if glued and max_depth > 2 and settings.nee:
-        parts.append(bounced.jumps_in_view)
-    return torch.stack([image_of(view, [jumps for part in parts if (jumps := part(call, number, edges))], call.scene.dtype)
-                        for number, view in enumerate(call.views)])
+        parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
+    still, views = call.still(), range(len(call.views))
+    wanted = [(number, part) for number in views for part in parts]
+
+    def find(share: Iterable[int]) -> dict[int, Any]:
+        return {place: wanted[place][1].found(still, wanted[place][0], edges) for place in share}
+
+    with torch.no_grad():
+        found = {place: one for share in in_turns(len(wanted), call.workers, find) for place, one in share.items()}
+    jumps = [[] for _ in views]
+    for place, (number, part) in enumerate(wanted):
+        if found[place] is not None:
+            jumps[number].append(part.jumps(call, number, edges, found[place]))
+    return torch.stack([image_of(view, own, call.scene.dtype) for view, own in zip(call.views, jumps)])
 
 
 def aimed_at(call: RenderCall) -> tuple[bool, bool]:

@@ -56,8 +56,8 @@ from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
-SHARE, MOST = 4, 1 << 17  # one place for so many paths of the image; and at most
-LOOKS = 2  # for edges from each light sample
+SHARE, MOST = 16, 1 << 17  # one place for so many paths of the image; and at most
+LOOKS = 4  # for edges from each light sample
 ALIKE = 0.9  # cosine between normals of triangles of one surface
 
 
@@ -92,21 +92,27 @@ class CastShadows(NamedTuple):
     key: LaneKey
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Casting, lights: Lights) -> FilmJumps | None:
-    """What borders of shadows of direct light that view `number` sees add to its derivative; None: nothing.
+class BordersInView(NamedTuple):
+    """K places on borders that a view sees; detached."""
+
+    borders: Borders
+    place: Vec2  # on the film, pixels from the upper left corner of the window
+    aperture: Vec2 | None  # of the lens
+    normal: Vec2  # of the border on the film, as long as the piece that a place stands for
+    strength: Tensor  # (3, K) float64, the difference of what is seen behind and ahead
+
+
+def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: BordersInView) -> FilmJumps:
+    """What borders of shadows of direct light that view `number` sees add to its derivative.
 
     Args:
         call: of which something moves.
         casting: the edges of all that casts shadows.
-        lights: whose shadows are meant.
+        found: of the view.
     """
-    with torch.no_grad():
-        found = borders_in_view(call.still(), number, casting, lights)
-    if found is None:
-        return None
-    borders, place, aperture, normal, strength = found
-    on_border = border(call.scene, attached_geometry(call.scene), casting.outline, borders)
-    return FilmJumps(place, strength * swept(on_film(call.views[number].camera, on_border, aperture), normal))
+    on_border = border(call.scene, attached_geometry(call.scene), casting.outline, found.borders)
+    seen = on_film(call.views[number].camera, on_border, found.aperture)
+    return FilmJumps(found.place, found.strength * swept(seen, found.normal))
 
 
 def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
@@ -159,13 +165,13 @@ def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, 
     return rows(found, (free & (receiver.prim >= 0)).nonzero().squeeze(1))
 
 
-def borders_in_view(call: RenderCall, number: int, casting: Casting,
-                    lights: Lights) -> tuple[Borders, Vec2, Vec2 | None, Vec2, Tensor] | None:
-    """Places on borders that a view sees; args as for `jumps_in_view`.
+def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lights) -> BordersInView | None:
+    """Places on borders of shadows of direct light that view `number` sees; None: there are none.
 
-    Returns:
-        K borders; where they lie on the film, and on the lens; their normals there, as long as the piece that a place stands
-        for; and (3, K) float64 the differences of what is seen behind and ahead.
+    Args:
+        call: detached.
+        casting: the edges of all that casts shadows.
+        lights: whose shadows are meant.
     """
     view, scene = call.views[number], call.scene
     found = borders_of(call, number, casting, lights)
@@ -200,7 +206,7 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting,
     light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, on_border), borders.draw)
     light = light if sample.weight is None else light * sample.weight
     strength = torch.stack(tuple(light)).double()
-    return borders, film, aperture, normal, torch.where(ahead, strength, -strength)
+    return BordersInView(borders, film, aperture, normal, torch.where(ahead, strength, -strength))
 
 
 def aperture_of(view: View, key: LaneKey) -> Vec2 | None:

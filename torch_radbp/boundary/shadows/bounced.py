@@ -12,6 +12,8 @@ to one vertex of a path.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -32,15 +34,19 @@ SHARE = 16  # one place for so many paths of the image
 SALT = 0x2B3E6C1F  # tells the random numbers that connect borders with paths from others
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Casting) -> FilmJumps | None:
-    """What such borders add to the derivative of view `number`; args and result as of `border.jumps_in_view`."""
-    with torch.no_grad():
-        found = borders_of_paths(call.still(), number, casting)
-    if found is None:
-        return None
-    place, borders, normal, strength = found
-    seen = on_receiver(call.scene, attached_geometry(call.scene), casting.outline, borders)
-    return FilmJumps(place, strength * swept(seen, normal))
+class ConnectedBorders(NamedTuple):
+    """K places on borders, each connected to a vertex of a path; detached."""
+
+    place: Vec2  # of the path on the film
+    borders: Borders
+    normal: Vec2  # in the coordinates of `on_receiver`, as long as the piece that a place stands for
+    strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
+
+
+def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
+    """What such borders add to the derivative of view `number`; args as of `border.jumps_in_view`."""
+    seen = on_receiver(call.scene, attached_geometry(call.scene), casting.outline, found.borders)
+    return FilmJumps(found.place, found.strength * swept(seen, found.normal))
 
 
 def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
@@ -49,13 +55,8 @@ def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borde
     return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, outline, borders, step, off))
 
 
-def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> tuple[Vec2, Borders, Vec2, Tensor] | None:
-    """Places on borders, each connected to a vertex of a path.
-
-    Returns:
-        Where the paths lie on the film; the K borders; their normals in the coordinates of `on_receiver`, as long as the
-        piece that a place stands for; and (3, K) float64 the differences of what the paths receive from behind and ahead.
-    """
+def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> ConnectedBorders | None:
+    """Places on borders, each connected to a vertex of a path of view `number`; args as of `border.borders_in_view`."""
     view, scene = call.views[number], call.scene
     if not any(kind.delta for kind in scene.layout.lights):
         return None
@@ -83,7 +84,7 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> tuple[V
     if not len(kept):
         return None
     light, ahead = light[:, kept], ahead[kept]
-    return rows(own.place, kept), rows(borders, kept), rows(normal, kept), torch.where(ahead, light, -light)
+    return ConnectedBorders(*rows((own.place, borders, normal), kept), torch.where(ahead, light, -light))
 
 
 def light_received(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, borders: Borders, here: Vec2,

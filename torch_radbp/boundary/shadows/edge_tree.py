@@ -24,7 +24,7 @@ from torch import Tensor
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.shadows.eyes import COPLANAR, Eyes, how_much_counts
+from torch_radbp.boundary.shadows.eyes import COPLANAR, Eyes, how_much_counts, how_much_lobes_count
 from torch_radbp.path.integrand import Stages
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined
@@ -161,6 +161,8 @@ def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
     few = node.sharpest / node.angle.clamp_min(TINY)
     near = torch.where(straight, 1.0, torch.maximum(((1.0 - (tilt / most)**2)**2).clamp_min(LEAST), few))
     counts = how_much_counts(eye, d, cosine, sine)
+    if eye.lobes:
+        counts = counts * how_much_lobes_count(eye, d, sine_squared)
     # Of normals that are spread evenly over the cone, so many have a direction across.
     share = near * node.bend / (2.0 * (node.angle + sine).clamp_min(TINY))
     lifted = (dot(node.axis, eye.place) - node.plane).abs() + node.thickness

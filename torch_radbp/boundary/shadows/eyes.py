@@ -10,6 +10,14 @@ from torch import Tensor
 from torch_radbp.tensors.vec import Vec3, dot
 
 COPLANAR = 1e-6  # a cosine; what lies in the plane of an eye's surface hides nothing from it
+NARROWEST = 400.0  # that lobes may be, so that what lies beside them is not forgotten
+
+
+class Lobe(NamedTuple):
+    """Directions from which more light comes, or is scattered, than from others; (M,), of an eye each."""
+
+    d: Vec3  # unit, the middle
+    narrow: Tensor  # over the square of its angular radius; 0: there is none
 
 
 class Eyes(NamedTuple):
@@ -20,6 +28,7 @@ class Eyes(NamedTuple):
     n: Vec3  # (M,) unit normal of the surface that it lies on, 0: on none; directions count by their cosines,
     behind: Tensor  # (M,) behind the surface so many times less,
     even: Tensor  # (M,) and so much, whatever the cosine, but along the surface
+    lobes: tuple[Lobe, ...] = ()  # in which they count more
 
 
 def how_much_counts(eye: Eyes, d: Vec3, cosine: Tensor | float = 1.0, sine: Tensor | float = 0.0) -> Tensor:
@@ -35,3 +44,27 @@ def how_much_counts(eye: Eyes, d: Vec3, cosine: Tensor | float = 1.0, sine: Tens
     before, behind = (torch.where(side >= cosine, 1.0, side * cosine + across * sine) for side in (faced, -faced))
     faced = torch.maximum(before, eye.behind * behind)
     return torch.where(faced > COPLANAR, faced + eye.even, torch.where(dot(eye.n, eye.n) > 0.0, 0.0, 1.0))
+
+
+def lobe_around(d: Vec3, density: Tensor) -> Lobe:
+    """The lobe of which one direction and its density over solid angle are known, (N,); infinite or 0: there is none."""
+    narrow = torch.where(torch.isfinite(density), torch.pi * density, 0.0)
+    return Lobe(d.map(torch.Tensor.double), narrow.double().clamp(0.0, NARROWEST))
+
+
+def how_much_lobes_count(eye: Eyes, d: Vec3, squared: Tensor) -> Tensor:
+    """How much more directions count for the lobes of eyes, in the mean of cones around them, (N,); 1: no more.
+
+    Every lobe counts half as much as all other directions.
+
+    Args:
+        eye: (N,).
+        d: (N,) unit.
+        squared: (N,) squares of the angular radii of the cones.
+    """
+    counts = torch.ones_like(squared)
+    for lobe in eye.lobes:
+        wide, off = lobe.narrow / (1.0 + lobe.narrow * squared), d - lobe.d
+        near = 1.0 + wide * dot(off, off)
+        counts = counts + wide / (near * near)
+    return counts

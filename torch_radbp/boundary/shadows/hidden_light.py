@@ -31,6 +31,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.light_points import light_points, lobes_of_light
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
     Casting,
@@ -50,10 +51,12 @@ from torch_radbp.path.direct_light import scattered_light
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 16, 1 << 15  # one path for so many of the image; and at most
+LATER_SHARE = 128  # one for so many where what first vertices receive from lights is found otherwise: little is left
 LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
 EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
@@ -64,6 +67,11 @@ class FirstVertex(NamedTuple):
 
     surfaces: bool
     surroundings: bool
+
+    def meant(self, scene: SceneTensors) -> Tensor:
+        """For each kind of light in a scene, whether it counts; bool."""
+        return torch.tensor([self.surroundings if kind.surround else self.surfaces for kind in scene.layout.lights],
+                            dtype=torch.bool, device=scene.device)
 
 
 class Cuts(NamedTuple):
@@ -76,21 +84,20 @@ class Cuts(NamedTuple):
     basis: tuple[Vec3, Vec3]  # across the line of sight
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> FilmJumps | None:
-    """What edges hide from paths adds to the derivative of view `number`; result as of `border.jumps_in_view`.
+class CutsOfView(NamedTuple):
+    """K places where edges cut off light from paths of a view; detached."""
 
-    Args:
-        call, number, casting: as there.
-        first: what the first vertices of paths receive straight from lights.
-    """
-    with torch.no_grad():
-        found = cuts_of_view(call.still(), number, casting, first)
-    if found is None:
-        return None
-    points, cuts, normal, strength = found
+    points: Viewpoints  # of some of which they are
+    cuts: Cuts
+    normal: Vec2  # in the coordinates of `cut_at`, as long as the piece that a place stands for
+    strength: Tensor  # (3, K) float64, what is lost where the border moves along that by one
+
+
+def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
+    """What edges hide from paths adds to the derivative of view `number`; args as of `border.jumps_in_view`."""
     geometry = attached_geometry(call.scene)
-    seen = cut_at(geometry, casting.outline, vertex_at(call, geometry, number, points), cuts)
-    return FilmJumps(rows(points.place, cuts.viewpoint), strength * swept(seen, normal))
+    seen = cut_at(geometry, casting.outline, vertex_at(call, geometry, number, found.points), found.cuts)
+    return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept(seen, found.normal))
 
 
 def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, step: Tensor | float = 0.0,
@@ -112,24 +119,25 @@ def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, ste
     return Vec2(*(torch.where(cuts.hit.prim >= 0, inside, dot(d, across)) for inside, across in zip(met, cuts.basis)))
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Casting,
-                 first: FirstVertex) -> tuple[Viewpoints, Cuts, Vec2, Tensor] | None:
-    """Places where edges cut off light from paths of a view; args as for `jumps_in_view`.
+def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> CutsOfView | None:
+    """Places where edges cut off light from paths of view `number`; None: there are none.
 
-    Returns:
-        The viewpoints; K cuts; their normals in the coordinates of `cut_at`, as long as the piece that a place stands for;
-        and (3, K) float64 what is lost where the border moves along them by one.
+    Args:
+        call, casting: as for `border.borders_in_view`.
+        first: what the first vertices of paths receive straight from lights.
     """
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
-    paths = min(MOST, view.width * view.height * call.spp // SHARE)
+    paths = min(MOST, view.width * view.height * call.spp // (SHARE if any(first) else LATER_SHARE))
     points = viewpoints(call, number, integrand, max(FEWEST_PATHS, paths))
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)
     one = torch.ones_like(at.x)
     corners = corners_of(geometry, points.hit)
-    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN)
+    lights = light_points(call.scene, view, len(points.depth))
+    lobes = points.lobe, lobes_of_light(call.scene, at, lights, (points.depth > 0) | first.meant(call.scene)[lights.kind])
+    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS,
                          PLACES * len(points.depth))
     if passed is None:
@@ -150,7 +158,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting,
     if not len(kept):
         return None
     cuts, normal, opens_ahead, light = rows(cuts, kept), rows(normal, kept), opens_ahead[kept], light[:, kept]
-    return points, cuts, normal, torch.where(opens_ahead, -light, light)
+    return CutsOfView(points, cuts, normal, torch.where(opens_ahead, -light, light))
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, cuts: Cuts, passed: Passed, at: Vec3,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.boundary.shadows.eyes import Eyes, Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import salted
 from torch_radbp.call.view import View
 from torch_radbp.path.bounce import light_numbers
@@ -16,7 +16,7 @@ from torch_radbp.sampling.sampler import bounce_key, fine_unit, lane_key, unit
 from torch_radbp.scene.light import Aims, among, light_aims
 from torch_radbp.scene.light_choice import LightPick, TreeChoice
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import Vec3, masked, normalize, where
+from torch_radbp.tensors.vec import TINY, Vec3, masked, normalize, where
 
 BEHIND = 0.05  # how much edges count behind a light: interpolated normals may let some light go there
 SALT = 0x1F83D9AC  # tells the random numbers of these samples from others
@@ -53,6 +53,20 @@ def light_points(scene: SceneTensors, view: View, count: int) -> LightPoints:
     start, d, parallel = line_of(aims, nowhere)
     eyes = Eyes(where(parallel, -d, start), (~parallel).double(), normal_of(aims, nowhere), zero + BEHIND, zero)
     return LightPoints(draw, eyes, scene.lights.kind[element.long()].long())
+
+
+def lobes_of_light(scene: SceneTensors, p: Vec3, points: LightPoints, meant: Tensor) -> Lobe:
+    """The lights of samples, one for each of some points, as they are seen from there.
+
+    Args:
+        scene: detached.
+        p: (M,) world, float64.
+        points: (M,).
+        meant: (M,) bool, of which lights are wanted; those without extent never are.
+    """
+    aims = aims_at(scene, p, points.draw)
+    sharp = torch.tensor([kind.delta for kind in scene.layout.lights], device=scene.device)[points.kind]
+    return lobe_around(aims("d"), torch.where(meant & ~sharp, aims("pdf") / points.draw.picked.pmf.clamp_min(TINY), 0.0))
 
 
 def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec3, Tensor]:

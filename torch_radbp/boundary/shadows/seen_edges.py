@@ -14,7 +14,7 @@ from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of, picked
 from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to
-from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts
+from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
 from torch_radbp.path.integrand import Integrand, Stages
@@ -82,6 +82,8 @@ def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, ex
     apart = to_a - to_b
     # Between the ends of an edge no direction lies farther on either side than they do.
     counts = torch.maximum(how_much_counts(eye, to_a), how_much_counts(eye, to_b))
+    if eye.lobes:
+        counts = counts * how_much_lobes_count(eye, normalize(to_a + to_b), 0.25 * dot(apart, apart))
     seen = torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
     return torch.where((edge >= 0) & is_silhouette(a, b, opposite, from_a), seen * counts, 0.0)
 

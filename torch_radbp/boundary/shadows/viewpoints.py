@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.shadows.eyes import Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import corners_of, numbers, salted
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.bounce import CameraSample, sample_camera
@@ -38,6 +39,7 @@ class Viewpoints(NamedTuple):
     slides: Tensor  # (M,) bool: the ray's direction is not left to chance, or is followed, so that the vertex slides
     beta: Vec3  # throughput before it, over the probability of this vertex
     key: LaneKey
+    lobe: Lobe  # around a direction in which light is scattered
 
 
 def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) -> Viewpoints:
@@ -61,6 +63,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) 
     hit = Hit(nothing - 1, *(zero.clone() for _ in range(3)), instance)
     ray, beta, promise = Ray(Vec3.buffer(zero), Vec3.buffer(zero)), Vec3.buffer(zero), zero.clone()
     slides = torch.zeros_like(depth, dtype=torch.bool)
+    onwards, density = Vec3.buffer(zero), zero.clone()
     for bounce in bounces(integrand, state):
         for queue in bounce.step.queues:
             if not queue.event.scatters or not glues(integrand, queue.event):
@@ -72,6 +75,10 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) 
             draw = numbers(key, lane.to(torch.int32), SALT + 1 + bounce.depth, zero.dtype)
             taken = draw * total[lane] < weight
             own, lane = own[taken], lane[taken]
+            scattered = torch.arange(queue.first, queue.last, device=device)[taken]  # among the vertices
+            density[lane] = bounce.vertex.next.pdf[scattered] * bounce.vertex.survives[scattered]
+            for target, found in zip(onwards, bounce.vertex.next.ray.d):
+                target[lane] = found[scattered]
             followed = bounce.state.followed
             depth[lane], slides[lane] = bounce.depth, torch.isinf(bounce.state.pdf[own])
             if followed is not None:
@@ -86,7 +93,8 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) 
     beta = beta * (area * total / promise.clamp_min(TINY))
     if camera.weight is not None:
         beta = beta * camera.weight
-    found = Viewpoints(pixel, sample, place, depth, ray, hit, slides, beta, camera.key)
+    found = Viewpoints(pixel, sample, place, depth, ray, hit, slides, beta, camera.key,
+                       lobe_around(onwards, density))
     return rows(found, (depth >= 0).nonzero().squeeze(1))
 
 

@@ -1,0 +1,1 @@
+"""What jumps cost, and how noisy they are, beside Mitsuba's projective sampling."""

@@ -1,0 +1,96 @@
+"""The mean squared error of a gradient, and the time that it takes, with either renderer."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.progress import track
+
+from benchmarks.boundary.projected import DEFAULT, GUIDED, OURS, SEEDS, differences, mitsubas, ours, splits
+from benchmarks.boundary.scenes import SCENES
+from benchmarks.scenes.description import Setting
+
+WARM_UP = 2
+FINER = 16  # times as many samples have passes from which the reference follows
+AGREES = 3.5  # standard errors
+
+
+class Effort(NamedTuple):
+    """How much is rendered of a scene."""
+
+    rounds: int  # of each renderer, in turns
+    references: int  # passes with more samples, of both
+    differences: int  # of finite differences in each direction
+
+
+class Mean(NamedTuple):
+    """The mean of independent gradients."""
+
+    value: np.ndarray  # (K,)
+    variance: np.ndarray  # (K,) of the mean
+
+    @staticmethod
+    def of(gradients: list[np.ndarray]) -> Mean:
+        return Mean(np.mean(gradients, 0), np.var(gradients, 0, ddof=1) / len(gradients))
+
+    def beside(self, other: Mean) -> dict[str, float]:
+        """The size of the difference as a share of the other's size, and how large it is by chance; the largest z."""
+        off, by_chance = self.value - other.value, self.variance + other.variance
+        size = float(np.linalg.norm(other.value))
+        return {"off": float(np.linalg.norm(off)) / size, "by_chance": float(np.sqrt(by_chance.sum())) / size,
+                "z": float(np.abs(off / np.sqrt(np.maximum(by_chance, 1e-300))).max())}
+
+
+def measure(name: str, setting: Setting, effort: Effort) -> dict:
+    """Times, variances and biases of each renderer in one scene, in this process.
+
+    The reference is the mean of both, weighted by their variances, where they agree; else ours.
+    """
+    make, depth = SCENES[name]
+    setting = setting._replace(max_depth=depth)
+    with tempfile.TemporaryDirectory() as home:
+        folder = Path(home)
+        fine = make(folder, setting._replace(spp=FINER * setting.spp))
+        passes = {OURS: ours(fine, folder), DEFAULT: mitsubas(fine, GUIDED)}
+        means = {who: Mean.of([run(SEEDS + seed).gradient for seed in track(range(effort.references), who, transient=True)])
+                 for who, run in passes.items()}
+        found = {"references": {"theirs beside ours": means[DEFAULT].beside(means[OURS])}}
+        if effort.differences:
+            run = differences(fine, folder, 4 * fine.scene.setting.spp)
+            seeds = track(range(effort.differences), "differences", transient=True)
+            slopes = Mean.of([run(2 * SEEDS + seed) for seed in seeds])
+            found["references"] |= {f"{who} beside differences": mean.beside(slopes) for who, mean in means.items()}
+        agree = found["references"]["theirs beside ours"]["z"] <= AGREES
+        weights = {who: 1.0 / mean.variance.sum() if agree or who == OURS else 0.0 for who, mean in means.items()}
+        reference = Mean(sum(weights[who] * mean.value for who, mean in means.items()) / sum(weights.values()),
+                         sum(weights[who] ** 2 * mean.variance for who, mean in means.items()) / sum(weights.values()) ** 2)
+        moving = make(folder, setting)
+        passes = {OURS: ours(moving, folder), DEFAULT: mitsubas(moving, GUIDED),
+                  **{who: mitsubas(moving, integrator) for who, integrator in splits(setting.spp).items()}}
+    samples = {who: [] for who in passes}
+    for seed in track(range(-WARM_UP, effort.rounds), name, transient=True):
+        for who, run in passes.items():
+            samples[who].append(run(seed + WARM_UP))
+    return found | {"scene": name, "renderers": {who: judged([s.gradient for s in own[WARM_UP:]],
+                                                             [s.seconds for s in own[WARM_UP:]],
+                                                             means[OURS if who == OURS else DEFAULT], reference)
+                                                 for who, own in samples.items()}}
+
+
+def judged(gradients: list[np.ndarray], seconds: list[float], fine: Mean, reference: Mean) -> dict[str, float]:
+    """What one renderer is worth, errors as shares of the reference's squared size.
+
+    Args:
+        gradients, seconds: of passes.
+        fine: of the same estimator with more samples, from which its bias is seen.
+        reference: what all are compared with.
+    """
+    size = float((reference.value ** 2).sum())
+    variance = float(np.var(gradients, 0, ddof=1).sum()) / size
+    off = fine.value - reference.value
+    bias = max(0.0, float((off ** 2).sum() - fine.variance.sum() - reference.variance.sum())) / size
+    return {"seconds": statistics.median(seconds), "variance": variance, "bias": bias}

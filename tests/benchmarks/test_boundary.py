@@ -1,0 +1,57 @@
+"""What `benchmarks.boundary` measures, without Mitsuba."""
+
+import numpy as np
+import pytest
+
+from benchmarks.boundary import cost
+from benchmarks.boundary.__main__ import rows
+from benchmarks.boundary.error import Mean, judged
+from benchmarks.boundary.projected import TERMS, differences, projected
+from benchmarks.boundary.scenes import SCENES, VERTICES
+from benchmarks.peers import Ours
+from benchmarks.scenes.description import Setting
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_all_vertices_move_in_every_direction(name, tmp_path):
+    make, depth = SCENES[name]
+    scene, directions, step = make(tmp_path, Setting(8, 1, depth))
+    vertices = scene.load().get_parameter(VERTICES)
+    assert directions.shape == (6, *vertices.shape) and step > 0
+    assert (np.abs(directions).max((1, 2)) > 0.1).all() and np.abs(directions).max() < 2.0
+
+
+def test_gradients_and_differences_are_taken_along_the_same_directions(tmp_path):
+    make, depth = SCENES["pose before a wall"]
+    moving = make(tmp_path, Setting(8, 64, depth))
+    found = projected(Ours(moving.scene, compiled=True, terms=TERMS), moving)
+    gradients = Mean.of([found(seed).gradient for seed in range(2, 10)])
+    slopes = Mean.of([differences(moving, tmp_path, 64)(seed) for seed in range(20, 24)])
+    assert np.abs(slopes.value).max() > 0 and gradients.beside(slopes)["off"] < 0.4
+
+
+def test_the_error_is_variance_and_bias_over_the_size_of_the_reference():
+    random = np.random.default_rng(2)
+    reference = Mean(np.array([3.0, 4.0]), np.zeros(2))
+    gradients = list(random.normal([3.5, 4.0], 0.1, (400, 2)))
+    found = judged(gradients, [0.5, 0.7, 0.6], Mean.of(gradients), reference)
+    assert found["seconds"] == 0.6
+    assert found["variance"] == pytest.approx(0.02 / 25, rel=0.2) and found["bias"] == pytest.approx(0.25 / 25, rel=0.1)
+
+
+def test_rows_name_the_best_split_and_what_ours_is_over_it():
+    def one(variance: float) -> dict:
+        return {"seconds": 0.1, "variance": variance, "bias": 0.0}
+
+    found = {"scene": "room", "references": {"theirs beside ours": {"off": 0.01, "by_chance": 0.02, "z": 1.0}},
+             "renderers": {"ours": one(1.0), "Mitsuba, defaults": one(2.0), "Mitsuba, equal": one(8.0),
+                           "Mitsuba, guided, many": one(4.0)}}
+    lines = rows(found)
+    assert lines[0] == "| room | theirs beside ours | 0.0100 | 0.0200 | 1.0 |"
+    assert [line.endswith("(best split) |") for line in lines] == [False] * 4 + [True]
+    assert "| 0.250 (best split) |" in lines[-1] and "| 0.500 |" in lines[2]
+
+
+def test_costs_are_over_the_interior():
+    assert cost.row({"scene": "room", "interior": 100.0, "primary": 120.0, "all": 190.0}) == (
+        "| room | 100.0 | 190.0 | 0.90 | 0.20 | 0.70 |")
