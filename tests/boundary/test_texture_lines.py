@@ -87,12 +87,30 @@ def test_squares_move_with_their_surface(bitmap):
     scene = load(torch.float64, camera=parallel(), sky=DARK, sheet=sheet)
     weights = torch.linspace(1.0, 2.0, SIZE, dtype=torch.float64).expand(SIZE, SIZE)
     found = derivative(scene, "sheet.to_world", along(0), weights)
-    # Borders lie where 24 u is an integer, u = (x - 0.1) / 20 + 1 / 2; v = 1 / 2 lies between two lines.
+    assert_close(found, carried_by_borders(weights))
+
+
+def carried_by_borders(weights: torch.Tensor) -> torch.Tensor:
+    """What changes where borders move by one that lie where 24 u is an integer, u = (x - 0.1) / 20 + 1 / 2; v = 1 / 2 lies
+    between two lines."""
     expected, pixel = torch.zeros(3, dtype=torch.float64), 2 / SIZE
     for number, x in ((11, 0.1 - 5 / 6), (12, 0.1), (13, 0.1 + 5 / 6)):
         left, right = (DIM, BRIGHT) if number % 2 == 0 else (BRIGHT, DIM)
         expected += (left - right) * weights[0, int((x + 1) / pixel)] / pixel * SIZE
-    assert_close(found, expected)
+    return expected
+
+
+def test_squares_slide_where_surface_coordinates_move():
+    """The same, where u grows by one: borders move by -20. And where v does, nothing does that is in view."""
+    u, v = torch.tensor([[0.0, 1, 1, 0], [0, 0, 1, 1]], dtype=torch.float64)
+    sheet = {"type": "mesh", "faces": torch.tensor([[0, 1, 2], [0, 2, 3]]), "vertex_texcoords": torch.stack([u, v], 1),
+             "vertex_positions": torch.stack([20 * u - 9.9, 800 * v - 400, 0 * u], 1),
+             "emitter": {"type": "area", "radiance": SQUARES | {"to_uv": scale((12, 0.9, 1))}}}
+    weights = torch.linspace(1.0, 2.0, SIZE, dtype=torch.float64).expand(SIZE, SIZE)
+    scene = load(torch.float64, camera=parallel(), sky=DARK, sheet=sheet)
+    u, v = torch.eye(2, dtype=torch.float64)
+    assert_close(derivative(scene, "sheet.vertex_texcoords", u.expand(4, 2), weights), -20 * carried_by_borders(weights))
+    assert derivative(scene, "sheet.vertex_texcoords", v.expand(4, 2), weights).abs().max() < 1e-6
 
 
 def test_the_light_of_squares_under_a_lamp_follows_a_narrower_view():
@@ -125,11 +143,18 @@ def test_the_light_of_squares_under_a_lamp_follows_a_narrower_view():
 
 
 def test_what_does_not_move_is_not_looked_at(monkeypatch):
-    from torch_radbp.boundary import texture_lines
+    from torch_radbp.boundary import primary, texture_lines
 
     def unexpected(*_):
         raise AssertionError("lines were looked for")
 
     monkeypatch.setattr(texture_lines, "segments_along", unexpected)
+    smooth = {"type": "bitmap", "bitmap": torch.rand(4, 4, 3), "raw": True}
+    sheet = {"type": "mesh", "faces": torch.tensor([[0, 1, 2]]), "vertex_positions": 3 * torch.eye(3),
+             "vertex_texcoords": torch.eye(3)[:, :2], "bsdf": {"type": "diffuse", "reflectance": smooth}}
+    with monkeypatch.context() as context:
+        context.setattr(primary, "jumps_of_views", unexpected)
+        slid = load(torch.float64, sensor=VIEWED, sheet=sheet, lamp=POINT)
+        assert derivative(slid, "sheet.vertex_texcoords", torch.ones(3, 2), spp=4, max_depth=2).isfinite().all()
     scene = load(torch.float64, sensor=VIEWED, **patterned(nearest("repeat")), lamp=POINT, plate=rectangle((0, 0, 0.5), 0.2))
     assert derivative(scene, "plate.to_world", along(0), spp=4, max_depth=2).isfinite().all()

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from tests.derivatives.moving_scenes import TWIST, MovingScene, constant, rigid, scene
+from tests.derivatives.moving_scenes import TWIST, MovingScene, constant, rigid, scene, wave
 from tests.derivatives.shadow_scenes import ABOVE, FINE, SIZE
 from tests.scenes import diffuse, rgb, sensor
 from torch_radbp.io.transform import rotate, scale, translate
@@ -52,6 +52,10 @@ CUT_OUT = {"type": "rectangle", "bsdf": LEAF,
 GLOWING = {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)),
            "emitter": {"type": "area", "radiance": CHECKERBOARD}}
 
+SHEET = {"type": "mesh", "faces": torch.tensor([[0, 1, 2], [0, 2, 3]]), "vertex_texcoords": torch.tensor(
+    [[0, 0], [1, 0], [1, 1], [0, 1]]).double(), "vertex_positions": torch.tensor(
+        [[-6, -6, 0.1], [6, -6, -0.2], [6, 6, 0.2], [-6, 6, 0.0]]).double()}
+
 SUNK = {"floor": floor(diffuse(0.8, 0.4, 0.2)), "ball": {
     "type": "sphere", "to_world": translate((0.1, 0.1, 0.15)) @ scale((0.5, 0.5, 0.5)), "bsdf": diffuse(0.3, 0.6, 0.9)}}
 CROSSING = {"one": floor({"type": "twosided", "one": diffuse(0.8, 0.4, 0.2)}), "other": {
@@ -74,6 +78,10 @@ INNER_JUMPS = {
             "type": "roughconductor", "alpha": {"type": "checkerboard", "color0": 0.3, "color1": 0.7,
                                                 "to_uv": scale((6.3, 5.7, 1))}})), "floor.to_world", PUSH, FINE),
     "cut out": MovingScene(scene(sensor=VIEWED, leaf=CUT_OUT, sky=SKY), "leaf.to_world", PUSH, FINE),
+    **{f"{name} slide": MovingScene(scene(sensor=VIEWED, floor=SHEET | {"bsdf": bsdf}, light=light),
+                                    "floor.vertex_texcoords", wave(size=0.3), FINE) for name, bsdf, light in (
+        ("squares", {"type": "diffuse", "reflectance": CHECKERBOARD}, SKY), ("holes", LEAF, SKY),
+        ("texels", {"type": "diffuse", "reflectance": nearest("mirror")}, POINT))},
     "a lamp in squares": MovingScene(scene(sensor=VIEWED, floor=GLOWING), "floor.to_world", PUSH, FINE),
     "ball in a floor": MovingScene(scene(sensor=VIEWED, **SUNK, sky=SKY), "ball.to_world", PUSH, FINE, 2, ("hybrid",)),
     "ball in a floor, floor": MovingScene(scene(sensor=VIEWED, **SUNK, lamp=POINT), "floor.to_world", PUSH, FINE),

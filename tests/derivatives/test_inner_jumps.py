@@ -15,10 +15,10 @@ BATCHES = 8
 # The bias that a batch of so many samples shows.
 SHOWN = {
     (0.05, 512): ("checkerboard", "texels, repeat", "texels, mirror", "a lamp in squares", "ball in a floor, floor",
-                  "walls that cross", "instance in a floor"),
+                  "walls that cross", "instance in a floor", "squares slide", "texels slide"),
     (0.05, 1024): ("checkerboard, camera", "texels, clamp", "roughness in squares"),
     (0.1, 512): ("checkerboard, field of view", "ball in a floor, camera"),
-    (0.1, 1024): ("cut out",),
+    (0.1, 1024): ("cut out", "holes slide"),
     (0.2, 512): ("ball in a floor",),
 }
 ROWS = [Row(name, bias, spp) for (bias, spp), names in SHOWN.items() for name in names]

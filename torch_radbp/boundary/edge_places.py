@@ -101,7 +101,8 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
     depth = torch.maximum(depth_of(camera, p, [a, b], aperture), torch.maximum(*(sheet.depth for sheet in sheets)))
     kind = torch.where(silhouette, SILHOUETTE, CREASE).to(torch.int32)
     return Places(kind, Between(edges.a, edges.b, edges.b), instance, along, nothing, p, at, normal, side, nothing, depth,
-                  behind, ahead, torch.full_like(kind, -1), instance, numbers.key, aperture, counts_somewhere(camera, at))
+                  behind, ahead, torch.full_like(kind, -1), instance, numbers.key, aperture, counts_somewhere(camera, at),
+                  Vec2(nothing, nothing))
 
 
 class Sheet(NamedTuple):

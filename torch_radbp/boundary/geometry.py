@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_radbp.scene.placement import for_lanes, shown, shown_normals
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec3
 
@@ -43,9 +44,10 @@ class Between(NamedTuple):
 
 
 def geometry_of(scene: SceneTensors) -> Geometry:
-    """The geometry of a scene."""
+    """The geometry of a scene; surface coordinates only if they have derivatives, by which lines of textures slide."""
     triangles = scene.triangles
-    vertices = triangles.vertices._replace(uv=None, attributes=())
+    vertices = triangles.vertices._replace(attributes=())
+    vertices = vertices if any_differentiated(vertices.uv) else vertices._replace(uv=None)
     triangles = triangles._replace(vertices=vertices, clearance=None, along=None, material=None, emitter=None, balls=None,
                                    attributes=(), numbers=None, instances=for_lanes(triangles.instances))
     return Geometry(triangles, NormalsOnly(scene.layout.shading_normals))

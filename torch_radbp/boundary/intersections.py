@@ -172,7 +172,8 @@ def segments_between(geometry: Geometry, faces: Faces, pairs: Pairs) -> Segments
     shares = [dot(point - points[0][0], along) / length for point in points[1]]
     enters, leaves = torch.minimum(*shares).clamp_min(0.0), torch.maximum(*shares).clamp_max(1.0)
     a, run = ends[0][0], ends[0][1] + ends[0][0] * -1.0
-    found = Segments(one.triangle, one.instance, a + run * enters, a + run * leaves, Vec2(*(torch.zeros_like(enters),) * 2),
+    none = Vec2(*(torch.zeros_like(enters),) * 2)
+    found = Segments(one.triangle, one.instance, a + run * enters, a + run * leaves, none, none, none,
                      other.triangle, other.instance, one.share)
     return rows(found, (enters < leaves).nonzero().squeeze(1))
 

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch_radbp.adjoint.bounce import TableAdjoint, table_adjoints, vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.contour import LEVELS, level_at
 from torch_radbp.boundary.geometry import Geometry
-from torch_radbp.boundary.places import INTERSECTION, Places
-from torch_radbp.boundary.segments import height_above, place_of
+from torch_radbp.boundary.places import INTERSECTION, TEXTURE, Places
+from torch_radbp.boundary.segments import height_above, number_of_line, place_of
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.lookup import Tap, tapped
@@ -38,11 +38,19 @@ def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple
     seen = camera.kind.project(camera.lens, places.at(geometry), places.aperture)
     area = seen.x * camera.film.size_x * places.normal.x + seen.y * camera.film.size_y * places.normal.y
     for kind in kinds:
-        if kind in LEVELS or kind == INTERSECTION:
-            level = (height_above(place_of(geometry, places.through, places.shown_by), places.at(geometry))
-                     if kind == INTERSECTION else level_at(geometry, camera, places, kind))
+        level = level_of(geometry, camera, places, kind)
+        if level is not None:
             area = area + torch.where(places.kind == kind, places.drift * level, 0.0)
     return area
+
+
+def level_of(geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor | None:
+    """The level by which curves of a kind move over triangles, at places fixed to these; None: they do not."""
+    if kind == TEXTURE:
+        return None if geometry.triangles.vertices.uv is None else number_of_line(geometry, places)
+    if kind == INTERSECTION:
+        return height_above(place_of(geometry, places.through, places.shown_by), places.at(geometry))
+    return level_at(geometry, camera, places, kind) if kind in LEVELS else None
 
 
 class Slopes(NamedTuple):

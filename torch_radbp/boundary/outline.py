@@ -95,14 +95,16 @@ class Outlines:
         scene, generator = detached(call.scene), torch.Generator("cpu").manual_seed(seed % (1 << 63))
         instances = rendering.moving_instances
         own = Moving(tuple(map(bool, rendering.movers)), instances)
-        turning = own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, rendering.turners)))
+        turning, sliding = (own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, more)))
+                            for more in (rendering.turners, rendering.sliders))
         everything = Moving(*((True,) * len(part) for part in own))
-        wanted = [(everything,) * 2 if rendering.moving(sensor) else (own, turning) for sensor in rendering.sensors]
+        wanted = [(everything,) * 3 if rendering.moving(sensor) else (own, turning, sliding) for sensor in rendering.sensors]
         sizes = rendering.sizes
         lines = lines_of_textures(rendering)
-        found = {pair: Jumps(self.of(scene, sizes, pair[0], generator), faces_of(scene, sizes, pair[1], generator),
-                             self.segments(call, sizes, pair[0], generator, lines)) for pair in dict.fromkeys(wanted)}
-        return [found[pair] for pair in wanted]
+        found = {three: Jumps(self.of(scene, sizes, three[0], generator), faces_of(scene, sizes, three[1], generator),
+                              self.segments(call, sizes, (three[0], three[2]), generator, lines))
+                 for three in dict.fromkeys(wanted)}
+        return [found[three] for three in wanted]
 
     def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
         """The edges of all shapes; None: there are none. Args as for `of_views`."""
@@ -144,20 +146,22 @@ class Outlines:
                       for group in range(len(instances.first_triangle) - 1)]
         return joined([part for part in parts if part is not None])
 
-    def segments(self, call: RenderCall, counts: Sequence[int], moving: Moving, generator: torch.Generator,
+    def segments(self, call: RenderCall, counts: Sequence[int], moving: tuple[Moving, Moving], generator: torch.Generator,
                  lines: Sequence[tuple[JumpLines, ...]]) -> Segments | None:
         """The straight curves inside of triangles of all that moves; None: there are none.
 
         Args:
             call: whose scene it is.
-            counts, moving, generator: as for `of`.
+            counts, generator: as for `of`.
+            moving: what does, and of what lines of textures do.
             lines: for each shape those at which its textures jump.
         """
         scene, found = detached(call.scene), []
-        faces = faces_of(scene, counts, moving, generator) if any(lines) else None
+        moves, sliding = moving
+        faces = faces_of(scene, counts, sliding, generator) if any(lines) else None
         if faces is not None:
             found.append(texture_segments(scene, faces, counts, lines))
-        bodies = self.bodies(scene, counts, moving, generator)
+        bodies = self.bodies(scene, counts, moves, generator)
         if bodies is not None:
             found.append(intersections(call.stages, geometry_of(scene), bodies))
         found = [own for own in found if own is not None]

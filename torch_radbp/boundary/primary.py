@@ -35,6 +35,7 @@ from torch_radbp.boundary.places import (
     LARGEST_SHARE,
     NEAR,
     RIM,
+    TEXTURE,
     Places,
     Sight,
     lot_of,
@@ -48,6 +49,7 @@ from torch_radbp.jit.order import chosen
 from torch_radbp.path.integrand import Integrand, Stages, taken
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import first_hit, trace
+from torch_radbp.plugin import Texture
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sensor.kind import Camera
@@ -83,9 +85,11 @@ class Viewed(NamedTuple):
 
 
 def moves(call: RenderCall) -> bool:
-    """True if a vertex, a shading normal, an instance or a camera has derivatives."""
+    """True if a vertex, a shading normal, an instance or a camera has derivatives, or a line of a texture slides."""
     vertices, instances = call.scene.triangles.vertices, call.scene.triangles.instances
-    return any_differentiated((vertices.p, vertices.n, instances and (instances.linear, instances.origin),
+    slide = any_differentiated(vertices.uv) and any(
+        isinstance(part, Texture) and part.jumps() for part in call.module.modules())
+    return slide or any_differentiated((vertices.p, vertices.n, instances and (instances.linear, instances.origin),
                                [view.camera.lens for view in call.views]))
 
 
@@ -236,7 +240,7 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Pl
 
 def kinds_of(places: Places) -> tuple[int, ...]:
     """The kinds of curves inside of triangles that move on these, among some places."""
-    return tuple(kind for kind in (RIM, NEAR, FAR, INTERSECTION) if bool((places.kind == kind).any()))
+    return tuple(kind for kind in (RIM, NEAR, FAR, TEXTURE, INTERSECTION) if bool((places.kind == kind).any()))
 
 
 def differences(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Places, asked: Tensor,

@@ -119,6 +119,11 @@ class Rendering:
                 for shape, instances in zip(self.shapes, self.scene.shown_by)]
 
     @cached_property
+    def sliders(self) -> list[list[str]]:
+        """For each shape, the parameters that move only its surface coordinates, of those with derivatives."""
+        return [self.moving(shape, ("vertex_texcoords",)) for shape in self.shapes]
+
+    @cached_property
     def turners(self) -> list[list[str]]:
         """For each shape, the parameters that turn only its shading normals, of those with derivatives."""
         return [self.moving(shape, ("vertex_normals",)) for shape in self.shapes]

@@ -1,8 +1,9 @@
 """Straight curves inside of triangles at which an image jumps, and places on them as a camera sees them.
 
 They are lines at which textures jump, and lines along which other triangles pass through. Both lie on a triangle as a
-segment with fixed barycentric coordinates. A line of a texture moves with its triangle. Where a triangle passes through, the
-*level*, which is the height above its plane, changes at a fixed place by df, and the line moves as `contour.py` derives.
+segment with fixed barycentric coordinates. Where a *level* changes at a fixed place by df, the line moves as `contour.py`
+derives: the level is the height above the plane of a triangle that passes through, or the number that is an integer on lines
+of a texture. So these move with their triangle, and slide over it where the surface coordinates change.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ class Segments(NamedTuple):
     start: Vec2  # (S,)
     end: Vec2  # (S,)
     aside: Vec2  # (S,) a step across, after which a place lies surely on one side; 0: it is not known
+    rise: Vec2  # (S,) of lines of textures what their number changes by with u and v, else 0
+    slope: Vec2  # (S,) and with the surface coordinates
     through: Tensor  # (S,) int32, the triangle that passes through there; -1: none does, a texture jumps
     shown_by: Tensor | None  # (S,) int32, the instance that shows that
     share: Tensor | None  # (S,) float64, probability with which a segment is among these; None: all are
@@ -92,11 +95,13 @@ def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot
     sides = (Glued(known, at.x + own.aside.x * way, at.y + own.aside.y * way) for way in (-ahead, ahead))
     passing = own.through >= 0
     passed = place_of(geometry, own.through, own.shown_by)
-    drift = torch.where(passing, drift_of(passed, corners, pace, normal), 0.0)
+    heights = heights_by(passed, corners)
+    rise = Vec2(*(torch.where(passing, height, line) for height, line in zip(heights, own.rise)))
+    drift = drift_of(rise, pace, normal)
     kind = torch.where(passing, INTERSECTION, TEXTURE).to(torch.int32)
     return Places(kind, between, own.instance, at.x, at.y, p, film, normal, torch.ones_like(at.x), drift,
                   depth_of(camera, p, corners, aperture), *sides, own.through, own.shown_by, numbers.key, aperture,
-                  counts_somewhere(camera, film))
+                  counts_somewhere(camera, film), own.slope)
 
 
 def place_of(geometry: Geometry, triangle: Tensor, instance: Tensor | None) -> Corners:
@@ -109,17 +114,29 @@ def height_above(corners: Corners, p: Vec3) -> Tensor:
     return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), p - corners[0])
 
 
-def drift_of(passed: Corners, corners: Corners, pace: list[Vec2], normal: Vec2) -> Tensor:
-    """What lines move along their normals on the film where the heights above planes change by one; (N,).
+def heights_by(passed: Corners, corners: Corners) -> Vec2:
+    """What `height_above` triangles that pass through others changes by with the coordinates u and v of these; (N,)."""
+    upright = cross(passed[1] - passed[0], passed[2] - passed[0])
+    return Vec2(*(dot(upright, corner - corners[0]) for corner in corners[1:]))
+
+
+def number_of_line(geometry: Geometry, places: Places) -> Tensor:
+    """The number that is an integer on the lines of textures, up to a constant, at places fixed to triangles; attached."""
+    uv = [lookup(geometry.triangles.vertices.uv, row) for row in places.between]
+    x, y = (sum(getattr(corner, axis).double() * weight for corner, weight in zip(
+        uv, (1.0 - places.u - places.v, places.u, places.v))) for axis in ("x", "y"))
+    return places.slope.x * x + places.slope.y * y
+
+
+def drift_of(rise: Vec2, pace: list[Vec2], normal: Vec2) -> Tensor:
+    """What lines move along their normals on the film where their levels change by one; (N,).
 
     Args:
-        passed: the vertices of triangles that pass through others.
-        corners: of these others.
-        pace: how fast a place is seen to move with its coordinates u and v.
+        rise: what the levels change by with the coordinates u and v.
+        pace: how fast a place is seen to move with these.
         normal: of the lines, (N,) of any length, by which the result is as long.
     """
-    upright = cross(passed[1] - passed[0], passed[2] - passed[0])
-    by_u, by_v = (dot(upright, corner - corners[0]) for corner in corners[1:])
+    by_u, by_v = rise
     of_u, of_v = pace
     m = Vec2(of_v.y * by_u - of_u.y * by_v, of_u.x * by_v - of_v.x * by_u)
     volume = of_u.x * of_v.y - of_v.x * of_u.y

@@ -88,5 +88,6 @@ def segments_along(faces: Faces, level: tuple[Tensor, Tensor, Tensor], lines: Ju
     step = torch.where(runs_along, 0.0, step)
     start, end = crossings(f0, f1, f2)
     none = torch.full_like(own.triangle, -1)
-    return Segments(own.triangle, own.instance, start, end, Vec2(by_u * step, by_v * step), none,
+    slope = Vec2(*(torch.full_like(by_u, float(number)) for number in (lines.x, lines.y)))
+    return Segments(own.triangle, own.instance, start, end, Vec2(by_u * step, by_v * step), Vec2(by_u, by_v), slope, none,
                     None if own.instance is None else torch.zeros_like(none), own.share)

@@ -53,6 +53,10 @@ class BlendKind(Kind):
         return self.first.transmits or self.second.transmits
 
     @property
+    def straight(self) -> bool:
+        return self.first.straight or self.second.straight
+
+    @property
     def jumps(self) -> bool:
         return self.first.jumps or self.second.jumps
 

@@ -67,6 +67,7 @@ class Kind(ABC):
     discrete: ClassVar[bool] = False  # `choose` has a choice
     oriented: ClassVar[bool] = False  # anisotropic: turning the surface about its normal makes a difference
     transmits: ClassVar[bool] = False  # light passes to the other side
+    straight: ClassVar[bool] = False  # some of it in the direction in which it came, without scattering
     turns_normals: ClassVar[bool] = False  # surfaces look as if they had other normals
 
     @property

@@ -17,6 +17,7 @@ class NullKind(DeltaKind):
     """Takes no values."""
 
     transmits: ClassVar[bool] = True
+    straight: ClassVar[bool] = True
 
     @property
     def slots(self) -> int:

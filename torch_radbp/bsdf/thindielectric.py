@@ -27,6 +27,7 @@ class ThinDielectricKind(DeltaKind):
 
     discrete: ClassVar[bool] = True
     transmits: ClassVar[bool] = True
+    straight: ClassVar[bool] = True
 
     @property
     def slots(self) -> int:

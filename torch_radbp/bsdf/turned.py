@@ -64,6 +64,10 @@ class TurnedKind(Kind):
         return self.nested.transmits
 
     @property
+    def straight(self) -> bool:
+        return self.nested.straight
+
+    @property
     def jumps(self) -> bool:
         return self.nested.jumps
 

@@ -49,6 +49,10 @@ class TwoSidedKind(Kind):
         return any(side.transmits for side in self.sides)
 
     @property
+    def straight(self) -> bool:
+        return any(side.straight for side in self.sides)
+
+    @property
     def jumps(self) -> bool:
         return any(side.jumps for side in self.sides)
 

@@ -1,9 +1,10 @@
 """What edges add to derivatives by the light that they keep from surfaces: borders of shadows, direct and indirect.
 
-Three integrals are cut off at edges. Direct light on surfaces that the camera sees, at borders on the film (`border.py`);
-light without extent on surfaces that paths meet later (`bounced.py`); and all other light that vertices of paths receive
-(`hidden_light.py`). In each, places are sampled on edges that are silhouettes, from a light or from a vertex of a path; what
-the border sweeps follows from the points that move.
+Four integrals are cut off at edges. Direct light on surfaces that the camera sees, at borders on the film (`border.py`);
+light without extent on surfaces that paths meet later (`bounced.py`); all other light that vertices of paths receive
+(`hidden_light.py`); and what they receive through surfaces that let light pass straight (`seen_through.py`). In each, places
+are sampled on edges that are silhouettes, from a light or from a vertex of a path; what the border sweeps follows from the
+points that move.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
-from torch_radbp.boundary.shadows import border, bounced, hidden_light
+from torch_radbp.boundary.shadows import border, bounced, hidden_light, seen_through
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.boundary.shadows.seen_edges import Casting
@@ -54,6 +55,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
     samples = max(FEWEST, min(border.MOST, paths // border.SHARE))
     ways, places = (max(samples * of_sample, vertices * of_vertex) for of_sample, of_vertex in (
         (border.LOOKS, hidden_light.LOOKS), (1, hidden_light.PLACES)))
+    places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
     return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + places * (BYTES_OF_PLACE + BYTES_OF_JUMP * len(call.views))
 
 
@@ -80,6 +82,8 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
     if glued and (max_depth > 2 or not (surfaces and around)):
         first = hidden_light.FirstVertex(not surfaces, not around)
         parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view))
+    if glued and max_depth > 2 and seen_through.passes_straight(call.scene):
+        parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view))
     if glued and max_depth > 2 and settings.nee:
         parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
     still, views = call.still(), range(len(call.views))

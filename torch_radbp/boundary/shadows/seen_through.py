@@ -1,0 +1,177 @@
+"""What edges add to the derivative of an image that vertices of paths see through surfaces which let light pass straight on.
+
+Holes of a `mask`, a `null` surface and a thin pane let light pass as it came. Next-event estimation does not look through
+them, so that the shadows of cut-outs are made of paths x, m, z: scattered at x, straight through m, on to a lamp or another
+surface at z. The point m is glued to its surface: there the opacity is what it is, however the surface moves, and lines at
+which it jumps, at the borders of holes, have no part in the derivative. But what is seen behind m follows the ray from x
+through m, and jumps where this passes an edge at p. As an integral over the surface of m,
+
+    L(x) = integral of f |cos x| |cos m| / r^2  L(m, x) dA
+
+has an integrand that jumps along a curve, where the line from x to p meets the surface of m. It moves over the points that
+are glued there, and changes L by
+
+    dL = - integral of f |cos x| |cos m| / r^2  (L_beside - L_on)  v . n dl
+
+with n away from what ends at the edge and v the curve's velocity. L_on is the radiance that m lets pass of this surface,
+L_beside that of what lies beyond: both follow the ray. They are computed by two paths with the same random numbers, so that
+what m itself scatters cancels out.
+
+Reference: Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.boundary.shadows.hidden_light import (
+    EVEN,
+    FEWEST_PATHS,
+    LOOKS,
+    MOST,
+    PLACES,
+    SHARE,
+    Cuts,
+    CutsOfView,
+    cut_at,
+)
+from torch_radbp.boundary.shadows.seen_edges import (
+    BEFORE,
+    BESIDE,
+    Casting,
+    Passed,
+    corners_of,
+    extent_of,
+    pace,
+    places_seen,
+    salted,
+)
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.path.direct_light import scattered_light
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.wavefront import queued, trace
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, normalize, rows, unit_normal
+
+SALT = 0x27D4EB2F  # tells the random numbers of these places from others
+MOST_SURFACES = 4  # that light passes on the way from an edge
+
+
+def passes_straight(scene: SceneTensors) -> bool:
+    """True if a material of the scene lets light pass in the direction in which it came."""
+    return any(look.kind.straight for look in scene.layout.appearances)
+
+
+def cuts_of_view(call: RenderCall, number: int, casting: Casting) -> CutsOfView | None:
+    """Places where lines to edges pass straight through surfaces that paths of a view meet, of which they are cuts; None:
+    there are none. Args as for `border.borders_in_view`."""
+    view, geometry = call.views[number], geometry_of(call.scene)
+    integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
+    count = max(FEWEST_PATHS, min(MOST, view.width * view.height * call.spp // SHARE))
+    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), count)
+    if not len(points.depth):
+        return None
+    at = vertex_at(call, geometry, number, points)
+    one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
+    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
+    passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, PLACES * len(points.depth))
+    if passed is None:
+        return None
+    hidden = integrand.caster.occluded(passed.back, passed.distance).nonzero().squeeze(1)
+    if not len(hidden):
+        return None
+    passed, off = rows(passed, hidden), BESIDE * extent_of(geometry)
+    start = rows(at, passed.eye)
+    beside, on = (through(integrand, start, passed.p + passed.outwards * (way * off)) for way in (1.0, -1.0))
+    # On a curved surface light comes from nearer than the edge.
+    reached = (beside.reaches & (beside.hit.prim == on.hit.prim)).nonzero().squeeze(1)
+    if not len(reached):
+        return None
+    passed, start, beside, on = rows((passed, start, beside, on), reached)
+    sight = normalize(passed.p - start)
+    side = normalize(cross(passed.outwards, sight))
+    cuts = Cuts(passed.eye, passed.edge, passed.along, beside.hit, (cross(sight, side), side))
+    here, along = pace(lambda step: cut_at(geometry, casting.outline, at, cuts, step), passed.times)
+    beyond = cut_at(geometry, casting.outline, at, cuts, off=passed.outwards * off)
+    normal = Vec2(-along.y * passed.times, along.x * passed.times)
+    opens_ahead = (beyond.x - here.x) * normal.x + (beyond.y - here.y) * normal.y > 0
+    light = difference(call, integrand, points, passed, (beside, on))
+    light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
+    kept = (light != 0).any(0).nonzero().squeeze(1)
+    if not len(kept):
+        return None
+    cuts, normal, opens_ahead, light = rows(cuts, kept), rows(normal, kept), opens_ahead[kept], light[:, kept]
+    return CutsOfView(points, cuts, normal, torch.where(opens_ahead, -light, light))
+
+
+class Through(NamedTuple):
+    """N rays that pass straight through surfaces."""
+
+    ray: Ray
+    hit: Hit  # the first surface
+    reaches: Tensor  # (N,) bool: light comes this way from where the ray is aimed at
+
+
+def through(integrand: Integrand, start: Vec3, target: Vec3) -> Through:
+    """The rays from some points, (N,) float64 world, to others that something hides."""
+    dtype, reach = integrand.proposal.dtype, target - start
+    distance = torch.sqrt(dot(reach, reach)).clamp_min(TINY)
+    d = reach * (1.0 / distance)
+    passed = distance * BEFORE
+    ray = Ray(*(part.map(lambda c: c.to(dtype).contiguous()) for part in (start, d)))
+    first, way, left = None, torch.ones_like(distance, dtype=torch.bool), torch.zeros_like(distance, dtype=torch.bool)
+    for _ in range(MOST_SURFACES + 1):
+        origin = (start + d * passed).map(lambda c: c.to(dtype).contiguous())
+        hit = integrand.caster.intersect(Ray(origin, ray.d))
+        met = passed + hit.t.double()
+        arrives = way & ((hit.prim < 0) | (met > distance * (1.0 - BEFORE)))
+        first = hit._replace(t=met.to(dtype)) if first is None else first
+        left, way = left | arrives, way & ~arrives & lets_pass(integrand, Ray(origin, ray.d), hit)
+        if not way.any():
+            break
+        passed = met + distance * BEFORE
+    return Through(ray, first, left & (first.prim >= 0) & (first.t.double() < distance * (1.0 - BEFORE)))
+
+
+def lets_pass(integrand: Integrand, ray: Ray, hit: Hit) -> Tensor:
+    """(N,) bool, whether rays meet surfaces that let light pass straight."""
+    found = torch.zeros_like(hit.prim, dtype=torch.bool)
+    _, order, queues = queued(integrand, ray, hit, False)
+    for queue in queues:
+        if queue.event.scatters and integrand.scatterer(queue.event).kind.straight:
+            found[order[queue.first:queue.last].long()] = True
+    return found
+
+
+def difference(call: RenderCall, integrand: Integrand, points: Viewpoints, passed: Passed,
+               ways: Sequence[Through]) -> Tensor:
+    """(3, N) float64 what the view sees of the difference of what lies beside edges and on them, for each unit of
+    `cut_at`'s coordinates.
+
+    Args:
+        points: the viewpoints, of which `passed.eye` are meant.
+        passed: (N,) the places on edges.
+        ways: beside the edges, and on them.
+    """
+    own = rows(points, passed.eye)
+    beside, on = ways
+    beta = scattered_light(integrand, path_of(call, own.ray, own.key), own.hit, beside.ray.d)
+    L = torch.zeros(3, len(passed.edge), dtype=torch.float64, device=passed.edge.device)
+    for depth in own.depth.unique().tolist():
+        lanes = (own.depth == depth).nonzero().squeeze(1)
+        for sign, way in ((1.0, beside), (-1.0, on)):
+            ray, key, hit = rows((way.ray, passed.key, way.hit), lanes)
+            L[:, lanes] += sign * torch.stack(tuple(trace(integrand, path_of(call, ray, key), hit=hit, depth=depth + 1)))
+    corners = corners_of(geometry_of(integrand.proposal), beside.hit)
+    n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
+    distance = beside.hit.t.double().clamp_min(TINY)
+    return torch.stack(tuple(own.beta * beta)).double() * L * (
+        dot(n, beside.ray.d.map(torch.Tensor.double)).abs() / (distance * distance))
