@@ -16,7 +16,7 @@ from torch_radbp.rendering.cost import memory_of
 from torch_radbp.training.ranks import ALONE, Ranks
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint
 from torch_radbp.training.recovery.metrics import MetricsFile
-from torch_radbp.training.recovery.optimize import own_budget
+from torch_radbp.training.recovery.renderers import own_budget
 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "200", "MASTER_ADDR": "127.0.0.1"}
 TWO_VIEWS = ('image = "target.exr"\n', 'image = "target.exr"\nsensor = "camera"\n\n[[targets]]\nimage = "target.exr"\n'
