@@ -102,7 +102,8 @@ class Parameter(Group):
     network: Network | None = None  # None: of the default size
     smoothness: Positive | None = None  # of large steps: how far, in squared edges, one reaches; None: 19
     coarse_to_fine: CoarseToFine | None = None  # None: all texels are free from the first step on
-    # For reports only. "scene": the value in the scene file; of vertex_positions also a mesh, .ply or .obj.
+    # For reports only. "scene": the value in the scene file; of vertex_positions also a mesh, .ply or .obj,
+    # that stands where the shape's own file does.
     truth: Literal["scene"] | Value | None = None
 
     @model_validator(mode="after")

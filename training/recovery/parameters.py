@@ -14,7 +14,7 @@ from torch_radbp.training import recipe_parameter as recipe
 from torch_radbp.training.recovery.initial_values import check_values, initial_value, true_value
 from torch_radbp.training.recovery.recovered import RecoveredParameter
 from torch_radbp.training.recovery.shapes import RecoveredShape, read_surface
-from torch_radbp.training.recovery.variables import check_fit, is_shape, put_variables
+from torch_radbp.training.recovery.variables import check_fit, follow_positions, is_shape, put_variables
 
 
 def matching(parameters: Sequence[RecoveredParameter], pattern: str, place: str) -> list[RecoveredParameter]:
@@ -54,8 +54,10 @@ def choose_parameters(scene: nn.Module, specs: list[recipe.Parameter]) -> list[R
             if name in chosen:
                 raise ValueError(f"parameter {name!r} is named twice, by {chosen[name].spec.name!r} and {spec.name!r}")
             chosen[name] = _choose(scene, name, known[name], spec, held[name].domains)
-    for parameter in chosen.values():
+    for name, parameter in chosen.items():
         _start(scene, parameter)
+        if is_shape(parameter.module, parameter.attribute) and f"{name.rpartition('.')[0]}.vertex_normals" not in chosen:
+            follow_positions(parameter.module)
     return list(chosen.values())
 
 
@@ -66,7 +68,8 @@ def _choose(scene: nn.Module, name: str, held: Tensor, spec: recipe.Parameter, d
     before = initial_value(held, spec, name)
     if is_shape(module, attribute) and isinstance(spec.truth, Path):
         check_values(name, spec, before, None, domains)
-        return RecoveredShape(name, module, attribute, spec, before, None, surface=read_surface(spec.truth))
+        return RecoveredShape(name, module, attribute, spec, before, None,
+                               surface=read_surface(spec.truth, module.loaded_to_world))
     truth = true_value(held, spec, name)
     check_values(name, spec, before, truth, domains)
     return RecoveredParameter(name, module, attribute, spec, before, truth)

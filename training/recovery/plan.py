@@ -30,9 +30,9 @@ class Plan:
         self.moving_in, self.rates_in = [], []
         for number, stage in enumerate(self.stages):
             place = f"stages[{number - 1}]"
-            names = {each.name for pattern in stage.parameters or ["*"]
+            names = {each.name for pattern in stage.parameters or []
                      for each in matching(parameters, pattern, f"{place}.parameters")}
-            self.moving_in.append([each for each in parameters if each.name in names])
+            self.moving_in.append([each for each in parameters if stage.parameters is None or each.name in names])
             self.rates_in.append({each.name: rate for pattern, rate in stage.learning_rates.items()
                                   for each in matching(parameters, pattern, f"{place}.learning_rates")})
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch_radbp.formats.mesh import read_mesh
 from torch_radbp.optim.closest import closest_points
 from torch_radbp.training.recovery.recovered import RecoveredParameter
+from torch_radbp.transforms import transform_points
 
 POINTS = 2000  # on each surface
 
@@ -38,10 +39,11 @@ class Surface(NamedTuple):
         return (points - nearest).norm(dim=1).mean().item()
 
 
-def read_surface(path: Path) -> Surface:
-    """Reads a mesh as `vertex_positions` has it: in world units, as it stands in the file."""
+def read_surface(path: Path, to_world: Tensor) -> Surface:
+    """Reads a mesh that stands in the place of another one, whose (4, 4) transform to world space it gets."""
     mesh = read_mesh(path, want_normals=False)
-    return Surface(torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.faces))
+    vertices = transform_points(to_world.detach().double().cpu(), torch.from_numpy(mesh.vertices))
+    return Surface(vertices, torch.from_numpy(mesh.faces))
 
 
 def chamfer_distance(one: Surface, other: Surface) -> float:

@@ -71,6 +71,13 @@ def _range(spec: recipe.Parameter) -> nn.Module | None:
     return optim.Log() if spec.parametrisation == "log" else None
 
 
+def follow_positions(mesh: Mesh) -> None:
+    """Lets the normals of a mesh follow its vertices from now on, as Mitsuba does whenever these change."""
+    if mesh.has_normals:
+        del mesh.vertex_normals
+        mesh.has_normals, mesh.recompute_normals = False, True
+
+
 def refine_to(module: nn.Module, attribute: str, size: tuple[int, ...], optimizer=None) -> None:
     """Doubles the grid of a map that is optimised coarse to fine until it has a size; the map stays what it is."""
     while module.parametrizations[attribute][0].size != size:
