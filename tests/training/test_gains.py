@@ -40,7 +40,8 @@ def test_gains_are_recovered_beside_reflectances(exposed, folder):
     assert gains["largest_error"] < 0.02 and paint["largest_error"] < 0.05
     assert summary["images"][1]["rmse"] < 0.1 * summary["images"][1]["rmse_before"]
     after = read_image(folder / "run" / "images" / "aside_after.exr").mean().item()
-    assert after == pytest.approx(read_image(folder / "aside.exr").mean().item(), rel=0.03), "pictures are exposed as photographs"
+    photograph = read_image(folder / "aside.exr").mean().item()
+    assert after == pytest.approx(photograph, rel=0.03), "pictures are exposed as photographs"
     console = Console(width=100, record=True, file=open("/dev/null", "w"))
     console.print(recovered_table(summary))
     assert "gains" in console.export_text() and "gains" in report.read_text(encoding="utf-8")
