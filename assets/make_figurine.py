@@ -52,13 +52,18 @@ def globe(columns: int, rows: int) -> MeshArrays:
     return MeshArrays(places.reshape(-1, 3), faces, None, np.stack([u, v], -1).reshape(-1, 2))
 
 
+def write(name: str, mesh: MeshArrays) -> None:
+    """A PLY file of float32."""
+    write_ply(FIGURINE / name, mesh._replace(vertices=mesh.vertices.astype(np.float32)))
+
+
 def write_meshes() -> None:
     """The figurine, and a ball in its place: one by longitude and latitude, one of even triangles."""
     fine, coarse = globe(72, 36), globe(40, 20)
-    write_ply(FIGURINE / "body.ply", fine._replace(vertices=radius(fine.vertices)[:, None] * fine.vertices))
-    write_ply(FIGURINE / "globe.ply", coarse._replace(vertices=0.75 * coarse.vertices))
+    write("body.ply", fine._replace(vertices=radius(fine.vertices)[:, None] * fine.vertices))
+    write("globe.ply", coarse._replace(vertices=0.75 * coarse.vertices))
     ball = trimesh.creation.icosphere(4, radius=0.75)
-    write_ply(FIGURINE / "ball.ply", MeshArrays(np.asarray(ball.vertices), np.asarray(ball.faces), None, None))
+    write("ball.ply", MeshArrays(np.asarray(ball.vertices), np.asarray(ball.faces), None, None))
 
 
 def write_maps() -> None:
