@@ -26,6 +26,11 @@ TARGETS = {
     "lit_balls/front.exr": ("lit_balls/scene.xml", 64, 4096, 0),
     "lit_balls/back.exr": ("lit_balls/scene.xml", 64, 4096, 1),
     "relief/target.exr": ("relief/scene.xml", 64, 1024),
+    "figurine/on_floor.exr": ("figurine/on_floor.xml", 64, 4096),
+    "lamp_place/target.exr": ("lamp_place/scene.xml", 64, 1024),
+    "three_shadows/on_floor.exr": ("three_shadows/scene.xml", 48, 1024, 0),
+    "three_shadows/on_back.exr": ("three_shadows/scene.xml", 48, 1024, 1),
+    "three_shadows/on_left.exr": ("three_shadows/scene.xml", 48, 1024, 2),
 }
 PASS_SPP = 128
 

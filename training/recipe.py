@@ -3,33 +3,14 @@
 import math
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Discriminator,
-    Field,
-    Tag,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from torch_radbp.rendering.memory import parse_budget
 from torch_radbp.training.device import parse_device
-from torch_radbp.training.recipe_values import (
-    LARGEST,
-    Count,
-    Fraction,
-    Number,
-    Positive,
-    RecipePath,
-    Switch,
-    Table,
-    Value,
-    Whole,
-    Whole64,
-)
-
-MOST_WEIGHTS = 1 << 24  # of a network; gradients and moments are as many each
-WIDEST = 1 << 12  # waves of a network, or width: each place where it is read has so many values
+from torch_radbp.training.recipe_loss import AnyLoss, TwoBufferL2
+from torch_radbp.training.recipe_optimizer import Adam, AnyOptimizer, AnySchedule, Constant, Step
+from torch_radbp.training.recipe_parameter import Gains, Group, Parameter
+from torch_radbp.training.recipe_values import LARGEST, Count, Number, Positive, RecipePath, Switch, Table, Whole, Whole64
 
 
 class Target(Table):
@@ -37,84 +18,7 @@ class Target(Table):
 
     image: RecipePath
     sensor: str | None = None
-
-
-Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
-
-
-class Offset(Table):
-    """An initial pose: that of the scene file, turned about its own origin, then moved, both along world axes."""
-
-    rotation: Vector = [0.0, 0.0, 0.0]  # rotation vector: axis times angle in degrees
-    translation: Vector = [0.0, 0.0, 0.0]
-
-
-# The name of a union's branch in the places of pydantic's errors; no key of a table.
-VALUE, OFFSET = "<value>", "<offset>"
-Initial = Annotated[
-    Annotated[Value, Tag(VALUE)] | Annotated[Offset, Tag(OFFSET)],
-    Discriminator(lambda given: OFFSET if isinstance(given, (dict, Offset)) else VALUE),
-]
-
-
-class Network(Table):
-    """A network from surface coordinates to colours; see `recovery.network`."""
-
-    waves: Count = 64  # random sines and cosines of the coordinates, which it gets in their place
-    frequency: Positive = 20.0  # their standard deviation, radians per width of the bitmap
-    layers: Count = 2  # hidden ones
-    width: Count = 64  # of these
-    seed: Whole = Field(0, ge=0)  # of waves and initial weights
-
-    @property
-    def weights(self) -> int:
-        """About how many there are: the last layer has a few more."""
-        return 2 * self.waves * self.width + (self.layers - 1) * self.width**2
-
-    @model_validator(mode="after")
-    def _check_size(self):
-        if max(self.waves, self.width) > WIDEST:
-            raise ValueError(f"waves = {self.waves} and width = {self.width}: at most {WIDEST} each are taken, since every "
-                             f"place has so many values")
-        if self.weights > MOST_WEIGHTS:
-            raise ValueError(f"waves = {self.waves}, layers = {self.layers} and width = {self.width} make {self.weights} "
-                             f"weights; at most {MOST_WEIGHTS} are taken: choose fewer waves or layers, or a smaller width")
-        return self
-
-
-class Parameter(Table):
-    """Parameters to recover: a name as `radbp info` prints it, or a glob such as `*.reflectance.value`."""
-
-    name: str
-    initial: Initial | None = None  # None: the value in the scene file
-    bounds: tuple[Number, Number] | None = None
-    learning_rate: Positive | None = None  # None: the optimiser's
-    # How the bounds are kept: projected back after every step, or never left because a sigmoid (log) of the
-    # parameter is what the optimiser sees. "rigid" is for (4, 4) matrices, which have no bounds: the optimiser sees a
-    # rotation vector (radians) and a translation, see `rigid`. "network" is for bitmaps: a network takes the place of one,
-    # within the bounds by a sigmoid, and the optimiser sees its weights.
-    parametrisation: Literal["clamp", "sigmoid", "log", "rigid", "network"] = "clamp"
-    network: Network | None = None  # None: of the default size
-    truth: Literal["scene"] | Value | None = None  # for reports only; "scene": the value in the scene file
-
-    @model_validator(mode="after")
-    def _check_bounds(self):
-        if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
-            raise ValueError(f"bounds must be [lower, upper] with lower < upper, got {list(self.bounds)}")
-        if self.parametrisation in ("sigmoid", "network") and self.bounds is None:
-            raise ValueError(f'parametrisation = "{self.parametrisation}" needs bounds = [lower, upper]')
-        if self.parametrisation == "network" and self.initial is not None:
-            raise ValueError("a network begins with random weights and takes no initial value; its network = { seed = 1 } "
-                             "draws others")
-        if self.network is not None and self.parametrisation != "network":
-            raise ValueError(f'network = ... needs parametrisation = "network", got "{self.parametrisation}"')
-        if self.parametrisation == "log" and self.bounds is not None:
-            raise ValueError('parametrisation = "log" keeps a value positive and takes no bounds')
-        if self.parametrisation == "rigid" and self.bounds is not None:
-            raise ValueError('parametrisation = "rigid" is a rotation and a translation and takes no bounds')
-        if isinstance(self.initial, Offset) and self.parametrisation != "rigid":
-            raise ValueError('initial = { rotation = ..., translation = ... } needs parametrisation = "rigid"')
-        return self
+    mask: RecipePath | None = None  # grey: how much of each pixel counts, black is nothing; None: all of it
 
 
 class Adjoint(Table):
@@ -159,113 +63,30 @@ class Render(Table):
     seed: Whole = Field(0, ge=0)
 
 
-class Loss(Table):
-    weight: Positive = 1.0
+class Prior(Table):
+    """What is likely of a parameter, before any image is seen: `weight` times a function of `rb.priors`."""
 
-
-class TwoBufferL2(Loss):
-    """mean((I_a - T)(I_b - T)) of two independent renderings: unbiased at any spp, so it takes no tone mapping."""
-
-    name: Literal["two_buffer_l2"]
-
-
-class ImageLoss(Loss):
-    tone_mapping: Literal["none", "log1p", "srgb"] = "none"
-
-
-class L1(ImageLoss):
-    name: Literal["l1"]
-
-
-class L2(ImageLoss):
-    name: Literal["l2"]
-
-
-class SSIM(ImageLoss):
-    """kornia's (1 - SSIM) / 2."""
-
-    name: Literal["ssim"]
-    window: Count = 11
-    max_value: Positive = 1.0
+    name: Literal["total_variation", "smoothness", "white_balance"]
+    parameter: str  # name or glob, of recovered parameters; or "gains"
+    weight: Positive
+    epsilon: Positive | None = None  # of total_variation: differences below count by their squares; None: 0.001
 
     @model_validator(mode="after")
-    def _check_window(self):
-        if self.window % 2 == 0:
-            raise ValueError(f"window must be odd, got {self.window}")
+    def _check_epsilon(self):
+        if self.epsilon is not None and self.name != "total_variation":
+            raise ValueError(f'epsilon belongs to name = "total_variation", not to "{self.name}"')
         return self
 
 
-class MultiScaleSSIM(ImageLoss):
-    """kornia's MS_SSIMLoss: alpha * (1 - MS-SSIM) + (1 - alpha) * L1 under the coarsest Gaussian."""
+class Stage(Table):
+    """What is done otherwise from a step on, up to the next stage; what a stage leaves out is as the recipe says."""
 
-    name: Literal["ms_ssim"]
-    alpha: Number = Field(0.84, ge=0, le=1)
-    max_value: Positive = 1.0
-    sigmas: list[Positive] = Field([0.5, 1.0, 2.0, 4.0, 8.0], min_length=1)
-
-
-AnyLoss = Annotated[TwoBufferL2 | L1 | L2 | SSIM | MultiScaleSSIM, Field(discriminator="name")]
-
-
-class Optimizer(Table):
-    learning_rate: Positive = 0.01
-
-
-class Adam(Optimizer):
-    name: Literal["adam"] = "adam"
-    betas: tuple[Fraction, Fraction] = (0.9, 0.999)
-    eps: Positive = 1e-8
-
-
-class SGD(Optimizer):
-    name: Literal["sgd"]
-    momentum: Number = Field(0.0, ge=0, lt=1)
-    nesterov: Switch = False
-
-    @model_validator(mode="after")
-    def _check_nesterov(self):
-        if self.nesterov and not self.momentum:
-            raise ValueError("nesterov = true needs a momentum above 0")
-        return self
-
-
-class RMSprop(Optimizer):
-    name: Literal["rmsprop"]
-    alpha: Number = Field(0.99, gt=0, lt=1)
-    momentum: Number = Field(0.0, ge=0, lt=1)
-    eps: Positive = 1e-8
-
-
-AnyOptimizer = Annotated[Adam | SGD | RMSprop, Field(discriminator="name")]
-
-
-class Constant(Table):
-    name: Literal["constant"] = "constant"
-
-
-class Cosine(Table):
-    """From 1 down to `final` over all steps."""
-
-    name: Literal["cosine"]
-    final: Number = Field(0.0, ge=0, le=1)
-
-
-class Step(Table):
-    """Times `factor` every `every` steps."""
-
-    name: Literal["step"]
-    every: Count
-    factor: Positive = 0.5
-
-
-class Exponential(Table):
-    """From 1 down to `final` over all steps, by the same factor each step."""
-
-    name: Literal["exponential"]
-    final: Positive = 0.1
-
-
-AnySchedule = Annotated[Constant | Cosine | Step | Exponential, Field(discriminator="name")]
+    from_step: Whole = Field(ge=0)
+    scale: Annotated[Number, Field(gt=0, le=1)] = 1.0  # of the size of the images: 0.5 for a quarter of the pixels
+    spp: Count | None = None
+    views_per_step: Count | None = None
+    parameters: Annotated[list[str], Field(min_length=1)] | None = None  # names or globs of what moves; None: all
+    learning_rates: dict[str, Positive] = {}  # by name or glob, before the schedule's factor
 
 
 class Report(Table):
@@ -290,21 +111,51 @@ class Recipe(Table):
     # Of the scene file, as in rb.load(path, resolution=128).
     variables: Annotated[dict[str, str | Whole | Number], BeforeValidator(_check_variables)] = {}
     steps: Count
+    views_per_step: Count | None = None  # of the targets, taken in turn in random order; None: all in each step
     targets: list[Target] = Field(min_length=1)
     parameters: list[Parameter] = Field(min_length=1)
+    gains: Gains | None = None  # None: the images are exposed as they are rendered
     render: Render = Render()
     loss: list[AnyLoss] = Field(default_factory=lambda: [TwoBufferL2(name="two_buffer_l2")], min_length=1)
+    priors: list[Prior] = []
     optimizer: AnyOptimizer = Adam()
     schedule: AnySchedule = Constant()
+    stages: list[Stage] = []
     report: Report = Report()
+
+    @property
+    def groups(self) -> list[Group]:
+        """All that moves."""
+        return [*self.parameters, *([] if self.gains is None else [self.gains])]
+
+    def optimizer_of(self, group: Group) -> AnyOptimizer:
+        """The optimiser of a parameter or of the gains."""
+        return group.optimizer or self.optimizer
+
+    def schedule_of(self, group: Group) -> AnySchedule:
+        """The schedule of a parameter or of the gains."""
+        return group.schedule or self.schedule
 
     @model_validator(mode="after")
     def _check_learning_rates(self):
-        if isinstance(self.schedule, Step):
-            rates = [self.optimizer.learning_rate, *(each.learning_rate for each in self.parameters if each.learning_rate)]
-            times = (self.steps - 1) // self.schedule.every
-            largest = math.log10(max(rates)) + times * math.log10(self.schedule.factor)
-            if largest > math.log10(LARGEST):
-                raise ValueError(f"a schedule.factor of {self.schedule.factor:g}, {times} times, makes a learning rate of "
-                                 f"1e{largest:.0f} by the last step, and the most is {LARGEST:g}; lower the factor")
+        for group in self.groups:
+            schedule, rates = self.schedule_of(group), [group.learning_rate or self.optimizer_of(group).learning_rate]
+            if isinstance(schedule, Step):
+                rates += [rate for stage in self.stages for rate in stage.learning_rates.values()]
+                times = (self.steps - 1) // schedule.every
+                largest = math.log10(max(rates)) + times * math.log10(schedule.factor)
+                if largest > math.log10(LARGEST):
+                    raise ValueError(f"a schedule.factor of {schedule.factor:g}, {times} times, makes a learning rate of "
+                                     f"1e{largest:.0f} by the last step, and the most is {LARGEST:g}; lower the factor")
+        return self
+
+    @model_validator(mode="after")
+    def _check_views_and_stages(self):
+        counts = [self.views_per_step, *(stage.views_per_step for stage in self.stages)]
+        most = max((count for count in counts if count), default=0)
+        if most > len(self.targets):
+            raise ValueError(f"views_per_step = {most}, and there are {len(self.targets)} targets")
+        first = [stage.from_step for stage in self.stages]
+        if sorted(set(first)) != first:
+            raise ValueError(f"stages must begin at ascending steps, got from_step = {', '.join(map(str, first))}")
         return self

@@ -8,7 +8,8 @@ from pydantic import ValidationError
 
 from torch_radbp.formats.atomic import replacing
 from torch_radbp.training.commands.bundled import is_bundled
-from torch_radbp.training.recipe import OFFSET, VALUE, Recipe
+from torch_radbp.training.recipe import Recipe
+from torch_radbp.training.recipe_parameter import OFFSET, VALUE
 
 try:
     import tomllib

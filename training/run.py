@@ -11,7 +11,7 @@ from torch_radbp.training.ranks import ALONE, RankError, Ranks
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery.checkpoint import State, load_checkpoint, save_checkpoint
-from torch_radbp.training.recovery.continuation import check_state, expected_moments, state_bytes
+from torch_radbp.training.recovery.continuation import check_state, state_bytes
 from torch_radbp.training.recovery.optimize import Recovery, train
 from torch_radbp.training.recovery.outcome import finish, save_before
 from torch_radbp.training.recovery.run_folder import RunFolder
@@ -84,9 +84,8 @@ def _take_folder(folder: RunFolder, recipe: Recipe) -> None:
 
 
 def _state_to_resume(folder: RunFolder, recovery: Recovery) -> State:
-    fresh, moments = recovery.state_dict(), expected_moments(recovery.optimizer)
-    state = load_checkpoint(folder.checkpoint, state_bytes(fresh, moments))
-    check_state(folder.checkpoint, state, fresh, recovery.parameters, moments, recovery.recipe.steps)
+    state = load_checkpoint(folder.checkpoint, state_bytes(recovery))
+    check_state(folder.checkpoint, state, recovery)
     return state
 
 

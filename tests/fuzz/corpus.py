@@ -170,9 +170,9 @@ def take_step(recovery: Recovery) -> None:
     """A step along a made-up gradient."""
     for parameter in recovery.parameters:
         parameter.raw.grad = torch.ones_like(parameter.raw)
-    recovery.optimizer.step()
-    recovery.scheduler.step()
-    recovery.step += 1
+    for optimizer in recovery.optimizers.values():
+        optimizer.step()
+    recovery.end(recovery.step)
 
 
 def _write_exr(path: Path, channels: dict[str, np.ndarray], compression: str = "ZIP", kind=OpenEXR.scanlineimage) -> Path:

@@ -23,7 +23,7 @@ from torch_radbp.io.transform import translate
 from torch_radbp.sensor.calibrated import Calibrated
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery.checkpoint import load_checkpoint
-from torch_radbp.training.recovery.continuation import check_state, expected_moments, state_bytes
+from torch_radbp.training.recovery.continuation import check_state, state_bytes
 from torch_radbp.training.recovery.optimize import Recovery
 
 MESH_OPTIONS = [{}, {"face_normals": True}, {"recompute_normals": True}, {"flip_tex_coords": True, "flip_normals": True},
@@ -132,9 +132,8 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
 def continued(path: Path) -> None:
     """Continues the run whose recipe is beside the checkpoint at `path` by a step."""
     recovery = Recovery(read_recipe(path.parent / "recipe.toml"))
-    fresh, moments = recovery.state_dict(), expected_moments(recovery.optimizer)
-    state = load_checkpoint(path, state_bytes(fresh, moments))
-    check_state(path, state, fresh, recovery.parameters, moments, recovery.recipe.steps)
+    state = load_checkpoint(path, state_bytes(recovery))
+    check_state(path, state, recovery)
     recovery.load_state_dict(state)
     take_step(recovery)
 

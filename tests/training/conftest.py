@@ -1,5 +1,6 @@
 """A scene of a few triangles and 8 x 6 pixels, and recipes for it: a whole run takes about a second."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -95,6 +96,17 @@ def edit_recipe(folder: Path):
         return path
 
     return edit
+
+
+@pytest.fixture
+def two_views(folder, edit_recipe) -> Path:
+    """The recipe with a second camera, `aside`, and the same target for it."""
+    scene = (folder / "scene.xml").read_text()
+    camera = re.search(r"    <sensor.*?</sensor>\n", scene, re.DOTALL)[0]
+    aside = camera.replace('id="camera"', 'id="aside"').replace('origin="0, 1, 3"', 'origin="1, 1, 2.5"')
+    (folder / "scene.xml").write_text(scene.replace(camera, camera + aside))
+    return edit_recipe('image = "target.exr"\n', 'image = "target.exr"\nsensor = "camera"\n\n[[targets]]\n'
+                       'image = "target.exr"\nsensor = "aside"\n')
 
 
 @pytest.fixture

@@ -19,9 +19,10 @@ def gradient(recipe: Path, ranks: Ranks) -> list[torch.Tensor]:
         recovery = optimize.Recovery(read_recipe(recipe, []), ranks)
     finally:
         optimize.rb.load = load
-    targets = recovery.targets.images[recovery.share.views].double()
-    loss, terms, _, trouble = optimize.take_gradient(recovery, 0, targets)
-    loss, _, trouble, _ = optimize.together(recovery, loss, terms, trouble, False)
+    levels = recovery.levels.levels
+    levels[1.0] = levels[1.0]._replace(images=levels[1.0].images.double())
+    loss, terms, _, trouble = optimize.take_gradient(recovery, 0)
+    loss, _, trouble, _ = optimize.together(recovery, 0, loss, terms, trouble, False)
     assert trouble is None
     return [*(each.raw.grad for each in recovery.parameters), loss.detach().double()]
 

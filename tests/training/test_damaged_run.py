@@ -20,7 +20,7 @@ from rich.console import Console
 from torch_radbp.formats.image import save_image
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, CheckpointError, load_checkpoint, save_checkpoint
-from torch_radbp.training.recovery.continuation import check_state, expected_moments, state_bytes
+from torch_radbp.training.recovery.continuation import check_state, state_bytes
 from torch_radbp.training.recovery.folder_lock import FolderInUseError, FolderLock
 from torch_radbp.training.recovery.metrics import MetricsFile
 from torch_radbp.training.recovery.optimize import Recovery
@@ -227,12 +227,11 @@ def checked(good_run):
     """Returns a function that checks a state as `--resume` does, and the state of the good run."""
     folder, _, recipe = good_run
     path, recovery = folder / "run" / FILE_NAME, Recovery(recipe)
-    fresh, moments = recovery.state_dict(), expected_moments(recovery.optimizer)
 
     def check(state):
-        check_state(path, state, fresh, recovery.parameters, moments, recipe.steps)
+        check_state(path, state, recovery)
 
-    return check, load_checkpoint(path, state_bytes(fresh, moments))
+    return check, load_checkpoint(path, state_bytes(recovery))
 
 
 def test_the_state_of_the_run_is_taken(checked):

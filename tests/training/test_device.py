@@ -10,8 +10,9 @@ from torch_radbp.training.device import usable_device
 from torch_radbp.training.ranks import ALONE
 from torch_radbp.training.recipe_file import RecipeError, read_recipe
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint, save_checkpoint
-from torch_radbp.training.recovery.continuation import check_state, expected_moments
-from torch_radbp.training.recovery.optimize import Recovery, make_optimizer
+from torch_radbp.training.recovery.continuation import check_state
+from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.optimizers import make_optimizers, moments_of
 from torch_radbp.training.run import run
 
 QUIET = Console(quiet=True)
@@ -94,9 +95,10 @@ def test_the_state_of_the_optimiser_follows_to_the_device_of_the_parameters(fold
     state = load_checkpoint(folder / "run" / FILE_NAME, 2**20)
     recovery = Recovery(read_recipe(folder / "recipe.toml", []), ALONE)
     recovery.scene.to("meta")
-    recovery.optimizer = make_optimizer(recovery.parameters, recovery.recipe.optimizer)
+    recovery.optimizers = make_optimizers(recovery.parameters, recovery.recipe)
     recovery.load_state_dict(state)
-    moments = [value for held in recovery.optimizer.state.values() for name, value in held.items() if name != "step"]
+    moments = [value for optimizer in recovery.optimizers.values() for name, value in moments_of(optimizer).items()
+               if name != "step"]
     assert moments and all(value.is_meta for value in moments)
     assert all(value.device.type == "cpu" for held in state["moments"].values() for value in held.values())
 
@@ -107,6 +109,5 @@ def test_checkpoints_are_read_to_the_memory_of_the_host(folder):
     state = load_checkpoint(path, 2**20)
     save_checkpoint(path, state)
     recovery = Recovery(read_recipe(folder / "recipe.toml", []), ALONE)
-    moments = expected_moments(recovery.optimizer)
-    check_state(path, load_checkpoint(path, 2**20), recovery.state_dict(), recovery.parameters, moments, 6)
+    check_state(path, load_checkpoint(path, 2**20), recovery)
     assert all(value.device.type == "cpu" for value in state["parameters"].values())

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torch_radbp.training.recipe import L1, L2, SSIM, MultiScaleSSIM, TwoBufferL2
+from torch_radbp.training.recipe_loss import L1, L2, SSIM, MultiScaleSSIM, TwoBufferL2
 from torch_radbp.training.recovery.losses import TONE_MAPPINGS, Objective
 
 THETA, TARGET, SAMPLES = 0.7, 0.4, 200_000

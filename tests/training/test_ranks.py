@@ -16,11 +16,9 @@ from torch_radbp.rendering.cost import memory_of
 from torch_radbp.training.ranks import ALONE, Ranks
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint
 from torch_radbp.training.recovery.metrics import MetricsFile
-from torch_radbp.training.recovery.optimize import own_budget
+from torch_radbp.training.recovery.renderers import own_budget
 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "200", "MASTER_ADDR": "127.0.0.1"}
-TWO_VIEWS = ('image = "target.exr"\n', 'image = "target.exr"\nsensor = "camera"\n\n[[targets]]\nimage = "target.exr"\n'
-             'sensor = "aside"\n')
 
 
 def under_torchrun(processes: int, *program: str, **options) -> subprocess.Popen:
@@ -34,16 +32,6 @@ def finished(process: subprocess.Popen) -> str:
     said = process.communicate(timeout=300)[0]
     assert process.returncode == 0, said
     return said
-
-
-@pytest.fixture
-def two_views(folder, edit_recipe):
-    """The recipe with a second camera and a target of its own."""
-    scene = (folder / "scene.xml").read_text()
-    camera = re.search(r"    <sensor.*?</sensor>\n", scene, re.DOTALL)[0]
-    aside = camera.replace('id="camera"', 'id="aside"').replace('origin="0, 1, 3"', 'origin="1, 1, 2.5"')
-    (folder / "scene.xml").write_text(scene.replace(camera, camera + aside))
-    return edit_recipe(*TWO_VIEWS)
 
 
 def close_to_the_same(found: list[torch.Tensor], expected: list[torch.Tensor]) -> None:

@@ -42,6 +42,49 @@ BAD_RECIPES = {
     "unknown optimiser": ('name = "adam"', 'name = "lbfgs"', ["optimizer", "'adam'", "got 'lbfgs'"]),
     "option of another optimiser": ('name = "adam"', 'name = "adam"\nmomentum = 0.9', ["optimizer", "'momentum'"]),
     "unknown schedule": ('name = "cosine"', 'name = "cosin"', ["schedule", "'cosine'", "got 'cosin'"]),
+    "more views than targets": ("steps = 6", "steps = 6\nviews_per_step = 2", ["views_per_step = 2", "1 targets"]),
+    "coarse to fine in no order": (
+        "initial = 0.5\nbounds = [0.0, 1.0]", "coarse_to_fine = { cells = [2, 2], double_at = [4, 2] }",
+        ["ascending", "[4, 2]"],
+    ),
+    "coarse to fine with bounds": (
+        "initial = 0.5", "coarse_to_fine = { cells = [2, 2], double_at = [4] }", ['parametrisation = "sigmoid"'],
+    ),
+    "coarse to fine of a pose": (
+        "initial = 0.5\nbounds = [0.0, 1.0]",
+        'parametrisation = "rigid"\ncoarse_to_fine = { cells = [2, 2], double_at = [4] }', ["for maps", "rigid"],
+    ),
+    "unknown key of coarse to fine": (
+        "bounds = [0.0, 1.0]", "coarse_to_fine = { cell = [2, 2], double_at = [4] }", ["unknown key 'cell'", "'cells'"],
+    ),
+    "large steps with bounds": ("initial = 0.5", 'parametrisation = "large_steps"', ["large_steps", "no bounds"]),
+    "smoothness of a colour": ("initial = 0.5", "smoothness = 4", ["needs parametrisation", "large_steps", "clamp"]),
+    "unknown optimiser of a parameter": (
+        "initial = 0.5", 'optimizer = { name = "adm" }',
+        ["parameters[0] ('paint.reflectance.value').optimizer", "'adam_uniform'"],
+    ),
+    "unknown prior": (
+        "[render]", '[[priors]]\nname = "flat"\nparameter = "paint.*"\nweight = 1\n[render]',
+        ["priors[0] ('flat').name", "'total_variation'", "'white_balance'", "got 'flat'"],
+    ),
+    "prior without a weight": (
+        "[render]", '[[priors]]\nname = "smoothness"\nparameter = "paint.*"\n[render]', ["weight: this key is required"],
+    ),
+    "epsilon of another prior": (
+        "[render]", '[[priors]]\nname = "smoothness"\nparameter = "paint.*"\nweight = 1\nepsilon = 0.1\n[render]',
+        ["epsilon belongs to", "total_variation"],
+    ),
+    "stages in no order": (
+        "[render]", "[[stages]]\nfrom_step = 4\n[[stages]]\nfrom_step = 2\n[render]", ["ascending steps", "4, 2"],
+    ),
+    "stage of larger images": ("[render]", "[[stages]]\nfrom_step = 0\nscale = 2.0\n[render]", ["stages[0].scale", "got 2"]),
+    "unknown key of a stage": (
+        "[render]", "[[stages]]\nfrom = 0\n[render]", ["stages[0]", "unknown key 'from'", "'from_step'"],
+    ),
+    "unknown key of gains": (
+        "[render]", "[gains]\nwhite = true\n[render]", ["gains", "unknown key 'white'", "'white_balance'"],
+    ),
+    "no mask file": ('"target.exr"', '"target.exr"\nmask = "mask.png"', ["targets[0].mask: no such file"]),
     "stride without memo": (
         'caster = "brute"', 'adjoint = { strategy = "replay", stride = 2 }', ["adjoint", "stride", "memoized"],
     ),
@@ -76,6 +119,34 @@ MISFITS = {
     ),
     "rigid of a colour": (
         "initial = 0.5\nbounds = [0.0, 1.0]", 'parametrisation = "rigid"', ["rigid", "(4, 4)", "(3,)", "to_world"],
+    ),
+    "large steps of a colour": (
+        "initial = 0.5\nbounds = [0.0, 1.0]", 'parametrisation = "large_steps"', ["vertex_positions", "value of a RGB"],
+    ),
+    "coarse to fine of a colour": (
+        "initial = 0.5\nbounds = [0.0, 1.0]", "coarse_to_fine = { cells = [2, 2], double_at = [3] }", ["2 axes", "(3,)"],
+    ),
+    "gains of no sensor": ("[render]", '[gains]\nfixed = "camra"\n[render]', ["gains.fixed", "'camra'", "'camera'"]),
+    "gains of too many": (
+        "[render]", "[gains]\ninitial = [1, 2]\n[render]", ["gains.initial", "each of the 1 targets", "got 2"],
+    ),
+    "gains that are negative": ("[render]", "[gains]\ntruth = -1\n[render]", ["gains.truth must be positive", "-1"]),
+    "prior of what is not recovered": (
+        "[render]", '[[priors]]\nname = "smoothness"\nparameter = "paint.reflectanc"\nweight = 1\n[render]',
+        ["priors[0].parameter", "none of the parameters that are recovered", "'paint.reflectance.value'"],
+    ),
+    "prior of another shape": (
+        "[render]", '[[priors]]\nname = "smoothness"\nparameter = "paint.*"\nweight = 1\n[render]',
+        ["the prior smoothness of 'paint.reflectance.value'", "(H, W, C)", "(3,)"],
+    ),
+    "stage of what is not recovered": (
+        "[render]", '[[stages]]\nfrom_step = 0\nparameters = ["gains"]\n[render]', ["stages[0].parameters", "'gains'"],
+    ),
+    "learning rate of what is not recovered": (
+        "[render]", "[[stages]]\nfrom_step = 0\nlearning_rates = { gains = 0.1 }\n[render]", ["stages[0].learning_rates"],
+    ),
+    "stage of pixels that are not square": (
+        "[render]", "[[stages]]\nfrom_step = 0\nscale = 0.4\n[render]", ["scale = 0.4", "would not be square"],
     ),
     "no such caster": ('caster = "brute"', 'caster = "brutal"', ["brutal"]),
     "no such term": ('caster = "brute"', 'caster = "brute"\nterms = ["primry"]', ["primry", "primary", "shadow"]),
@@ -162,9 +233,9 @@ RECIPES = Path(__file__).parents[2] / "training" / "recipes"
 def test_recipes_that_come_with_the_package_fit_their_scenes(path):
     recovery = Recovery(read_recipe(path, ["render.caster=brute"]))
     for parameter in recovery.parameters:
-        assert parameter.truth is not None
-        off, size = (parameter.value - parameter.truth).abs().max(), parameter.truth.abs().max()
-        assert off > min(0.01, 0.1 * size), "a recipe does not start from the truth"  # coefficients of a lens are small
+        found = parameter.compared(parameter.value)
+        off = found["chamfer"] if "chamfer" in found else found["largest_error"]
+        assert off > min(0.01, 0.1 * parameter.size), "a recipe does not start from the truth"  # lenses: small coefficients
 
 
 def test_a_memory_budget_reaches_the_renderer_in_any_unit(folder):

@@ -59,7 +59,7 @@ class AdamUniform(torch.optim.Optimizer):
         """Moves a parameter by its gradient."""
         state, (first, second) = self.state[parameter], group["betas"]
         if not state:
-            state["step"] = 0
+            state["step"] = torch.tensor(0.0, dtype=torch.float64)  # a tensor, as of torch's own optimizers
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
         state["step"] += 1
         mean, square = state["exp_avg"], state["exp_avg_sq"]

@@ -128,6 +128,8 @@ def recovered_table(summary: dict) -> Table:
         if "largest_error" in each and "truth" not in each:
             truth = f"mean {each['mean_truth']:.4f}"
             error = f"RMSE {each['rmse']:.2g}"
+        if "chamfer" in each:
+            truth, error = "a mesh", f"Chamfer {each['chamfer']:.2g}"
         if "motion" in each:
             recovered = _motion(each["motion"])
         if "pose_error" in each:

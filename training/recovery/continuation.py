@@ -3,18 +3,20 @@
 What follows from the recipe, learning rates for instance, is not in the state but computed again.
 """
 
-import copy
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import torch
 from torch import Tensor
 
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recovery.checkpoint import START_ANEW, CheckpointError, State
-from torch_radbp.training.recovery.parameters import RecoveredParameter
+
+if TYPE_CHECKING:
+    from torch_radbp.training.recovery.optimize import Recovery
 
 COUNTS = ("step", "skipped", "processes")
 # Means of squares, of Adam and of RMSprop.
@@ -54,53 +56,50 @@ def _shown(fields: Mapping[str, Any], key: str) -> str:
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
 
 
-def expected_moments(optimizer: torch.optim.Optimizer) -> list[dict[str, Tensor]]:
-    """What an optimiser keeps of each parameter from its first step on, on the device `meta`: shapes and dtypes."""
-    groups = [{**copy.copy(group), "params": [torch.zeros_like(raw, device="meta") for raw in group["params"]]}
-              for group in optimizer.param_groups]
-    twin = type(optimizer)(groups)
-    raws = [raw for group in twin.param_groups for raw in group["params"]]
-    for raw in raws:
-        raw.grad = torch.zeros_like(raw)
-    twin.step()
-    return [{name: value for name, value in twin.state[raw].items() if isinstance(value, Tensor)} for raw in raws]
+class Expected(NamedTuple):
+    """What a checkpoint of a run has of one leaf, or of another tensor.
+
+    Attributes:
+        like: a tensor of its shape and dtype, on the device `meta`.
+        moments: what the optimiser keeps of a leaf once it has moved, likewise; of other tensors nothing.
+        bounds: between what it is kept; None: it is free.
+        moved: how many of the steps so far, after which the moments were last forgotten, moved it.
+    """
+
+    like: Tensor
+    moments: dict[str, Tensor]
+    bounds: tuple[float, float] | None
+    moved: int
 
 
-def state_bytes(fresh: State, moments: list[dict[str, Tensor]]) -> int:
-    """The bytes of the tensors of a run's state."""
-    tensors = [*fresh["parameters"].values(), *(value for each in moments for value in each.values())]
+def state_bytes(recovery: Recovery) -> int:
+    """The bytes of the tensors of a run's state at most: at its end, when grids are finest."""
+    tensors = [value for each in recovery.expected(recovery.recipe.steps).values()
+               for value in (each.like, *each.moments.values())]
     return sum(value.numel() * value.element_size() for value in tensors)
 
 
-def check_state(
-    path: Path,
-    state: State,
-    fresh: State,
-    parameters: list[RecoveredParameter],
-    moments: list[dict[str, Tensor]],
-    steps: int,
-) -> None:
-    """Checks that a loaded state is one of this run.
+def check_state(path: Path, state: State, recovery: Recovery) -> None:
+    """Checks that a loaded state is one of a run.
 
     Args:
         path: where it was read, for messages.
         state: what was read.
-        fresh: the state of the same run before its first step.
-        parameters: that are recovered.
-        moments: what the optimiser keeps of each, from `expected_moments`.
-        steps: of the recipe.
+        recovery: the run, before its first step.
 
     Raises:
         CheckpointError: another recipe or other files, other names, shapes or dtypes, or numbers that make no sense; the
             message names the first of them, what was and what is.
     """
+    fresh = recovery.state_dict()
     try:
         _check_fields(state, fresh)
-        _check_counts(state, steps)
+        _check_counts(state, recovery.recipe.steps)
         _check_recipe(state["recipe"], fresh["recipe"])
         _check_sources(state["sources"], fresh["sources"])
-        _check_parameters(state["parameters"], parameters)
-        _check_moments(state, [each.name for each in parameters], moments)
+        expected = recovery.expected(state["step"])
+        _check_parameters(state["parameters"], expected)
+        _check_moments(state, expected)
     except CheckpointError as error:
         raise CheckpointError(f"{path}: {error}") from None
 
@@ -155,34 +154,37 @@ def _check_sources(before: Any, now: dict[str, str]) -> None:
                               f"scene back, or {START_ANEW}")
 
 
-def _check_parameters(values: dict[str, Tensor], parameters: list[RecoveredParameter]) -> None:
-    _check_names("parameters", values, [each.name for each in parameters])
-    for each in parameters:
-        place, value = f"parameters.{each.name}", values[each.name]
-        _check_tensor(place, value, each.raw)
-        if each.spec.bounds is None or each.spec.parametrisation != "clamp":
+def _check_parameters(values: dict[str, Tensor], expected: dict[str, Expected]) -> None:
+    _check_names("parameters", values, list(expected))
+    for name, each in expected.items():
+        place, value = f"parameters.{name}", values[name]
+        _check_tensor(place, value, each.like)
+        if each.bounds is None:
             continue
-        lower, upper = each.spec.bounds
+        lower, upper = each.bounds
         outside = (value < lower) | (value > upper)
         if outside.any():
             raise _refuse(f"{place} is {value[outside].flatten()[0].item():g}, out of the bounds [{lower:g}, {upper:g}]")
 
 
-def _check_moments(state: State, names: list[str], moments: list[dict[str, Tensor]]) -> None:
-    taken = state["step"] - state["skipped"]
-    _check_names("moments", state["moments"], names if taken and any(moments) else [])
-    for name, expected in zip(names, moments if taken else []):
-        if not expected:
-            continue
-        found = state["moments"][name]
-        _check_names(f"moments.{name}", found, list(expected))
-        for moment, like in expected.items():
+def _check_moments(state: State, expected: dict[str, Expected]) -> None:
+    """Of each leaf that has moved; which of the steps were skipped is not known, only how many."""
+    skipped, taken = state["skipped"], state["step"] - state["skipped"]
+    leaves = {name: each for name, each in expected.items() if each.moments}
+    least = {name: max(each.moved - skipped, 0) for name, each in leaves.items()}
+    most = {name: min(each.moved, taken) for name, each in leaves.items()}
+    _check_names("moments", state["moments"],
+                 [name for name in leaves if least[name] or most[name] and name in state["moments"]])
+    for name, found in state["moments"].items():
+        _check_names(f"moments.{name}", found, list(expected[name].moments))
+        for moment, like in expected[name].moments.items():
             place, value = f"moments.{name}.{moment}", found[moment]
             _check_tensor(place, value, like)
             if moment in SQUARES and (value < 0).any():
                 raise _refuse(f"{place} is {value.min().item():g}, and a mean of squares is at least 0")
-            if moment == STEPS_TAKEN and value.item() != taken:
-                raise _refuse(f"{place} is {value.item():g} after {taken} steps that were not skipped")
+            if moment == STEPS_TAKEN and not least[name] <= value.item() <= most[name]:
+                count = f"{most[name]}" if least[name] == most[name] else f"{least[name]} to {most[name]}"
+                raise _refuse(f"{place} is {value.item():g} after {count} steps that were not skipped")
 
 
 def _check_names(place: str, found: dict[str, Any], expected: list[str]) -> None:

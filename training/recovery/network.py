@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.texture.bitmap import Bitmap
-from torch_radbp.training.recipe import Network
+from torch_radbp.training.recipe_parameter import Network, Parameter
 
 
 class WaveNetwork(nn.Module):
@@ -64,6 +64,11 @@ class Texels(nn.Module):
     def right_inverse(self, value: Tensor) -> Tensor:
         """The initial weights, whatever the value is."""
         return self.network.initial_weights.clone()
+
+
+def make_texels(spec: Parameter, held: Tensor) -> Texels:
+    """Returns the map from the weights of a recipe's network to the texels of a bitmap like `held`."""
+    return Texels(WaveNetwork(spec.network or Network(), spec.bounds, held.shape[2]), held.shape).to(held)
 
 
 class OnBitmap(nn.Module):

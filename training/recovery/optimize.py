@@ -1,31 +1,38 @@
 """The training loop of `radbp optimize`.
 
-Seeds are functions of the recipe's seed and the step, the random numbers functions of the seed. With parameters,
-optimiser and scheduler saved, a resumed run therefore computes bit for bit what the uninterrupted run would have
-(on a CPU; on a GPU only under `torch.use_deterministic_algorithms`).
+Seeds are functions of the recipe's seed and the step, the random numbers functions of the seed, and so is what a step
+renders and moves (`plan`). With parameters and moments saved, a resumed run therefore computes bit for bit what the
+uninterrupted run would have (on a CPU; on a GPU only under `torch.use_deterministic_algorithms`).
 """
 
 import time
 import warnings
 from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 import torch_radbp as rb
 from torch_radbp.formats.files import opened_files
-from torch_radbp.rendering.memory import parse_budget
 from torch_radbp.tensors.differentiated import differentiable
 from torch_radbp.training import recipe as schema
 from torch_radbp.training.device import usable_device
 from torch_radbp.training.interrupt import Interrupts
-from torch_radbp.training.ranks import ALONE, Ranks, on_this_machine
+from torch_radbp.training.ranks import ALONE, Ranks
 from torch_radbp.training.recovery.checkpoint import save_checkpoint
-from torch_radbp.training.recovery.continuation import recipe_fields
+from torch_radbp.training.recovery.continuation import Expected, recipe_fields
+from torch_radbp.training.recovery.gains import recovered_gains
+from torch_radbp.training.recovery.levels import Level, Levels
 from torch_radbp.training.recovery.losses import Objective
-from torch_radbp.training.recovery.parameters import RecoveredParameter, choose_parameters
+from torch_radbp.training.recovery.optimizers import expected_moments, make_optimizers, moments_of, put_moments
+from torch_radbp.training.recovery.parameters import choose_parameters
+from torch_radbp.training.recovery.plan import Plan
+from torch_radbp.training.recovery.priors import Priors
+from torch_radbp.training.recovery.recovered import RecoveredParameter
+from torch_radbp.training.recovery.renderers import make_renderer
 from torch_radbp.training.recovery.run_folder import RunFolder
-from torch_radbp.training.recovery.schedule import make_scheduler
+from torch_radbp.training.recovery.schedule import learning_rate_factor
 from torch_radbp.training.recovery.sources import digests
 from torch_radbp.training.recovery.targets import read_targets, sensor_films
 
@@ -53,22 +60,27 @@ class Recovery:
             self.targets = read_targets(recipe.targets, sensor_films(self.scene)).to(device)
             self.parameters = choose_parameters(self.scene, recipe.parameters)
         self.sources = digests(files, recipe.scene.parent)
-        self.share = ranks.share(len(self.targets.images))
         self.renderer = make_renderer(self.scene, recipe.render)
         # The renderer checks parameters and caster when it first renders: make it do so now, before files are written.
         call = self.renderer.prepare(seed=0, sensors=self.targets.sensors, spp=1, seed_grad=None)
         check_influence(self.parameters, differentiable((call.scene, [view.camera for view in call.views])))
-        self.objective = Objective(recipe.loss)
-        check_losses(self.objective, self.targets.images)
-        self.optimizer = make_optimizer(self.parameters, recipe.optimizer)
-        self.scheduler = make_scheduler(self.optimizer, recipe.schedule, recipe.steps)
+        self.exposure = None
+        if recipe.gains is not None:
+            gains = recovered_gains(recipe.gains, self.targets.names, self.targets.images)
+            self.parameters.append(gains)
+            self.exposure = gains.module
+        self.plan = Plan(recipe, self.parameters, len(self.targets.images))
+        self.levels = Levels(self.scene, self.targets, self.plan.scales(), self.parameters)
+        self.objective, self.priors = Objective(recipe.loss), Priors(recipe.priors, self.parameters)
+        for level in self.levels.levels.values():
+            check_losses(self.objective, level)
+        self.optimizers = make_optimizers(self.parameters, recipe)
         self.step = 0
         self.skipped = 0
         self.seconds = 0.0
 
     def state_dict(self) -> dict:
         """Returns what the next step depends on beside the recipe, and what it was reached with."""
-        moments = self.optimizer.state_dict()["state"]
         return {
             "step": self.step,
             "skipped": self.skipped,
@@ -76,9 +88,8 @@ class Recovery:
             "processes": self.ranks.count,
             "recipe": recipe_fields(self.recipe),
             "sources": self.sources,
-            "parameters": {each.name: each.raw.detach() for each in self.parameters},
-            "moments": {self.parameters[index].name: {key: value for key, value in held.items() if value is not None}
-                        for index, held in moments.items()},
+            "parameters": {name: value for each in self.parameters for name, value in each.held.items()},
+            "moments": {name: moments for name, optimizer in self.optimizers.items() if (moments := moments_of(optimizer))},
         }
 
     def load_state_dict(self, state: dict) -> None:
@@ -87,12 +98,40 @@ class Recovery:
         if state["processes"] != self.ranks.count:
             warnings.warn(f"the run had {state['processes']} processes so far and has {self.ranks.count} now: it goes on "
                           "with other random numbers", stacklevel=2)
-        with torch.no_grad():
-            for each in self.parameters:
-                each.raw.copy_(state["parameters"][each.name])
-        moments = {index: state["moments"].get(each.name, {}) for index, each in enumerate(self.parameters)}
-        self.optimizer.load_state_dict(self.optimizer.state_dict() | {"state": moments})
-        self.scheduler = make_scheduler(self.optimizer, self.recipe.schedule, self.recipe.steps, self.step)
+        for each in self.parameters:
+            each.load(state["parameters"], self.step)
+        for name, optimizer in self.optimizers.items():
+            put_moments(optimizer, state["moments"].get(name, {}))
+
+    def expected(self, step: int) -> dict[str, Expected]:
+        """What the tensors of a checkpoint are after so many steps, by name."""
+        found = {}
+        for each in self.parameters:
+            moved = self.plan.moves(each, each.refined_at(step), step)
+            for name, like in each.held_at(step).items():
+                moments = expected_moments(self.optimizers[name], like) if name in self.optimizers else {}
+                found[name] = Expected(like, moments, each.bounds_of_leaf, moved)
+        return found
+
+    def begin(self, step: int) -> list[RecoveredParameter]:
+        """Gives all leaves the learning rates of a step, and returns what it moves, which alone has gradients."""
+        moving = self.plan.moving(step)
+        for each in self.parameters:
+            for name, leaf in each.leaves.items():
+                leaf.grad = None
+                leaf.requires_grad_(each in moving)
+                self.optimizers[name].param_groups[0]["lr"] = self.plan.learning_rate(each, step)
+        return moving
+
+    def end(self, step: int) -> None:
+        """Goes on to the next step: grids become as fine as they are after so many steps."""
+        self.step = step + 1
+        for each in self.parameters:
+            each.refine_to(self.step, self.optimizers.get(each.name))
+
+    def exposed(self, images: Tensor, views: list[int]) -> Tensor:
+        """Renderings (B, 3, H, W) as the photographs of these targets show them, attached."""
+        return images if self.exposure is None else self.exposure(images, torch.tensor(views, device=images.device))
 
 
 def check_influence(parameters: list[RecoveredParameter], leaves: list[Tensor]) -> None:
@@ -112,63 +151,16 @@ def check_influence(parameters: list[RecoveredParameter], leaves: list[Tensor]) 
                              f"{hint}")
 
 
-def check_losses(objective: Objective, targets: Tensor) -> None:
+def check_losses(objective: Objective, level: Level) -> None:
     """Raises ValueError if the losses cannot be computed on images of this size, which a window may exceed."""
+    targets = level.images
     try:
         with torch.no_grad():
-            objective((targets, targets), targets)
+            objective((targets, targets), targets, level.masks)
     except (RuntimeError, ValueError) as error:
         names = ", ".join(spec.name for spec in objective.specs)
         raise ValueError(f"loss: {names} cannot be computed on targets of {targets.shape[3]} x {targets.shape[2]} pixels; "
                          f"take a smaller window, or larger images ({str(error).splitlines()[0]})") from None
-
-
-def make_renderer(scene, spec: schema.Render) -> rb.Renderer:
-    """Returns the renderer that a recipe's `[render]` describes."""
-    return rb.Renderer(
-        scene,
-        spp=spec.spp,
-        max_depth=spec.max_depth,
-        rr_depth=spec.rr_depth,
-        adjoint=None if spec.adjoint is None else make_adjoint(spec.adjoint),
-        sampling=spec.sampling,
-        chunk=spec.chunk,
-        memory_budget=own_budget(spec.memory_budget, scene.device),
-        compile=spec.compile,
-        caster=spec.caster,
-        **({} if spec.terms is None else {"terms": spec.terms}),
-        share_samples=True,  # two independent buffers take each other's part
-    )
-
-
-def own_budget(budget: int | str | None, device: torch.device) -> int | None:
-    """The bytes of a recipe's `memory_budget`, which is that of a device, that are this process's own."""
-    if budget is None:
-        return None
-    devices = torch.cuda.device_count() if device.type == "cuda" else 1
-    return parse_budget(budget) // max(1, -(-on_this_machine() // devices))
-
-
-def make_adjoint(spec: schema.Adjoint):
-    """Returns the strategy of a recipe's `[render] adjoint`."""
-    match spec.strategy:
-        case "memoized":
-            return rb.MemoizedAdjoint(stride=spec.stride, keep_hits=spec.keep_hits)
-        case "replay":
-            return rb.ReplayAdjoint()
-        case "quadratic":
-            return rb.QuadraticAdjoint()
-        case "tape":
-            return rb.TapeAdjoint()
-    raise TypeError(f"no strategy for {spec!r}")
-
-
-def make_optimizer(parameters: list[RecoveredParameter], spec: schema.AnyOptimizer) -> torch.optim.Optimizer:
-    """Returns the torch optimiser of a recipe's `[optimizer]`, one group per parameter."""
-    groups = [{"params": [each.raw], "lr": each.spec.learning_rate or spec.learning_rate} for each in parameters]
-    options = spec.model_dump(exclude={"name", "learning_rate"})
-    cls = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD, "rmsprop": torch.optim.RMSprop}[spec.name]
-    return cls(groups, lr=spec.learning_rate, **options)
 
 
 def step_seed(seed: int, step: int, stream: int) -> int:
@@ -176,13 +168,40 @@ def step_seed(seed: int, step: int, stream: int) -> int:
     return (seed * 0x9E3779B1 + 2 * step + stream) % 2**31
 
 
+class Shown(NamedTuple):
+    """What one process renders in a step, and what it compares that with.
+
+    Attributes:
+        views: numbers of the targets.
+        weight: of its gradient; those of all processes sum to 1.
+        turn: the number of its random numbers.
+        images: (B, 3, H, W), linear RGB.
+        masks: (B, 1, H, W); None: all pixels count the same.
+    """
+
+    views: list[int]
+    weight: float
+    turn: int
+    images: Tensor
+    masks: Tensor | None
+
+
+def shown_in(recovery: Recovery, step: int) -> Shown:
+    """This process's share of a step; the scene has cameras of the step's size from then on."""
+    views = recovery.plan.views(step)
+    share, level = recovery.ranks.share(len(views)), recovery.levels.place(recovery.plan.scale(step))
+    own = [views[each] for each in share.views]
+    return Shown(own, share.weight, step * share.count + share.number, level.images[own],
+                 None if level.masks is None else level.masks[own])
+
+
 def render_buffers(recovery: Recovery, step: int) -> tuple[Tensor, Tensor]:
-    """Returns the independent renderings of this process's share of a step, each (B, 3, H, W)."""
-    spec, share = recovery.recipe.render, recovery.share
-    turn = step * share.count + share.number
-    sensors = [recovery.targets.sensors[view] for view in share.views]
-    spp = recovery.objective.spp_of_buffer(spec.spp)
-    one, other = (recovery.renderer(seed=step_seed(spec.seed, turn, buffer), sensors=sensors, spp=spp) for buffer in (0, 1))
+    """Returns the independent renderings of this process's share of a step, each (B, 3, H, W), exposed as photographs."""
+    shown = shown_in(recovery, step)
+    sensors = [recovery.targets.sensors[view] for view in shown.views]
+    spp = recovery.objective.spp_of_buffer(recovery.plan.spp(step))
+    seeds = (step_seed(recovery.recipe.render.seed, shown.turn, buffer) for buffer in (0, 1))
+    one, other = (recovery.exposed(recovery.renderer(seed=seed, sensors=sensors, spp=spp), shown.views) for seed in seeds)
     return one, other
 
 
@@ -209,28 +228,28 @@ def take_steps(
     recovery: Recovery, folder: RunFolder, on_step: Callable[[dict[str, float]], None], interrupts: Interrupts
 ) -> None:
     """As `train`; of several processes, all stop after the step in which one has received a signal."""
-    recipe, targets = recovery.recipe, recovery.targets.images[recovery.share.views]
+    recipe = recovery.recipe
     skipped_in_a_row = 0
     for step in range(recovery.step, recipe.steps):
         interrupts.check()
         started = time.perf_counter()
-        recovery.optimizer.zero_grad()
-        loss, terms, rendered, trouble = take_gradient(recovery, step, targets)
-        loss, terms, trouble, stopped = together(recovery, loss, terms, trouble, interrupts.pending)
+        moving = recovery.begin(step)
+        loss, terms, rendered, trouble = take_gradient(recovery, step)
+        loss, terms, trouble, stopped = together(recovery, step, loss, terms, trouble, interrupts.pending)
         finished = time.perf_counter()
 
         usable = trouble is None
         with interrupts.held():
             row = {"step": step, "loss": loss.item()} | {f"loss.{name}": term.item() for name, term in terms.items()}
-            row["learning_rate_factor"] = recovery.scheduler.get_last_lr()[0] / recovery.scheduler.base_lrs[0]
+            row["learning_rate_factor"] = learning_rate_factor(recipe.schedule, step, recipe.steps)
             if usable:
-                recovery.optimizer.step()
-                for parameter in recovery.parameters:
+                for parameter in moving:
+                    for name in parameter.leaves:
+                        recovery.optimizers[name].step()
                     parameter.project_()
             else:
                 recovery.skipped += 1
-            recovery.scheduler.step()
-            recovery.step = step + 1
+            recovery.end(step)
             recovery.seconds += time.perf_counter() - started
             row |= {"skipped": recovery.skipped, "forward_seconds": rendered - started}
             row |= {"backward_seconds": finished - rendered, "seconds": recovery.seconds}
@@ -258,18 +277,22 @@ def take_steps(
             )
 
 
-def take_gradient(recovery: Recovery, step: int, targets: Tensor) -> tuple[Tensor, dict[str, Tensor], float, str | None]:
-    """Renders, and leaves the gradient in the parameters.
+def take_gradient(recovery: Recovery, step: int) -> tuple[Tensor, dict[str, Tensor], float, str | None]:
+    """Renders, and leaves the gradient in the parameters that the step moves.
 
     Returns:
         the loss and its terms, NaN where there is no image; when the image was there; what is not finite, or None.
     """
+    shown = shown_in(recovery, step)
     try:
         buffers = render_buffers(recovery, step)
     except FloatingPointError as error:
-        missing = targets.new_tensor(float("nan"))
-        return missing, {spec.name: missing for spec in recovery.objective.specs}, time.perf_counter(), str(error)
-    loss, terms = recovery.objective(buffers, targets)
+        missing = shown.images.new_tensor(float("nan"))
+        terms = dict.fromkeys([*recovery.objective.names, *recovery.priors.names], missing)
+        return missing, terms, time.perf_counter(), str(error)
+    loss, terms = recovery.objective(buffers, shown.images, shown.masks)
+    likely, prior_terms = recovery.priors()
+    loss, terms = loss + likely, terms | prior_terms
     rendered = time.perf_counter()
     if not loss.isfinite():
         return loss, terms, rendered, "the loss is not finite"
@@ -277,19 +300,26 @@ def take_gradient(recovery: Recovery, step: int, targets: Tensor) -> tuple[Tenso
         loss.backward()
     except FloatingPointError as error:
         return loss, terms, rendered, str(error)
-    for each in recovery.parameters:
-        if each.raw.grad is None:  # the optimiser would leave it out, and count its steps apart
-            each.raw.grad = torch.zeros_like(each.raw)
-    bad = [each.name for each in recovery.parameters if not each.raw.grad.isfinite().all()]
+    leaves = moving_leaves(recovery, step)
+    for leaf in leaves.values():
+        if leaf.grad is None:  # the optimiser would leave it out, and count its steps apart
+            leaf.grad = torch.zeros_like(leaf)
+    bad = [name for name, leaf in leaves.items() if not leaf.grad.isfinite().all()]
     return loss, terms, rendered, f"the gradient of {', '.join(bad)} is not finite" if bad else None
 
 
-def together(recovery: Recovery, loss: Tensor, terms: dict[str, Tensor], trouble: str | None, pending: bool
+def moving_leaves(recovery: Recovery, step: int) -> dict[str, Tensor]:
+    """The leaves that a step moves, by name."""
+    return {name: leaf for each in recovery.plan.moving(step) for name, leaf in each.leaves.items()}
+
+
+def together(recovery: Recovery, step: int, loss: Tensor, terms: dict[str, Tensor], trouble: str | None, pending: bool
              ) -> tuple[Tensor, dict[str, Tensor], str | None, bool]:
     """Puts the gradient of all processes into the parameters, from the own one.
 
     Args:
         recovery: with the gradient of its share.
+        step: the step.
         loss, terms, trouble: of it, as from `take_gradient`.
         pending: whether this process is asked to stop.
 
@@ -299,10 +329,10 @@ def together(recovery: Recovery, loss: Tensor, terms: dict[str, Tensor], trouble
     Raises:
         RankError: a process has ended.
     """
-    ranks, weight = recovery.ranks, recovery.share.weight
+    ranks = recovery.ranks
     if ranks.count == 1:
         return loss, terms, trouble, False
-    raws = [each.raw for each in recovery.parameters]
+    weight, raws = shown_in(recovery, step).weight, list(moving_leaves(recovery, step).values())
     own = [torch.zeros_like(raw) if trouble else raw.grad for raw in raws]
     flags = loss.detach().new_tensor([trouble is not None, pending])
     values = torch.stack([loss.detach(), *(term.detach() for term in terms.values())])

@@ -11,10 +11,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.formats.image import read_image
+from torch_radbp.losses import masked_mean
 from torch_radbp.training.false_colour import absolute_error, error_scale, false_colour
 from torch_radbp.training.recovery.optimize import Recovery, step_seed
-from torch_radbp.training.recovery.parameters import RecoveredParameter
 from torch_radbp.training.recovery.passes import Estimate, render_in_passes
+from torch_radbp.training.recovery.recovered import RecoveredParameter
 from torch_radbp.training.recovery.run_folder import RunFolder
 from torch_radbp.training.recovery.verdict import ImageErrors, ParameterCurve, judge_run
 
@@ -28,15 +29,17 @@ PASS_SPP, INVISIBLE = 32, 0.007
 
 
 def render_for_report(recovery: Recovery, ended: Callable[[], bool]) -> Estimate:
-    """Renders the targets' sensors with the current parameters, until no noise is seen or the report's spp are reached.
+    """Renders the targets' sensors with the current parameters and gains, until no noise is seen or the report's spp are
+    reached.
 
     Args:
         recovery: the problem at any step.
         ended: asked after each pass; True ends the rendering with the samples so far.
     """
-    recipe = recovery.recipe
+    recipe, views = recovery.recipe, list(range(len(recovery.targets.names)))
+    recovery.levels.place(1.0)
     return render_in_passes(
-        recovery.renderer, recovery.targets.sensors, recipe.report.spp,
+        lambda **call: recovery.exposed(recovery.renderer(**call), views), recovery.targets.sensors, recipe.report.spp,
         seed=step_seed(recipe.render.seed, -1, 0),  # those of step -1: samples that no step of the optimisation has used
         passes=min(recipe.report.spp, max(2, -(-recipe.report.spp // PASS_SPP))),
         go_on=lambda estimate: not ended() and (estimate.noise is None or estimate.visible_noise > INVISIBLE),
@@ -89,7 +92,7 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
         "machine": {
             "python": platform.python_version(),
             "torch": torch.__version__,
-            "device": str(recovery.parameters[0].raw.device),
+            "device": str(recovery.targets.images.device),
             "threads": torch.get_num_threads(),
         },
     }
@@ -101,7 +104,7 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
 
 
 def _verdict(recovery: Recovery, folder: RunFolder, images: list[dict[str, Any]]) -> dict[str, Any]:
-    unbiased = all(spec.name == "two_buffer_l2" for spec in recovery.recipe.loss)
+    unbiased = all(spec.name == "two_buffer_l2" for spec in recovery.recipe.loss) and not recovery.recipe.priors
     before, after = (math.sqrt(statistics.fmean(each[key] ** 2 for each in images)) for key in ("rmse_before", "rmse"))
     rows = folder.metrics.rows()
     curves = [_parameter_curve(each, rows) for each in recovery.parameters]
@@ -114,46 +117,41 @@ def _parameter_curve(parameter: RecoveredParameter, rows: list[dict[str, float]]
     before = parameter.columns(parameter.before)
     curves = {key: [value, *(row[key] for row in rows if key in row)] for key, value in before.items()}
     distances = curves.pop(parameter.distance_column, None)
-    size = 0.0 if parameter.truth is None else parameter.truth.square().mean().sqrt().item()
-    return ParameterCurve(parameter.name, [*curves.values()], distances, size)
+    return ParameterCurve(parameter.name, [*curves.values()], distances, parameter.size)
 
 
 def _save_after(recovery: Recovery, folder: RunFolder, index: int, after: Tensor) -> dict[str, Any]:
     name, target = recovery.targets.names[index], recovery.targets.images[index]
+    mask = None if recovery.targets.masks is None else recovery.targets.masks[index]
     error = absolute_error(after, target)
-    scale = error_scale(error)
+    shown = error if mask is None else mask * error
+    scale = error_scale(shown)
     folder.save_image(name, "after", after)
-    folder.save_image(name, "error", error, png=false_colour(error, scale))
+    folder.save_image(name, "error", shown, png=false_colour(shown, scale))
     before = read_image(folder.image_path(name, "before", ".exr")).permute(2, 0, 1).to(target)
     return {
         "sensor": name,
-        "mean_error": error.mean().item(),
-        "rmse_before": (before - target).square().mean().sqrt().item(),
-        "rmse": error.square().mean().sqrt().item(),
+        "mean_error": _mean(error, mask).item(),
+        "rmse_before": _mean((before - target).square(), mask).sqrt().item(),
+        "rmse": _mean((after - target).square(), mask).sqrt().item(),
         "error_scale": scale,
     }
 
 
+def _mean(values: Tensor, mask: Tensor | None) -> Tensor:
+    """The mean of (C, H, W) values, of those that a mask counts."""
+    return masked_mean(values[None], None if mask is None else mask[None])
+
+
 def _parameter_summary(parameter: RecoveredParameter) -> dict[str, Any]:
-    value, truth = parameter.value, parameter.truth
+    value = parameter.value
     summary = {"name": parameter.name, "shape": list(value.shape), "picture": parameter.is_picture}
     summary |= {"mean_before": parameter.before.mean().item(), "mean": value.mean().item()}
     if parameter.is_small:
         summary |= {"before": parameter.before.flatten().tolist(), "recovered": value.flatten().tolist()}
     if parameter.is_pose:
         summary["motion"] = parameter.motion(value)
-    if truth is not None:
-        difference = (value - truth).abs()
-        summary |= {"mean_truth": truth.mean().item(), "largest_error": difference.max().item()}
-        summary |= {"rmse": difference.square().mean().sqrt().item()}
-        summary |= {"rmse_before": (parameter.before - truth).square().mean().sqrt().item()}
-        if parameter.is_small:
-            summary["truth"] = truth.flatten().tolist()
-        if parameter.is_pose:
-            summary["true_motion"] = parameter.motion(truth)
-            summary["pose_error"] = parameter.pose_error(value)._asdict()
-            summary["pose_error_before"] = parameter.pose_error(parameter.before)._asdict()
-    return summary
+    return summary | parameter.compared(value)
 
 
 def _cost(recovery: Recovery, folder: RunFolder) -> dict[str, float | None]:

@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.formats.image import linear_to_srgb
-from torch_radbp.rendering.renderer import Renderer
 
 NEXT_SEED = 0x1000193  # passes share no samples
 
@@ -29,12 +28,12 @@ class Estimate(NamedTuple):
 
 
 def render_in_passes(
-    renderer: Renderer, sensors: list[int], spp: int, seed: int, passes: int, go_on: Callable[[Estimate], bool]
+    renderer: Callable[..., Tensor], sensors: list[int], spp: int, seed: int, passes: int, go_on: Callable[[Estimate], bool]
 ) -> Estimate:
     """Renders with up to `spp` samples per pixel.
 
     Args:
-        renderer: what to render with.
+        renderer: what to render with, called as an `rb.Renderer`.
         sensors: indices of the sensors.
         spp: samples per pixel at most.
         seed: of the random numbers.

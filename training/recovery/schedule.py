@@ -2,10 +2,7 @@
 
 import math
 
-from torch.optim import Optimizer
-from torch.optim.lr_scheduler import LambdaLR
-
-from torch_radbp.training import recipe
+from torch_radbp.training import recipe_optimizer as recipe
 
 
 def learning_rate_factor(schedule: recipe.AnySchedule, step: int, steps: int) -> float:
@@ -21,10 +18,3 @@ def learning_rate_factor(schedule: recipe.AnySchedule, step: int, steps: int) ->
         case recipe.Constant():
             return 1.0
     raise TypeError(f"no schedule for {schedule!r}")
-
-
-def make_scheduler(optimizer: Optimizer, schedule: recipe.AnySchedule, steps: int, step: int = 0) -> LambdaLR:
-    """Returns a torch scheduler, at a step, that multiplies every group's own learning rate."""
-    for group in optimizer.param_groups:
-        group.setdefault("initial_lr", group["lr"])
-    return LambdaLR(optimizer, lambda at: learning_rate_factor(schedule, min(at, steps - 1), steps), last_epoch=step - 1)

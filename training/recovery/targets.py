@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.formats.image import read_image
+from torch_radbp.photographs.picture import read_mask
 from torch_radbp.plugin import nearest
 from torch_radbp.scene import Scene
 from torch_radbp.texture.bitmap import LUMINANCE
@@ -21,15 +22,17 @@ class Targets(NamedTuple):
         names: sensor names, one per image.
         sensors: their indices for `renderer(sensors=...)`.
         images: (B, 3, H, W), linear RGB.
+        masks: (B, 1, H, W) in [0, 1], how much of each pixel counts; None: all count the same.
     """
 
     names: list[str]
     sensors: list[int]
     images: Tensor
+    masks: Tensor | None = None
 
     def to(self, device: torch.device) -> "Targets":
-        """The same with the images on a device."""
-        return self._replace(images=self.images.to(device))
+        """The same with images and masks on a device."""
+        return self._replace(images=self.images.to(device), masks=None if self.masks is None else self.masks.to(device))
 
 
 def sensor_films(scene: Scene) -> dict[str, tuple[int, int]]:
@@ -45,7 +48,8 @@ def read_targets(specs: list[recipe.Target], films: dict[str, tuple[int, int]]) 
         films: (height, width) of the film of every sensor of the scene, by sensor name, in the scene's order.
 
     Raises:
-        ValueError: unknown or repeated sensor, wrong size, NaN or infinity, negative radiance.
+        ValueError: unknown or repeated sensor, wrong size, NaN or infinity, negative radiance; a mask of another size, with
+            values outside of [0, 1] or none above 0.
     """
     known = list(films)
     names = [_sensor_name(spec, known) for spec in specs]
@@ -56,7 +60,10 @@ def read_targets(specs: list[recipe.Target], films: dict[str, tuple[int, int]]) 
     if len({image.shape for image in images}) > 1:
         sizes = ", ".join(f"{name} {image.shape[2]}x{image.shape[1]}" for name, image in zip(names, images))
         raise ValueError(f"the sensors of one run must have films of one size, got {sizes}")
-    return Targets(names, [known.index(name) for name in names], torch.stack(images))
+    masks = None
+    if any(spec.mask for spec in specs):
+        masks = torch.stack([_read_mask(spec, image) for spec, image in zip(specs, images)])
+    return Targets(names, [known.index(name) for name in names], torch.stack(images), masks)
 
 
 def _sensor_name(spec: recipe.Target, known: list[str]) -> str:
@@ -86,3 +93,19 @@ def _read_target(spec: recipe.Target, sensor: str, film: tuple[int, int]) -> Ten
         raise ValueError(f"target {spec.image} has {dark} of {height * width} pixels of negative luminance, but radiance is "
                          f"at least 0; a target is a linear image, neither shifted nor normalised")
     return image.permute(2, 0, 1).contiguous()
+
+
+def _read_mask(spec: recipe.Target, image: Tensor) -> Tensor:
+    """(1, H, W) weights of the pixels of a target; without a file 1."""
+    if spec.mask is None:
+        return torch.ones_like(image[:1])
+    mask = read_mask(spec.mask)
+    (height, width), size = mask.shape[1:], image.shape[1:]
+    if (height, width) != size:
+        raise ValueError(f"mask {spec.mask} is {width} x {height} pixels, but its target is {size[1]} x {size[0]}")
+    if not ((mask >= 0) & (mask <= 1)).all():  # NaN, too
+        raise ValueError(f"mask {spec.mask} must have values from 0, what does not count, to 1, got {mask.min().item():g} "
+                         f"to {mask.max().item():g}")
+    if not mask.any():
+        raise ValueError(f"mask {spec.mask} is black: no pixel of its target counts; white is what counts")
+    return mask.contiguous()

@@ -47,10 +47,13 @@ def _loss_chart(summary: dict[str, Any], steps: list[float], rows: Rows) -> str:
 
 def _distance_chart(summary: dict[str, Any], steps: list[float], rows: Rows) -> str:
     colours = curve_colours(summary["parameters"])
-    known = {each["name"]: each["rmse_before"] for each in summary["parameters"] if f"{each['name']}:rmse" in rows[0]}
-    lines = [Line(name, colours[name], *_with_start(steps, before, [row[f"{name}:rmse"] for row in rows]))
-             for name, before in known.items()]
-    return line_chart("distance from the truth, RMSE (logarithmic)", lines, log=True)
+    lines = []
+    for each in summary["parameters"]:
+        kind, name = "chamfer" if "chamfer" in each else "rmse", each["name"]
+        if f"{name}:{kind}" in rows[0]:
+            distances = [row[f"{name}:{kind}"] for row in rows]
+            lines.append(Line(name, colours[name], *_with_start(steps, each[f"{kind}_before"], distances)))
+    return line_chart("distance from the truth, RMSE or Chamfer (logarithmic)", lines, log=True)
 
 
 def _with_start(steps: list[float], before: float, values: list[float]) -> tuple[list[float], list[float]]:
@@ -82,7 +85,7 @@ def _parameter_charts(parameter: dict[str, Any], steps: list[float], rows: Rows)
             for index, key in enumerate(columns)
         ]  # fmt: skip
         return [line_chart(name, lines)]
-    if f"{name}:rmse" in rows[0]:
+    if f"{name}:rmse" in rows[0] or f"{name}:chamfer" in rows[0]:
         return []
     line = _with_start(steps, parameter["mean_before"], [row[f"{name}:mean"] for row in rows])
     return [line_chart(f"{name}, mean", [Line("mean", PALETTE[0], *line)])]

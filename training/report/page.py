@@ -48,6 +48,9 @@ def _headline(summary: dict[str, Any]) -> str:
     for each in summary["parameters"]:
         if "pose_error" in each:
             cells.append((f"pose of {each['name']}", _pose_errors(each)))
+        if "chamfer" in each:
+            distances = f"{each['chamfer']:.4f} (was {each['chamfer_before']:.4f})"
+            cells.append((f"Chamfer distance of {each['name']}", distances))
     errors = [(each["largest_error"], each["name"]) for each in summary["parameters"] if "truth" in each]
     if errors:
         cells.append((f"largest parameter error, {max(errors)[1]}", f"{max(errors)[0]:.2g}"))

@@ -1,0 +1,26 @@
+"""Bundled recipes, run as they stand, recover what `training/README.md` says; bounds are about three times its errors."""
+
+import pytest
+from rich.console import Console
+
+from torch_radbp.training.commands.bundled import bundled_recipes
+from torch_radbp.training.run import run
+
+# Recipe -> (parameter, largest figures of it in the summary).
+BOUNDS = {
+    "figurine_pose": ("figurine.to_world", {"angle": 0.25, "distance": 0.007}),
+    "lamp_place": ("lamp.position", {"largest_error": 0.004}),
+    "room_camera": ("sensor.to_world", {"angle": 1.0, "distance": 0.05}),
+    "three_shadows": ("body.vertex_positions", {"chamfer": 0.018}),
+}
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("name", BOUNDS)
+def test_a_recipe_recovers_what_it_says(name, tmp_path):
+    parameter, bounds = BOUNDS[name]
+    summary, _ = run(bundled_recipes()[name], [], tmp_path / "run", False, Console(quiet=True))
+    found, = (each for each in summary["parameters"] if each["name"] == parameter)
+    figures = found | found.get("pose_error", {})
+    for key, most in bounds.items():
+        assert figures[key] < most, key
