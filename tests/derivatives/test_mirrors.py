@@ -21,6 +21,13 @@ BATCHES = 8
 
 # The bias that a batch of so many samples shows.
 SHOWN = {
+    (0.1, 512): ("camera before a pane", "cube in a mirror", "mirror before a cube", "instance in a mirror",
+                 "cube in a ball", "floor, a shadow in a mirror", "mirror before a shadow", "camera, a shadow in a mirror",
+                 "squares in a mirror", "mirror before squares", "plate, its shadow in a mirror"),
+    (0.2, 512): ("cube behind a pane", "vertices behind a pane", "camera before a mirror", "cube through a block",
+                 "block before a cube", "camera before a block", "lamp, a shadow in a mirror"),
+    (0.4, 512): ("vertices in a mirror", "camera before a ball", "index of a lens"),
+    (0.7, 512): ("ball before a cube", "lens before a cube", "cube through a lens"),
 }
 ROWS = [Row(name, bias, spp) for (bias, spp), names in SHOWN.items() for name in names]
 QUICK = ("camera before a pane", "cube in a mirror", "cube through a block", "floor, a shadow in a mirror")

@@ -19,7 +19,8 @@ from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
 # jumps between them; chance lets one go another way, which is no jump; they leave the surface on different sides of its
 # triangles; light reaches only one of their ends.
 SAME, SURFACE, RIM, TEXTURE, CHANCE, HORIZON, SHADOW = range(7)
-LEAST = 0.02  # likelihood of a jump between points of what may be one smooth surface
+LEAST = 0.1  # likelihood of a jump between points of what may be one smooth surface
+AT_ONCE = 0.5  # the same right beside what the camera sees without mirrors: at outlines of curved mirrors
 BEND = 2.0  # sine of the angle between a surface and the way to a point of another, of which 1 / BEND is surely a jump
 
 
@@ -64,7 +65,7 @@ def difference(scene: SceneTensors, surfaces: Surfaces, first: IdealPath, second
         if len(own):
             likelihood[own] = likelihood_of_jump(scene, *(rows(met, own) for met in (one, other)))
         if number == 0:  # what the camera sees at once is no matter of this term, unless something else is right beside it
-            likelihood = torch.where(parts & (met != HORIZON), LEAST, likelihood)
+            likelihood = torch.where(parts & (met != HORIZON), AT_ONCE, likelihood)
         undecided = both & ~parts & one.onwards
     return Difference(kind, depth, likelihood)
 
