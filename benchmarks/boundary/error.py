@@ -10,19 +10,20 @@ from typing import NamedTuple
 import numpy as np
 from rich.progress import track
 
-from benchmarks.boundary.projected import DEFAULT, GUIDED, OURS, SEEDS, differences, mitsubas, ours, splits
+from benchmarks.boundary.projected import DEFAULT, GUIDED, MANY, OURS, SEEDS, differences, mitsubas, ours, splits
 from benchmarks.boundary.scenes import SCENES
 from benchmarks.scenes.description import Setting
 
 WARM_UP = 2
 FINER = 16  # times as many samples have passes from which the reference follows
 AGREES = 3.5  # standard errors
+SLOW, TIMES_LESS = (DEFAULT, MANY), 3  # guided passes take seconds: there are so many times less of them
 
 
 class Effort(NamedTuple):
     """How much is rendered of a scene."""
 
-    rounds: int  # of each renderer, in turns
+    rounds: int  # of each renderer, in turns; fewer of the slow ones
     references: int  # passes with more samples, of both
     differences: int  # of finite differences in each direction
 
@@ -60,7 +61,7 @@ def measure(name: str, setting: Setting, effort: Effort) -> dict:
                  for who, run in passes.items()}
         found = {"references": {"theirs beside ours": means[DEFAULT].beside(means[OURS])}}
         if effort.differences:
-            run = differences(fine, folder, 4 * fine.scene.setting.spp)
+            run = differences(fine, folder, 2 * fine.scene.setting.spp)
             seeds = track(range(effort.differences), "differences", transient=True)
             slopes = Mean.of([run(2 * SEEDS + seed) for seed in seeds])
             found["references"] |= {f"{who} beside differences": mean.beside(slopes) for who, mean in means.items()}
@@ -74,11 +75,14 @@ def measure(name: str, setting: Setting, effort: Effort) -> dict:
     samples = {who: [] for who in passes}
     for seed in track(range(-WARM_UP, effort.rounds), name, transient=True):
         for who, run in passes.items():
-            samples[who].append(run(seed + WARM_UP))
-    return found | {"scene": name, "renderers": {who: judged([s.gradient for s in own[WARM_UP:]],
-                                                             [s.seconds for s in own[WARM_UP:]],
-                                                             means[OURS if who == OURS else DEFAULT], reference)
-                                                 for who, own in samples.items()}}
+            if who in SLOW and (seed % TIMES_LESS if seed >= 0 else seed < -1):
+                continue
+            sampled = run(seed + WARM_UP)
+            if seed >= 0:
+                samples[who].append(sampled)
+    return found | {"scene": name, "renderers": {
+        who: judged([one.gradient for one in own], [one.seconds for one in own], means[OURS if who == OURS else DEFAULT],
+                    reference) for who, own in samples.items()}}
 
 
 def judged(gradients: list[np.ndarray], seconds: list[float], fine: Mean, reference: Mean) -> dict[str, float]:

@@ -13,7 +13,7 @@ from benchmarks.boundary.scenes import VERTICES, MovingMesh
 from benchmarks.peers import Mitsuba, Ours
 from benchmarks.scenes.description import without_samplers
 
-OURS, DEFAULT = "ours", "Mitsuba, defaults"
+OURS, DEFAULT, MANY = "ours", "Mitsuba, defaults", "Mitsuba, guided, many"
 TERMS = ("interior", "primary", "shadow")
 GUIDED = {"type": "prb_projective"}
 UNGUIDED = GUIDED | {"guiding": "none"}
@@ -35,8 +35,9 @@ def splits(spp: int) -> dict[str, dict]:
 
     What guiding costs pays only where many samples follow.
     """
-    parts = {"equal": (UNGUIDED, (1, 1, 1)), "many on shadows": (UNGUIDED, (1, 1, 4)), "guided, many": (GUIDED, (16, 4, 32))}
-    return {f"Mitsuba, {name}": integrator | {part: spp * share for part, share in zip(("sppc", "sppp", "sppi"), shares)}
+    parts = {"Mitsuba, equal": (UNGUIDED, (1, 1, 1)), "Mitsuba, many on shadows": (UNGUIDED, (1, 1, 4)),
+             MANY: (GUIDED, (16, 4, 32))}
+    return {name: integrator | {part: spp * share for part, share in zip(("sppc", "sppp", "sppi"), shares)}
             for name, (integrator, shares) in parts.items()}
 
 

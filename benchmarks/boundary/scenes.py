@@ -84,7 +84,7 @@ def ball(folder: Path, setting: Setting) -> MovingMesh:
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.5).apply_translation((0.1, 0.8, 0.05))
     view = camera((0.3, 2.3, 4.2), (0.0, 0.35, 0.0), 38, setting.resolution)
     above = translate((0.8, 3.2, 0.9)) @ rotate((1, 0, 0), 90) @ scale((0.5, 0.4, 1))
-    return moving(mesh, folder, setting, rigid, 0.01, view=view, floor=FLOOR, lamp=lamp(above, 14, 13, 12))
+    return moving(mesh, folder, setting, rigid, 0.005, view=view, floor=FLOOR, lamp=lamp(above, 14, 13, 12))
 
 
 def detailed(folder: Path, setting: Setting) -> MovingMesh:
@@ -103,7 +103,8 @@ def pose(folder: Path, setting: Setting) -> MovingMesh:
     mesh.vertices *= 0.45 * radius(mesh.vertices)[:, None]
     mesh.apply_translation((-0.1, 0.05, 0.0))
     facing = translate((0.9, 1.0, 3.0)) @ rotate((0, 1, 0), 180 + 17) @ rotate((1, 0, 0), 17) @ scale((0.5, 0.5, 1))
-    return moving(mesh, folder, setting, rigid, 0.01, view=camera((0.0, 0.0, 3.4), (0.0, 0.0, -0.3), 40, setting.resolution),
+    view = camera((0.0, 0.0, 3.4), (0.0, 0.0, -0.3), 40, setting.resolution)
+    return moving(mesh, folder, setting, rigid, 0.005, view=view,
                   wall=plane(translate((0, 0, -1.2)) @ scale((4, 4, 1)), 0.75, 0.7, 0.7), lamp=lamp(facing, 12, 11, 10))
 
 

@@ -105,7 +105,7 @@ def test_what_is_found_adds_up_to_all_that_is_seen(casting, stages):
     eyes, slots, sums = rows(eyes_around(), torch.arange(40)), casting.tree.slots, []
     angle = angles(geometry, casting, eyes)
     slot = slots.argsort()[(slots < 0).sum():]  # of each edge
-    for seed in range(16):
+    for seed in range(64):  # of few, rare edges are not among those found
         key = SampleKey(torch.tensor(seed, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
         found = places_seen(stages, geometry, casting, eyes, key, 64, 4096)
         seen = angle[found.eye.long(), slot[found.edge.long()]]

@@ -135,8 +135,11 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVe
     at = vertex_at(call, geometry, number, points)
     one = torch.ones_like(at.x)
     corners = corners_of(geometry, points.hit)
-    lights = light_points(call.scene, view, len(points.depth))
-    lobes = points.lobe, lobes_of_light(call.scene, at, lights, (points.depth > 0) | first.meant(call.scene)[lights.kind])
+    lobes = (points.lobe,)
+    if call.scene.layout.lights:
+        lights = light_points(call.scene, view, len(points.depth))
+        meant = (points.depth > 0) | first.meant(call.scene)[lights.kind]
+        lobes += (lobes_of_light(call.scene, at, lights, meant),)
     eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS,
                          PLACES * len(points.depth))
