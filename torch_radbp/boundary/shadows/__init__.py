@@ -17,9 +17,9 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
-from torch_radbp.boundary.shadows import border, bounced, hidden_light, seen_through
+from torch_radbp.boundary.shadows import border, bounced, hidden_light, pictures, seen_through
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
-from torch_radbp.boundary.shadows.film_jumps import image_of
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.boundary.shadows.seen_edges import Casting
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.differentiated import any_differentiated, detached
@@ -46,6 +46,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
     ways, places = (max(samples * of_sample, vertices * of_vertex) for of_sample, of_vertex in (
         (border.LOOKS, hidden_light.LOOKS), (1, hidden_light.PLACES)))
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
+    places += bool(pictures.lines_of_pictures(call)) * samples
     return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + places * (BYTES_OF_PLACE + BYTES_OF_JUMP * len(call.views))
 
 
@@ -69,6 +70,9 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
     parts = [partial(border.jumps_in_view, lights=lights)] if on_film else []
+    if on_film and settings.nee:
+        projected = pictures.lines_of_pictures(call)
+        parts += [partial(pictures_in_view, kind=kind, lines=lines) for kind, lines in projected.items()]
     if glued and (max_depth > 2 or not (surfaces and around)):
         first = hidden_light.FirstVertex(not surfaces, not around)
         parts.append(partial(hidden_light.jumps_in_view, first=first))
@@ -78,6 +82,12 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
         parts.append(bounced.jumps_in_view)
     return torch.stack([image_of(view, [jumps for part in parts if (jumps := part(call, number, edges))], call.scene.dtype)
                         for number, view in enumerate(call.views)])
+
+
+def pictures_in_view(call: RenderCall, number: int, casting: Casting, kind: int,
+                     lines: pictures.PictureLines) -> FilmJumps | None:
+    """`pictures.jumps_in_view`, to which no edges matter."""
+    return pictures.jumps_in_view(call, number, kind, lines)
 
 
 def aimed_at(call: RenderCall) -> tuple[bool, bool]:
