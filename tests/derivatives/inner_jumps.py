@@ -79,7 +79,7 @@ INNER_JUMPS = {
                                                 "to_uv": scale((6.3, 5.7, 1))}})), "floor.to_world", PUSH, FINE),
     "cut out": MovingScene(scene(sensor=VIEWED, leaf=CUT_OUT, sky=SKY), "leaf.to_world", PUSH, FINE),
     **{f"{name} slide": MovingScene(scene(sensor=VIEWED, floor=SHEET | {"bsdf": bsdf}, light=light),
-                                    "floor.vertex_texcoords", wave(size=0.3), FINE) for name, bsdf, light in (
+                                    "floor.vertex_texcoords", wave(size=0.3), FINE / 4) for name, bsdf, light in (
         ("squares", {"type": "diffuse", "reflectance": CHECKERBOARD}, SKY), ("holes", LEAF, SKY),
         ("texels", {"type": "diffuse", "reflectance": nearest("mirror")}, POINT))},
     "a lamp in squares": MovingScene(scene(sensor=VIEWED, floor=GLOWING), "floor.to_world", PUSH, FINE),

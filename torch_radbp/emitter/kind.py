@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.plugin import Emitter
+from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec2, Vec3, interpolated
 
@@ -171,6 +172,14 @@ class Light(Emitter):
     """What an emitter's plugin gives to the tracer."""
 
     sampling_weight: float
+
+    def picture_jumps(self) -> tuple[JumpLines, ...]:
+        """The lines of the image that it projects at which that jumps."""
+        return ()
+
+    def picture_ends(self) -> bool:
+        """True if it projects an image at whose border the light jumps."""
+        return False
 
     def kind(self) -> LightKind:
         """The functions."""

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_radbp.emitter.attributes import linear_inverse
 from torch_radbp.emitter.kind import NEAREST, Aim, LightKind, Pick, ShadowSource, Table
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Frame, Vec2, Vec3, dot
+from torch_radbp.tensors.vec import Frame, Vec2, Vec3, cross, dot
 
 FLATTEST = 1e-4  # cosine with a light's axis below which its image is not read
 
@@ -40,6 +40,11 @@ class PositionalKind(LightKind):
         return None, None
 
 
+    def leaving(self, light: Table, uv: Vec2) -> Vec3:
+        """The directions, (N,) world, of any length, in which light leaves that is read at places of its image; attached."""
+        return Screen.towards(light.to_local, light.to_uv, uv)
+
+
 class Screen(NamedTuple):
     """Directions in a light's own coordinates, as it sees them on a screen across its axis; (N,), attached."""
 
@@ -56,6 +61,15 @@ class Screen(NamedTuple):
         uv = Vec2(0.5 + to_uv.x * local.x / ahead, 0.5 + to_uv.y * local.y / ahead)
         inside = (local.z > FLATTEST) & (uv.x >= 0) & (uv.x <= 1) & (uv.y >= 0) & (uv.y <= 1)
         return Screen(local, ahead, uv.map(lambda c: torch.where(inside, c, 0.5)), inside)
+
+
+    @staticmethod
+    def towards(to_local: Frame, to_uv: Vec2, uv: Vec2) -> Vec3:
+        """The world directions, of any length, in which places of the image are seen."""
+        s, t, n = to_local
+        x, y = (uv.x - 0.5) / to_uv.x, (uv.y - 0.5) / to_uv.y
+        upright = cross(s, t)
+        return (cross(t, n) * x + cross(n, s) * y + upright) / dot(upright, n)
 
 
 def direction(to_local: Frame, d: Vec3) -> Vec3:

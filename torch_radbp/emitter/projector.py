@@ -15,6 +15,7 @@ from torch_radbp.emitter.kind import Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
+from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.sensor.perspective import field_of_view, horizontal_fov
 from torch_radbp.tensors.vec import Frame, Vec2, Vec3, normalize
 from torch_radbp.texture.rgb import as_texture
@@ -50,8 +51,8 @@ class Projector(Light):
     A screen at distance 1, perpendicular to the axis, receives pi times `scale` times `irradiance` on the axis, as in
     Mitsuba.
 
-    Parameters: `to_world` (4, 4), `irradiance`, `scale` (). Derivatives: with respect to all, except for the contribution of
-    the edge of the image, where the light is discontinuous.
+    Parameters: `to_world` (4, 4), `irradiance`, `scale` (). Derivatives: with respect to all. The light is discontinuous at
+    the border of the image, and where that jumps: this counts where the camera sees it.
 
     Args:
         irradiance: the image; its resolution gives the aspect ratio (1 for a plain colour).
@@ -77,6 +78,12 @@ class Projector(Light):
 
     def domains(self) -> dict[str, Domain]:
         return {"to_world": POSE, "irradiance": AMOUNT, "scale": FACTOR}
+
+    def picture_jumps(self) -> tuple[JumpLines, ...]:
+        return self.irradiance.jumps()
+
+    def picture_ends(self) -> bool:
+        return True
 
     def aspect(self) -> float:
         """Width / height of the image."""

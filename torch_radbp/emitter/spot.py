@@ -15,6 +15,7 @@ from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.plugin.domain import AMOUNT, NUMBER, POSE, Domain
+from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.tensors.vec import Frame, Vec2, Vec3, normalize
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.transforms import transform
@@ -94,6 +95,9 @@ class Spot(Light):
         widest = CUTOFF if self.texture is None else CUTOFF._replace(high=90.0, high_is_in=False)
         return {"to_world": POSE, "intensity": AMOUNT, "texture": AMOUNT, "cutoff_angle": widest,
                 "beam_width": NUMBER._replace(low=0.0, unit=" degrees")}
+
+    def picture_jumps(self) -> tuple[JumpLines, ...]:
+        return () if self.texture is None else self.texture.jumps()  # before the border of the image the beam ends
 
     def kind(self) -> SpotKind:
         return SpotKind()

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
-from torch_radbp.boundary.shadows import border, bounced, hidden_light, seen_through
+from torch_radbp.boundary.shadows import border, bounced, hidden_light, pictures, seen_through
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.boundary.shadows.seen_edges import Casting
@@ -55,6 +55,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
     samples = max(FEWEST, min(border.MOST, paths // border.SHARE))
     ways, places = samples * border.LOOKS + vertices * hidden_light.LOOKS, samples + vertices * hidden_light.PLACES
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
+    places += bool(pictures.lines_of_pictures(call)) * samples
     return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + places * (BYTES_OF_PLACE + BYTES_OF_JUMP * len(call.views))
 
 
@@ -78,6 +79,9 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
     parts = [Part(partial(border.borders_in_view, lights=lights), border.jumps_in_view)] if on_film else []
+    if on_film and settings.nee:
+        parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind))
+                  for kind, lines in pictures.lines_of_pictures(call).items()]
     if glued and (max_depth > 2 or not (surfaces and around)):
         first = hidden_light.FirstVertex(not surfaces, not around)
         parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view))

@@ -1,0 +1,196 @@
+"""What borders of projected pictures add to the derivative of an image, on surfaces that the camera sees.
+
+The picture of a projector ends with a jump, and there are lines at which it may jump itself. Each is a plane of light, which
+meets a receiver along a curve; there the image changes as at the border of a shadow (`border.py`), by what is lit on either
+side. A place of the curve lies where the ray of light through a place of the picture meets the plane of the receiver.
+"""
+
+from __future__ import annotations
+
+from math import ceil, floor
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import Geometry, geometry_of
+from torch_radbp.boundary.places import FEWEST, NEIGHBOURS, counts_somewhere, lot_of, on_film, picked
+from torch_radbp.boundary.shadows.border import MOST, SHARE, aperture_of, camera_sample, seen_at, sees
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.seen_edges import Casting, corners_of, crossed_at, pace, salted
+from torch_radbp.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.path.bounce import light_numbers
+from torch_radbp.path.direct_light import LightDraw, light_sent_back
+from torch_radbp.plugin.jump_lines import JumpLines
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.running_sum import running_sum
+from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fine_unit, lane_key, random_bits
+from torch_radbp.scene.light_choice import LightPick
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import joined, leaves_of, with_leaves
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, interpolated, normalize, rows
+
+SALT = 0x165667B1  # tells the random numbers of these places from others
+BORDER = JumpLines(1.0, 0.0, 0.0, 0, 1), JumpLines(0.0, 1.0, 0.0, 0, 1)  # the sides of the unit square
+BESIDE = 1e-4  # share of the picture by which it is looked at beside a line
+
+
+class PictureLines(NamedTuple):
+    """S segments of pictures at which these jump; float64 but for integers."""
+
+    row: Tensor  # (S,) int32, the light, of the table of its kind
+    element: Tensor  # (S,) int32, of `LightTable`
+    start: Vec2  # (S,) on the picture
+    end: Vec2
+
+
+class LitCurves(NamedTuple):
+    """N places of pictures whose light meets a receiver; detached."""
+
+    row: Tensor  # (N,) int32, the light, of the table of its kind
+    element: Tensor  # (N,) int32, of `LightTable`
+    at: Vec2  # on its picture
+    along: Vec2  # the segment from its start to its end
+    receiver: Hit
+
+
+def lines_of_pictures(call: RenderCall) -> dict[int, PictureLines]:
+    """The lines at which pictures of lights jump, by the number of their kind; nothing of kinds that have none."""
+    lights, device, found = call.scene.lights, call.scene.device, {}
+    for number, kind in enumerate(call.scene.layout.lights):
+        emitters = [] if kind.on_surface else [emitter for emitter in call.module.emitters if emitter.kind() == kind]
+        lines = [(row, one, one in BORDER and emitter.picture_ends()) for row, emitter in enumerate(emitters)
+                 for one in (*(BORDER if emitter.picture_ends() else ()), *emitter.picture_jumps())]
+        elements = (lights.kind == number).nonzero().squeeze(1).tolist() if lines else []
+        for row, one, whole in lines:
+            start, end = in_picture(one, whole, device)
+            rows_of, elements_of = (torch.full_like(start.x, value, dtype=torch.int32) for value in (row, elements[row]))
+            found.setdefault(number, []).append(PictureLines(rows_of, elements_of, start, end))
+    found = {number: joined(own) for number, own in found.items()}
+    return {number: own for number, own in found.items() if len(own.row)}
+
+
+def in_picture(lines: JumpLines, whole: bool, device: torch.device) -> tuple[Vec2, Vec2]:
+    """The segments of lines in the unit square, (S,) their ends; float64.
+
+    Args:
+        lines: of the unit square's coordinates.
+        whole: with those that run along its sides.
+    """
+    x, y, z = lines.x, lines.y, lines.z
+    levels = [z, z + x, z + y, z + x + y]
+    first, last = (ceil(min(levels)), floor(max(levels))) if whole else (floor(min(levels)) + 1, ceil(max(levels)) - 1)
+    number = torch.arange(max(first, lines.first), min(last, lines.last) + 1, dtype=torch.float64, device=device)
+    squared = x * x + y * y
+    foot = Vec2((number - z) * (x / squared), (number - z) * (y / squared))
+    low, high = torch.full_like(number, -2.0), torch.full_like(number, 2.0)
+    for start, step in ((foot.x, -y), (foot.y, x)):
+        if step != 0.0:
+            ends = (0.0 - start) / step, (1.0 - start) / step
+            low, high = torch.maximum(low, torch.minimum(*ends)), torch.minimum(high, torch.maximum(*ends))
+    runs = low < high
+    return tuple(Vec2((foot.x - y * way)[runs], (foot.y + x * way)[runs]) for way in (low, high))
+
+
+class PictureBorders(NamedTuple):
+    """K places of curves that a view sees; detached."""
+
+    curves: LitCurves
+    place: Vec2  # on the film
+    aperture: Vec2 | None  # of the rays that see them
+    normal: Vec2  # of the curve on the film, as long as the piece that a place stands for
+    strength: Tensor  # (3, K) float64, what is lost where the curve moves along that by one
+
+
+def borders_in_view(call: RenderCall, number: int, casting: Casting, kind: int, lines: PictureLines) -> PictureBorders | None:
+    """Places of borders of pictures on surfaces that view `number` sees; None: there are none.
+
+    Args:
+        call: without derivatives.
+        casting: edges, which do not matter here.
+        kind: of the lights, its number.
+        lines: of their pictures.
+    """
+    lit = curves_lit(call, number, kind, lines)
+    return None if lit is None else borders_seen(call, number, kind, *lit)
+
+
+def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: PictureBorders, kind: int) -> FilmJumps:
+    """What they add to the derivative of the view; `call`: of which something moves, the rest as for `borders_in_view`."""
+    on_curve = lit_at(call.scene, attached_geometry(call.scene), kind, found.curves)
+    on_view = on_film(call.views[number].camera, on_curve, found.aperture)
+    return FilmJumps(found.place, found.strength * swept(on_view, found.normal))
+
+
+def lit_at(scene: SceneTensors, geometry: Geometry, kind: int, curves: LitCurves, step: Tensor | float = 0.0,
+           aside: float = 0.0) -> Vec3:
+    """Where light through places of pictures meets the planes of receivers, (N,) world, attached.
+
+    Args:
+        scene, geometry: attached.
+        kind: of the lights, its number.
+        curves: the places.
+        step: by which share of the lines' lengths others lie that are meant.
+        aside: by which share of the picture they lie beside the lines.
+    """
+    corners = corners_of(geometry, curves.receiver)
+    return interpolated(corners, *crossed_at(corners, light_of(scene, kind, curves, step, aside)))
+
+
+def light_of(scene: SceneTensors, kind: int, curves: LitCurves, step: Tensor | float = 0.0, aside: float = 0.0) -> Ray:
+    """The light that leaves through places of pictures, attached, float64; args as for `lit_at`."""
+    run = curves.along
+    length = torch.hypot(run.x, run.y)
+    across = Vec2(-run.y / length, run.x / length)
+    uv = Vec2(*(at + way * step + off * aside for at, way, off in zip(curves.at, run, across)))
+    light = lookup(scene.lights.tables[kind], curves.row)
+    light = with_leaves(light, [leaf.double() for leaf in leaves_of(light)])
+    return Ray(light.place, scene.layout.lights[kind].leaving(light, uv))
+
+
+def curves_lit(call: RenderCall, number: int, kind: int, lines: PictureLines) -> tuple[LitCurves, Tensor, LaneKey] | None:
+    """Places whose light meets a receiver, how many lines each stands for, and the random numbers of each; args as for
+    `borders_in_view`."""
+    view, scene = call.views[number], call.scene
+    run = lines.end + lines.start * -1.0
+    weight = torch.hypot(run.x, run.y)
+    count = max(FEWEST, min(MOST, view.width * view.height * call.spp // SHARE))
+    place = torch.arange(count, dtype=torch.int32, device=scene.device)
+    key = lane_key(salted(view, SALT), torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    along = fine_unit(random_bits(bounce_key(key, CAMERA_COUNTER), 0))
+    line, share, times = picked(lot_of(weight, count, running_sum(weight)), place, along)
+    row, element, start, run = rows((lines.row, lines.element, lines.start, run), line)
+    nothing = Hit(place * 0, *(torch.zeros_like(share, dtype=scene.dtype),) * 3)
+    curves = LitCurves(row, element, start + run * share, run, nothing)
+    o, d = light_of(scene, kind, curves)
+    ray = Ray(*(part.map(lambda c: c.to(scene.dtype).contiguous()) for part in (o, normalize(d))))
+    receiver = call.caster.intersect(ray)
+    met = (receiver.prim >= 0).nonzero().squeeze(1)
+    return rows((curves._replace(receiver=receiver), times, key), met) if len(met) else None
+
+
+def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, times: Tensor,
+                 key: LaneKey) -> PictureBorders | None:
+    """Places on curves that a view sees; args as for `borders_in_view` and of `curves_lit`."""
+    view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
+    integrand, camera = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number)), view.camera
+    aperture, one = aperture_of(view, key), torch.ones_like(curves.receiver.t)
+    film, along = pace(lambda step: on_film(camera, lit_at(scene, geometry, kind, curves, step), aperture), times)
+    normal = Vec2(-along.y * times, along.x * times)
+    seen = counts_somewhere(camera, film) & torch.isfinite(normal.x) & torch.isfinite(normal.y)
+    draw = LightDraw(light_numbers(bounce_key(key, SALT)), LightPick(curves.element, one, torch.zeros_like(one)))
+    beside, lights = [], []
+    for way in (-BESIDE, BESIDE):
+        u, v = crossed_at(corners_of(geometry, curves.receiver), light_of(scene, kind, curves, aside=way))
+        p = interpolated(corners_of(geometry, curves.receiver), u, v)
+        beside.append(on_film(camera, p, aperture))
+        sample = camera_sample(call, view, beside[-1], aperture, key)
+        seen = seen & sees(integrand, sample.ray, curves.receiver, p)
+        hit = seen_at(curves.receiver._replace(u=u.to(scene.dtype), v=v.to(scene.dtype)), sample.ray, p)
+        light = light_sent_back(integrand, started(call, sample), hit, draw)
+        lights.append(torch.stack(tuple(light if sample.weight is None else light * sample.weight)).double())
+    ahead = (beside[1].x - beside[0].x) * normal.x + (beside[1].y - beside[0].y) * normal.y > 0
+    strength = torch.where(ahead, lights[0] - lights[1], lights[1] - lights[0])
+    kept = (seen & (strength != 0).any(0)).nonzero().squeeze(1)
+    return PictureBorders(*rows((curves, film, aperture, normal), kept), strength[:, kept]) if len(kept) else None
