@@ -12,8 +12,9 @@ from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery.checkpoint import State, load_checkpoint, save_checkpoint
 from torch_radbp.training.recovery.continuation import check_state, state_bytes
-from torch_radbp.training.recovery.optimize import Recovery, train
+from torch_radbp.training.recovery.optimize import train
 from torch_radbp.training.recovery.outcome import finish, save_before
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.recovery.run_folder import RunFolder
 from torch_radbp.training.report.page import write_report
 

@@ -30,7 +30,7 @@ from tests.training.conftest import RECIPE, SCENE
 from torch_radbp.plugin import REGISTRY, attributes
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery.checkpoint import save_checkpoint
-from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.problem import Recovery
 
 ROOT = Path(__file__).parents[2]
 FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "vol", "exr", "png", "bmp", "tga", "hdr",

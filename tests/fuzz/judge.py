@@ -24,7 +24,7 @@ from torch_radbp.sensor.calibrated import Calibrated
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery.checkpoint import load_checkpoint
 from torch_radbp.training.recovery.continuation import check_state, state_bytes
-from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.problem import Recovery
 
 MESH_OPTIONS = [{}, {"face_normals": True}, {"recompute_normals": True}, {"flip_tex_coords": True, "flip_normals": True},
                 {"emitter": {"type": "area"}}, {"emitter": {"type": "directionalarea"}, "face_normals": True},

@@ -8,17 +8,17 @@ import torch
 import torch_radbp as rb
 from torch_radbp.training.ranks import Ranks, joined
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.recovery import optimize
+from torch_radbp.training.recovery import optimize, problem
 
 
 def gradient(recipe: Path, ranks: Ranks) -> list[torch.Tensor]:
     """The gradients of the first step, those of all processes put together, and the loss."""
     load = rb.load
-    optimize.rb.load = lambda *arguments, **named: load(*arguments, **named).double()
+    problem.rb.load = lambda *arguments, **named: load(*arguments, **named).double()
     try:
-        recovery = optimize.Recovery(read_recipe(recipe, []), ranks)
+        recovery = problem.Recovery(read_recipe(recipe, []), ranks)
     finally:
-        optimize.rb.load = load
+        problem.rb.load = load
     levels = recovery.levels.levels
     levels[1.0] = levels[1.0]._replace(images=levels[1.0].images.double())
     loss, terms, _, trouble = optimize.take_gradient(recovery, 0)

@@ -23,7 +23,7 @@ from torch_radbp.training.recovery.checkpoint import FILE_NAME, CheckpointError,
 from torch_radbp.training.recovery.continuation import check_state, state_bytes
 from torch_radbp.training.recovery.folder_lock import FolderInUseError, FolderLock
 from torch_radbp.training.recovery.metrics import MetricsFile
-from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.recovery.run_folder import RunFolder
 from torch_radbp.training.run import run
 

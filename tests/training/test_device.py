@@ -11,8 +11,8 @@ from torch_radbp.training.ranks import ALONE
 from torch_radbp.training.recipe_file import RecipeError, read_recipe
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint, save_checkpoint
 from torch_radbp.training.recovery.continuation import check_state
-from torch_radbp.training.recovery.optimize import Recovery
 from torch_radbp.training.recovery.optimizers import make_optimizers, moments_of
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.run import run
 
 QUIET = Console(quiet=True)

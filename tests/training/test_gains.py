@@ -8,7 +8,8 @@ import torch_radbp as rb
 from torch_radbp.formats.image import read_image, save_image
 from torch_radbp.training.commands.optimize import recovered_table
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.recovery.optimize import Recovery, render_buffers
+from torch_radbp.training.recovery.optimize import render_buffers
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.run import run
 
 GAINS = torch.tensor([1.0, 0.6])

@@ -3,7 +3,7 @@
 import pytest
 
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.problem import Recovery
 
 pytestmark = pytest.mark.hostile
 

@@ -9,7 +9,7 @@ from torch_radbp.formats.image import read_image, save_image
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recipe_loss import L1, L2, SSIM, MultiScaleSSIM, TwoBufferL2
 from torch_radbp.training.recovery.losses import Objective
-from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.run import run
 
 

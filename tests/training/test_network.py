@@ -8,7 +8,8 @@ import torch_radbp as rb
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint
 from torch_radbp.training.recovery.network import wrapped
-from torch_radbp.training.recovery.optimize import Recovery, render_buffers
+from torch_radbp.training.recovery.optimize import render_buffers
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.run import run
 
 COLOUR = 'name = "paint.reflectance.value"\ninitial = 0.5\nbounds = [0.0, 1.0]'

@@ -15,7 +15,8 @@ from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recipe_optimizer import Constant, Cosine, Exponential, Step
 from torch_radbp.training.recovery import optimize
 from torch_radbp.training.recovery.metrics import MetricsFile
-from torch_radbp.training.recovery.optimize import Recovery, step_seed
+from torch_radbp.training.recovery.optimize import step_seed
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.recovery.schedule import learning_rate_factor
 from torch_radbp.training.run import run
 

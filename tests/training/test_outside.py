@@ -9,7 +9,7 @@ import torch_radbp as rb
 from tests.io.gltf_files import GltfFile
 from torch_radbp.training.commands.bundled import bundled_recipes
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.problem import Recovery
 
 pytestmark = pytest.mark.hostile
 

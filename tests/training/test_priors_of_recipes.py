@@ -5,7 +5,8 @@ import torch
 
 import torch_radbp as rb
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.recovery.optimize import Recovery, take_gradient
+from torch_radbp.training.recovery.optimize import take_gradient
+from torch_radbp.training.recovery.problem import Recovery
 
 TEXELS = "picture.reflectance.data"
 PRIORS = {

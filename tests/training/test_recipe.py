@@ -7,7 +7,7 @@ import torch
 
 from torch_radbp.formats.image import save_image
 from torch_radbp.training.recipe_file import RecipeError, read_recipe, write_recipe
-from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.problem import Recovery
 
 BAD_RECIPES = {
     "unknown key at the top": ("steps = 6", "step = 6", ["unknown key 'step'", "'steps'"]),

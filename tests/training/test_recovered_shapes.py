@@ -12,7 +12,7 @@ import torch_radbp as rb
 from torch_radbp.formats.image import save_image
 from torch_radbp.training.commands.optimize import recovered_table
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.recovery.shapes import Surface, chamfer_distance
 from torch_radbp.training.run import run
 

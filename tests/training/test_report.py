@@ -14,8 +14,8 @@ from torch_radbp.formats.image import read_image
 from torch_radbp.training.false_colour import error_scale, false_colour
 from torch_radbp.training.progress import TimedProgress, duration
 from torch_radbp.training.recipe_file import read_recipe
-from torch_radbp.training.recovery.optimize import Recovery
 from torch_radbp.training.recovery.passes import render_in_passes
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.report.chart import Line, line_chart
 from torch_radbp.training.report.curve_colours import curve_colours
 from torch_radbp.training.report.curves import curves_section, running_mean

@@ -10,7 +10,7 @@ import torch_radbp as rb
 from torch_radbp.formats.image import save_image
 from torch_radbp.training.commands.optimize import recovered_table
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
-from torch_radbp.training.recovery.optimize import Recovery
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.recovery.rigid import PoseError, Rigid, motion_between, moved
 from torch_radbp.training.run import run
 

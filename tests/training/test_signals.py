@@ -20,7 +20,7 @@ FORKS = """
 import json, os, sys
 import torch.utils.tensorboard
 from torch_radbp.training import cli
-from torch_radbp.training.recovery import optimize
+from torch_radbp.training.recovery import optimize, problem
 from torch_radbp.training.recovery import outcome
 from torch_radbp.training.recovery import passes
 from torch_radbp.training.report import page as report
@@ -117,14 +117,14 @@ def test_a_signal_during_the_steps_saves_state_and_report(number, code, word, si
 
 def test_a_signal_that_a_library_swallows_ends_the_run_at_the_next_step(signalled, folder):
     swallow = """
-swallowed = optimize.Recovery.__init__
+swallowed = problem.Recovery.__init__
 def __init__(self, *arguments):
     try:
-        reached(optimize, 'read_targets')
+        reached(problem, 'read_targets')
         swallowed(self, *arguments)
     except KeyboardInterrupt:
         swallowed(self, *arguments)
-optimize.Recovery.__init__ = __init__
+problem.Recovery.__init__ = __init__
 """
     code, _, stderr = signalled(swallow, signal.SIGINT)
     assert (code, stderr.strip()) == (130, "interrupted")

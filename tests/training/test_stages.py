@@ -8,8 +8,9 @@ from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery import optimize
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, CheckpointError, load_checkpoint
 from torch_radbp.training.recovery.continuation import check_state, state_bytes
-from torch_radbp.training.recovery.optimize import Recovery, render_buffers, shown_in
+from torch_radbp.training.recovery.optimize import render_buffers, shown_in
 from torch_radbp.training.recovery.plan import Plan
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.run import run
 
 TEXELS = "picture.reflectance.data"
@@ -17,7 +18,7 @@ PICTURE = f"""[[parameters]]
 name = "{TEXELS}"
 bounds = [0.0, 1.0]
 parametrisation = "sigmoid"
-coarse_to_fine = {{ cells = [1, 1], double_at = [2, 4] }}
+coarse_to_fine = {{ cells = [1, 1], double_at = [2, 4, 5] }}
 optimizer = {{ name = "sgd", momentum = 0.5, learning_rate = 0.2 }}
 schedule = {{ name = "step", every = 3, factor = 0.1 }}
 truth = "scene"
@@ -46,7 +47,10 @@ def start(path, out, overrides=(), resume=False):
 
 @pytest.fixture
 def staged(two_views):
-    """Two views, two parameters and gains; the first step, then two small ones that move the picture alone, then all."""
+    """Two views, two parameters and gains; the first step, then two small ones that move the picture alone, then all.
+
+    The picture, 4 x 4 texels, is as fine as it can be after four steps.
+    """
     two_views.write_text(two_views.read_text().replace("[render]", PICTURE + "[render]"))
     return two_views
 

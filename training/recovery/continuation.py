@@ -16,7 +16,7 @@ from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recovery.checkpoint import START_ANEW, CheckpointError, State
 
 if TYPE_CHECKING:
-    from torch_radbp.training.recovery.optimize import Recovery
+    from torch_radbp.training.recovery.problem import Recovery
 
 COUNTS = ("step", "skipped", "processes")
 # Means of squares, of Adam and of RMSprop.

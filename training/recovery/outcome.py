@@ -13,8 +13,9 @@ from torch import Tensor
 from torch_radbp.formats.image import read_image
 from torch_radbp.losses import masked_mean
 from torch_radbp.training.false_colour import absolute_error, error_scale, false_colour
-from torch_radbp.training.recovery.optimize import Recovery, step_seed
+from torch_radbp.training.recovery.optimize import step_seed
 from torch_radbp.training.recovery.passes import Estimate, render_in_passes
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.recovery.recovered import RecoveredParameter
 from torch_radbp.training.recovery.run_folder import RunFolder
 from torch_radbp.training.recovery.verdict import ImageErrors, ParameterCurve, judge_run

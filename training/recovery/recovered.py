@@ -85,8 +85,8 @@ class RecoveredParameter:
 
     def refined_at(self, step: int) -> int:
         """After how many of `step` steps the grid was refined last; 0 if it never was."""
-        grid = self.spec_of_grid
-        return max((at for at in grid.double_at if at <= step), default=0) if grid is not None else 0
+        doubled = [] if self.spec_of_grid is None else self.spec_of_grid.double_at
+        return max((at for at in doubled if at <= step and self.cells(at) != self.cells(at - 1)), default=0)
 
     def refine_to(self, step: int, optimizer: torch.optim.Optimizer | None = None) -> None:
         """Gives the grid of a map the fineness that it has after `step` steps; the map stays what it is."""
