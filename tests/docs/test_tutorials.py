@@ -14,7 +14,7 @@ import torch_radbp as rb
 
 ROOT = Path(__file__).parents[2]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("[0-9]*.py"))
-MODULES = {"losses", "optim"}  # public modules
+MODULES = {"bake", "losses", "optim", "priors"}  # public modules
 FOR_PLUGINS = {"bsdf", "domain", "plugin", "texture", "vec"}  # what is derived from where a plugin is written
 MOST_LINES = 62
 
