@@ -1,4 +1,4 @@
-"""A scene and a recipe of one's own, run by `radbp optimize`: python examples/own_recipe.py [STEPS]"""
+"""A scene and a recipe of one's own, run by `radbp optimize`: python examples/own_recipe.py"""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ import torch
 
 import torch_radbp as rb
 
-steps = int(sys.argv[1]) if sys.argv[1:] else 100
+steps = 100
 folder = Path("runs/own_recipe")
 folder.mkdir(parents=True, exist_ok=True)
 camera = {"type": "perspective", "fov": 45.0, "to_world": rb.look_at([0.0, 1.5, 4.0], [0.0, 0.4, 0.0], [0.0, 1.0, 0.0]),

@@ -1,21 +1,17 @@
-"""The habits of training loops, each on one colour of the Cornell box: python examples/training_loops.py [STEPS]"""
-
-import sys
-from pathlib import Path
+"""The habits of training loops, each on one colour of the Cornell box: python examples/training_loops.py"""
 
 import kornia
 import torch
 
 import torch_radbp as rb
 
-steps = int(sys.argv[1]) if sys.argv[1:] else 80
+steps = 80
 torch.manual_seed(0)
 scene = rb.load("assets/cornell_box/scene.xml", resolution=64)
 target = rb.render(scene, spp=512, max_depth=4, seed=10**6)
-green = scene.get_parameter("green.reflectance.value")
+green = scene.get_parameter("green.reflectance.value").requires_grad_()
 truth, found = green.detach().clone(), {}
 renderer = rb.Renderer(scene, spp=8, max_depth=4)
-green.requires_grad_()
 
 
 def patches(step):
@@ -43,12 +39,11 @@ def with_closure(step):
     return (renderer(seed=step // 20, seed_grad=10**5 + step // 20) - target).square().mean()
 
 
-def closure(step, loss_of, optimizer):
-    """The gradient of a step, which is clipped, as for networks."""
-    optimizer.zero_grad()
+def closure(step, loss_of):
+    """The gradient of a step."""
+    green.grad = None
     loss = loss_of(step)
     loss.backward()
-    torch.nn.utils.clip_grad_norm_([green], 1.0)
     return loss
 
 
@@ -58,10 +53,9 @@ for loss_of in (patches, perceptual, accumulated, with_closure):
     optimizer = torch.optim.LBFGS([green], max_iter=4) if lbfgs else torch.optim.Adam([green], lr=0.05)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for step in range(steps // 4 if lbfgs else steps):
-        optimizer.step(lambda step=step, loss_of=loss_of, optimizer=optimizer: closure(step, loss_of, optimizer))
+        optimizer.step(lambda step=step, loss_of=loss_of: closure(step, loss_of))
         schedule.step()
         green.data.clamp_(0, 1)
     found[loss_of.__name__] = rb.render(scene, spp=64, max_depth=4).detach()
     print(f"{loss_of.__name__:12} {[round(value, 3) for value in green.tolist()]}, off by {(green - truth).abs().max():.3f}")
-Path("runs").mkdir(exist_ok=True)
-rb.save_image("runs/training_loops.png", rb.contact_sheet({"": torch.cat([target, *found.values()])}, ["target", *found]))
+rb.save_image("training_loops.png", rb.contact_sheet({"": torch.cat([target, *found.values()])}, ["target", *found]))

@@ -1,6 +1,5 @@
-"""Photographs with gains and white balances that nobody wrote down: python examples/unknown_exposure.py [EPOCHS]"""
+"""Photographs with gains and white balances that nobody wrote down: python examples/unknown_exposure.py"""
 
-import sys
 import tempfile
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import torch
 
 import torch_radbp as rb
 
-epochs = int(sys.argv[1]) if sys.argv[1:] else 60
+epochs = 60
 torch.manual_seed(0)
 scene = rb.load("assets/pot/pot.glb", light=0.15, resolution=48)
 views = [f"view_{number}" for number in range(8)]
@@ -17,13 +16,13 @@ truth = colour.detach().clone()
 gains = (0.3 * torch.randn(8, 3)).exp()
 gains[0] = 1.0
 
-# The photographs: 8 bits of sRGB, each exposed and balanced in its own way, and masks of the pot.
-radiance, beside = rb.render(scene, spp=256, max_depth=3, seed=10**6, aovs=["hit"])
+# The photographs: 8 bits of sRGB, each exposed and balanced in its own way, and masks of what is not overexposed.
+exposed = rb.render(scene, spp=256, max_depth=3, seed=10**6) * gains[:, :, None, None]
 with tempfile.TemporaryDirectory() as folder:
     files, masks = ([Path(folder, f"{view}{end}.png") for view in views] for end in ("", "_mask"))
     for k in range(8):
-        rb.save_image(files[k], radiance[k] * gains[k, :, None, None])
-        rb.save_image(masks[k], beside["hit"][k], curve="linear")
+        rb.save_image(files[k], exposed[k])
+        rb.save_image(masks[k], exposed[k].amax(0, keepdim=True) < 1)
     photographs = rb.Photographs(files, {view: getattr(scene, view) for view in views}, masks)
     loader = torch.utils.data.DataLoader(photographs, batch_size=2, shuffle=True)
 
@@ -44,6 +43,5 @@ with tempfile.TemporaryDirectory() as folder:
 after = exposure(rb.render(scene, spp=64, max_depth=3), torch.arange(8)).detach()
 print(f"colour off by {(colour - truth).square().mean().sqrt():.4f}, grey by {(0.5 - truth).square().mean().sqrt():.4f}")
 print(f"gains from {gains.min():.2f} to {gains.max():.2f}, off by {(exposure.gains / gains - 1).abs().max():.2%} at most")
-rows = {"before": before, "photographs": radiance * gains[:, :, None, None], "after": after}
-Path("runs").mkdir(exist_ok=True)
-rb.save_image("runs/unknown_exposure.png", rb.contact_sheet(rows, views))
+rows = {"before": before, "photographs": exposed, "after": after}
+rb.save_image("unknown_exposure.png", rb.contact_sheet(rows, views))

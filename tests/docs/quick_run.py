@@ -9,7 +9,7 @@ import ast
 import sys
 from pathlib import Path
 
-MOST = {"spp": 2, "resolution": 24, "width": 24, "height": 24, "steps": 2, "count": 3, "max_iter": 1}  # by name
+MOST = {"spp": 2, "resolution": 24, "width": 24, "height": 24, "steps": 2, "epochs": 2, "count": 3, "max_iter": 1}  # by name
 STEPS, COUNTED = 2, ("step", "epoch")  # of loops over these
 
 
@@ -58,5 +58,4 @@ def smallest(source: str) -> ast.Module:
 
 if __name__ == "__main__":
     script = Path(sys.argv[1])
-    sys.argv = sys.argv[1:]
     exec(compile(smallest(script.read_text(encoding="utf-8")), str(script), "exec"), {"__name__": "__main__"})

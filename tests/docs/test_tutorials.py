@@ -74,7 +74,7 @@ def elsewhere(tmp_path) -> Path:
 
 @pytest.mark.parametrize("script", [*TUTORIALS, *EXAMPLES], ids=lambda path: path.stem)
 def test_a_script_runs_in_its_smallest_form(script, elsewhere):
-    run("-m", "tests.docs.quick_run", script, *["2"] * (script in EXAMPLES), cwd=elsewhere)
+    run("-m", "tests.docs.quick_run", script, cwd=elsewhere)
 
 
 def test_the_first_example_of_readme_runs_in_its_smallest_form(elsewhere):
@@ -100,8 +100,8 @@ def test_an_asset_is_found_from_views(elsewhere):
     text = run(ROOT / "examples" / "asset_from_views.py", cwd=elsewhere)
     before, after = map(float, re.search(r"images, dB: ([\d.]+) ([\d.]+)", text).groups())
     assert after > before + 8
-    assert number(text, "turned by") < 0.5 and number(text, "pot.vertex_positions +off by") < 0.03
-    assert (elsewhere / "runs" / "asset_from_views.png").exists()
+    assert number(text, "turned by") < 0.01 and number(text, "pot.vertex_positions +off by") < 0.03
+    assert (elsewhere / "asset_from_views.png").exists()
 
 
 @pytest.mark.deep
