@@ -8,8 +8,10 @@ from setuptools.command.build_py import build_py
 TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli-w>=1.0", "typer>=0.12"]
 WARP = "warp-lang>=1.19"
 CUDA = [WARP, "cuda-bindings>=12.8"]
+BAKE = ["xatlas>=0.0.9"]
 DOCS = ["sphinx>=8", "furo>=2024.8", "myst-parser>=4", "jupytext>=1.16", "griffe>=1.5", "matplotlib>=3.8", "trimesh>=4.0"]
 TEST = ["matplotlib>=3.8", "mypy>=1.18", "pytest>=8", "pytest-xdist>=3.7", "trimesh>=4.0", "setuptools>=70.1", WARP,
+        *(f"{name}; python_version < '3.14'" for name in BAKE),  # newer ones have no wheel yet
         'nvidia-cuda-nvcc-cu12>=12.8; sys_platform != "darwin"']
 
 TRAINING = "torch_radbp.training"
@@ -72,6 +74,6 @@ setup(
         'tomli>=2; python_version < "3.11"',
         *TRAIN,
     ],
-    extras_require={"test": TEST, "peer": ["mitsuba==3.9.1", "cholespy>=2"], "cuda": CUDA, "docs": DOCS},
+    extras_require={"test": TEST, "bake": BAKE, "peer": ["mitsuba==3.9.1", "cholespy>=2"], "cuda": CUDA, "docs": DOCS},
     entry_points={"console_scripts": ["radbp = torch_radbp.training.cli:main"]},
 )

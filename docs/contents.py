@@ -30,7 +30,7 @@ GROUPS = {
         "MemoizedAdjoint", "ReplayAdjoint", "QuadraticAdjoint", "TapeAdjoint", "AdjointStrategy", "AdjointStrategy.kept",
         "AdjointStrategy.replayed", "AdjointStrategy.backward")),
     "scenes": Group("Scenes and files", "Reading, changing and writing scenes.", (
-        "load", "load_dict", "save", "save_image", "Scene", "NeuralTexture")),
+        "load", "load_dict", "save", "save_image", "contact_sheet", "Scene", "NeuralTexture")),
     "cameras": Group("Cameras and poses", "Poses, and cameras of other programs.", (
         "look_at", "se3", "camera_from_opencv", "cameras_from_colmap", "cameras_from_nerf", "cameras_from_kornia")),
     "losses": Group("Losses", "Losses whose gradients noise does not bias; see "
@@ -42,6 +42,8 @@ GROUPS = {
     "optim": Group("Optimising", "Parametrisations, an optimiser, losses of meshes; see "
                    "[the tutorial](../tutorials/06_shape.md).", tuple(f"optim.{name}" for name in rb.optim.__all__)),
     "priors": Group("Priors", "What is likely of maps and colours.", tuple(f"priors.{name}" for name in rb.priors.__all__)),
+    "bake": Group("Baking", "What was found in a form that other programs read.",
+                  tuple(f"bake.{name}" for name in rb.bake.__all__)),
     "checks": Group("Checks", "Is this derivative right? See [the tutorial](../tutorials/10_checks_and_reports.md).", (
         "check_gradient", "GradientCheck", "GradientCheck.figures")),
     "errors": Group("Errors and warnings", "What is raised and what is warned of, by class.", (

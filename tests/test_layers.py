@@ -19,7 +19,7 @@ TRAINING = PACKAGE.parent / "training"
 LAYERS = [
     {"tensors", "plugin"}, {"jit", "sampling", "film", "transforms", "pose", "losses", "priors", "integrator", "formats"},
     {"texture", "sensor", "public_call"}, {"shape", "bsdf", "emitter"}, {"scene"},
-    {"raycast", "optim", "io"}, {"path", "photographs"}, {"call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"},
+    {"raycast", "optim", "io", "bake"}, {"path", "photographs"}, {"call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"},
     {"check"}, {"public"}, {"training"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}

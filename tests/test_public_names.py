@@ -67,12 +67,12 @@ def test_a_name_that_does_not_exist_is_an_attribute_error():
 
 def test_what_is_stable_is_listed_with_every_public_name():
     text = " ".join(importlib.import_module("torch_radbp.public").__doc__.split())
-    for home in (rb, rb.losses, rb.priors, rb.optim):
+    for home in (rb, rb.bake, rb.losses, rb.priors, rb.optim):
         assert home is rb or home.__name__ in text
         missing = [name for name in home.__all__ if not re.search(rf"\b{name}\b", text)]
         assert not missing
     listed = set(re.findall(r"\b\w+\b", text.split("CHANGELOG.md.")[1].split("So are")[0]))
-    known = {name for home in (rb, rb.losses, rb.priors, rb.optim) for name in home.__all__}
+    known = {name for home in (rb, rb.bake, rb.losses, rb.priors, rb.optim) for name in home.__all__}
     words = {"scenes", "poses", "and", "cameras", "images", "derivatives", "errors", "warnings", "torch_radbp", "losses",
-             "optim", "photographs", "priors"}
+             "optim", "photographs", "priors", "bake"}
     assert listed - words <= known, "names that do not exist"

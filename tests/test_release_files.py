@@ -41,7 +41,7 @@ def test_the_newest_changes_are_those_of_this_version():
     assert re.search(r"^## (\S+?),? ", CHANGES, re.M)[1] == metadata("version")
 
 
-@pytest.mark.parametrize("home", [rb, rb.losses, rb.priors, rb.optim], ids=lambda home: home.__name__)
+@pytest.mark.parametrize("home", [rb, rb.bake, rb.losses, rb.priors, rb.optim], ids=lambda home: home.__name__)
 def test_the_changes_have_every_public_name(home):
     missing = [name for name in home.__all__ if f"`{name}`" not in CHANGES]
     assert not missing, f"say in CHANGELOG.md what they are: {', '.join(missing)}"

@@ -19,6 +19,7 @@ from importlib import import_module as _import_module
 from types import ModuleType as _ModuleType
 
 if _typing.TYPE_CHECKING:
+    from torch_radbp import bake as bake
     from torch_radbp import losses as losses
     from torch_radbp import optim as optim
     from torch_radbp import priors as priors

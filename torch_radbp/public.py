@@ -6,10 +6,11 @@ number; what another minor number changes is in CHANGELOG.md.
     scenes                 Scene, load, load_dict, save, save_image, NeuralTexture
     poses and cameras      look_at, se3, camera_from_opencv, cameras_from_colmap, cameras_from_kornia, cameras_from_nerf
     photographs            Photographs, Photograph, Exposure, LensFalloff, ToneCurve
-    images                 Renderer, render
+    images                 Renderer, render, contact_sheet
     derivatives            MemoizedAdjoint, ReplayAdjoint, QuadraticAdjoint, TapeAdjoint, jvp, check_gradient, GradientCheck
     errors and warnings    SceneError, NonFiniteError, SceneWarning, GltfWarning, SilhouetteWarning, JumpWarning,
                            RepeatedNoiseWarning
+    torch_radbp.bake       bitmap, mesh
     torch_radbp.losses     two_buffer_l2, two_buffer_relative_l2, two_buffer_log_l2, ssim, lpips, exchange_derivatives,
                            exchanged, masked_mean
     torch_radbp.priors     total_variation, smoothness, white_balance
@@ -28,6 +29,7 @@ from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoi
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.call.finite import NonFiniteError
 from torch_radbp.check import GradientCheck, check_gradient
+from torch_radbp.formats.contact_sheet import contact_sheet
 from torch_radbp.formats.image import save_image
 from torch_radbp.io.colmap import cameras_from_colmap
 from torch_radbp.io.gltf.document import GltfWarning
@@ -49,5 +51,5 @@ __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpW
            "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "Photograph", "Photographs", "QuadraticAdjoint",
            "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
            "SilhouetteWarning", "TapeAdjoint", "ToneCurve", "camera_from_opencv", "cameras_from_colmap",
-           "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "jvp", "load", "load_dict", "look_at", "render",
-           "save", "save_image", "se3"]
+           "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "contact_sheet", "jvp", "load", "load_dict",
+           "look_at", "render", "save", "save_image", "se3"]

@@ -22,7 +22,7 @@ class Target(Table):
 
 
 class Adjoint(Table):
-    """The strategy of the backward pass; see the README's table of strategies."""
+    """The strategy of the backward pass; see the table in docs/memory.md."""
 
     strategy: Literal["memoized", "replay", "quadratic", "tape"] = "memoized"
     stride: Count | Literal["sqrt", "log"] = 1

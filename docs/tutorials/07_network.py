@@ -62,14 +62,11 @@ for step in range(120):
     schedule.step()
 
 # %% [markdown]
-# The painting, read off the network at the centres of the texels of the original; the row 0 of a bitmap is at the top,
-# v = 1.
+# Other programs read bitmaps: `rb.bake.bitmap` reads the network at the centres of texels, from v = 0 on. The original
+# has its first row at the top of the wall, v = 1.
 
 # %%
-centres = (torch.arange(64) + 0.5) / 64
-v, u = torch.meshgrid(1 - centres, centres, indexing="ij")
-with torch.no_grad():
-    found = network(torch.stack([u, v], -1).reshape(-1, 2)).reshape(64, 64, 3)
+found = rb.bake.bitmap(scene.painting.bsdf.reflectance, 64).data.flip(0)
 show(before=before[0], target=target[0], after=rb.render(scene, spp=64)[0])
 show(network=found.permute(2, 0, 1), painting=painting.permute(2, 0, 1))
 error = (found - painting).square().mean().sqrt().item()

@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("[0-9]*.py"))
 WRITTEN = sorted({*DOCS.glob("*.md"), DOCS / "tutorials" / "index.md"})
+BESIDE = [ROOT / "README.md", ROOT / "training" / "README.md", ROOT / "tests" / "README.md", ROOT / "assets" / "README.md"]
 GENERATED = {*(DOCS / "tutorials" / f"{tutorial.stem}.md" for tutorial in TUTORIALS),
              *(DOCS / "reference" / f"{name}.md" for name in ("index", *GROUPS)),
              *(DOCS / "plugins" / f"{name}.md" for name in ("index", *PAGES))}
@@ -35,7 +36,7 @@ def test_every_page_is_in_a_table_of_contents():
     assert found == {*WRITTEN, *GENERATED} - groups - {DOCS / "index.md"}  # groups are listed by the generated index
 
 
-@pytest.mark.parametrize("page", [*WRITTEN, *TUTORIALS], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [*WRITTEN, *TUTORIALS, *BESIDE], ids=lambda page: f"{page.parent.name}/{page.stem}")
 def test_links_inside_of_the_documentation_lead_somewhere(page):
     targets = re.findall(r"\]\(([^)\s]+)\)", page.read_text())
     for target in targets:

@@ -1,9 +1,10 @@
-"""Tutorials are short, use public names, check what they promise, and run (deep)."""
+"""Tutorials and examples are short, use public names, run in their smallest form, and find what they promise (deep)."""
 
 from __future__ import annotations
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,14 +15,28 @@ import torch_radbp as rb
 
 ROOT = Path(__file__).parents[2]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("[0-9]*.py"))
-MODULES = {"losses", "optim"}  # public modules
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+MODULES = {"bake", "losses", "optim", "priors"}  # public modules
 FOR_PLUGINS = {"bsdf", "domain", "plugin", "texture", "vec"}  # what is derived from where a plugin is written
-MOST_LINES = 62
+MOST_LINES, MOST_OF_AN_EXAMPLE = 62, 40
 
 
-def code_lines(tutorial: Path) -> int:
-    """The lines of a tutorial that are neither text nor empty."""
-    return sum(bool(line.strip()) and not line.startswith("#") for line in tutorial.read_text().splitlines())
+def code_lines(script: Path) -> int:
+    """The lines of a script that are neither text nor empty."""
+    tree, lines = ast.parse(script.read_text()), script.read_text().splitlines()
+    described = [node.body[0] for node in ast.walk(tree) if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef)
+                 and ast.get_docstring(node)]
+    text = {number for each in described for number in range(each.lineno, each.end_lineno + 1)}
+    return sum(bool(line.strip()) and not line.lstrip().startswith("#") and number not in text
+               for number, line in enumerate(lines, 1))
+
+
+def run(*command: object, cwd: Path = ROOT) -> str:
+    """Standard output of a script that must end well."""
+    environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, *map(str, command)], cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda path: path.stem)
@@ -30,7 +45,13 @@ def test_a_tutorial_is_short_and_checks_at_its_end_what_it_promises(tutorial):
     assert isinstance(ast.parse(tutorial.read_text()).body[-1], ast.Assert)
 
 
-@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short_and_says_how_it_is_run(example):
+    assert code_lines(example) <= MOST_OF_AN_EXAMPLE
+    assert f"python examples/{example.name}" in ast.get_docstring(ast.parse(example.read_text()))
+
+
+@pytest.mark.parametrize("tutorial", [*TUTORIALS, *EXAMPLES], ids=lambda path: path.stem)
 def test_a_tutorial_uses_public_names_only(tutorial):
     tree = ast.parse(tutorial.read_text())
     for node in ast.walk(tree):
@@ -44,9 +65,59 @@ def test_a_tutorial_uses_public_names_only(tutorial):
     assert used and used <= allowed, f"{tutorial.name} uses {used - allowed}"
 
 
+@pytest.fixture
+def elsewhere(tmp_path) -> Path:
+    """A folder with the assets, for what a script writes."""
+    (tmp_path / "assets").symlink_to(ROOT / "assets")
+    return tmp_path
+
+
+@pytest.mark.parametrize("script", [*TUTORIALS, *EXAMPLES], ids=lambda path: path.stem)
+def test_a_script_runs_in_its_smallest_form(script, elsewhere):
+    run("-m", "tests.docs.quick_run", script, cwd=elsewhere)
+
+
+def test_the_first_example_of_readme_runs_in_its_smallest_form(elsewhere):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    example, = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (elsewhere / "example.py").write_text(example)
+    run("-m", "tests.docs.quick_run", "example.py", cwd=elsewhere)
+
+
 @pytest.mark.deep
 @pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda path: path.stem)
 def test_a_tutorial_runs_and_finds_what_it_promises(tutorial):
-    environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, str(tutorial)], cwd=ROOT, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    run(tutorial)
+
+
+def number(text: str, after: str) -> float:
+    """The number behind some words."""
+    return float(re.search(rf"{after} *(-?[\d.]+)", text)[1])
+
+
+@pytest.mark.deep
+def test_an_asset_is_found_from_views(elsewhere):
+    text = run(ROOT / "examples" / "asset_from_views.py", cwd=elsewhere)
+    before, after = map(float, re.search(r"images, dB: ([\d.]+) ([\d.]+)", text).groups())
+    assert after > before + 8
+    assert number(text, "turned by") < 0.01 and number(text, "pot.vertex_positions +off by") < 0.03
+    assert (elsewhere / "asset_from_views.png").exists()
+
+
+@pytest.mark.deep
+def test_colours_and_exposures_are_found(elsewhere):
+    text = run(ROOT / "examples" / "unknown_exposure.py", cwd=elsewhere)
+    assert number(text, "colour off by") < 0.4 * number(text, "grey by")
+    assert number(text, r"1\.\d+, off by") < 5
+
+
+@pytest.mark.deep
+def test_every_loop_finds_the_colour(elsewhere):
+    text = run(ROOT / "examples" / "training_loops.py", cwd=elsewhere)
+    errors = [float(error) for error in re.findall(r"off by ([\d.]+)", text)]
+    assert len(errors) == 4 and max(errors) < 0.04
+
+
+@pytest.mark.deep
+def test_a_recipe_of_ones_own_converges(elsewhere):
+    assert "converged: " in run(ROOT / "examples" / "own_recipe.py", cwd=elsewhere)

@@ -181,6 +181,43 @@ def test_written_images_are_read_back(tmp_path, pixels):
     np.testing.assert_array_equal(encoded, expected.numpy())
 
 
+def test_a_mask_is_read_back_as_the_mask_of_a_photograph(tmp_path):
+    mask = torch.linspace(0, 1, 12).view(1, 3, 4)
+    save_image(tmp_path / "soft.png", mask, curve="linear")
+    save_image(tmp_path / "hard.png", mask > 0.5)
+    camera = rb.camera_from_opencv(torch.eye(3), torch.eye(3), torch.zeros(3), 4, 3)
+    soft, hard = (rb.Photographs([torch.zeros(3, 3, 4)], [camera], [tmp_path / name])[0].mask
+                  for name in ("soft.png", "hard.png"))
+    torch.testing.assert_close(soft, mask, rtol=0, atol=0.5 / 255)
+    assert torch.equal(hard, (mask > 0.5).float())
+
+
+def test_depths_are_whole_numbers_of_a_unit(tmp_path):
+    depth = torch.tensor([[[0.0, 0.0014, 1.2345], [30.0, 65.535, 80.0]]])
+    save_image(tmp_path / "depth.png", depth, curve="linear", white=65.535, bits=16)
+    stored = np.asarray(Image.open(tmp_path / "depth.png"))
+    assert stored.tolist() == [[0, 1, 1234], [30000, 65535, 65535]]
+    torch.testing.assert_close(read_image(tmp_path / "depth.png", raw=True)[..., 0] * 65.535, depth[0].clamp_max(65.535),
+                               rtol=0, atol=0.00051)
+    save_image(tmp_path / "shown.png", depth, white=80)
+    levels = np.asarray(Image.open(tmp_path / "shown.png"))
+    assert levels[1, 2] == 255 and abs(int(levels[1, 0]) - float(linear_to_srgb(torch.tensor(30 / 80))) * 255) <= 0.5
+
+
+@pytest.mark.hostile
+@pytest.mark.parametrize("name, image, settings, message", [
+    ("a.png", torch.zeros(3, 2, 2), {"bits": 16}, r"16 bits is written of one channel, \(1, H, W\), got \(3, 2, 2\)"),
+    ("a.png", torch.zeros(1, 2, 2), {"bits": 12}, "bits must be 8 or 16 and white greater than 0, got 12 and 1.0"),
+    ("a.png", torch.zeros(1, 2, 2), {"white": 0.0}, "bits must be 8 or 16 and white greater than 0"),
+    ("a.png", torch.zeros(1, 2, 2), {"curve": 2.2}, "curve must be srgb or linear, got 2.2"),
+    ("a.exr", torch.zeros(1, 2, 2), {"white": 10.0}, "an .exr has the values as they are: leave bits and white out"),
+])
+def test_settings_that_do_not_fit_are_named(tmp_path, name, image, settings, message):
+    with pytest.raises(ValueError, match=f"{name}: .*{message}"):
+        save_image(tmp_path / name, image, **settings)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("extension", ["exr", "png"])
 def test_an_image_that_is_not_finite_leaves_the_old_file_alone(tmp_path, extension):
     path = tmp_path / f"a.{extension}"

@@ -20,6 +20,7 @@ from tests.formats.serialized_files import mesh, serialized
 from tests.io.gltf_files import SQUARE, GltfFile
 from tests.io.test_colmap import CAMERAS as CAMERA_LINES
 from tests.io.test_colmap import IMAGES as IMAGE_LINES
+from tests.io.test_colmap import binary
 from tests.io.test_gltf_write import everything
 from tests.io.test_nerf import BLENDER, OPENCV
 from tests.peer.cases import CASES
@@ -35,8 +36,8 @@ from torch_radbp.training.recovery.problem import Recovery
 ROOT = Path(__file__).parents[2]
 FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "vol", "exr", "png", "bmp", "tga", "hdr",
                                           "pfm", "toml", "gltf", "glb")}
-FAMILIES |= {"colmap": ".txt", "nerf": ".json", "checkpoint": ".safetensors"}
-NEXT_FILE = b"# the next file\n"  # between cameras.txt and images.txt of a COLMAP model, which mutate as one
+FAMILIES |= {"colmap": ".txt", "colmap_binary": ".bin", "nerf": ".json", "checkpoint": ".safetensors"}
+NEXT_FILE = b"# the next file\n"  # between cameras and images of a COLMAP model, which mutate as one
 
 
 class Seed(NamedTuple):
@@ -72,15 +73,18 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
 
 def _cameras(root: Path) -> dict[str, list[Seed]]:
     """Cameras of every model that COLMAP and NeRF data sets have; images beside them tell the size of some."""
-    folders = {name: root / name for name in ("colmap", "nerf")}
+    folders = {name: root / name for name in ("colmap", "colmap_binary", "nerf")}
     for folder in folders.values():
         folder.mkdir()
     (folders["nerf"] / "train").mkdir()
     Image.new("RGB", (8, 6)).save(folders["nerf"] / "train" / "r_0.png")
     every = "".join(f"{number} 1 0.1 {0.1 * number} 0 0 0 2 {number} {number}.jpg\n\n" for number in range(1, 8))
     fisheye = OPENCV | {"camera_model": "OPENCV_FISHEYE", "p1": 0, "p2": 0, "k4": 0.01}
+    binaries = [NEXT_FILE.join((model / f"{name}.bin").read_bytes() for name in ("cameras", "images"))
+                for model in (binary(folders["colmap_binary"], images=images) for images in (IMAGE_LINES, every))]
     return {"colmap": [Seed(folders["colmap"], NEXT_FILE.join((CAMERA_LINES.encode(), images.encode())))
                        for images in (IMAGE_LINES, every)],
+            "colmap_binary": [Seed(folders["colmap_binary"], content) for content in binaries],
             "nerf": [Seed(folders["nerf"], json.dumps(document, indent=1).encode())
                      for document in (BLENDER, OPENCV, fisheye, BLENDER | {"is_fisheye": True, "k1": 0.1})]}
 

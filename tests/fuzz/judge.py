@@ -111,7 +111,7 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
     sensor = {"type": "perspective", "film": film, "to_world": rb.look_at([0.5, 0.4, 3], [0.5, 0.5, 0], [0, 1, 0])}
     scene = {"type": "scene", "sensor": sensor}
-    if family in ("colmap", "nerf"):
+    if family in ("colmap", "colmap_binary", "nerf"):
         cameras = rb.cameras_from_nerf(path, scale=0.5) if family == "nerf" else rb.cameras_from_colmap(model_of(path))
         return rb.load_dict({"type": "scene", **cameras, "sky": {"type": "constant"}, "ball": {"type": "sphere"}})
     if family in ("obj", "ply", "serialized"):
@@ -143,8 +143,8 @@ def model_of(path: Path) -> Path:
     folder = path.with_suffix("")
     folder.mkdir(exist_ok=True)
     cameras, _, images = path.read_bytes().partition(NEXT_FILE)
-    (folder / "cameras.txt").write_bytes(cameras)
-    (folder / "images.txt").write_bytes(images)
+    for name, content in (("cameras", cameras), ("images", images)):
+        (folder / f"{name}{path.suffix}").write_bytes(content)
     return folder
 
 

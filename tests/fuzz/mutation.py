@@ -191,6 +191,15 @@ def of_inflated(source: random.Random, content: bytes, others: list[bytes]) -> b
     return content[:4] + zlib.compress(of_bytes(source, inflated, [inflated])) + inflater.unused_data
 
 
+def of_fields(source: random.Random, content: bytes, others: list[bytes]) -> bytes:
+    """Overwrites four or eight bytes at a multiple of four by a number that no one expects."""
+    layout, value = source.choice(FIELDS)
+    start = 4 * source.randrange(len(content) // 4)
+    return content[:start] + struct.pack(layout, value) + content[start + struct.calcsize(layout):]
+
+
+FIELDS = [("<I", 0), ("<I", 255), ("<i", -1), ("<Q", 0), ("<Q", 2**31), ("<Q", 2**63), ("<q", -1), ("<d", float("nan")),
+          ("<d", float("inf")), ("<d", 1e300), ("<d", -1.0), ("<d", 1e-300), ("<d", 1e12)]
 MUTATIONS: dict[str, list[Mutation]] = {
     "xml": [of_values, of_values, of_values, of_xml, of_xml, of_words, of_bytes],
     "obj": [of_values, of_values, of_words, of_lines, of_bytes],
@@ -202,6 +211,7 @@ MUTATIONS: dict[str, list[Mutation]] = {
     "checkpoint": [of_checkpoint, of_checkpoint, of_checkpoint, of_bytes],
     "gltf": [of_values, of_values, of_json, of_json, of_words, of_bytes],
     "glb": [of_glb, of_glb, of_bytes],
+    "colmap_binary": [of_fields, of_fields, of_bytes],
     "colmap": [of_values, of_values, of_words, of_lines, of_bytes],
     "nerf": [of_values, of_values, of_json, of_json, of_words, of_bytes],
 }

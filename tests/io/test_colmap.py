@@ -1,6 +1,8 @@
 """Cameras of a COLMAP model, text and binary."""
 
+import random
 import struct
+import tracemalloc
 
 import pytest
 import torch
@@ -161,6 +163,7 @@ BAD_BINARY = {
     "many": ("images.bin", lambda data: b"\xff" * 8 + data[8:], "images.bin, record 4: the file ends after"),
     "points": ("images.bin", lambda data: data[:-8] + b"\xff" * 8, "images.bin, record 3: the file ends after"),
     "no end of a name": ("images.bin", lambda data: data[:72] + b"a" * 9999, "more than 4096 bytes; is the file damaged"),
+    "no name": ("images.bin", lambda data: data[:72] + b"\0" + data[72:], "record 1: an image must have a name, got ''"),
     "no text": ("images.bin", lambda data: data[:72] + b"\xff\xfe" + data[74:], "the name of an image is no text"),
     "not finite": ("images.bin", lambda data: data[:12] + b"\xff" * 8 + data[20:], "record 1: rotation and translation"),
 }
@@ -173,6 +176,33 @@ def test_a_damaged_binary_model_is_named(tmp_path, name, damaged, message):
     path.write_bytes(damaged(path.read_bytes()))
     with pytest.raises(SceneError, match=message):
         rb.cameras_from_colmap(tmp_path)
+
+
+@pytest.mark.hostile
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
+def test_a_binary_model_that_is_cut_anywhere_is_said_to_be_cut(tmp_path, name):
+    path = binary(tmp_path) / name
+    content = path.read_bytes()
+    for length in range(len(content)):
+        path.write_bytes(content[:length])
+        with pytest.raises(SceneError, match=rf"{name}, record \d: the file ends after {length} bytes; is it cut short"):
+            rb.cameras_from_colmap(tmp_path)
+
+
+@pytest.mark.hostile
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
+def test_random_bytes_are_refused_with_little_memory(tmp_path, name):
+    """Whatever they count: 200 files whose first number says that there are records."""
+    path, source = binary(tmp_path) / name, random.Random(name)
+    tracemalloc.start()
+    for _ in range(200):
+        content = struct.pack("<Q", source.choice((1, 3, 2**32, 2**64 - 1))) + source.randbytes(source.randrange(2000))
+        path.write_bytes(content)
+        with pytest.raises(SceneError, match=f"{name}, record 1: "):
+            rb.cameras_from_colmap(tmp_path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**20
 
 
 def test_a_model_that_is_not_there_is_told(tmp_path):

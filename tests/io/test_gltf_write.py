@@ -1,5 +1,6 @@
 """A scene that is saved as glTF is the same scene, and the file keeps to the specification."""
 
+import json
 import math
 import warnings
 
@@ -266,10 +267,77 @@ def test_a_file_that_is_loaded_and_saved_says_the_same(tmp_path):
     assert (before - after).abs().mean() < 0.01 * before.mean()
 
 
+def sky(**more):
+    """An environment map that turns all places into another light."""
+    return {"type": "envmap", "bitmap": 0.1 + torch.rand(6, 9, 3, generator=torch.Generator().manual_seed(5)), **more}
+
+
+@pytest.mark.parametrize("name", ["asset.glb", "my asset #1.gltf"])
+@pytest.mark.parametrize("more", [{}, {"scale": 2.5, "to_world": rotate((1, 2, 3), 50)}])
+def test_an_environment_map_is_written_beside_and_found_there(tmp_path, name, more):
+    scene, path = scene_of(**{"sky light": sky(**more)}), tmp_path / name
+    with pytest.warns(GltfWarning, match="sky light: glTF has no environment maps: it is written beside as .*sky light.exr"):
+        rb.save(scene, path)
+    check_rules(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", GltfWarning)
+        other = rb.load(path, max_depth=4)
+    light = other.get_submodule("sky light")
+    torch.testing.assert_close(light.data, scene.get_submodule("sky light").data * more.get("scale", 1.0))
+    before, after = images(scene, other)
+    assert before.mean() > 0.1
+    assert (before - after).abs().mean() < 0.004 * before.mean()
+
+
+def test_an_environment_map_whose_file_is_gone_is_missed_and_one_outside_refused(tmp_path):
+    with pytest.warns(GltfWarning):
+        rb.save(scene_of(sky=sky()), tmp_path / "asset.gltf")
+    (tmp_path / "asset_sky.exr").rename(tmp_path.parent / "asset_sky.exr")
+    with pytest.warns(GltfWarning, match=r"nodes\[\d\].*: its environment map is not read: there is no .*asset_sky.exr"):
+        assert not hasattr(rb.load(tmp_path / "asset.gltf"), "sky")
+    assert rb.load(tmp_path / "asset.gltf", light=0.5).sky.type == "constant"
+    text = (tmp_path / "asset.gltf").read_text().replace("asset_sky.exr", "../asset_sky.exr")
+    (tmp_path / "asset.gltf").write_text(text)
+    with pytest.raises(SceneError, match="leads out of the folder of the document"):
+        rb.load(tmp_path / "asset.gltf")
+    assert rb.load(tmp_path / "asset.gltf", allow_outside=True).sky.type == "envmap"
+
+
+@pytest.mark.hostile
+@pytest.mark.parametrize("extras", ['"note"', "[1]", '{"environment": 3}', '{"environment": {"uri": null}}'])
+def test_extras_of_others_are_left_alone(tmp_path, extras):
+    with pytest.warns(GltfWarning):
+        rb.save(scene_of(sky=sky()), tmp_path / "asset.gltf")
+    document = json.loads((tmp_path / "asset.gltf").read_text())
+    next(node for node in document["nodes"] if node["name"] == "sky")["extras"] = json.loads(extras)
+    (tmp_path / "asset.gltf").write_text(json.dumps(document))
+    assert not hasattr(rb.load(tmp_path / "asset.gltf"), "sky")
+
+
+def calibrated(**more):
+    return {"type": "calibrated", "fx": 33.0, "film": film(24, 16), "to_world": LOOK["to_world"], **more}
+
+
+def test_a_calibrated_camera_that_is_a_pinhole_comes_back_as_a_perspective_of_the_same_image(tmp_path):
+    scene = rb.load_dict({"type": "scene", "sensor": calibrated(k1=0.0), "lamp": LAMP, "floor": FLOOR})
+    other = saved(scene, tmp_path)
+    assert [sensor.type for sensor in other.sensors] == ["perspective"]
+    before, after = images(scene, other)
+    assert before.mean() > 0.05
+    assert (before - after).abs().mean() < 0.004 * before.mean()
+
+
 LOSSES = {
     "surround": (lambda: scene_of(sky={"type": "constant"}), "sky: a constant emitter has no counterpart in glTF"),
     "ball": (lambda: scene_of(ball={"type": "sphere"}), r"ball: a sphere is written as \d+ triangles"),
     "metal": (lambda: box_of({"type": "roughconductor", "material": "Au"}), "gold: its reflectance .*its beckmann"),
+    "lens": (lambda: rb.load_dict({"type": "scene", "lamp": LAMP, "sensor": calibrated(k1=0.1, fy=30.0)}),
+             "sensor: its k1, fx other than fy is not written: cameras of glTF are pinholes"),
+    "principal point": (lambda: rb.load_dict({"type": "scene", "lamp": LAMP, "sensor": calibrated(cx=13.0)}),
+                        "sensor: its principal point is written as the middle"),
+    "fisheye": (lambda: rb.load_dict({"type": "scene", "lamp": LAMP, "sensor": calibrated(distortion="fisheye")}),
+                "sensor: a calibrated sensor has no counterpart in glTF"),
+    "sky": (lambda: scene_of(sky=sky()), "sky: glTF has no environment maps: it is written beside as asset_sky.exr"),
     "blend": (lambda: box_of({"type": "blendbsdf", "weight": 0.5, "a": principled(), "b": {"type": "diffuse"}}),
               "gold: of a blendbsdf the first material is written alone"),
     "tint": (lambda: box_of(principled(spec_tint=0.5)), "gold: spec_tint is not written"),

@@ -87,6 +87,20 @@ def test_falloff_is_a_polynomial_of_the_distance_and_one_at_the_beginning(images
     assert float(lens.factors(6, 8)[0, 7].detach()) == pytest.approx(1, abs=1e-6)  # upper right
 
 
+def test_the_falloff_of_a_window_is_cut_out_of_that_of_the_whole():
+    lens, whole = disturbed(rb.LensFalloff()), torch.rand(2, 3, 12, 20, dtype=torch.float64)
+    expected = lens(whole).detach()
+    windows = (3, 1, 5, 4), (15, 8, 5, 4)
+    parts = [whole[..., y:y + high, x:x + wide] for x, y, wide, high in windows]
+    for part, window in zip(parts, windows):
+        x, y, wide, high = window
+        found = lens(part, window=window, size=(20, 12)).detach()
+        torch.testing.assert_close(found, expected[..., y:y + high, x:x + wide])
+        assert (found - lens(part).detach()).abs().max() > 0.01
+    each = lens(torch.stack([part[0] for part in parts]), window=windows, size=(20, 12)).detach()
+    torch.testing.assert_close(each[1], expected[0, :, 8:12, 15:20])
+
+
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize("start, expected", [("srgb", linear_to_srgb), ("identity", lambda values: values)])
 def test_a_curve_begins_as_a_known_one(start, expected, per_channel):
@@ -162,6 +176,12 @@ BAD = {
     "no view": (lambda image: rb.Exposure(3)(image, torch.tensor([0, 3])), r"views must be from 0 to 2, got \[0, 3\]"),
     "one view": (lambda image: rb.Exposure(3)(image, 0), "views must be one integer for each of 2 images"),
     "shape": (lambda image: rb.LensFalloff()(image[0]), r"images must have shape \(B, 3, H, W\), got \(3, 4, 5\)"),
+    "window without size": (lambda image: rb.LensFalloff()(image, window=(0, 0, 5, 4)), "a window needs the size of the"),
+    "size without window": (lambda image: rb.LensFalloff()(image, size=(5, 4)), "a window needs the size of the whole"),
+    "window beside": (lambda image: rb.LensFalloff()(image, window=(1, 0, 5, 4), size=(5, 4)),
+                      r"a window of 5 x 4 pixels at \(1, 0\) must have the size of the images, 5 x 4, and lie inside"),
+    "window of another size": (lambda image: rb.LensFalloff()(image, window=(0, 0, 4, 4), size=(9, 9)), "must have the"),
+    "windows": (lambda image: rb.LensFalloff()(image, window=[(0, 0, 5, 4)] * 7, size=(9, 9)), "or one for each of "),
     "coefficients": (lambda image: rb.LensFalloff(()), "coefficients must be one or more finite numbers"),
     "start": (lambda image: rb.ToneCurve("sgrb"), "start 'sgrb' is not known; did you mean 'srgb'"),
 }

@@ -210,6 +210,11 @@ def test_files_are_read_when_they_are_asked_for_and_kept_within_the_limit(tmp_pa
     assert pickle.loads(pickle.dumps(photographs)).cache.held == 0
 
 
+def test_truth_values_are_a_mask():
+    mask = torch.rand(1, 6, 8, generator=torch.Generator().manual_seed(1)) > 0.4
+    assert torch.equal(rb.Photographs([IMAGE], [camera()], [mask])[0].mask, mask.float())
+
+
 def test_sizes_are_kept_apart_in_batches():
     images = [torch.rand(3, 6, 8), torch.rand(3, 8, 6), torch.rand(3, 6, 8), torch.rand(3, 6, 8)]
     cameras = [camera(image.shape[2], image.shape[1]) for image in images]
@@ -246,6 +251,8 @@ BAD = {
     "bytes": (lambda _: rb.Photographs([IMAGE.byte()], [camera()]), TypeError, "a path or a tensor of floating point numb"),
     "mask": (lambda _: rb.Photographs([IMAGE], [camera()], [torch.ones(1, 6, 7)]), ValueError,
              "the mask a tensor of shape .* has 7 x 6 pixels, and its image 8 x 6"),
+    "levels": (lambda _: rb.Photographs([IMAGE], [camera()], [torch.full((1, 6, 8), 255.0)]), ValueError,
+               r"masks\[0\] must be in \[0, 1\], got 255 to 255"),
     "camera": (lambda _: rb.Photographs([IMAGE], {"a": K}), TypeError, "the camera 'a' must be a sensor of one image"),
     "names": (lambda _: rb.Photographs([IMAGE] * 2, {"a.b": camera(), "a_b": camera()}), ValueError, "two cameras are call"),
     "background": (lambda _: rb.Photographs([IMAGE], [camera()], background=(1, 0)), ValueError, "a number or three"),

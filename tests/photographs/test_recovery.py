@@ -1,4 +1,4 @@
-"""From a folder of photographs to reflectance and exposure, by the example of the README as it stands there."""
+"""From a folder of photographs to reflectance and exposure, by the example of the documentation as it stands there."""
 
 import re
 from pathlib import Path
@@ -10,12 +10,12 @@ from PIL import Image
 import torch_radbp as rb
 from tests.photographs.nerf_folder import GAINS, REFLECTANCE, ball_in_the_open, write_photographs
 
-README = Path(__file__).parents[2] / "README.md"
+TOUR = Path(__file__).parents[2] / "docs" / "tour.md"
 
 
 def test_reflectance_and_gains_are_recovered_from_coded_photographs(tmp_path, monkeypatch):
     """8 bits of sRGB and a gain each; what is left is noise of 4 samples, which steps that shrink to a tenth average."""
-    section = README.read_text(encoding="utf-8").split("\n## Photographs\n")[1].split("\n## ")[0]
+    section = TOUR.read_text(encoding="utf-8").split("\n## Photographs\n")[1].split("\n## ")[0]
     example, = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     write_photographs(tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""The README's table of Mitsuba's plugins says what is registered, and leaves none of them out."""
+"""The documentation's table of Mitsuba's plugins says what is registered, and leaves none of them out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 import torch_radbp as rb
 from torch_radbp.plugin import REGISTRY, attributes
 
-README = Path(__file__).parents[2] / "README.md"
+TABLE = Path(__file__).parents[2] / "docs" / "what_there_is.md"
 CATEGORIES = {  # by the first cell of a row: ours, Mitsuba's
     "BSDFs": ("bsdf", "BSDF"), "Emitters": ("emitter", "Emitter"), "Shapes": ("shape", "Shape"),
     "Textures and spectra": ("texture", "Texture"), "Sensors": ("sensor", "Sensor"), "Films": ("film", "Film"),
@@ -24,7 +24,7 @@ IN_PYTHON = {"direct_projective", "prb", "prb_basic", "prb_projective", "prbvolp
 
 def table() -> dict[str, list[set[str]]]:
     """By category the names that are supported, those beyond Mitsuba's, and those that are not supported."""
-    rows = re.findall(rf"^\| ({'|'.join(CATEGORIES)}) \|(.*)\|$", README.read_text(), re.MULTILINE)
+    rows = re.findall(rf"^\| ({'|'.join(CATEGORIES)}) \|(.*)\|$", TABLE.read_text(), re.MULTILINE)
     found = {}
     for category, rest in rows:
         cells = rest.split("|")
@@ -67,6 +67,6 @@ def test_the_loader_says_of_each_unsupported_plugin_why(category):
 
 @pytest.mark.parametrize("category, name", [("shape", "mesh"), ("emitter", "envmap")])
 def test_the_keys_of_what_is_not_as_in_mitsuba_are_listed(category, name):
-    paragraph = next(each for each in README.read_text().split("\n\n") if "takes these keys in a dict" in each)
+    paragraph = next(each for each in TABLE.read_text().split("\n\n") if "takes these keys in a dict" in each)
     listed = set(re.findall(r"`([a-z_]+)`", paragraph))
     assert set(attributes(REGISTRY[category][name])) - {"data"} <= listed  # `data` is `bitmap` by another name

@@ -7,6 +7,8 @@ from torch import Tensor
 
 import torch_radbp as rb
 from torch_radbp.sensor.calibrated import Calibrated
+from torch_radbp.shape.mesh import TensorMesh
+from torch_radbp.texture.bitmap import Bitmap
 
 # Scenes in and out.
 scene = rb.load("scene.xml", resolution=64)
@@ -14,10 +16,13 @@ assert_type(scene, rb.Scene)
 assert_type(rb.load("asset.glb", allow_outside=True), rb.Scene)
 assert_type(rb.load_dict({"type": "scene"}, base_dir="."), rb.Scene)
 rb.save(scene, "found.glb", strict=True)
-rb.save_image("image.png", torch.zeros(3, 8, 8))
+rb.save_image("image.png", torch.zeros(3, 8, 8), curve="linear", white=2.0)
+assert_type(rb.contact_sheet({"target": torch.zeros(2, 3, 8, 8)}, views=["left", "right"]), Tensor)
 parameter = scene.get_parameter("green.reflectance.value").requires_grad_()
 assert_type(parameter, Tensor)
 scene.green.reflectance = rb.NeuralTexture(torch.nn.Linear(2, 3), of="uv")
+assert_type(rb.bake.mesh(scene.body, unwrap=True), TensorMesh)
+assert_type(rb.bake.bitmap(scene.green.reflectance, (256, 512), shape=scene.body), Bitmap)
 
 # Poses and cameras.
 assert_type(rb.look_at([0, 1, 4], (0.0, 0.0, 0.0), torch.tensor([0.0, 1.0, 0.0])), Tensor)

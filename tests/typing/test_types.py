@@ -15,7 +15,7 @@ import torch_radbp as rb
 
 PACKAGE = Path(rb.__file__).parent
 SCRIPT = Path(__file__).with_name("every_public_name.py")
-PUBLIC = {"rb": rb, "rb.losses": rb.losses, "rb.priors": rb.priors, "rb.optim": rb.optim}
+PUBLIC = {"rb": rb, "rb.bake": rb.bake, "rb.losses": rb.losses, "rb.priors": rb.priors, "rb.optim": rb.optim}
 
 WRONG = """
 import torch_radbp as rb

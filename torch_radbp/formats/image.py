@@ -68,31 +68,50 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
     return image if raw or kind in LINEAR else srgb_to_linear(image)
 
 
-def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Tensor] | None = None) -> None:
+def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Tensor] | None = None, *,
+               curve: str = "srgb", white: float = 1.0, bits: int = 8) -> None:
     """Writes an image, completely or not at all.
 
         rb.save_image("image.exr", rb.render(scene, spp=16)[0])
+        aovs = renderer.aovs(["hit", "depth"], seed=0)
+        rb.save_image("mask.png", aovs["hit"][0], curve="linear")               # as rb.Photographs reads masks
+        rb.save_image("depth.png", aovs["depth"][0], curve="linear", white=65.535, bits=16)        # in thousandths
 
     Args:
-        path: .exr (float32, linear) or .png (8 bits, sRGB, values cut to [0, 1]).
+        path: .exr (float32, linear) or .png (whole numbers; values cut to [0, `white`]).
         image: (3, H, W) linear RGB of any floating dtype and device; one of the (B, 3, H, W) that a renderer returns. Or
-            (4, H, W), with alpha, or (1, H, W), grey.
+            (4, H, W), with alpha, or (1, H, W), grey: a mask or depths, a mask also as truth values.
         channels: more of them by name, (H, W) each; of .exr only.
+        curve: by which a .png codes colours and grey: "srgb" for what is looked at, "linear" for what is measured. Alpha is
+            linear in either.
+        white: the value, but for alpha, that is the largest number of a .png.
+        bits: of a .png: 8, or for one channel also 16.
 
     Raises:
-        TypeError: if `image` is no dense tensor of floating point numbers.
-        ValueError: on unknown extensions, other shapes, values that are NaN or infinite, and more channels in a .png.
+        TypeError: if `image` is no dense tensor of floating point numbers, or of truth values.
+        ValueError: on unknown extensions, curves and other shapes, values that are NaN or infinite, more channels in a .png,
+            16 bits of colour, and `white` or `bits` of an .exr.
         FileNotFoundError: if the folder does not exist.
         OSError: names the file if it cannot be written.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in WRITABLE:
         raise ValueError(f"{path}: unknown kind of image {suffix!r}; supported: {', '.join(WRITABLE)}")
+    if curve not in CURVES:
+        raise ValueError(f"{path}: curve must be {' or '.join(CURVES)}, got {curve!r:.60}")
+    if bits not in LARGEST or not 0 < white < float("inf"):
+        raise ValueError(f"{path}: bits must be 8 or 16 and white greater than 0, got {bits!r:.60} and {white!r:.60}")
+    if suffix == ".exr" and (bits, white) != (8, 1):
+        raise ValueError(f"{path}: an .exr has the values as they are: leave bits and white out, or write a .png")
+    if isinstance(image, Tensor) and image.dtype == torch.bool:
+        image = image.float()
     if not isinstance(image, Tensor) or not image.is_floating_point():
         got = image.dtype if isinstance(image, Tensor) else type(image).__name__
         raise TypeError(f"{path}: an image must be a tensor of floating point numbers, got {got}")
     if image.ndim != 3 or image.shape[0] not in (1, 3, 4) or image.numel() == 0:
         raise ValueError(f"{path}: an image must have shape (3, H, W), got {tuple(image.shape)}{_advice(image)}")
+    if bits == 16 and len(image) != 1:
+        raise ValueError(f"{path}: a .png of 16 bits is written of one channel, (1, H, W), got {tuple(image.shape)}")
     named = {**dict(zip("Y" if len(image) == 1 else "RGBA", image)), **(channels or {})}
     if channels and suffix != ".exr":
         raise ValueError(f"{path}: a {suffix} has no channels for {', '.join(channels)}; write an .exr")
@@ -111,9 +130,10 @@ def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Te
         if suffix == ".exr":
             write_exr(temporary, {name: channel.numpy() for name, channel in zip(named, pixels)})
         else:
-            levels = torch.cat([linear_to_srgb(pixels[:3].clamp(0.0, 1.0)), pixels[3:].clamp(0.0, 1.0)])
-            pixels = (levels * 255.0).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
-            Image.fromarray(pixels[..., 0] if len(image) == 1 else pixels).save(temporary)
+            shares = torch.cat([CURVES[curve]((pixels[:3] / white).clamp(0.0, 1.0)), pixels[3:].clamp(0.0, 1.0)])
+            levels = (shares * LARGEST[bits].max).round().permute(1, 2, 0).contiguous().numpy()
+            levels = levels.astype(LARGEST[bits].dtype)
+            Image.fromarray(levels[..., 0] if len(image) == 1 else levels).save(temporary)
 
 
 def _advice(image: Tensor) -> str:
@@ -123,6 +143,9 @@ def _advice(image: Tensor) -> str:
     if image.ndim == 3 and image.shape[2] == 3:
         return "; move the channels to the front, image.movedim(-1, 0)"
     return ""
+
+
+LARGEST = {8: np.iinfo(np.uint8), 16: np.iinfo(np.uint16)}  # numbers of a PNG, by its bits
 
 
 def srgb_to_linear(values: Tensor) -> Tensor:
@@ -135,6 +158,9 @@ def linear_to_srgb(values: Tensor) -> Tensor:
     # The power's derivative is infinite at 0; torch.where would turn that into NaN.
     power = 1.055 * values.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
     return torch.where(values <= 0.0031308, values * 12.92, power)
+
+
+CURVES: dict[str, Callable[[Tensor], Tensor]] = {"srgb": linear_to_srgb, "linear": lambda values: values}  # that code
 
 
 def _check_signature(path: str | os.PathLike, kind: str) -> None:

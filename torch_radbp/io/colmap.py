@@ -156,10 +156,13 @@ def read_images(lines: Iterable[Line]) -> Iterator[tuple[Line, np.ndarray, str, 
     for line in lines:
         if len(line.words) < 10:
             raise line.fail(f"expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {' '.join(line.words)[:80]!r}")
+        name = " ".join(line.words[9:])
+        if not name.strip("."):
+            raise line.fail(f"an image must have a name, got {name!r}; is the file damaged?")
         values = line.numbers(1, 8, "rotation and translation")
         if not 1e-6 < np.linalg.norm(values[:4]) < 1e6:
             raise line.fail(f"the rotation must be a quaternion of length 1, got {values[:4]}")
-        yield line, pose_of(rotation(np.array(values[:4])), np.array(values[4:])), line.words[8], " ".join(line.words[9:])
+        yield line, pose_of(rotation(np.array(values[:4])), np.array(values[4:])), line.words[8], name
 
 
 def rotation(quaternion: np.ndarray) -> np.ndarray:

@@ -40,15 +40,18 @@ MESH_PARAMETERS = ("vertex_positions", "vertex_normals", "vertex_texcoords")
 def save(scene: Scene, path: str | os.PathLike, strict: bool = False) -> None:
     """Writes a scene as Mitsuba 3 XML or as glTF 2.0, by the extension of the file's name.
 
-    XML is loaded to the same image by this package and by Mitsuba 3, which refuses what it does not have (the sensor
-    `calibrated`, the filter `trilinear` of bitmaps). Bitmaps are written beside it as EXR, distances on a grid as VOL, and
-    meshes as PLY in world space, where their pose has put them, with the normals that they have now; all named after the
-    scene and the object and all float32 (PLY: of the parameter's dtype). The saved scene needs no file of the original one.
+    XML is loaded to the same image by this package and by Mitsuba 3, which refuses what it does not have: the filter
+    `trilinear` of bitmaps, and sensors `calibrated` that no `perspective` is exactly, since they are distorted or their
+    pixels are not square; others are written as `perspective`. Bitmaps are written beside it as EXR, distances on a grid as
+    VOL, and meshes as PLY in world space, where their pose has put them, with the normals that they have now; all named
+    after the scene and the object and all float32 (PLY: of the parameter's dtype). The saved scene needs no file of the
+    original one.
 
     glTF has shapes as meshes under their pose, materials as metallic-roughness and its extensions, textures as PNG of 8 bits
-    inside the file, lights and cameras, under the names that they have in the scene; a .gltf has a .bin beside it. What glTF
-    cannot say is listed in one `GltfWarning`: `torch_radbp.io.gltf.surface` has the table. Settings of the renderer,
-    samplers and filters are no part of such a file.
+    inside the file, lights and cameras, under the names that they have in the scene; a .gltf has a .bin beside it. An
+    environment map, of which glTF has none, is an EXR beside it, which `load` finds there. What glTF cannot say is listed in
+    one `GltfWarning`: `torch_radbp.io.gltf.surface` has the table. Settings of the renderer, samplers and filters are not
+    written.
 
     Nothing is left half-written: files appear when all of them are complete, the one called `path` last.
 

@@ -70,8 +70,8 @@ class Photographs(Dataset[Photograph]):
         images: paths, or tensors (3, H, W), which are linear.
         cameras: one for each image; a dict by name, as `rb.cameras_from_nerf` gives, or a list, whose cameras are called
             view_0, view_1, ... Dots in names become underscores, as in a scene.
-        masks: paths, or tensors (1, H, W) in [0, 1], or None, one for each image; 1 counts, 0 does not. Of a file in colour
-            the mean; no curve applies to it.
+        masks: paths, or tensors (1, H, W) in [0, 1] or of truth values, or None, one for each image; 1 counts, 0 does not.
+            Of a file in colour the mean; no curve applies to it.
         curve: by which the values of files were coded: "srgb"; "linear"; or a gamma such as 2.2, linear = value^gamma. A
             curve that is not known is recovered: read the files as "linear" and apply an `rb.ToneCurve`.
         background: behind what alpha lets through; a number or (3,), linear. NeRF's white one is 1.
@@ -82,7 +82,7 @@ class Photographs(Dataset[Photograph]):
         names: their names, in order.
 
     Raises:
-        ValueError: if numbers or sizes differ, a name is taken twice, or the curve is not known.
+        ValueError: if numbers or sizes differ, a name is taken twice, the curve is not known, or a mask is not in [0, 1].
         TypeError: if a camera cannot take photographs, such as a `batch`, of which the sensors can.
         FileNotFoundError: if a file does not exist.
     """

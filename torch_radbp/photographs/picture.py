@@ -28,20 +28,25 @@ class Picture(NamedTuple):
 
 
 def as_source(name: str, value: str | os.PathLike | Tensor, channels: int) -> Source:
-    """A path, or a tensor (channels, H, W) of finite floats.
+    """A path, or a tensor (channels, H, W), on the CPU; truth values of a mask become 0 and 1.
 
     Raises:
         TypeError: if it is neither.
-        ValueError: if the tensor has another shape.
+        ValueError: if the tensor has another shape, or a mask values outside of [0, 1], such as bytes.
     """
     if isinstance(value, (str, os.PathLike)):
         return Path(value)
+    if isinstance(value, Tensor) and value.dtype == torch.bool and channels == 1:
+        value = value.float()
     if not isinstance(value, Tensor) or not value.is_floating_point():
         got = value.dtype if isinstance(value, Tensor) else type(value).__name__
         raise TypeError(f"{name} must be a path or a tensor of floating point numbers, got {got}")
     if value.ndim != 3 or value.shape[0] != channels or value.numel() == 0:
         raise ValueError(f"{name} must have shape ({channels}, H, W), got {tuple(value.shape)}")
-    return value.detach()
+    value = value.detach().cpu()
+    if channels == 1 and not 0 <= value.min() <= value.max() <= 1:
+        raise ValueError(f"{name} must be in [0, 1], got {value.min():.4g} to {value.max():.4g}")
+    return value
 
 
 def size_of(source: Source) -> tuple[int, int]:

@@ -230,12 +230,20 @@ class Calibrated(ProjectiveCamera):
             far=matrix.new_tensor(self.far_clip), distortion=model(*(getattr(self, name) for name in model._fields)))
 
     def for_mitsuba(self) -> Plugin:
-        """A `perspective` with the offset of the principal point, if the pixels are square and nothing is distorted."""
-        bent = [name for name in self.optional_parameters if getattr(self, name) is not None and getattr(self, name) != 0]
-        bent += ["skew"] * bool(self.skew != 0) + ["fisheye"] * (self.distortion == FISHEYE)
-        bent += ["fx other than fy"] * (abs(float(self.fx / self.fy) - 1.0) > SQUARE)
-        if bent:
-            raise ValueError(f"its sensors have no {', '.join(bent)}")
+        """A `perspective`, if it is one exactly."""
+        beyond = self.beyond_perspective()
+        if beyond:
+            raise ValueError(f"its sensors have no {', '.join(beyond)}")
+        return self.as_perspective()
+
+    def beyond_perspective(self) -> list[str]:
+        """What a `perspective` lacks to be this sensor: coefficients, skew, fisheye, pixels that are not square."""
+        beyond = [name for name in self.optional_parameters if getattr(self, name) is not None and getattr(self, name) != 0]
+        beyond += ["skew"] * bool(self.skew != 0) + ["fisheye"] * (self.distortion == FISHEYE)
+        return beyond + ["fx other than fy"] * (abs(float(self.fx / self.fy) - 1.0) > SQUARE)
+
+    def as_perspective(self) -> Perspective:
+        """A `perspective` with the pose, fx and the principal point of this sensor, without what that lacks."""
         width, height = self.film.width, self.film.height
         fx, cx, cy = (float(value) for value in (self.fx, self.cx, self.cy))
         sensor = Perspective(fov=1.0, near_clip=self.near_clip, far_clip=self.far_clip, shutter_open=self.shutter_open,

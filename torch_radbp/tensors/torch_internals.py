@@ -1,6 +1,6 @@
 """What this package uses of torch that is not public, in one place, with what is done where a version lacks it.
 
-Tried with the versions that README names (`make test-torch VERSION=2.6.0`). Of `pytree`, by which torch takes nested tuples,
+Tried with the versions of docs/versions.md (`make test-torch`). Of `pytree`, by which torch takes nested tuples,
 lists and dicts apart, and of dispatch modes, which see every basic operation, nothing can take the place.
 """
 

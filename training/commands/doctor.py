@@ -27,6 +27,7 @@ OPTIONAL = {  # by what they are for
     "warp-lang": "rays on NVIDIA's GPUs: pip install 'torch_radbp[cuda]'",
     "cuda-bindings": "compiled rendering on NVIDIA's GPUs: pip install 'torch_radbp[cuda]'",
     "trimesh": "meshes of other formats, and remeshing: pip install trimesh",
+    "xatlas": "surface coordinates of baked meshes: pip install 'torch_radbp[bake]'",
     "mitsuba": "comparisons of the tests with Mitsuba: pip install 'torch_radbp[peer]'",
 }
 SIZE = 64

@@ -9,6 +9,7 @@ import torch
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
+from benchmarks.headline.unknown import Variable
 from torch_radbp.training.recovery.rigid import Rigid
 
 Triple = tuple[float, float, float]
@@ -30,7 +31,7 @@ class Pose(NamedTuple):
         return MitsubasPose(self, mi, parameters)
 
 
-class OurPose:
+class OurPose(Variable):
     """A parametrisation of `to_world`."""
 
     def __init__(self, unknown: Pose, scene: rb.Scene):
@@ -41,17 +42,11 @@ class OurPose:
         self.motion.data.copy_(torch.tensor([unknown.rotation, unknown.translation]))
         self.optimizer = torch.optim.Adam([self.motion], lr=unknown.rate)
 
-    def apply(self) -> None:
-        pass
-
-    def clamp(self) -> None:
-        pass
-
     def found(self) -> np.ndarray:
         return self.motion.detach().numpy().copy()
 
 
-class MitsubasPose:
+class MitsubasPose(Variable):
     """The same by moving the vertices, as Mitsuba's tutorial on poses does."""
 
     def __init__(self, unknown: Pose, mi, parameters):
@@ -75,9 +70,6 @@ class MitsubasPose:
         angle = dr.norm(rotation)
         motion = motion.translate(origin + self.optimizer["translation"]).rotate(rotation / angle, dr.rad2deg(angle))
         self.parameters[self.target] = dr.ravel(motion.translate(-origin) @ self.vertices)
-
-    def clamp(self) -> None:
-        pass
 
     def found(self) -> np.ndarray:
         return np.stack([np.array(self.optimizer[part]).reshape(3) for part in ("rotation", "translation")])

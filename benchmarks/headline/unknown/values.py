@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 import torch_radbp as rb
+from benchmarks.headline.unknown import Variable
 
 
 class Values(NamedTuple):
@@ -26,7 +27,7 @@ class Values(NamedTuple):
         return MitsubasValues(self, mi, parameters)
 
 
-class OurValues:
+class OurValues(Variable):
     """The parameter itself, optimised by torch."""
 
     def __init__(self, unknown: Values, scene: rb.Scene):
@@ -35,9 +36,6 @@ class OurValues:
         self.parameter.requires_grad_()
         self.optimizer = torch.optim.Adam([self.parameter], lr=unknown.rate)
 
-    def apply(self) -> None:
-        pass
-
     def clamp(self) -> None:
         self.parameter.data.clamp_(0, self.most)
 
@@ -45,7 +43,7 @@ class OurValues:
         return self.parameter.detach().numpy().copy()
 
 
-class MitsubasValues:
+class MitsubasValues(Variable):
     """The same in Mitsuba."""
 
     def __init__(self, unknown: Values, mi, parameters):

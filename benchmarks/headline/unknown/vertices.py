@@ -8,6 +8,7 @@ import numpy as np
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
+from benchmarks.headline.unknown import Variable
 
 SMOOTHNESS = 25.0  # as in Mitsuba's tutorial on shapes
 
@@ -25,7 +26,7 @@ class Vertices(NamedTuple):
         return MitsubasVertices(self, mi, parameters)
 
 
-class OurVertices:
+class OurVertices(Variable):
     """`rb.optim.LargeSteps` as a parametrisation."""
 
     def __init__(self, unknown: Vertices, scene: rb.Scene):
@@ -35,17 +36,11 @@ class OurVertices:
         parametrize.register_parametrization(self.mesh, "vertex_positions", steps)
         self.optimizer = rb.optim.AdamUniform([self.mesh.parametrizations.vertex_positions.original], lr=unknown.rate)
 
-    def apply(self) -> None:
-        pass
-
-    def clamp(self) -> None:
-        pass
-
     def found(self) -> np.ndarray:
         return self.mesh.vertex_positions.detach().numpy().copy()
 
 
-class MitsubasVertices:
+class MitsubasVertices(Variable):
     """`mi.ad.LargeSteps`; needs cholespy."""
 
     def __init__(self, unknown: Vertices, mi, parameters):
@@ -57,9 +52,6 @@ class MitsubasVertices:
 
     def apply(self) -> None:
         self.parameters[self.target] = self.steps.from_differential(self.optimizer["smooth"])
-
-    def clamp(self) -> None:
-        pass
 
     def found(self) -> np.ndarray:
         return np.array(self.steps.from_differential(self.optimizer["smooth"])).reshape(-1, 3)

@@ -103,7 +103,8 @@ class PictureBorders(NamedTuple):
     strength: Tensor  # (3, K) float64, what is lost where the curve moves along that by one
 
 
-def borders_in_view(call: RenderCall, number: int, casting: Casting, kind: int, lines: PictureLines) -> PictureBorders | None:
+def borders_in_view(call: RenderCall, number: int, casting: Casting, kind: int,
+                    lines: PictureLines) -> PictureBorders | None:
     """Places of borders of pictures on surfaces that view `number` sees; None: there are none.
 
     Args:

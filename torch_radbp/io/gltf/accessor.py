@@ -62,6 +62,22 @@ class Buffers:
                 return base64.b64decode(body, validate=True)
             except (binascii.Error, ValueError) as error:
                 raise user.fail(f"its data URI is damaged: {error}") from error
+        path = self.path(uri, user)
+        try:
+            with opened(path) as file:
+                held = os.fstat(file.fileno()).st_size
+                if length < 0 and held > MAX_RESOURCE:
+                    raise user.fail(f"{path}: an image's file may have at most {MAX_RESOURCE} bytes, this one has {held}")
+                return file.read(held if length < 0 else min(length, held))
+        except OSError as error:
+            raise user.fail(str(error)) from error
+
+    def path(self, uri: str, user: Part) -> Path:
+        """The file that a URI names, relative to the document; whether it is there, is not looked at.
+
+        Raises:
+            SceneError: if it is no file name, or leads out of the folder without leave.
+        """
         try:
             scheme = urlsplit(uri).scheme
         except ValueError:
@@ -72,14 +88,7 @@ class Buffers:
         if not self.allow_outside and not path.resolve().is_relative_to(self.folder.resolve()):
             raise user.fail(f"the uri {uri[:80]!r} leads out of the folder of the document, {self.folder.resolve()}; if you "
                             "trust it, load it with allow_outside=True (on the command line --allow-outside)")
-        try:
-            with opened(path) as file:
-                held = os.fstat(file.fileno()).st_size
-                if length < 0 and held > MAX_RESOURCE:
-                    raise user.fail(f"{path}: an image's file may have at most {MAX_RESOURCE} bytes, this one has {held}")
-                return file.read(held if length < 0 else min(length, held))
-        except OSError as error:
-            raise user.fail(str(error)) from error
+        return path
 
     def view(self, index: int, user: Part) -> tuple[memoryview, int | None]:
         """The bytes of a buffer view, and its stride if it has one."""

@@ -11,9 +11,11 @@ from torch import Tensor
 
 from torch_radbp.io.gltf.document import Losses
 from torch_radbp.plugin import Emitter, Sensor, Texture
+from torch_radbp.sensor.calibrated import FISHEYE, Calibrated
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])  # about y: from what looks along +z to what looks along -z
 SQUARE = 1e-5  # how far the sides of pixels may differ
+CENTRED = 1e-6  # of the size of an image, that its principal point may be off the middle
 
 
 def matrix_of(pose: Tensor) -> np.ndarray:
@@ -86,6 +88,10 @@ def camera(sensor: Sensor, name: str, losses: Losses) -> tuple[dict[str, Any], n
     """A camera and its node's transform; None if glTF has none of this kind."""
     if not (hasattr(sensor, "film") and hasattr(sensor, "to_world")):
         return unknown(sensor, name, losses)
+    if isinstance(sensor, Calibrated) and sensor.distortion != FISHEYE:
+        if beyond := sensor.beyond_perspective():
+            losses.add(name, f"its {', '.join(beyond)} is not written: cameras of glTF are pinholes with square pixels")
+        sensor = sensor.as_perspective()
     film, aspect = sensor.film, sensor.film.width / sensor.film.height
     if (film.crop_width, film.crop_height) != (film.width, film.height):
         losses.add(name, "its crop window is not written")
@@ -94,7 +100,7 @@ def camera(sensor: Sensor, name: str, losses: Losses) -> tuple[dict[str, Any], n
     if hasattr(sensor, "x_fov"):
         if sensor.type != "perspective":
             losses.add(name, f"a {sensor.type} camera is written as a perspective one")
-        if any(float(getattr(sensor, f"principal_point_offset_{axis}", 0.0)) != 0 for axis in "xy"):
+        if any(abs(float(getattr(sensor, f"principal_point_offset_{axis}", 0.0))) > CENTRED for axis in "xy"):
             losses.add(name, "its principal point is written as the middle of the image")
         lens = {"aspectRatio": aspect, "yfov": 2 * math.atan(math.tan(math.radians(float(sensor.x_fov)) / 2) / aspect),
                 "znear": sensor.near_clip, "zfar": sensor.far_clip}

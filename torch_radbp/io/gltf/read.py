@@ -16,6 +16,7 @@ from torch_radbp.integrator.path import Path as PathIntegrator
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.container import read_container
 from torch_radbp.io.gltf.document import Document, GltfWarning, Losses, Part
+from torch_radbp.io.gltf.environment import environment
 from torch_radbp.io.gltf.extension import check_extensions
 from torch_radbp.io.gltf.lamp import camera, light, overview
 from torch_radbp.io.gltf.material import VERTEX_COLOUR, Materials
@@ -37,7 +38,7 @@ class Options(NamedTuple):
     resolution: int | None = None  # pixels of the longer side of the image; None: as `save` has noted, or 512
     spp: int = 16  # samples per pixel
     max_depth: int = -1  # see the integrator `path`
-    light: float | None = None  # radiance from all around; None: 1 if the file has no light, else nothing
+    light: float | None = None  # radiance from all around; None: that of the file, or 1 if it has no light at all
     camera: bool = True  # False: leave the file's cameras out, and look at the scene
     scene: int | None = None  # number of the scene in the file
     lumens_per_watt: float = 1.0  # see `lamp`
@@ -102,11 +103,11 @@ class _Reader:
         self.file, self.options, self.losses = file, chosen, Losses()
         self.document = Document(file, container.document)
         check_extensions(self.document, self.losses)
-        buffers = Buffers(self.document, container.binary, Path(file).parent, allow_outside)
-        self.primitives = Primitives(buffers, self.losses)
+        self.buffers = Buffers(self.document, container.binary, Path(file).parent, allow_outside)
+        self.primitives = Primitives(self.buffers, self.losses)
         self.children: dict[str, Plugin] = {}
         self.names = Names()
-        textures = Textures(self.document, Pictures(self.document, buffers), self.losses)
+        textures = Textures(self.document, Pictures(self.document, self.buffers), self.losses)
         self.materials = Materials(self.document, textures, self.losses, self.names, self.children)
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
@@ -221,7 +222,11 @@ class _Reader:
         return most
 
     def add_light(self, place: Placed) -> None:
-        """The light of a node."""
+        """The light of a node, or the environment map that it names."""
+        if self.options.light is None:
+            sky = self.checked(place.node, environment, place.to_world, self.buffers, self.losses)
+            if sky is not None:
+                self.children[self.name(place.node, place.node, "sky")] = sky
         reference, lights = (part.extension("KHR_lights_punctual") for part in (place.node, self.document))
         if reference is None:
             return

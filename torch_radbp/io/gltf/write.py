@@ -10,10 +10,12 @@ from urllib.parse import quote
 import numpy as np
 import torch
 
+from torch_radbp.emitter.envmap import Envmap
 from torch_radbp.io.gltf import lamp_out
 from torch_radbp.io.gltf.appearance import Appearances
 from torch_radbp.io.gltf.container import glb
 from torch_radbp.io.gltf.document import GltfWarning, Losses
+from torch_radbp.io.gltf.environment import written_environment
 from torch_radbp.io.gltf.image_slot import checked
 from torch_radbp.io.gltf.lamp_out import column_major, matrix_of
 from torch_radbp.io.gltf.read import said
@@ -28,7 +30,9 @@ SHEAR = 1e-5  # cosine between axes: what glTF's nodes cannot say
 
 
 def gltf_files(scene: Scene, target: Path, strict: bool) -> list[Path]:
-    """Writes a scene; a `.gltf` has its buffer in a `.bin` beside it. See `torch_radbp.save`.
+    """Writes a scene; a `.gltf` has its buffer in a `.bin` beside it, environment maps are beside either.
+
+    See `torch_radbp.save`.
 
     Args:
         scene: as it is now.
@@ -38,7 +42,7 @@ def gltf_files(scene: Scene, target: Path, strict: bool) -> list[Path]:
     Returns:
         All files, `target` last.
     """
-    writer = _Writer(scene)
+    writer = _Writer(scene, target)
     with torch.no_grad(), torch.device("cpu"):
         writer.write()
     losses = list(writer.losses)
@@ -48,16 +52,17 @@ def gltf_files(scene: Scene, target: Path, strict: bool) -> list[Path]:
         warnings.warn(f"{target.name}: {said(losses)}", GltfWarning, stacklevel=4)
     if target.suffix.lower() == ".glb":
         target.write_bytes(glb(writer.out.document(None), bytes(writer.out.binary)))
-        return [target]
+        return [*writer.files, target]
     buffer = target.with_suffix(".bin")
     buffer.write_bytes(bytes(writer.out.binary))
     target.write_text(json.dumps(writer.out.document(quote(buffer.name)), indent=1, allow_nan=False))
-    return [buffer, target]
+    return [*writer.files, buffer, target]
 
 
 class _Writer:
-    def __init__(self, scene: Scene):
-        self.scene, self.out, self.losses = scene, Written(), Losses()
+    def __init__(self, scene: Scene, target: Path):
+        self.scene, self.target, self.out, self.losses = scene, target, Written(), Losses()
+        self.files: list[Path] = []  # beside the document
         self.appearances = Appearances(scene, self.out, self.losses)
 
     def write(self) -> None:
@@ -127,7 +132,12 @@ class _Writer:
         return found
 
     def add_light(self, name: str, emitter: Plugin) -> None:
-        """A node with a light."""
+        """A node with a light, or with the name of the file of an environment map."""
+        if isinstance(emitter, Envmap):
+            file, extras = written_environment(emitter, name, self.target, self.losses)
+            self.files.append(file)
+            self.out.add("nodes", {"name": name, "extras": extras, **column_major(matrix_of(emitter.to_world))})
+            return
         written = lamp_out.light(emitter, name, self.losses)
         if written is not None:
             entries, place = written
