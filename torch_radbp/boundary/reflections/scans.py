@@ -25,8 +25,8 @@ from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fi
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, rows
 
-STEPS = 4  # of a scan; what is narrower than one is likely missed
-SHARE, MOST = 40, 1 << 15  # one place for so many paths of the image; and at most
+STEPS = 8  # of a scan; what is narrower than one is likely missed
+SHARE, MOST = 64, 1 << 15  # one place for so many paths of the image; and at most
 FLOOR = 0.25  # of the mean likelihood, by which each pixel with a mirror or glass in view is scanned
 OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror
 PASSES, SAMPLES_OF_PASS = 4, 16  # paths from each corner, at most; and one for so many samples of a pixel
