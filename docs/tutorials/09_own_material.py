@@ -45,7 +45,7 @@ class MinnaertKind(rb.bsdf.kind.Kind):
 
     def sample(self, values, wi, choice, u, v):
         radius, angle = u.sqrt(), 2 * math.pi * v  # as likely as the cosine is large
-        return rb.vec.Vec3(radius * angle.cos(), radius * angle.sin(), (1 - u).clamp_min(1e-12).sqrt())
+        return rb.tensors.vec.Vec3(radius * angle.cos(), radius * angle.sin(), (1 - u).clamp_min(1e-12).sqrt())
 
 
 # %% [markdown]
@@ -63,7 +63,7 @@ class Minnaert(rb.plugin.BSDF):
         self.exponent = rb.texture.rgb.as_texture(self, "exponent", exponent)
 
     def domains(self):
-        return {"reflectance": rb.domain.REFLECTANCE, "exponent": rb.domain.Domain(low=0.0, high=10.0)}
+        return {"reflectance": rb.plugin.domain.REFLECTANCE, "exponent": rb.plugin.domain.Domain(low=0.0, high=10.0)}
 
     def kind(self):
         return MinnaertKind()

@@ -1,4 +1,4 @@
-"""Runs a script of the documentation in its smallest form: few samples, pixels and steps, and without its last assertion.
+"""Runs a script of the documentation in its smallest form: few samples, pixels and steps, and without its last assertions.
 
     python -m tests.docs.quick_run docs/tutorials/01_first_gradient.py
 """
@@ -35,6 +35,13 @@ class Smallest(ast.NodeTransformer):
         node.defaults = [limited(each.arg, value) for each, value in zip(named, node.defaults)]
         return self.generic_visit(node)
 
+    def visit_List(self, node: ast.List) -> ast.AST:
+        """Arguments of a command, of which the number of steps is one."""
+        for option, value in zip(node.elts, node.elts[1:]):
+            if ast.unparse(option) == "'--steps'":
+                value.value = str(STEPS)
+        return self.generic_visit(node)
+
     def visit_For(self, node: ast.For) -> ast.AST:
         if ast.unparse(node.target) in COUNTED:
             node.iter = ast.parse(f"list({ast.unparse(node.iter)})[:{STEPS}]", mode="eval").body
@@ -51,7 +58,7 @@ def limited(name: str | None, value: ast.expr) -> ast.expr:
 def smallest(source: str) -> ast.Module:
     """A script in its smallest form."""
     tree = ast.parse(source)
-    if isinstance(tree.body[-1], ast.Assert):
+    while isinstance(tree.body[-1], ast.Assert):
         tree.body.pop()
     return ast.fix_missing_locations(Smallest().visit(tree))
 

@@ -163,7 +163,7 @@ BAD_BINARY = {
     "many": ("images.bin", lambda data: b"\xff" * 8 + data[8:], "images.bin, record 4: the file ends after"),
     "points": ("images.bin", lambda data: data[:-8] + b"\xff" * 8, "images.bin, record 3: the file ends after"),
     "no end of a name": ("images.bin", lambda data: data[:72] + b"a" * 9999, "more than 4096 bytes; is the file damaged"),
-    "no name": ("images.bin", lambda data: data[:72] + b"\0" + data[72:], "record 1: an image must have a name, got ''"),
+    "no name": ("images.bin", lambda data: data[:72] + data[data.index(b"\0", 72):], "record 1: an image must have a name"),
     "no text": ("images.bin", lambda data: data[:72] + b"\xff\xfe" + data[74:], "the name of an image is no text"),
     "not finite": ("images.bin", lambda data: data[:12] + b"\xff" * 8 + data[20:], "record 1: rotation and translation"),
 }

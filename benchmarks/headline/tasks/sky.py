@@ -15,7 +15,7 @@ from benchmarks.scenes import pictures
 from benchmarks.scenes.description import Setting
 
 SCENE = Path(__file__).parents[3] / "assets" / "lit_balls" / "scene.xml"
-SKY, COLOUR = "sky.data", "plaster.reflectance.value"
+SKY, COLOUR = "sky.data", "plaster_ball.bsdf.reflectance.value"
 SETTING = Setting(64, 16, 3)
 
 
