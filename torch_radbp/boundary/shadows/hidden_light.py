@@ -56,7 +56,6 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, n
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 16, 1 << 15  # one path for so many of the image; and at most
-LATER_SHARE = 128  # one for so many where what first vertices receive from lights is found otherwise: little is left
 LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
 EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
@@ -128,7 +127,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVe
     """
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
-    paths = min(MOST, view.width * view.height * call.spp // (SHARE if any(first) else LATER_SHARE))
+    paths = min(MOST, view.width * view.height * call.spp // SHARE)
     points = viewpoints(call, number, integrand, max(FEWEST_PATHS, paths))
     if not len(points.depth):
         return None
