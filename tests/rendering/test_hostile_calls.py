@@ -517,7 +517,6 @@ def test_quantities(arguments, kind, message):
 PICTURES = {
     "on no device": ((IMAGE.to("meta"),), TypeError, "channel 'R' must be a dense tensor of numbers, got one on the device"),
     "sparse": ((IMAGE.to_sparse(),), TypeError, "channel 'R' must be a dense tensor of numbers, got one of torch.sparse_co"),
-    "of truth values": ((IMAGE > 0,), TypeError, "an image must be a tensor of floating point numbers, got torch.bool"),
     "complex": ((IMAGE.cfloat(),), TypeError, "an image must be a tensor of floating point numbers, got torch.complex64"),
     "an array": ((IMAGE.numpy(),), TypeError, "an image must be a tensor of floating point numbers, got ndarray"),
     "not finite": ((IMAGE * NAN,), ValueError, "not written, 4 of 4 pixels are NaN or infinite in float32"),

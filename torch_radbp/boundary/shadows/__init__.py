@@ -52,7 +52,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
     paths = call.spp * max(view.width * view.height for view in call.views)
     edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
     vertices = max(hidden_light.FEWEST_PATHS, min(hidden_light.MOST, paths // hidden_light.SHARE))
-    samples = max(FEWEST, min(border.MOST, paths // border.SHARE))
+    samples = max(FEWEST, min(border.MOST, paths // border.share_of(call.scene)))
     ways, places = samples * border.LOOKS + vertices * hidden_light.LOOKS, samples + vertices * hidden_light.PLACES
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
     places += bool(pictures.lines_of_pictures(call)) * samples

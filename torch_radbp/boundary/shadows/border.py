@@ -57,6 +57,7 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, ro
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
 SHARE, MOST = 16, 1 << 17  # one place for so many paths of the image; and at most
+SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows move by lies on their borders
 LOOKS = 4  # for edges from each light sample
 ALIKE = 0.9  # cosine between normals of triangles of one surface
 
@@ -139,7 +140,12 @@ def light_through(scene: SceneTensors, geometry: Geometry, outline: Outline, bor
     return Ray(start, d)
 
 
-def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int = SHARE) -> CastShadows | None:
+def share_of(scene: SceneTensors) -> int:
+    """One place in view stands for so many paths of the image of a scene."""
+    return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
+
+
+def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> CastShadows | None:
     """Places on borders of shadows, whether view `number` sees them or not; None: there are none.
 
     Args:
@@ -174,7 +180,7 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lig
         lights: whose shadows are meant.
     """
     view, scene = call.views[number], call.scene
-    found = borders_of(call, number, casting, lights)
+    found = borders_of(call, number, casting, lights, share_of(scene))
     if found is None:
         return None
     borders, inwards, times, key = found

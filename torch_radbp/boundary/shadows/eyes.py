@@ -11,6 +11,7 @@ from torch_radbp.tensors.vec import Vec3, dot
 
 COPLANAR = 1e-6  # a cosine; what lies in the plane of an eye's surface hides nothing from it
 NARROWEST = 400.0  # that lobes may be, so that what lies beside them is not forgotten
+MOST_DENSE = 1e8  # per steradian, of a lobe; beyond are points in the plane of a light, where rounding decides
 
 
 class Lobe(NamedTuple):
@@ -47,8 +48,9 @@ def how_much_counts(eye: Eyes, d: Vec3, cosine: Tensor | float = 1.0, sine: Tens
 
 
 def lobe_around(d: Vec3, density: Tensor) -> Lobe:
-    """The lobe of which one direction and its density over solid angle are known, (N,); infinite or 0: there is none."""
-    narrow = torch.where(torch.isfinite(density), torch.pi * density, 0.0)
+    """The lobe of which one direction and its density over solid angle are known, (N,); of more than `MOST_DENSE`, or of 0,
+    there is none."""
+    narrow = torch.where(density < MOST_DENSE, torch.pi * density, 0.0)
     return Lobe(d.map(torch.Tensor.double), narrow.double().clamp(0.0, NARROWEST))
 
 
