@@ -46,9 +46,9 @@ from torch_radbp.tensors.vec import Vec2, rows
 
 BLOCK = 1 << 11  # places that are scanned together
 USUAL_VERTICES = 4  # of paths, by which memory is estimated
-BYTES_OF_VERTEX = 300  # what is known of it while a place is scanned
-BYTES_OF_CROSSING = 1500  # where it lies, and what it crosses
-BYTES_OF_BOUNCE = 1000  # what torch keeps of it for the backward pass
+BYTES_OF_VERTEX = 750  # what is known of it while a place is scanned
+BYTES_OF_CROSSING = 3700  # where it lies, and what it crosses
+BYTES_OF_BOUNCE = 2500  # what torch keeps of it for the backward pass
 CROSSINGS = 2  # of a place
 
 

@@ -53,7 +53,9 @@ def bytes_of_shadows(call: RenderCall) -> int:
     edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
     vertices = max(hidden_light.FEWEST_PATHS, min(hidden_light.MOST, paths // hidden_light.SHARE))
     samples = max(FEWEST, min(border.MOST, paths // border.share_of(call.scene)))
-    ways, places = samples * border.LOOKS + vertices * hidden_light.LOOKS, samples + vertices * hidden_light.PLACES
+    at_once = max if call.workers == 1 else sum  # parts are found side by side
+    ways, places = (at_once((samples * of_sample, vertices * of_vertex)) for of_sample, of_vertex in (
+        (border.LOOKS, hidden_light.LOOKS), (1, hidden_light.PLACES)))
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
     places += bool(pictures.lines_of_pictures(call)) * samples
     return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + places * (BYTES_OF_PLACE + BYTES_OF_JUMP * len(call.views))
