@@ -22,6 +22,7 @@ Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Renderi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -146,21 +147,34 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVe
         return None
     hit, free = beyond(call.integrand, passed)
     passed, hit = rows((passed, hit), free.nonzero().squeeze(1))
-    viewpoint = passed.eye
-    sight = normalize(passed.p - rows(at, viewpoint))
+    return cuts_that_matter(geometry, casting, points, at, passed, hit,
+                            lambda cuts: light_beyond(call, integrand, points, cuts, passed, at, first))
+
+
+def cuts_that_matter(geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
+                     light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
+    """The cuts at which light is lost; None: there are none.
+
+    Args:
+        geometry, casting: as for `places_seen`.
+        points: viewpoints, which lie `at` (M,) world.
+        passed: (N,) places on edges that are seen from them.
+        hit: (N,) where lines from viewpoints through these are cut off.
+        light: from cuts to (3, N) what the view sees of the light there, for each unit of `cut_at`'s coordinates.
+    """
+    sight = normalize(passed.p - rows(at, passed.eye))
     side = normalize(cross(passed.outwards, sight))
-    cuts = Cuts(viewpoint, passed.edge, passed.along, hit, (cross(sight, side), side))
+    cuts = Cuts(passed.eye, passed.edge, passed.along, hit, (cross(sight, side), side))
     here, along = pace(lambda step: cut_at(geometry, casting.outline, at, cuts, step), passed.times)
     open_at = cut_at(geometry, casting.outline, at, cuts, off=passed.outwards * (BESIDE * extent_of(geometry)))
     normal = Vec2(-along.y * passed.times, along.x * passed.times)
     opens_ahead = (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y > 0
-    light = light_beyond(call, integrand, points, cuts, passed, at, first)
-    light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
-    kept = (light != 0).any(0).nonzero().squeeze(1)
+    lost = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light(cuts), 0.0)
+    kept = (lost != 0).any(0).nonzero().squeeze(1)
     if not len(kept):
         return None
-    cuts, normal, opens_ahead, light = rows(cuts, kept), rows(normal, kept), opens_ahead[kept], light[:, kept]
-    return CutsOfView(points, cuts, normal, torch.where(opens_ahead, -light, light))
+    cuts, normal, opens_ahead, lost = rows(cuts, kept), rows(normal, kept), opens_ahead[kept], lost[:, kept]
+    return CutsOfView(points, cuts, normal, torch.where(opens_ahead, -lost, lost))
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, cuts: Cuts, passed: Passed, at: Vec3,

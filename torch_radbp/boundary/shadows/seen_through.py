@@ -37,9 +37,8 @@ from torch_radbp.boundary.shadows.hidden_light import (
     MOST,
     PLACES,
     SHARE,
-    Cuts,
     CutsOfView,
-    cut_at,
+    cuts_that_matter,
 )
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
@@ -48,7 +47,6 @@ from torch_radbp.boundary.shadows.seen_edges import (
     Passed,
     corners_of,
     extent_of,
-    pace,
     places_seen,
     salted,
 )
@@ -59,7 +57,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import queued, trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, normalize, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, rows, unit_normal
 
 SALT = 0x27D4EB2F  # tells the random numbers of these places from others
 MOST_SURFACES = 4  # that light passes on the way from an edge
@@ -95,21 +93,9 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting) -> CutsOfView 
     reached = (beside.reaches & (beside.hit.prim == on.hit.prim)).nonzero().squeeze(1)
     if not len(reached):
         return None
-    passed, start, beside, on = rows((passed, start, beside, on), reached)
-    sight = normalize(passed.p - start)
-    side = normalize(cross(passed.outwards, sight))
-    cuts = Cuts(passed.eye, passed.edge, passed.along, beside.hit, (cross(sight, side), side))
-    here, along = pace(lambda step: cut_at(geometry, casting.outline, at, cuts, step), passed.times)
-    beyond = cut_at(geometry, casting.outline, at, cuts, off=passed.outwards * off)
-    normal = Vec2(-along.y * passed.times, along.x * passed.times)
-    opens_ahead = (beyond.x - here.x) * normal.x + (beyond.y - here.y) * normal.y > 0
-    light = difference(call, integrand, points, passed, (beside, on))
-    light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
-    kept = (light != 0).any(0).nonzero().squeeze(1)
-    if not len(kept):
-        return None
-    cuts, normal, opens_ahead, light = rows(cuts, kept), rows(normal, kept), opens_ahead[kept], light[:, kept]
-    return CutsOfView(points, cuts, normal, torch.where(opens_ahead, -light, light))
+    passed, beside, on = rows((passed, beside, on), reached)
+    return cuts_that_matter(geometry, casting, points, at, passed, beside.hit,
+                            lambda cuts: difference(call, integrand, points, passed, (beside, on)))
 
 
 class Through(NamedTuple):
