@@ -1,16 +1,16 @@
 """Shows a figurine that `radbp optimize figurine_joint` has recovered under skies that no photograph shows.
 
-    python assets/relight_figurine.py runs/figurine_joint      # prints PSNR, draws pictures/figurine_joint.png
+    python assets/relight_figurine.py runs/figurine_joint      # prints errors and PSNR, draws pictures/figurine_joint.png
 
 What was recovered, shape and maps, is rendered with the true camera of a view and compared with Mitsuba's images of the true
-figurine under the same sky: on the screen's scale, over all pixels, and over those in which either figurine is seen. Prints
-errors of cameras, and of maps where both figurines have them, too.
+figurine under the same sky: on the screen's scale, over all pixels, and over those in which either figurine is seen.
 """
 
 import json
 import math
 import sys
 from pathlib import Path
+from statistics import mean
 
 import torch
 from PIL import Image
@@ -21,6 +21,7 @@ from torch_radbp.formats.image import linear_to_srgb, read_image
 
 ASSETS = Path(__file__).parent
 FIGURINE, SKIES, VIEW, SPP = ASSETS / "figurine", ("dusk", "noon", "window"), "view_1", 512
+VIEWS, MAPS = ("view_1", "view_10"), ("body.bsdf.base_color.data", "body.bsdf.roughness.data", "sky.data")
 WIDTH, GAP = 144, 6
 
 
@@ -45,25 +46,44 @@ def psnr(image: Tensor, target: Tensor, pixels: Tensor) -> float:
 
 def picture(image: Tensor) -> Image.Image:
     """As a screen shows it."""
-    levels = (linear_to_srgb(image.clamp(0, 1)) * 255 + 0.5).byte().movedim(0, -1).numpy()
-    return Image.fromarray(levels).resize((WIDTH, WIDTH), Image.Resampling.NEAREST)
+    return resized(Image.fromarray((linear_to_srgb(image.clamp(0, 1)) * 255 + 0.5).byte().movedim(0, -1).numpy()))
+
+
+def resized(image: Image.Image) -> Image.Image:
+    """As wide as all parts of the sheet, its pixels as they are."""
+    return image.resize((WIDTH, WIDTH * image.height // image.width), Image.Resampling.NEAREST)
 
 
 def sheet(rows: list[list[Image.Image]]) -> Image.Image:
-    """Pictures of one size in rows."""
-    whole = Image.new("RGB", (max(map(len, rows)) * (WIDTH + GAP) - GAP, len(rows) * (WIDTH + GAP) - GAP), "white")
-    for y, row in enumerate(rows):
-        for x, each in enumerate(row):
-            whole.paste(each, (x * (WIDTH + GAP), y * (WIDTH + GAP)))
+    """Rows of pictures that are equally wide."""
+    heights = [row[0].height + GAP for row in rows]
+    whole = Image.new("RGB", (max(map(len, rows)) * (WIDTH + GAP) - GAP, sum(heights) - GAP), "white")
+    for number, row in enumerate(rows):
+        for column, each in enumerate(row):
+            whole.paste(each, (column * (WIDTH + GAP), sum(heights[:number])))
     return whole
+
+
+def print_errors(parameters: list[dict]) -> None:
+    """Before and after, of each part; of cameras the means, and of the worst."""
+    for each in parameters:
+        kind = "chamfer" if "chamfer" in each else "rmse"
+        if "pose_error" not in each:
+            print(f"{each['name']}: {kind} {each[f'{kind}_before']:.4f} before, {each[kind]:.4f} after")
+    for key, name in (("pose_error_before", "before"), ("pose_error", "after")):
+        angles, distances = zip(*((each[key]["angle"], each[key]["distance"]) for each in parameters if key in each))
+        print(f"cameras {name}: mean {mean(angles):.3f} degrees, {mean(distances):.4f}; at most {max(angles):.3f} degrees, "
+              f"{max(distances):.4f}")
 
 
 def main(run: Path) -> None:
     truth, found = rb.load(FIGURINE / "on_board.xml"), rb.load(run / "scene" / "scene.xml")
     setattr(found, VIEW, getattr(truth, VIEW))
     pixels = body_pixels(truth) | body_pixels(found)
-    rows = [[picture(read_image(run / "images" / f"{view}_{role}.exr").movedim(-1, 0)) for view in ("view_1", "view_10")
-             for role in ("before", "target", "after")]]
+    photographs = [picture(read_image(run / "images" / f"{view}_{role}.exr").movedim(-1, 0)) for view in VIEWS
+                   for role in ("before", "target", "after")]
+    maps = [resized(Image.open(run / "textures" / f"{name}_{role}.png").convert("RGB")) for name in MAPS
+            for role in ("recovered", "true")]
     relit = []
     for sky in SKIES:
         target = read_image(FIGURINE / f"under_{sky}.exr").movedim(-1, 0)
@@ -72,14 +92,8 @@ def main(run: Path) -> None:
         print(f"{sky}: PSNR {everywhere:.1f} dB, of the figurine {psnr(image, target, pixels):.1f} dB; with the true one "
               f"{psnr(under_sky(truth, sky), target, pixels):.1f} dB")
         relit += [picture(target), picture(image)]
-    sheet([*rows, relit]).save(ASSETS / "pictures" / "figurine_joint.png", optimize=True)
-    parameters = json.loads((run / "summary.json").read_text())["parameters"]
-    poses = [each["pose_error"] for each in parameters if "pose_error" in each]
-    before = [each["pose_error_before"] for each in parameters if "pose_error" in each]
-    for name, errors in (("before", before), ("after", poses)):
-        print(f"cameras {name}: mean {sum(each['angle'] for each in errors) / len(errors):.3f} degrees, "
-              f"{sum(each['distance'] for each in errors) / len(errors):.4f}; at most "
-              f"{max(each['angle'] for each in errors):.3f} degrees, {max(each['distance'] for each in errors):.4f}")
+    sheet([photographs, maps, relit]).save(ASSETS / "pictures" / "figurine_joint.png", optimize=True)
+    print_errors(json.loads((run / "summary.json").read_text())["parameters"])
 
 
 if __name__ == "__main__":
