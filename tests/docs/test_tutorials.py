@@ -102,11 +102,11 @@ def number(text: str, after: str) -> float:
 
 @pytest.mark.deep
 def test_an_asset_is_found_from_views(elsewhere):
-    """The images and the shape; where the cameras are, 200 steps do not tell yet."""
+    """The images and the shape; where the cameras are, images of 40 x 40 pixels hardly tell."""
     text = run(ROOT / "examples" / "asset_from_views.py", cwd=elsewhere)
     before, after = map(float, re.search(r"images, dB: ([\d.]+) ([\d.]+)", text).groups())
-    assert after > before + 8
-    assert number(text, "pot.vertex_positions +off by") < 0.045
+    assert after > before + 15
+    assert number(text, "pot.vertex_positions +off by") < 0.035
     assert (elsewhere / "asset_from_views.png").exists()
 
 
