@@ -101,6 +101,7 @@ class BordersInView(NamedTuple):
     aperture: Vec2 | None  # of the lens
     normal: Vec2  # of the border on the film, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, the difference of what is seen behind and ahead
+    sweep: Tensor  # (K,) along `normal`, where the edge moves by a certain small step
 
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: BordersInView) -> FilmJumps:
@@ -145,18 +146,20 @@ def share_of(scene: SceneTensors) -> int:
     return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
 
 
-def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> CastShadows | None:
+def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights,
+               share: int) -> CastShadows | None:
     """Places on borders of shadows, whether view `number` sees them or not; None: there are none.
 
     Args:
         call: detached.
         casting: the edges.
+        effort: share of the samples that are taken.
         lights: whose shadows are meant.
-        share: one place for so many paths of the image.
+        share: one place for so many paths of the image, with all of them.
     """
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     paths = view.width * view.height * call.spp
-    points = light_points(scene, view, max(FEWEST, min(MOST, paths // share)))
+    points = light_points(scene, view, max(FEWEST, int(effort * min(MOST, paths // share))))
     count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
     points = rows(points, meant)
     if not len(meant):
@@ -171,16 +174,17 @@ def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, 
     return rows(found, (free & (receiver.prim >= 0)).nonzero().squeeze(1))
 
 
-def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lights) -> BordersInView | None:
+def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights) -> BordersInView | None:
     """Places on borders of shadows of direct light that view `number` sees; None: there are none.
 
     Args:
         call: detached.
         casting: the edges of all that casts shadows.
+        effort: share of the samples that are taken.
         lights: whose shadows are meant.
     """
     view, scene = call.views[number], call.scene
-    found = borders_of(call, number, casting, lights, share_of(scene))
+    found = borders_of(call, number, casting, effort, lights, share_of(scene))
     if found is None:
         return None
     borders, inwards, times, key = found
@@ -194,12 +198,12 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lig
     (film, along), shade = pace(seen, times), seen(off=inwards)
     normal = Vec2(-along.y * times, along.x * times)
     aside = Vec2(shade.x - film.x, shade.y - film.y)
-    ahead = aside.x * normal.x + aside.y * normal.y > 0
+    sweep = aside.x * normal.x + aside.y * normal.y
     counted = (counts_somewhere(camera, film) & torch.isfinite(normal.x) & torch.isfinite(normal.y)).nonzero().squeeze(1)
     if not len(counted):
         return None
-    borders, on_border, film, aperture, normal, aside, ahead, key = rows(
-        (borders, on_border, film, aperture, normal, aside, ahead, key), counted)
+    borders, on_border, film, aperture, normal, aside, sweep, key = rows(
+        (borders, on_border, film, aperture, normal, aside, sweep, key), counted)
     sample = camera_sample(call, view, film, aperture, key)
     in_shade = camera_sample(call, view, into_shade(camera, film, aside), aperture, key)
     shown = (sees(integrand, in_shade.ray, borders.receiver, on_border)
@@ -207,12 +211,12 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lig
     kept = shown.nonzero().squeeze(1)
     if not len(kept):
         return None
-    borders, on_border, film, aperture, normal, ahead, sample = rows(
-        (borders, on_border, film, aperture, normal, ahead, sample), kept)
+    borders, on_border, film, aperture, normal, sweep, sample = rows(
+        (borders, on_border, film, aperture, normal, sweep, sample), kept)
     light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, on_border), borders.draw)
     light = light if sample.weight is None else light * sample.weight
     strength = torch.stack(tuple(light)).double()
-    return BordersInView(borders, film, aperture, normal, torch.where(ahead, strength, -strength))
+    return BordersInView(borders, film, aperture, normal, torch.where(sweep > 0, strength, -strength), sweep)
 
 
 def aperture_of(view: View, key: LaneKey) -> Vec2 | None:

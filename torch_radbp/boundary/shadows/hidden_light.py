@@ -48,6 +48,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
 )
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.call.view import View
 from torch_radbp.path.direct_light import scattered_light
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
@@ -91,6 +92,7 @@ class CutsOfView(NamedTuple):
     cuts: Cuts
     normal: Vec2  # in the coordinates of `cut_at`, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, what is lost where the border moves along that by one
+    sweep: Tensor  # as of `border.BordersInView`
 
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
@@ -119,17 +121,16 @@ def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, ste
     return Vec2(*(torch.where(cuts.hit.prim >= 0, inside, dot(d, across)) for inside, across in zip(met, cuts.basis)))
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> CutsOfView | None:
+def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float, first: FirstVertex) -> CutsOfView | None:
     """Places where edges cut off light from paths of view `number`; None: there are none.
 
     Args:
-        call, casting: as for `border.borders_in_view`.
+        call, casting, effort: as for `border.borders_in_view`.
         first: what the first vertices of paths receive straight from lights.
     """
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
-    paths = min(MOST, view.width * view.height * call.spp // SHARE)
-    points = viewpoints(call, number, integrand, max(FEWEST_PATHS, paths))
+    points = viewpoints(call, number, integrand, number_of_paths(call, view, effort))
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)
@@ -151,6 +152,11 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVe
                             lambda cuts: light_beyond(call, integrand, points, cuts, passed, at, first))
 
 
+def number_of_paths(call: RenderCall, view: View, effort: float) -> int:
+    """Of how many paths edges are looked at, with a share of the samples that there are at most."""
+    return max(FEWEST_PATHS, int(effort * min(MOST, view.width * view.height * call.spp // SHARE)))
+
+
 def cuts_that_matter(geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
                      light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
     """The cuts at which light is lost; None: there are none.
@@ -168,13 +174,13 @@ def cuts_that_matter(geometry: Geometry, casting: Casting, points: Viewpoints, a
     here, along = pace(lambda step: cut_at(geometry, casting.outline, at, cuts, step), passed.times)
     open_at = cut_at(geometry, casting.outline, at, cuts, off=passed.outwards * (BESIDE * extent_of(geometry)))
     normal = Vec2(-along.y * passed.times, along.x * passed.times)
-    opens_ahead = (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y > 0
+    sweep = (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y
     lost = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light(cuts), 0.0)
     kept = (lost != 0).any(0).nonzero().squeeze(1)
     if not len(kept):
         return None
-    cuts, normal, opens_ahead, lost = rows(cuts, kept), rows(normal, kept), opens_ahead[kept], lost[:, kept]
-    return CutsOfView(points, cuts, normal, torch.where(opens_ahead, -lost, lost))
+    cuts, normal, sweep, lost = rows(cuts, kept), rows(normal, kept), sweep[kept], lost[:, kept]
+    return CutsOfView(points, cuts, normal, torch.where(sweep > 0, -lost, lost), sweep)
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, cuts: Cuts, passed: Passed, at: Vec3,
