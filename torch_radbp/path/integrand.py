@@ -65,6 +65,8 @@ class Stages(NamedTuple):
     descended: Callable
     edge_found: Callable
     edge_passed: Callable
+    border_course: Callable
+    cut_course: Callable
 
     def eager(self) -> Stages:
         """The same in plain torch."""

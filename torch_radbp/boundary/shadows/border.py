@@ -37,6 +37,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     corners_of,
     crossed_at,
     extent_of,
+    finite_normal,
     pace,
     places_seen,
     point_of_edge,
@@ -46,6 +47,7 @@ from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
+from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import first_hit
 from torch_radbp.raycast.protocol import Hit
@@ -94,14 +96,28 @@ class CastShadows(NamedTuple):
 
 
 class BordersInView(NamedTuple):
-    """K places on borders that a view sees; detached."""
+    """K places on borders that a view sees; detached.
+
+    The border sweeps an area where its edge moves outwards, by which parts of the derivative are compared (`split.py`).
+    """
 
     borders: Borders
     place: Vec2  # on the film, pixels from the upper left corner of the window
     aperture: Vec2 | None  # of the lens
     normal: Vec2  # of the border on the film, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, the difference of what is seen behind and ahead
-    sweep: Tensor  # (K,) along `normal`, where the edge moves by a certain small step
+    sweep: Tensor  # (K,) where the edge moves by a step that is the same for all
+
+
+class BorderCourse(NamedTuple):
+    """How N borders run on the film; detached, float64."""
+
+    on_border: Vec3  # (N,) world
+    film: Vec2  # (N,) where that is seen
+    aperture: Vec2 | None
+    normal: Vec2  # as of `BordersInView`; 0 where that is not known, or counts in no pixel
+    aside: Vec2  # to what lies right beside the border in the shade
+    sweep: Tensor
 
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: BordersInView) -> FilmJumps:
@@ -190,33 +206,46 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: flo
     borders, inwards, times, key = found
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
     geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, key)
-    on_border = border(scene, geometry, casting.outline, borders)
-
-    def seen(step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
-        return on_film(camera, border(scene, geometry, casting.outline, borders, step, off), aperture)
-
-    (film, along), shade = pace(seen, times), seen(off=inwards)
-    normal = Vec2(-along.y * times, along.x * times)
-    aside = Vec2(shade.x - film.x, shade.y - film.y)
-    sweep = aside.x * normal.x + aside.y * normal.y
-    counted = (counts_somewhere(camera, film) & torch.isfinite(normal.x) & torch.isfinite(normal.y)).nonzero().squeeze(1)
+    course = integrand.part(Ends.SURROUNDINGS).call(call.stages.border_course, geometry, casting.outline, camera, borders,
+                                                    inwards, times, aperture)
+    counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
     if not len(counted):
         return None
-    borders, on_border, film, aperture, normal, aside, sweep, key = rows(
-        (borders, on_border, film, aperture, normal, aside, sweep, key), counted)
-    sample = camera_sample(call, view, film, aperture, key)
-    in_shade = camera_sample(call, view, into_shade(camera, film, aside), aperture, key)
-    shown = (sees(integrand, in_shade.ray, borders.receiver, on_border)
-             & sees(integrand, sample.ray, borders.receiver, on_border))
+    borders, course, key = rows((borders, course, key), counted)
+    sample = camera_sample(call, view, course.film, course.aperture, key)
+    in_shade = camera_sample(call, view, into_shade(camera, course.film, course.aside), course.aperture, key)
+    shown = (sees(integrand, in_shade.ray, borders.receiver, course.on_border)
+             & sees(integrand, sample.ray, borders.receiver, course.on_border))
     kept = shown.nonzero().squeeze(1)
     if not len(kept):
         return None
-    borders, on_border, film, aperture, normal, sweep, sample = rows(
-        (borders, on_border, film, aperture, normal, sweep, sample), kept)
-    light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, on_border), borders.draw)
+    borders, course, sample = rows((borders, course, sample), kept)
+    light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, course.on_border),
+                            borders.draw)
     light = light if sample.weight is None else light * sample.weight
     strength = torch.stack(tuple(light)).double()
-    return BordersInView(borders, film, aperture, normal, torch.where(sweep > 0, strength, -strength), sweep)
+    return BordersInView(borders, course.film, course.aperture, course.normal,
+                         torch.where(course.sweep > 0, strength, -strength), course.sweep)
+
+
+def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
+                  inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> BorderCourse:
+    """How borders run on the film.
+
+    Args:
+        scene, geometry, outline, borders: as for `border`, detached.
+        camera: that sees them.
+        inwards, times: (N,) as of `CastShadows`.
+        aperture: (N,) of the rays that see them.
+    """
+    def seen(step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
+        return on_film(camera, border(scene, geometry, outline, borders, step, off), aperture)
+
+    (film, along), shade = pace(seen, times), seen(off=inwards)
+    counts, aside = counts_somewhere(camera, film), Vec2(shade.x - film.x, shade.y - film.y)
+    normal = finite_normal(along, times).map(lambda c: torch.where(counts, c, 0.0))
+    return BorderCourse(border(scene, geometry, outline, borders), film, aperture, normal, aside,
+                        aside.x * normal.x + aside.y * normal.y)
 
 
 def aperture_of(view: View, key: LaneKey) -> Vec2 | None:

@@ -41,6 +41,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     corners_of,
     crossed_at,
     extent_of,
+    finite_normal,
     pace,
     places_seen,
     point_of_edge,
@@ -50,7 +51,7 @@ from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View
 from torch_radbp.path.direct_light import scattered_light
-from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
@@ -102,6 +103,14 @@ def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: CutsOf
     return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept(seen, found.normal))
 
 
+class CutCourse(NamedTuple):
+    """How N borders of cuts run; detached, float64."""
+
+    basis: tuple[Vec3, Vec3]  # across the line of sight
+    normal: Vec2  # as of `CutsOfView`; 0 where it is not known
+    sweep: Tensor
+
+
 def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, step: Tensor | float = 0.0,
            off: Vec3 | None = None) -> Vec2:
     """Where lines from viewpoints through edges meet what lies beyond, (N,) barycentric coordinates there; attached.
@@ -148,7 +157,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
         return None
     hit, free = beyond(call.integrand, passed)
     passed, hit = rows((passed, hit), free.nonzero().squeeze(1))
-    return cuts_that_matter(geometry, casting, points, at, passed, hit,
+    return cuts_that_matter(call.stages, geometry, casting, points, at, passed, hit,
                             lambda cuts: light_beyond(call, integrand, points, cuts, passed, at, first))
 
 
@@ -157,30 +166,45 @@ def number_of_paths(call: RenderCall, view: View, effort: float) -> int:
     return max(FEWEST_PATHS, int(effort * min(MOST, view.width * view.height * call.spp // SHARE)))
 
 
-def cuts_that_matter(geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
-                     light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
+def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed,
+                     hit: Hit, light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
     """The cuts at which light is lost; None: there are none.
 
     Args:
-        geometry, casting: as for `places_seen`.
+        stages, geometry, casting: as for `places_seen`.
         points: viewpoints, which lie `at` (M,) world.
         passed: (N,) places on edges that are seen from them.
         hit: (N,) where lines from viewpoints through these are cut off.
         light: from cuts to (3, N) what the view sees of the light there, for each unit of `cut_at`'s coordinates.
     """
-    sight = normalize(passed.p - rows(at, passed.eye))
-    side = normalize(cross(passed.outwards, sight))
-    cuts = Cuts(passed.eye, passed.edge, passed.along, hit, (cross(sight, side), side))
-    here, along = pace(lambda step: cut_at(geometry, casting.outline, at, cuts, step), passed.times)
-    open_at = cut_at(geometry, casting.outline, at, cuts, off=passed.outwards * (BESIDE * extent_of(geometry)))
-    normal = Vec2(-along.y * passed.times, along.x * passed.times)
-    sweep = (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y
-    lost = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light(cuts), 0.0)
+    basis, normal, sweep = stages.cut_course(geometry, casting.outline, at, passed, hit, extent_of(geometry))
+    cuts = Cuts(passed.eye, passed.edge, passed.along, hit, basis)
+    lost = torch.where((normal.x != 0.0) | (normal.y != 0.0), light(cuts), 0.0)
     kept = (lost != 0).any(0).nonzero().squeeze(1)
     if not len(kept):
         return None
     cuts, normal, sweep, lost = rows(cuts, kept), rows(normal, kept), sweep[kept], lost[:, kept]
     return CutsOfView(points, cuts, normal, torch.where(sweep > 0, -lost, lost), sweep)
+
+
+def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
+    """How the borders of cuts run.
+
+    Args:
+        geometry: of the scene, detached.
+        outline: the edges.
+        at: (M,) the viewpoints.
+        passed: (N,) places on edges that are seen from them.
+        hit: (N,) what lies beyond.
+        extent: () of the scene.
+    """
+    sight = normalize(passed.p - rows(at, passed.eye))
+    side = normalize(cross(passed.outwards, sight))
+    cuts = Cuts(passed.eye, passed.edge, passed.along, hit, (cross(sight, side), side))
+    here, along = pace(lambda step: cut_at(geometry, outline, at, cuts, step), passed.times)
+    open_at = cut_at(geometry, outline, at, cuts, off=passed.outwards * (BESIDE * extent))
+    normal = finite_normal(along, passed.times)
+    return CutCourse(cuts.basis, normal, (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y)
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, cuts: Cuts, passed: Passed, at: Vec3,

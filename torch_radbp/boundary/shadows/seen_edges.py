@@ -233,6 +233,18 @@ def crossed_at(corners: tuple[Vec3, Vec3, Vec3], line: Ray) -> Vec2:
     return Vec2(of_u / volume, of_v / volume)
 
 
+def finite_normal(along: Vec2, times: Tensor) -> Vec2:
+    """Across curves, as long as the pieces that places stand for; 0 where they run too fast to be counted; (N,) each.
+
+    Args:
+        along: (N,) how fast places move along their edges, of `pace`.
+        times: (N,) of edges for which each stands.
+    """
+    normal = Vec2(-along.y * times, along.x * times)
+    counts = torch.isfinite(normal.x) & torch.isfinite(normal.y)
+    return normal.map(lambda c: torch.where(counts, c, 0.0))
+
+
 def pace(seen: Callable[[Tensor], Vec2], like: Tensor) -> tuple[Vec2, Vec2]:
     """Where places are that follow from the way along edges, and how fast they move along; (N,) each, detached.
 
@@ -242,7 +254,7 @@ def pace(seen: Callable[[Tensor], Vec2], like: Tensor) -> tuple[Vec2, Vec2]:
     """
     def velocity(coordinate: int) -> tuple[Tensor, Tensor]:
         with torch.enable_grad():
-            step = torch.zeros_like(like).requires_grad_()
+            step = (0.0 * like).requires_grad_()
             place = seen(step)[coordinate]
             found, = vector_jacobian_product([place], [step], [torch.ones_like(step)])
         return place.detach(), zeros_unless(found, step).detach()

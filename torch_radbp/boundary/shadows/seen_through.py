@@ -92,7 +92,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float)
     if not len(reached):
         return None
     passed, beside, on = rows((passed, beside, on), reached)
-    return cuts_that_matter(geometry, casting, points, at, passed, beside.hit,
+    return cuts_that_matter(call.stages, geometry, casting, points, at, passed, beside.hit,
                             lambda cuts: difference(call, integrand, points, passed, (beside, on)))
 
 
