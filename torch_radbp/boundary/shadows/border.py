@@ -33,15 +33,17 @@ from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
     Casting,
-    beyond,
+    Passed,
     corners_of,
     crossed_at,
     extent_of,
     finite_normal,
+    onto_surfaces,
     pace,
     places_seen,
     point_of_edge,
     salted,
+    unhidden,
 )
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
@@ -90,9 +92,9 @@ class CastShadows(NamedTuple):
     """N places on borders of shadows, and what is known of them."""
 
     borders: Borders
+    passed: Passed  # how the light does that; its edge may be hidden from the light
     inwards: Vec3  # by which points right beside the edges lie in the shade
     times: Tensor  # how many edges in the mean of all light samples a place stands for
-    key: LaneKey
 
 
 class BordersInView(NamedTuple):
@@ -183,11 +185,10 @@ def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, l
     passed = places_seen(call.stages, geometry, casting, points.eyes, salted(view, SALT), LOOKS, count)
     if passed is None:
         return None
-    receiver, free = beyond(call.integrand, passed)
+    passed, receiver = onto_surfaces(call.integrand, passed)
     borders = Borders(passed.edge, passed.along, rows(points.draw, passed.eye), receiver)
     inwards = passed.outwards * (-BESIDE * extent_of(geometry))
-    found = CastShadows(borders, inwards, passed.times / count, passed.key)
-    return rows(found, (free & (receiver.prim >= 0)).nonzero().squeeze(1))
+    return CastShadows(borders, passed, inwards, passed.times / count) if len(passed.edge) else None
 
 
 def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights) -> BordersInView | None:
@@ -203,23 +204,22 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: flo
     found = borders_of(call, number, casting, effort, lights, share_of(scene))
     if found is None:
         return None
-    borders, inwards, times, key = found
+    borders, passed, inwards, times = found
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
-    geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, key)
+    geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
     course = integrand.part(Ends.SURROUNDINGS).call(call.stages.border_course, geometry, casting.outline, camera, borders,
                                                     inwards, times, aperture)
     counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
-    if not len(counted):
-        return None
-    borders, course, key = rows((borders, course, key), counted)
+    counted = counted[unhidden(integrand, rows(passed, counted))]
+    borders, course, key = rows((borders, course, passed.key), counted)
     sample = camera_sample(call, view, course.film, course.aperture, key)
+    shown = sees(integrand, sample.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
+    borders, course, key, sample = rows((borders, course, key, sample), shown)
     in_shade = camera_sample(call, view, into_shade(camera, course.film, course.aside), course.aperture, key)
-    shown = (sees(integrand, in_shade.ray, borders.receiver, course.on_border)
-             & sees(integrand, sample.ray, borders.receiver, course.on_border))
-    kept = shown.nonzero().squeeze(1)
-    if not len(kept):
+    shown = sees(integrand, in_shade.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
+    if not len(shown):
         return None
-    borders, course, sample = rows((borders, course, sample), kept)
+    borders, course, sample = rows((borders, course, sample), shown)
     light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, course.on_border),
                             borders.draw)
     light = light if sample.weight is None else light * sample.weight

@@ -21,7 +21,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, light_through, seen_at
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
-from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace
+from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace, unhidden
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
@@ -62,9 +62,11 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: fl
     if not any(kind.delta for kind in scene.layout.lights):
         return None
     found = borders_of(call, number, casting, effort, Lights(sharp=True, soft=False, around=False), SHARE)
-    if found is None or not len(found.times):
+    if found is None:
         return None
-    borders, inwards, times, key = found
+    borders, passed, inwards, times = rows(found, unhidden(call.integrand, found.passed))
+    if not len(times):
+        return None
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
     points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), len(times))
     if not len(points.depth):
@@ -79,7 +81,7 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: fl
     connected = (numbers(view.sample_keys[1], place, SALT, torch.float64) * len(points.depth)).long()
     own = rows(points, connected)
     light = light_received(call, integrand, own, rows(vertex_at(call, geometry, number, points), connected), borders, here,
-                           key)
+                           passed.key)
     light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
     kept = (light != 0).any(0).nonzero().squeeze(1)
     if not len(kept):

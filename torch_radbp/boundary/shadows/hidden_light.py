@@ -37,15 +37,16 @@ from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
     Casting,
     Passed,
-    beyond,
     corners_of,
     crossed_at,
     extent_of,
     finite_normal,
+    onto_surfaces,
     pace,
     places_seen,
     point_of_edge,
     salted,
+    unhidden,
 )
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
@@ -155,8 +156,14 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
                          PLACES * len(points.depth))
     if passed is None:
         return None
-    hit, free = beyond(call.integrand, passed)
-    passed, hit = rows((passed, hit), free.nonzero().squeeze(1))
+    if call.scene.layout.surround is None:
+        passed, hit = onto_surfaces(call.integrand, passed)
+        passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
+    else:
+        passed = rows(passed, unhidden(call.integrand, passed))
+        hit = call.integrand.caster.intersect(passed.onwards)
+    if not len(passed.edge):
+        return None
     return cuts_that_matter(call.stages, geometry, casting, points, at, passed, hit,
                             lambda cuts: light_beyond(call, integrand, points, cuts, passed, at, first))
 

@@ -202,10 +202,15 @@ def extent_of(geometry: Geometry) -> Tensor:
     return torch.stack([part.max() - part.min() for part in geometry.triangles.vertices.p]).amax().double()
 
 
-def beyond(integrand: Integrand, passed: Passed) -> tuple[Hit, Tensor]:
-    """What lies beyond edges, right beside them, (N,); and (N,) bool, whether nothing hides the edges from the eyes."""
-    free = ~integrand.caster.occluded(passed.back, passed.distance)
-    return integrand.caster.intersect(passed.onwards), free
+def onto_surfaces(integrand: Integrand, passed: Passed) -> tuple[Passed, Hit]:
+    """Places on edges right beside which a surface lies beyond, and that; the edges may be hidden from the eyes."""
+    hit = integrand.caster.intersect(passed.onwards)
+    return rows((passed, hit), (hit.prim >= 0).nonzero().squeeze(1))
+
+
+def unhidden(integrand: Integrand, passed: Passed) -> Tensor:
+    """Numbers of those of N places on edges that nothing hides from the eyes, (K,) int64."""
+    return (~integrand.caster.occluded(passed.back, passed.distance)).nonzero().squeeze(1)
 
 
 def point_of_edge(geometry: Geometry, outline: Outline, edge: Tensor, along: Tensor) -> Vec3:
