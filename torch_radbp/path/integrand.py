@@ -67,6 +67,8 @@ class Stages(NamedTuple):
     edge_passed: Callable
     border_course: Callable
     cut_course: Callable
+    light_eyes: Callable
+    light_lobes: Callable
 
     def eager(self) -> Stages:
         """The same in plain torch."""

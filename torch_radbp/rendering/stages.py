@@ -24,6 +24,7 @@ from torch_radbp.boundary.segments import segment_place, segment_weight
 from torch_radbp.boundary.shadows.border import border_course
 from torch_radbp.boundary.shadows.edge_tree import descended, edge_bounds, merged_bounds
 from torch_radbp.boundary.shadows.hidden_light import cut_course
+from torch_radbp.boundary.shadows.light_points import light_eyes, light_lobes
 from torch_radbp.boundary.shadows.seen_edges import edge_found, edge_passed
 from torch_radbp.film.splat import asked, deposited
 from torch_radbp.jit import LaneFunction, UnknownOperation
@@ -46,7 +47,7 @@ EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, loca
                material_value, edge_weight, edge_place, crosses, contour_length, contour_place, segment_weight,
                segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, boxes_around,
                edge_bounds, merged_bounds, descended, edge_found, edge_passed, border_course,
-               cut_course)
+               cut_course, light_eyes, light_lobes)
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
@@ -65,7 +66,7 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     asked_of_places=("camera", "pixels", "film"), boxes_around=("geometry",), edge_bounds=(*OUTLINE, "slots"),
     merged_bounds=("below",), descended=("nodes", "eyes"), edge_found=(*OUTLINE, "tree", "eyes"),
     edge_passed=(*OUTLINE, "eyes", "lot", "found", "eye"), border_course=("scene", *OUTLINE, "camera"),
-    cut_course=(*OUTLINE, "at"))
+    cut_course=(*OUTLINE, "at"), light_eyes=("scene",), light_lobes=("scene",))
 
 
 def fused(target: Target | None = None) -> Stages:

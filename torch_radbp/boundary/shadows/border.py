@@ -182,7 +182,8 @@ def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, l
     points = rows(points, meant)
     if not len(meant):
         return None
-    passed = places_seen(call.stages, geometry, casting, points.eyes, salted(view, SALT), LOOKS, count)
+    eyes = call.integrand.part(Ends.SURROUNDINGS).call(call.stages.light_eyes, points.draw)
+    passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, count)
     if passed is None:
         return None
     passed, receiver = onto_surfaces(call.integrand, passed)

@@ -107,7 +107,8 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
     other = where(edges.count == 2, unit_normal(tips[-1] - a, along), one)
     turned = torch.where(dot(one, normal_of(geometry, edges.corner[0], instance)) < 0.0, -1.0, 1.0)
     axis = normalize(one + other) * turned
-    angle = torch.where(edges.count == 2, 0.5 * angle_between(one, other) + LEEWAY, STRAIGHT).clamp_max(STRAIGHT)
+    between = angle_between(coarse(one), coarse(other))
+    angle = torch.where(edges.count == 2, 0.5 * between + LEEWAY, STRAIGHT).clamp_max(STRAIGHT)
     bend = torch.where(exists, torch.sqrt(dot(along, along)) * 2.0 * angle, 0.0)
     none = torch.full_like(along.x, torch.inf)
     low, high = (Vec3(*(extreme(p, q) for p, q in zip(a, b))) for extreme in (torch.minimum, torch.maximum))

@@ -32,7 +32,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
-from torch_radbp.boundary.shadows.light_points import light_points, lobes_of_light
+from torch_radbp.boundary.shadows.light_points import light_points
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
     Casting,
@@ -52,6 +52,7 @@ from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View
 from torch_radbp.path.direct_light import scattered_light
+from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
@@ -75,6 +76,11 @@ class FirstVertex(NamedTuple):
         """For each kind of light in a scene, whether it counts; bool."""
         return torch.tensor([self.surroundings if kind.surround else self.surfaces for kind in scene.layout.lights],
                             dtype=torch.bool, device=scene.device)
+
+
+def without_extent(scene: SceneTensors) -> Tensor:
+    """For each kind of light in a scene, whether it has none; bool."""
+    return torch.tensor([kind.delta for kind in scene.layout.lights], dtype=torch.bool, device=scene.device)
 
 
 class Cuts(NamedTuple):
@@ -149,8 +155,9 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
     lobes = (points.lobe,)
     if call.scene.layout.lights:
         lights = light_points(call.scene, view, len(points.depth))
-        meant = (points.depth > 0) | first.meant(call.scene)[lights.kind]
-        lobes += (lobes_of_light(call.scene, at, lights, meant),)
+        meant = ((points.depth > 0) | first.meant(call.scene)[lights.kind]) & ~without_extent(call.scene)[lights.kind]
+        lobe = integrand.part(Ends.SURROUNDINGS).call(call.stages.light_lobes, at, lights.draw)
+        lobes += (lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),)
     eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS,
                          PLACES * len(points.depth))
