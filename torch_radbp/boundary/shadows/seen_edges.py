@@ -32,7 +32,7 @@ from torch_radbp.sampling.sampler import (
     uniform,
 )
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, crossing, dot, normalize, rows
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, angle_between, cross, crossing, dot, normalize, rows
 
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
@@ -131,12 +131,14 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
     """
     key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
     numbers = bounce_key(key, CAMERA_COUNTER)
-    aim, along = (fine_unit(random_bits(numbers, dimension)) for dimension in (1, 0))
+    aim, turn = (fine_unit(random_bits(numbers, dimension)) for dimension in (1, 0))
     number, _, times = picked(lot, place, aim)
     (edge, repeated, _), eye = rows((found, eye), number)
     times, own = times * repeated, rows(eyes, eye)
     edges, instance, share = rows((outline.edges, outline.instance, outline.share), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
+    along, density = evenly_seen(a * own.w - own.place, b * own.w - own.place, turn)
+    along, times = torch.where(own.w > 0.0, along, turn), torch.where(own.w > 0.0, times / density, times)
     p = a + (b - a) * along
     sight = normalize(p * own.w - own.place)
     across = normalize(cross(b - a, sight))
@@ -151,6 +153,25 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
     distance = torch.where(own.w > 0.0, length * (1.0 - BEFORE), FAR).to(dtype)
     return Passed(edge, eye, along, times if share is None else times / share, p, outwards, Ray(o, -d), Ray(o, d),
                   distance, key)
+
+
+def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
+    """Places of lines from a to b that are seen from the origin after so many turns from one to the other, and the density
+    that they have if turns are uniform: near an eye light turns much over short ways. (N,) each.
+
+    Args:
+        a, b: (N,) float64.
+        turn: (N,) in [0, 1), shares of the angle between them.
+    """
+    (to_a, near_a), (to_b, near_b) = ((end * torch.rsqrt(squared), torch.sqrt(squared))
+                                      for end in (a, b) for squared in [dot(end, end).clamp_min(TINY)])
+    angle, normal = angle_between(to_a, to_b), cross(a, b)
+    start, end = near_b * torch.sin((1.0 - turn) * angle), near_a * torch.sin(turn * angle)
+    known = (start + end > 0.0) & (dot(normal, normal) > 0.0)
+    along = end / torch.where(known, start + end, 1.0)
+    p = a + (b - a) * along
+    density = torch.sqrt(dot(normal, normal)) / (dot(p, p) * angle).clamp_min(TINY)
+    return torch.where(known, along, turn), torch.where(known, density, 1.0)
 
 
 def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int,
