@@ -88,7 +88,7 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
         parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view))
     if glued and max_depth > 2 and seen_through.passes_straight(call.scene):
         parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view))
-    if glued and max_depth > 2 and settings.nee:
+    if glued and max_depth > 2 and settings.nee and any(kind.delta for kind in call.scene.layout.lights):
         parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
     still, jumps = call.still(), []
     for number in range(len(call.views)):
@@ -113,7 +113,7 @@ def found_of_view(still: RenderCall, number: int, edges: Casting, parts: Sequenc
     for part in parts[1:]:
         effort = 1.0
         if most > 0.0 and part.is_cast:
-            effort = split.effort(most, split.variance(part.found(tried, number, edges, split.TRIED)))
+            effort = split.effort(most, part.found(tried, number, edges, split.TRIED))
         found.append(part.found(still, number, edges, effort))
     return found
 

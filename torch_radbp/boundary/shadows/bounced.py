@@ -59,8 +59,6 @@ def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borde
 def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: float) -> ConnectedBorders | None:
     """Places on borders, each connected to a vertex of a path of view `number`; args as of `border.borders_in_view`."""
     view, scene = call.views[number], call.scene
-    if not any(kind.delta for kind in scene.layout.lights):
-        return None
     found = borders_of(call, number, casting, effort, Lights(sharp=True, soft=False, around=False), SHARE)
     if found is None:
         return None

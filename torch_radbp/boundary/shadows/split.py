@@ -19,7 +19,8 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.sampling.sampler import SampleKey, hash32
 
 TRIED = 1 / 16  # share of the samples that tell the noise
-LEAST = 1 / 8  # share of the samples that are taken where there is little of it: what was tried may have missed much
+LEAST = 1 / 8  # share of the samples that are taken where there is little of it,
+UNKNOWN, ENOUGH = 1 / 2, 32  # and where fewer than so many counted, of which the noise cannot be told
 WORTH = 1 << 16  # paths of an image from which on it is worth trying
 SALT = 0x5851F42D  # tells the random numbers of what is tried from others
 
@@ -51,11 +52,14 @@ def variance(found: Sampled | None) -> float:
     return float(torch.where(torch.isfinite(amount), amount, 0.0).sum())
 
 
-def effort(first: float, tried: float) -> float:
+def effort(first: float, tried: Sampled | None) -> float:
     """The share of its samples that an integral is worth.
 
     Args:
         first: variance of the first integral, with all of its samples.
-        tried: that of the other, with a share of `TRIED`.
+        tried: the other, with a share of `TRIED`; None: nothing of it counts.
     """
-    return min(1.0, max(LEAST, (TRIED * tried / first)**0.5)) if first > 0.0 else 1.0
+    if not first > 0.0:
+        return 1.0
+    known = tried is not None and len(tried.sweep) >= ENOUGH
+    return min(1.0, max(LEAST if known else UNKNOWN, (TRIED * variance(tried) / first)**0.5))
