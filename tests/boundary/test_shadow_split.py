@@ -12,7 +12,6 @@ from torch_radbp.boundary.shadows import hidden_light, split
 from torch_radbp.boundary.shadows.seen_edges import evenly_seen
 from torch_radbp.tensors.vec import Vec3
 
-
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
 
