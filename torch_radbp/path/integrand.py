@@ -65,6 +65,10 @@ class Stages(NamedTuple):
     descended: Callable
     edge_found: Callable
     edge_passed: Callable
+    border_course: Callable
+    cut_course: Callable
+    light_eyes: Callable
+    light_lobes: Callable
 
     def eager(self) -> Stages:
         """The same in plain torch."""
