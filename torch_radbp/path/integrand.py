@@ -65,6 +65,9 @@ class Stages(NamedTuple):
     descended: Callable
     edge_found: Callable
     edge_passed: Callable
+    goes_on: Callable
+    ideal_vertex: Callable
+    parted: Callable
 
     def eager(self) -> Stages:
         """The same in plain torch."""
