@@ -30,7 +30,7 @@ from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
-from torch_radbp.boundary.reflections.crossings import Crossings, crossings
+from torch_radbp.boundary.reflections.crossings import STEPS, Crossings, crossings
 from torch_radbp.boundary.reflections.curves import Curves, curves_crossed, level
 from torch_radbp.boundary.reflections.differences import SHADOW
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
@@ -42,7 +42,7 @@ from torch_radbp.boundary.reflections.rays import (
     follows_chains,
     ray_after,
 )
-from torch_radbp.boundary.reflections.scans import MOST, SHARE, STEPS, Searched, scans_of
+from torch_radbp.boundary.reflections.scans import MOST, SHARE, Searched, scans_of
 from torch_radbp.boundary.reflections.surfaces import LineTable, surfaces_of
 from torch_radbp.boundary.shadows.border import camera_sample
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
@@ -55,7 +55,7 @@ from torch_radbp.tensors.differentiated import any_differentiated, primal
 from torch_radbp.tensors.record import joined, leaves_of
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, rows
 
-BLOCK = 1 << 11  # places that are scanned together
+BLOCK = 1 << 12  # places that are scanned together
 USUAL_VERTICES = 4  # of paths, by which memory is estimated
 BYTES_OF_VERTEX = 750  # what is known of it while a place is scanned
 BYTES_OF_CROSSING = 3700  # where it lies, and what it crosses
