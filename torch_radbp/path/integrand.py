@@ -68,6 +68,8 @@ class Stages(NamedTuple):
     goes_on: Callable
     ideal_vertex: Callable
     parted: Callable
+    film_sample: Callable
+    drawn_by_steps: Callable
 
     def eager(self) -> Stages:
         """The same in plain torch."""

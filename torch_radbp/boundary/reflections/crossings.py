@@ -21,13 +21,13 @@ from torch_radbp.boundary.reflections.scans import (
     paths_from,
 )
 from torch_radbp.boundary.shadows.seen_edges import numbers, salted
-from torch_radbp.sampling.sampler import LaneKey
+from torch_radbp.sampling.sampler import LaneKey, SampleKey
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, rows
 
 STEPS = 8  # of a scan; what is narrower than one is likely missed
 FOLLOWED, ALIKE = 2.0, 0.125  # of scans whose ends differ, times the likelihood of a jump; and of others
-PARTS, TURNS = 4, 3  # into which steps are divided, again and again, as often
+PARTS, TURNS = 6, 2  # into which steps are divided, again and again, as often
 MOST_TURNS = 16
 
 
@@ -65,12 +65,12 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
     path, lines = paths_from(searched, points), lines_between(scans)
     likely = likelihood_of(searched, path, lines)
     chance = (FOLLOWED * likely).clamp(ALIKE, 1.0)
-    own = (draws(searched, count_of(chance), MOST_TURNS * lot) < chance).nonzero().squeeze(1)
+    own = (draws(searched, len(chance), MOST_TURNS * lot) < chance).nonzero().squeeze(1)
     lines, times = rows(lines, own), joined([scans.times] * 2)[own] / chance[own]
     points, path, ends = divided(searched, points, path, lines, STEPS)
     found, begin = parting(searched, path, ends), begins(path)
     kept = torch.where(begin[ends.first] | begin[ends.second], found.likelihood, 0.0)
-    own = (draws(searched, count_of(kept), MOST_TURNS * lot + 1) < kept).nonzero().squeeze(1)
+    own = (draws(searched, len(kept), MOST_TURNS * lot + 1) < kept).nonzero().squeeze(1)
     pairs = Pairs(*rows((ends, joined([times] * STEPS) / kept.clamp_min(1e-300), found), own))
     for turn in range(TURNS):
         if not len(pairs.times):
@@ -95,14 +95,22 @@ def likelihood_of(searched: Searched, path: IdealPath, lines: Pairing) -> Tensor
     return torch.where(begin[lines.first] | begin[lines.second], parting(searched, path, lines).likelihood, 0.0)
 
 
-def count_of(like: Tensor) -> Tensor:
-    """0, 1, ..., int32."""
-    return torch.arange(len(like), dtype=torch.int32, device=like.device)
+def draws(searched: Searched, count: int, turn: int) -> Tensor:
+    """So many uniform numbers, float64, others in each turn."""
+    lane = torch.arange(count, dtype=torch.int32, device=searched.call.scene.device)
+    key = salted(searched.call.views[searched.number], SALT + 2)
+    return searched.call.stages.drawn_by_steps(key, lane, torch.full_like(key.seed, SALT + turn))
 
 
-def draws(searched: Searched, lane: Tensor, turn: int) -> Tensor:
-    """Uniform numbers, (N,) float64, others in each turn."""
-    return numbers(salted(searched.call.views[searched.number], SALT + 2), lane, SALT + turn, torch.float64)
+def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
+    """Uniform numbers, (N,) float64.
+
+    Args:
+        key: of the view.
+        lane: (N,) int32.
+        counter: () int32, another one for others.
+    """
+    return numbers(key, lane, counter, torch.float64)
 
 
 def divided(searched: Searched, points: FilmPoints, path: IdealPath, ends: Pairing,
@@ -129,7 +137,7 @@ def one_part(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pai
     found = parting(searched, path, ends)
     sums = found.likelihood.view(PARTS, count).cumsum(0)
     total = sums[-1]
-    drawn = (draws(searched, count_of(total), turn) * total >= sums[:-1]).sum(0)
+    drawn = (draws(searched, count, turn) * total >= sums[:-1]).sum(0)
     own = (total > 0).nonzero().squeeze(1)
     ends, found = rows((ends, found), drawn[own] * count + own)
     return points, path, Pairs(ends, pairs.times[own] * total[own] / found.likelihood.clamp_min(1e-300), found)

@@ -18,7 +18,9 @@ from torch_radbp.boundary.reflections.ideal_paths import (
     Vertices,
 )
 from torch_radbp.boundary.reflections.surfaces import Surfaces
+from torch_radbp.jit.order import chosen
 from torch_radbp.path.integrand import Stages
+from torch_radbp.path.wavefront import put_rows
 from torch_radbp.scene.interaction import triangle_normal
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
@@ -63,10 +65,15 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
     nothing = torch.zeros(count, dtype=torch.int32, device=device)
     found = Difference(nothing, nothing.clone(), torch.zeros(count, dtype=torch.float64, device=device),
                        torch.ones(count, dtype=torch.bool, device=device))
+    whole = None
     for number, vertices in enumerate(path):
         depth = torch.full((), number, dtype=torch.int32, device=device)
         found = stages.parted(surfaces, vertices, pairs, found, depth)
-    return found
+        if whole is None:  # what parts at once, or meets nothing ideal, needs no further look
+            whole, onwards = found, chosen(found.alike)
+            pairs, found = stages.rows((pairs, found), onwards)
+    put_rows(whole, onwards, found)
+    return whole
 
 
 def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:

@@ -60,7 +60,7 @@ IdealPath = tuple[Vertices, ...]  # vertex by vertex, from what the camera sees 
 def only_ideal(integrand: Integrand) -> Integrand:
     """The integrand by which ideal vertices are followed: light is not looked for, and no path is ended by chance."""
     return integrand._replace(settings=integrand.settings._replace(nee=False), rr_depth=NO_ROULETTE,
-                              max_depth=min(integrand.max_depth, MOST_VERTICES), parts={})
+                              max_depth=min(integrand.max_depth, MOST_VERTICES))
 
 
 def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> IdealPath:
@@ -76,8 +76,9 @@ def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> Id
         if not len(state.lane):
             break
         hit = first_hit(integrand, state.ray, depth)
-        lanes, vertex = ideally_scattered(integrand, state, hit, depth)
         onwards = Vec3.buffer(state.pdf)
+        lanes, vertex = (state.lane[:0], None) if integrand.is_last(depth) else (
+            ideally_scattered(integrand, state, hit, depth))
         if len(lanes):
             goes_on = chosen(torch.isinf(vertex.next.pdf) & vertex.survives & (max_component(vertex.F) > 0))
             lanes, ahead = lanes[goes_on], integrand.stages.rows(vertex.next, goes_on)
@@ -105,8 +106,8 @@ def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reach
 
 
 def ideally_scattered(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> tuple[Tensor, Vertex | None]:
-    """The lanes that may be scattered ideally, (M,) int32, and their vertices; None if there are none, or paths end."""
-    front, order, queues = queued(integrand, state.ray, hit, integrand.is_last(depth))
+    """The lanes that may be scattered ideally, (M,) int32, and their vertices; None if there are none."""
+    front, order, queues = queued(integrand, state.ray, hit, last=False)
     ideal = [queue for queue in queues if queue.event.scatters and integrand.scatterer(queue.event).kind.delta]
     if not ideal:
         return order[:0], None
