@@ -143,13 +143,12 @@ def jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, su
         found = jumping(searched, integrand, surfaces)
     if found is None:
         return None
-    crossed, low, high = found.crossed, found.crossed.low, found.crossed.high
-    middle = Vec2(*(0.5 * (a + b) for a, b in zip(low, high)))
+    middle = Vec2(*(0.5 * (low + high) for low, high in zip(found.crossed.low, found.crossed.high)))
     return FilmJumps(middle, found.strength * moved(call, searched, found))
 
 
 def moved(call: RenderCall, searched: Searched, found: Jumping) -> Tensor:
-    """(K,) float64 zeros, attached: how the levels of curves change at the points of the film; args as of `jumps_in_view`."""
+    """(K,) float64 zeros, attached: how the levels of curves change at points of the film; args as of `jumps_in_view`."""
     crossed, curves, follows, _ = found
     view, lines, draw = call.views[searched.number], searched.surfaces.lines, draw_of(crossed)
     sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
@@ -225,7 +224,8 @@ def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossin
     chains = chains_of(integrand, started(call, sample), crossed.depth)
     with torch.enable_grad():
         leaves = [part.clone().requires_grad_() for part in leaves_of(chains.ray)]
-        found = level(call.scene, searched.surfaces.lines, curves, Ray(Vec3(*leaves[:3]), Vec3(*leaves[3:])), draw_of(crossed))
+        ray = Ray(Vec3(*leaves[:3]), Vec3(*leaves[3:]))
+        found = level(call.scene, searched.surfaces.lines, curves, ray, draw_of(crossed))
         slopes = vector_jacobian_product([found], leaves, [torch.ones_like(found)])
     slopes = [zeros_unless(*parts) for parts in zip(slopes, leaves)]
     adj_ray, nothing = Ray(Vec3(*slopes[:3]), Vec3(*slopes[3:])), (False,) * len(leaves_of(call.scene))

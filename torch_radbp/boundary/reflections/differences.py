@@ -27,7 +27,8 @@ from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
 
 # How two paths part: one meets another surface; they meet different sides of a surface, by its shading normals; a texture
 # jumps between them; chance lets one go another way, which is no jump; they leave the surface on different sides of its
-# triangles; light reaches only one of their ends; or they meet what seems to be one smooth surface, and nothing else differs.
+# triangles; light reaches only one of their ends; or they meet what seems to be one smooth surface, and nothing else
+# differs.
 SAME, SURFACE, RIM, TEXTURE, CHANCE, HORIZON, SHADOW, BENT = range(8)
 LEAST = 0.05  # likelihood of a jump between points of what may be one smooth surface
 LEAST_OF_CHANCE = 0.1  # the same where chance lets paths part

@@ -15,8 +15,8 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.integrand import Stages
 from torch_radbp.plugin.jump_lines import JumpLines
-from torch_radbp.raycast.protocol import Hit
 from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene import Scene
 from torch_radbp.scene.interaction import at_corners
 from torch_radbp.scene.placement import for_lanes
@@ -151,7 +151,8 @@ def cells_met(surfaces: Surfaces, hit: Hit) -> tuple[Tensor, ...]:
                                              lookup(lines.first, row) - 1.0), lookup(lines.last, row)) for row in rows)
 
 
-def level_of_line(scene: SceneTensors | Surfaces, lines: LineTable, prim: Tensor, row: Tensor, u: Tensor, v: Tensor) -> Tensor:
+def level_of_line(scene: SceneTensors | Surfaces, lines: LineTable, prim: Tensor, row: Tensor, u: Tensor,
+                  v: Tensor) -> Tensor:
     """The number that is an integer on lines, (N,) float64, attached to the surface coordinates.
 
     Args:
