@@ -10,7 +10,7 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.derivatives.mirror_scenes import CUBE, IN_MIRROR, MIRROR, MIRRORED, SKY, shaded
+from tests.derivatives.mirror_scenes import CUBE, IN_MIRROR, METAL, MIRROR, MIRRORED, SKY, shaded
 from tests.scenes import diffuse, load, look_at, rgb
 from torch_radbp.boundary import terms
 from torch_radbp.io.transform import rotate, scale, translate
@@ -100,11 +100,15 @@ def test_what_is_seen_belongs_to_the_primary_term_and_borders_of_shadows_to_that
     assert not jumps(moving.name, moving.tangent(scene), scene, terms=("primary",), sampling="detached").any()
 
 
-@pytest.mark.parametrize("bsdf, wanted", [({"type": "conductor"}, "cube.bsdf.reflectance.value"),
-                                          (diffuse(0.5), "cube.to_world")])
-def test_nothing_is_looked_for_where_nothing_moves_or_nothing_is_seen_by_way_of_others(bsdf, wanted, monkeypatch):
+ROUGH = {"type": "roughdielectric", "alpha": 0.2}
+
+
+@pytest.mark.parametrize("mirror, cube, wanted", [
+    (METAL, CUBE["bsdf"], "cube.bsdf.reflectance.value"), (diffuse(0.5), CUBE["bsdf"], "cube.to_world"),
+    (METAL, ROUGH, "cube.bsdf.alpha.value"), (METAL, ROUGH, "cube.bsdf.eta")])
+def test_nothing_is_looked_for_where_nothing_moves_or_nothing_is_seen_by_way_of_others(mirror, cube, wanted, monkeypatch):
     monkeypatch.setattr(terms, "reflected_jumps", lambda *arguments: pytest.fail("mirrors have been looked into"))
-    scene = load(sensor=IN_MIRROR, mirror=MIRROR | {"bsdf": bsdf}, cube=CUBE, sky=SKY)
+    scene = load(sensor=IN_MIRROR, mirror=MIRROR | {"bsdf": mirror}, cube=CUBE | {"bsdf": cube}, sky=SKY)
     parameter = scene.get_parameter(wanted).requires_grad_()
     rb.Renderer(scene, max_depth=3)(seed=1, spp=4).sum().backward()
     assert float(parameter.grad.abs().sum()) > 0

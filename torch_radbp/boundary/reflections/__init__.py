@@ -79,9 +79,9 @@ def follows_mirrors(call: RenderCall) -> bool:
 
 
 def reflections_move(call: RenderCall) -> bool:
-    """True if a vertex, a normal, an instance, a camera, or an index of refraction has derivatives."""
+    """True if a vertex, a normal, an instance, a camera, or an index of ideal refraction has derivatives."""
     vertices = call.scene.triangles.vertices
-    return call.scene.layout.bending or any_differentiated((
+    return call.scene.layout.bends_ideally or any_differentiated((
         vertices.p, vertices.n, call.scene.triangles.instances, [view.camera.lens for view in call.views]))
 
 
