@@ -30,7 +30,7 @@ from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
-from torch_radbp.boundary.reflections.crossings import STEPS, Crossings, crossings
+from torch_radbp.boundary.reflections.crossings import Crossings, crossings
 from torch_radbp.boundary.reflections.curves import Curves, curves_crossed, level
 from torch_radbp.boundary.reflections.differences import SHADOW
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
@@ -56,11 +56,11 @@ from torch_radbp.tensors.record import joined, leaves_of
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, rows
 
 BLOCK = 1 << 12  # places that are scanned together
-USUAL_VERTICES = 4  # of paths, by which memory is estimated
-BYTES_OF_VERTEX = 750  # what is known of it while a place is scanned
-BYTES_OF_CROSSING = 3700  # where it lies, and what it crosses
-BYTES_OF_BOUNCE = 2500  # what torch keeps of it for the backward pass
-CROSSINGS = 2  # of a place
+BYTES_OF_CORNER = 700  # what is known of the path from there
+BYTES_OF_PLACE = 12000  # and of those from points of the scans, while they are looked at
+BYTES_OF_CROSSING = 2000  # where it lies, and what it crosses
+BYTES_OF_BOUNCE, USUAL_VERTICES = 2500, 4  # what torch keeps of it for the backward pass where it records; of how many
+CROSSINGS = 1  # of a place
 
 
 class Reflected(NamedTuple):
@@ -95,10 +95,11 @@ def bytes_of_reflections(call: RenderCall) -> int:
     """The most that scans, and the crossings that they find, may usually take of memory."""
     paths = call.spp * max(view.width * view.height for view in call.views)
     corners = max((view.grid.columns + 1) * (view.grid.rows + 1) for view in call.views)
-    places, vertices = max(FEWEST, min(MOST, paths // SHARE)), min(call.integrand.max_depth, USUAL_VERTICES)
-    points = max(corners, min(places, BLOCK) * 2 * (STEPS + 1) * call.workers)
-    crossed = places * CROSSINGS * len(call.views)
-    return points * vertices * BYTES_OF_VERTEX + crossed * (BYTES_OF_CROSSING + vertices * BYTES_OF_BOUNCE)
+    places = max(FEWEST, min(MOST, paths // SHARE))
+    together = places if places <= BLOCK else min(places, BLOCK * call.workers)
+    looked_at = max(corners * BYTES_OF_CORNER, together * BYTES_OF_PLACE)
+    kept = BYTES_OF_BOUNCE * min(call.integrand.max_depth, USUAL_VERTICES) if call.adjoint.taped else 0
+    return looked_at + places * CROSSINGS * (BYTES_OF_CROSSING + len(call.views) * kept)
 
 
 def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
