@@ -52,14 +52,15 @@ def test_derivatives_are_those_of_finite_differences(row):
 RADIANCE, EDGE = 3.0, 0.35
 
 
-def half_plane() -> rb.Scene:
-    """A mirror at 45 degrees, x + z = 0, seen from above without perspective, from -1 to 1: x is seen at the height -x of a
-    bright half plane, which reaches from below to z = EDGE."""
+def half_plane(low: float = EDGE - 18, high: float = EDGE) -> rb.Scene:
+    """A mirror at 45 degrees, x + z = 0, seen from above without perspective, from -1 to 1: x is seen at the height -x of
+    what is bright, from `low` to `high`."""
     view = {"type": "orthographic", "to_world": look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)),
             "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
     mirror = {"type": "rectangle", "to_world": rotate((0, 1, 0), 45) @ scale((9, 9, 1)), "bsdf": {"type": "conductor"}}
-    bright = {"type": "rectangle", "to_world": translate((15, 0, EDGE - 9)) @ rotate((0, 1, 0), -90) @ scale((9, 9, 1)),
-              "emitter": {"type": "area", "radiance": rgb(RADIANCE, RADIANCE, RADIANCE)}}
+    place = translate((15, 0, 0.5 * (low + high))) @ rotate((0, 1, 0), -90) @ scale((0.5 * (high - low), 9, 1))
+    bright = {"type": "rectangle", "to_world": place, "emitter": {
+        "type": "area", "radiance": rgb(RADIANCE, RADIANCE, RADIANCE)}}
     return load(torch.float64, sensor=view, mirror=mirror, bright=bright)
 
 
@@ -78,6 +79,21 @@ def test_an_edge_in_a_plane_mirror_moves_as_it_does_by_hand(moving, along, speed
     expected = speed * RADIANCE / 2
     assert abs(float(found.mean()) - expected) <= 4 * error + 1e-3 * RADIANCE
     assert error < 0.02 * RADIANCE
+
+
+@pytest.mark.parametrize("width", [0.04, 0.12, 0.6])
+def test_a_strip_in_a_plane_mirror_grows_as_it_does_by_hand(width):
+    """Most pixels, which are 0.25 wide, see nothing of it at their corners; its two borders are 2 long, of an image of
+    area 4."""
+    scene = half_plane(EDGE - width, EDGE)
+    tangent = torch.zeros(4, 4, dtype=torch.float64)
+    pose = scene.get_parameter("bright.to_world")
+    tangent[:3, 0] = pose.detach()[:3, 0] / (0.5 * width)  # both borders recede by 1
+    found = torch.stack([rb.jvp(scene, {"bright.to_world": tangent}, seed=seed, spp=256, max_depth=2).mean()
+                         for seed in range(8)])
+    error = float(found.std()) / math.sqrt(len(found))
+    assert abs(float(found.mean()) - RADIANCE) <= 4 * error + 1e-3 * RADIANCE
+    assert error < 0.04 * RADIANCE
 
 
 def jumps(moving: str, direction: torch.Tensor, scene: rb.Scene, **settings) -> torch.Tensor:

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.adjoint.attached import rays_reaching
 from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.scatter import Gradients
@@ -40,7 +41,6 @@ from torch_radbp.boundary.reflections.rays import (
     chains_of,
     following,
     follows_chains,
-    ray_after,
 )
 from torch_radbp.boundary.reflections.scans import MOST, SHARE, Searched, scans_of
 from torch_radbp.boundary.reflections.surfaces import LineTable, surfaces_of
@@ -155,7 +155,8 @@ def moved(call: RenderCall, searched: Searched, found: Jumping) -> Tensor:
     sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
     if call.adjoint.taped or has_tangents((call.scene, view.camera)):
         integrand = integrand_of(call, call.make_integrand(call.scene), call.chunks[0]._replace(sensor=searched.number))
-        seen = level(call.scene, lines, curves, ray_after(call, integrand, sample, crossed.depth), draw)
+        ray = rays_reaching(follows_chains(integrand), started(call, sample), crossed.depth)
+        seen = level(call.scene, lines, curves, ray, draw)
         return seen - primal(seen)
     change = following(follows, sample.ray, call.scene)
     if any_differentiated(call.scene):

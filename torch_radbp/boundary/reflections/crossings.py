@@ -15,18 +15,16 @@ from torch_radbp.boundary.reflections.scans import (
     FilmPoints,
     Scans,
     Searched,
-    ends_of,
-    lines_between,
+    neighbours,
     parting,
     paths_from,
+    points_of,
 )
 from torch_radbp.boundary.shadows.seen_edges import numbers, salted
 from torch_radbp.sampling.sampler import LaneKey, SampleKey
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, rows
 
-STEPS = 8  # of a scan; what is narrower than one is likely missed
-FOLLOWED, ALIKE = 2.0, 0.125  # of scans whose ends differ, times the likelihood of a jump; and of others
 PARTS, TURNS = 6, 2  # into which steps are divided, again and again, as often
 MOST_TURNS = 16
 
@@ -61,21 +59,16 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
         scans: of the view.
         lot: another number for other scans, of which random numbers are made.
     """
-    points = ends_of(scans)
-    path, lines = paths_from(searched, points), lines_between(scans)
-    likely = likelihood_of(searched, path, lines)
-    chance = (FOLLOWED * likely).clamp(ALIKE, 1.0)
-    own = (draws(searched, len(chance), MOST_TURNS * lot) < chance).nonzero().squeeze(1)
-    lines, times = rows(lines, own), joined([scans.times] * 2)[own] / chance[own]
-    points, path, ends = divided(searched, points, path, lines, STEPS)
+    count, points = len(scans.times), points_of(scans)
+    path, ends = paths_from(searched, points), neighbours(count, scans.times.device)
     found, begin = parting(searched, path, ends), begins(path)
     kept = torch.where(begin[ends.first] | begin[ends.second], found.likelihood, 0.0)
-    own = (draws(searched, len(kept), MOST_TURNS * lot + 1) < kept).nonzero().squeeze(1)
-    pairs = Pairs(*rows((ends, joined([times] * STEPS) / kept.clamp_min(1e-300), found), own))
+    own = (draws(searched, len(kept), MOST_TURNS * lot) < kept).nonzero().squeeze(1)
+    pairs = Pairs(*rows((ends, scans.times[ends.first % count] / kept.clamp_min(1e-300), found), own))
     for turn in range(TURNS):
         if not len(pairs.times):
             return None
-        points, path, pairs = one_part(searched, points, path, pairs, turn + 2 + MOST_TURNS * lot)
+        points, path, pairs = divided(searched, points, path, pairs, turn + 1 + MOST_TURNS * lot)
     (first, second), times, found = pairs
     own = ((found.depth > 0) & (found.kind != CHANCE) & (found.kind != BENT)).nonzero().squeeze(1)
     if not len(own):
@@ -87,12 +80,6 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
         times = times / torch.where(kind == SHADOW, looks.draw.picked.pmf.double(), 1.0)
     return Crossings(rows(points.film, first), rows(points.film, second), aperture, key, looks, times, kind, depth,
                      along(path, first, met), along(path, second, met))
-
-
-def likelihood_of(searched: Searched, path: IdealPath, lines: Pairing) -> Tensor:
-    """(N,) float64, of jumps by way of mirrors and glass between the ends of lines."""
-    begin = begins(path)
-    return torch.where(begin[lines.first] | begin[lines.second], parting(searched, path, lines).likelihood, 0.0)
 
 
 def draws(searched: Searched, count: int, turn: int) -> Tensor:
@@ -113,27 +100,19 @@ def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
     return numbers(key, lane, counter, torch.float64)
 
 
-def divided(searched: Searched, points: FilmPoints, path: IdealPath, ends: Pairing,
-            parts: int) -> tuple[FilmPoints, IdealPath, Pairing]:
-    """So many parts of each of N steps, the first of all, then the second of all, ...; and the points with those between,
-    with their paths."""
-    count, (first, second) = len(ends.first), ends
+def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pairs,
+            turn: int) -> tuple[FilmPoints, IdealPath, Pairs]:
+    """Parts of steps between whose ends something differs: where it does in several, one of them, by chance; and the points
+    with those between, with their paths."""
+    count, (first, second) = len(pairs.times), pairs.ends
     low, high = rows(points.film, first), rows(points.film, second)
-    shares = [part / parts for part in range(1, parts)]
+    shares = [part / PARTS for part in range(1, PARTS)]
     between = FilmPoints(Vec2(*(torch.cat([a + (b - a) * share for share in shares]) for a, b in zip(low, high))),
                          *(joined([part] * len(shares)) for part in rows(points[1:], first)))
-    more = torch.arange((parts - 1) * count, device=first.device) + len(path[0].place)
+    more = torch.arange((PARTS - 1) * count, device=first.device) + len(path[0].place)
+    points, path = joined([points, between]), extended(path, paths_from(searched, between))
     every = torch.cat([first, more, second])
-    return (joined([points, between]), extended(path, paths_from(searched, between)),
-            Pairing(every[:parts * count], every[count:]))
-
-
-def one_part(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pairs,
-             turn: int) -> tuple[FilmPoints, IdealPath, Pairs]:
-    """As `divided`, with parts of steps between whose ends something differs: where it does in several, one of them, by
-    chance."""
-    count = len(pairs.times)
-    points, path, ends = divided(searched, points, path, pairs.ends, PARTS)
+    ends = Pairing(every[:-count], every[count:])  # the first part of all steps, then the second one, ...
     found = parting(searched, path, ends)
     sums = found.likelihood.view(PARTS, count).cumsum(0)
     total = sums[-1]

@@ -7,20 +7,17 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.function import asks_for_gradient, first_derivatives_only
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
-from torch_radbp.call.render_call import RenderCall, started
-from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
 from torch_radbp.public_call import public_call
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import differentiable
-from torch_radbp.tensors.record import joined, leaves_of
+from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import Ray, Vec3, rows
 
 
@@ -127,25 +124,3 @@ def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
         scene: attached.
     """
     return FollowFunction.apply(follows, tuple(asks_for_gradient(scene)), *leaves_of(start), *differentiable(scene))
-
-
-def ray_after(call: RenderCall, integrand: Integrand, sample: CameraSample, depth: Tensor) -> Ray:
-    """The rays of paths after so many vertices each, as torch records them or carries tangents along.
-
-    Args:
-        integrand: attached.
-        sample: (K,) where the paths begin, attached.
-        depth: (K,) int64, less than the vertices of each.
-    """
-    integrand, rays, lanes = follows_chains(integrand), [], []
-
-    def visit(number: int, state: PathState, step: Step) -> None:
-        own = (depth[state.lane.long()] == number).nonzero().squeeze(1)
-        rays.append(rows(state.ray, own))
-        lanes.append(state.lane[own].long())
-
-    integrand = integrand._replace(max_depth=int(depth.max()) + 1).with_stages(call.stages.eager())
-    trace_attached(integrand, started(call, sample), visit)
-    place, found = torch.cat(lanes), joined(rays)
-    return Ray(*(Vec3(*(torch.zeros_like(depth, dtype=part.dtype).index_copy(0, place, part) for part in parts))
-                 for parts in found))

@@ -25,6 +25,7 @@ from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fi
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, rows
 
+STEPS = 8  # of a scan; what is narrower than one is likely missed
 SHARE, MOST = 64, 1 << 15  # one place for so many paths of the image; and at most
 FLOOR = 0.25  # of the mean likelihood, by which each pixel with a mirror or glass in view is scanned
 OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror
@@ -153,14 +154,17 @@ def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tupl
     return likely, begin.view(height, width)
 
 
-def ends_of(scans: Scans) -> FilmPoints:
-    """The ends of scans, M each: the left ones, the upper ones, the right ones, the lower ones."""
-    across, down = scans.column + scans.at.x, scans.row + scans.at.y
-    return FilmPoints(Vec2(torch.cat([scans.column, across, scans.column + 1.0, across]),
-                           torch.cat([down, scans.row, down, scans.row + 1.0])),
-                      *(joined([part] * 4) for part in (scans.aperture, scans.key, scans.looks)))
+def points_of(scans: Scans) -> FilmPoints:
+    """The points of scans: all of the horizontal scans from left to right, M each, then those of the vertical ones."""
+    shares = [step / STEPS for step in range(STEPS + 1)]
+    x = [scans.column + share for share in shares] + [scans.column + scans.at.x] * len(shares)
+    y = [scans.row + scans.at.y] * len(shares) + [scans.row + share for share in shares]
+    times = 2 * len(shares)
+    return FilmPoints(Vec2(torch.cat(x), torch.cat(y)), *(joined([part] * times) for part in (
+        scans.aperture, scans.key, scans.looks)))
 
 
-def lines_between(scans: Scans) -> Pairing:
-    """The numbers of the ends of the horizontal scans, then of the vertical ones, (2 M,) each."""
-    return Pairing(*torch.arange(4 * len(scans.times), device=scans.times.device).chunk(2))
+def neighbours(count: int, device: torch.device) -> Pairing:
+    """The numbers of the points at either end of all steps of so many scans, (2 STEPS M,) int64 each."""
+    first = torch.arange(2 * (STEPS + 1) * count, device=device).view(2, STEPS + 1, count)
+    return Pairing(first[:, :-1].flatten(), first[:, 1:].flatten())
