@@ -8,7 +8,7 @@ import torch
 
 import torch_radbp as rb
 from tests.derivatives.shadow_scenes import SHADOWS
-from torch_radbp.boundary.shadows import hidden_light, split
+from torch_radbp.boundary.shadows import border, hidden_light, split
 from torch_radbp.boundary.shadows.seen_edges import evenly_seen
 from torch_radbp.tensors.vec import Vec3
 
@@ -16,17 +16,35 @@ pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
 
 class Samples(NamedTuple):
-    strength: torch.Tensor
-    sweep: torch.Tensor
+    amounts: torch.Tensor
+
+    def independent(self) -> torch.Tensor:
+        return self.amounts
 
 
 def samples(count: int, size: float) -> Samples:
-    return Samples(torch.full((3, count), size / math.sqrt(3.0)), torch.full((count,), 2.0))
+    return Samples(torch.full((3, count), size / math.sqrt(3.0)))
 
 
 def test_the_variance_is_the_sum_of_squares():
-    assert split.variance(samples(50, 0.1)) == pytest.approx(50 * (0.1 * 2.0) ** 2)
+    assert split.variance(samples(50, 0.1)) == pytest.approx(50 * 0.1**2)
     assert split.variance(None) == 0.0
+
+
+def test_the_variance_of_borders_is_what_neighbours_do_not_have_in_common():
+    amounts = torch.randn(3, 4000, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    common = torch.linspace(1.0, 9.0, 4000, dtype=torch.float64)
+    one = torch.ones(4000, dtype=torch.float64)
+    found = border.BordersInView(None, None, None, None, 100.0 * common + amounts, one)
+    assert split.variance(found) == pytest.approx(3 * 4000, rel=0.1)
+
+
+def test_samples_of_one_path_are_no_independent_ones():
+    cuts = hidden_light.Cuts(torch.tensor([7, 7, 2, 7]), None, None, None, None)
+    strength = torch.tensor([[1.0, 2.0, 10.0, 0.5]], dtype=torch.float64).repeat(3, 1)
+    found = hidden_light.CutsOfView(None, cuts, None, strength, torch.tensor([2.0, 1.0, 0.1, 2.0], dtype=torch.float64))
+    assert found.independent().tolist() == [[1.0, 5.0]] * 3
+    assert split.variance(found) == pytest.approx(3 * 26.0)
 
 
 @pytest.mark.parametrize("quiet", [1.0, 0.5, 0.2, 0.01])

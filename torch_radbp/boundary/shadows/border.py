@@ -100,7 +100,7 @@ class CastShadows(NamedTuple):
 class BordersInView(NamedTuple):
     """K places on borders that a view sees; detached.
 
-    The border sweeps an area where its edge moves outwards, by which parts of the derivative are compared (`split.py`).
+    The border sweeps an area where its edge moves outwards; by that, parts of the derivative are compared (`split.py`).
     """
 
     borders: Borders
@@ -109,6 +109,11 @@ class BordersInView(NamedTuple):
     normal: Vec2  # of the border on the film, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, the difference of what is seen behind and ahead
     sweep: Tensor  # (K,) where the edge moves by a step that is the same for all
+
+    def independent(self) -> Tensor:
+        """As of `split.Sampled`: places come in the order in which they lie along edges, so that what they have in common
+        with the next is not left to chance."""
+        return (self.strength * self.sweep).diff() / 2.0**0.5
 
 
 class BorderCourse(NamedTuple):

@@ -43,6 +43,10 @@ class ConnectedBorders(NamedTuple):
     strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
     sweep: Tensor  # as of `border.BordersInView`
 
+    def independent(self) -> Tensor:
+        """As of `split.Sampled`."""
+        return self.strength * self.sweep
+
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
     """What such borders add to the derivative of view `number`; args as of `border.jumps_in_view`."""
