@@ -57,6 +57,7 @@ from torch_radbp.sampling.sampler import LaneKey, bounce_key, fine_unit, random_
 from torch_radbp.scene.cone import camera_cone
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
@@ -263,14 +264,21 @@ def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
 
 
 def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:
-    """The rays through points of the film, pixels from the upper left corner of the window."""
-    camera, dtype = view.camera, call.scene.dtype
+    """The rays through points of the film, pixels from the upper left corner of the window; attached as camera and points
+    are."""
+    make = film_sample if any_differentiated((view.camera, film)) else call.stages.film_sample
+    return make(view.camera, film, aperture, key, call.scene.layout.traces_cones)
+
+
+def film_sample(camera: Camera, film: Vec2, aperture: Vec2 | None, key: LaneKey, cones: bool) -> CameraSample:
+    """As `camera_sample`; `cones`: whether textures ask for them."""
+    dtype = camera.dtype
     position = Vec2(*(((place + crop) / size).to(dtype) for place, crop, size in (
         (film.x, camera.film.crop_x, camera.film.size_x), (film.y, camera.film.crop_y, camera.film.size_y))))
     aperture = None if aperture is None else aperture.map(lambda part: part.to(dtype))
     ray, weight = camera.kind.sample_ray(camera.lens, position, aperture)
     ray = Ray(*(part.map(torch.Tensor.contiguous) for part in ray))
-    cone = camera_cone(camera, ray, position, aperture) if call.scene.layout.traces_cones else None
+    cone = camera_cone(camera, ray, position, aperture) if cones else None
     return CameraSample(ray, key, weight, cone, None)
 
 

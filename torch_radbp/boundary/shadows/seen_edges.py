@@ -213,7 +213,7 @@ def salted(view: View, salt: int) -> SampleKey:
     return SampleKey(hash32(key.seed ^ salt), key.shared)
 
 
-def numbers(key: SampleKey, lane: Tensor, counter: int, dtype: torch.dtype) -> Tensor:
+def numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: torch.dtype) -> Tensor:
     """A uniform number in [0, 1) for each of some lanes, (N,) int32."""
     return uniform(bounce_key(LaneKey(hash32(lane + key.seed), torch.zeros_like(lane)), counter), 0, dtype)
 
