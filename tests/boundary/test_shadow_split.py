@@ -8,7 +8,7 @@ import torch
 
 import torch_radbp as rb
 from tests.derivatives.shadow_scenes import SHADOWS
-from torch_radbp.boundary.shadows import border, hidden_light, split
+from torch_radbp.boundary.shadows import hidden_light, split
 from torch_radbp.boundary.shadows.seen_edges import evenly_seen
 from torch_radbp.tensors.vec import Vec3
 
@@ -29,14 +29,6 @@ def samples(count: int, size: float) -> Samples:
 def test_the_variance_is_the_sum_of_squares():
     assert split.variance(samples(50, 0.1)) == pytest.approx(50 * 0.1**2)
     assert split.variance(None) == 0.0
-
-
-def test_the_variance_of_borders_is_what_neighbours_do_not_have_in_common():
-    amounts = torch.randn(3, 4000, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-    common = torch.linspace(1.0, 9.0, 4000, dtype=torch.float64)
-    one = torch.ones(4000, dtype=torch.float64)
-    found = border.BordersInView(None, None, None, None, 100.0 * common + amounts, one)
-    assert split.variance(found) == pytest.approx(3 * 4000, rel=0.1)
 
 
 def test_samples_of_one_path_are_no_independent_ones():
@@ -60,7 +52,7 @@ def test_of_little_known_noise_many_samples_are_taken():
 
 
 def test_what_is_not_worth_it_gets_fewer_samples(monkeypatch):
-    """A lamp's own shadow is far brighter than that of the light that a dim wall sends back."""
+    """The shadow of a lamp is far stronger than that of the light that a floor sends back to what stands on it."""
     efforts, cuts = [], hidden_light.cuts_of_view
 
     def noted(call, number, casting, effort, first):
@@ -68,11 +60,20 @@ def test_what_is_not_worth_it_gets_fewer_samples(monkeypatch):
         return cuts(call, number, casting, effort, first)
 
     monkeypatch.setattr(hidden_light, "cuts_of_view", noted)
+    moving = SHADOWS["cube, rectangle"]
+    monkeypatch.setattr(split, "WORTH", 1)
+    scene = moving.build()
+    rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=128, seed=0, max_depth=3, terms=("shadow",))
+    assert efforts[0] == split.TRIED and split.LEAST <= efforts[1] < 1.0
+
+
+def test_nothing_is_split_beside_sharp_shadows(monkeypatch):
+    monkeypatch.setattr(split, "effort", lambda *_: pytest.fail("it was split"))
     moving = SHADOWS["camera before a wall, spot"]
     monkeypatch.setattr(split, "WORTH", 1)
     scene = moving.build()
-    rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=128, seed=0, max_depth=moving.max_depth, terms=("shadow",))
-    assert efforts[0] == split.TRIED and split.LEAST <= efforts[1] < 1.0
+    image = rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=8, seed=0, max_depth=moving.max_depth, terms=("shadow",))
+    assert image.isfinite().all() and image.abs().max() > 0
 
 
 def test_places_on_a_line_are_seen_evenly():

@@ -20,7 +20,7 @@ from torch_radbp.sampling.sampler import SampleKey, hash32
 
 TRIED = 1 / 16  # share of the samples that tell the noise
 LEAST = 1 / 8  # share of the samples that are taken where there is little of it,
-UNKNOWN, ENOUGH = 1 / 2, 16  # and where fewer than so many counted, of which the noise cannot be told
+UNKNOWN, ENOUGH = 1 / 4, 8  # and where fewer than so many counted, of which the noise cannot be told
 WORTH = 1 << 16  # paths of an image from which on it is worth trying
 SALT = 0x5851F42D  # tells the random numbers of what is tried from others
 
@@ -40,9 +40,13 @@ def trying(call: RenderCall) -> RenderCall:
 
 
 def is_worth_trying(call: RenderCall, number: int) -> bool:
-    """True if view `number` has so many samples that it pays to split them."""
-    view = call.views[number]
-    return view.width * view.height * call.spp >= WORTH
+    """True if view `number` has so many samples that it pays to split them.
+
+    Borders of light without extent are single curves, on which places are spread so evenly that their sum has far less noise
+    than independent ones: where there are any, all samples are taken.
+    """
+    view, lights = call.views[number], call.scene.layout.lights
+    return view.width * view.height * call.spp >= WORTH and not any(kind.delta for kind in lights)
 
 
 def variance(found: Sampled | None) -> float:
