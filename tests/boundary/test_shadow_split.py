@@ -16,17 +16,27 @@ pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
 
 class Samples(NamedTuple):
-    strength: torch.Tensor
-    sweep: torch.Tensor
+    amounts: torch.Tensor
+
+    def independent(self) -> torch.Tensor:
+        return self.amounts
 
 
 def samples(count: int, size: float) -> Samples:
-    return Samples(torch.full((3, count), size / math.sqrt(3.0)), torch.full((count,), 2.0))
+    return Samples(torch.full((3, count), size / math.sqrt(3.0)))
 
 
 def test_the_variance_is_the_sum_of_squares():
-    assert split.variance(samples(50, 0.1)) == pytest.approx(50 * (0.1 * 2.0) ** 2)
+    assert split.variance(samples(50, 0.1)) == pytest.approx(50 * 0.1**2)
     assert split.variance(None) == 0.0
+
+
+def test_samples_of_one_path_are_no_independent_ones():
+    cuts = hidden_light.Cuts(torch.tensor([7, 7, 2, 7]), None, None, None, None)
+    strength = torch.tensor([[1.0, 2.0, 10.0, 0.5]], dtype=torch.float64).repeat(3, 1)
+    found = hidden_light.CutsOfView(None, cuts, None, strength, torch.tensor([2.0, 1.0, 0.1, 2.0], dtype=torch.float64))
+    assert found.independent().tolist() == [[1.0, 5.0]] * 3
+    assert split.variance(found) == pytest.approx(3 * 26.0)
 
 
 @pytest.mark.parametrize("quiet", [1.0, 0.5, 0.2, 0.01])
@@ -42,7 +52,7 @@ def test_of_little_known_noise_many_samples_are_taken():
 
 
 def test_what_is_not_worth_it_gets_fewer_samples(monkeypatch):
-    """A lamp's own shadow is far brighter than that of the light that a dim wall sends back."""
+    """The shadow of a lamp is far stronger than that of the light that a floor sends back to what stands on it."""
     efforts, cuts = [], hidden_light.cuts_of_view
 
     def noted(call, number, casting, effort, first):
@@ -50,11 +60,20 @@ def test_what_is_not_worth_it_gets_fewer_samples(monkeypatch):
         return cuts(call, number, casting, effort, first)
 
     monkeypatch.setattr(hidden_light, "cuts_of_view", noted)
+    moving = SHADOWS["cube, rectangle"]
+    monkeypatch.setattr(split, "WORTH", 1)
+    scene = moving.build()
+    rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=128, seed=0, max_depth=3, terms=("shadow",))
+    assert efforts[0] == split.TRIED and split.LEAST <= efforts[1] < 1.0
+
+
+def test_nothing_is_split_beside_sharp_shadows(monkeypatch):
+    monkeypatch.setattr(split, "effort", lambda *_: pytest.fail("it was split"))
     moving = SHADOWS["camera before a wall, spot"]
     monkeypatch.setattr(split, "WORTH", 1)
     scene = moving.build()
-    rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=128, seed=0, max_depth=moving.max_depth, terms=("shadow",))
-    assert efforts[0] == split.TRIED and split.LEAST <= efforts[1] < 1.0
+    image = rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=8, seed=0, max_depth=moving.max_depth, terms=("shadow",))
+    assert image.isfinite().all() and image.abs().max() > 0
 
 
 def test_places_on_a_line_are_seen_evenly():

@@ -37,7 +37,7 @@ class Part(NamedTuple):
 
     found: Callable[..., Any]  # of a call without derivatives, a view, edges and effort: places; None: there are none
     jumps: Callable[..., FilmJumps]  # of a call, a view's number, edges and the places
-    is_cast: bool = True  # by edges; its samples are `split.Sampled`
+    is_cast: bool = True  # by edges; its places are `split.Sampled`
 
 
 def shadows_move(call: RenderCall) -> bool:

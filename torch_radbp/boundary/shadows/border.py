@@ -101,7 +101,7 @@ class CastShadows(NamedTuple):
 class BordersInView(NamedTuple):
     """K places on borders that a view sees; detached.
 
-    The border sweeps an area where its edge moves outwards, by which parts of the derivative are compared (`split.py`).
+    The border sweeps an area where its edge moves outwards; by that, parts of the derivative are compared (`split.py`).
     """
 
     borders: Borders
@@ -110,6 +110,10 @@ class BordersInView(NamedTuple):
     normal: Vec2  # of the border on the film, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, the difference of what is seen behind and ahead
     sweep: Tensor  # (K,) where the edge moves by a step that is the same for all
+
+    def independent(self) -> Tensor:
+        """As of `split.Sampled`: each place has a light sample of its own."""
+        return self.strength * self.sweep
 
 
 class BorderCourse(NamedTuple):

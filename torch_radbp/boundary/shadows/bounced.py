@@ -41,7 +41,6 @@ class ConnectedBorders(NamedTuple):
     borders: Borders
     normal: Vec2  # in the coordinates of `on_receiver`, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
-    sweep: Tensor  # as of `border.BordersInView`
 
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
@@ -74,7 +73,7 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: fl
     shade = on_receiver(scene, geometry, casting.outline, borders, off=inwards)
     scale = times * len(points.depth)
     normal = Vec2(-along.y * scale, along.x * scale)
-    sweep = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y
+    ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
     place = torch.arange(len(times), dtype=torch.int32, device=scene.device)
     connected = (numbers(view.sample_keys[1], place, SALT, torch.float64) * len(points.depth)).long()
     own = rows(points, connected)
@@ -84,8 +83,8 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: fl
     kept = (light != 0).any(0).nonzero().squeeze(1)
     if not len(kept):
         return None
-    light, sweep = light[:, kept], sweep[kept]
-    return ConnectedBorders(*rows((own.place, borders, normal), kept), torch.where(sweep > 0, light, -light), sweep)
+    light, ahead = light[:, kept], ahead[kept]
+    return ConnectedBorders(*rows((own.place, borders, normal), kept), torch.where(ahead, light, -light))
 
 
 def light_received(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, borders: Borders, here: Vec2,

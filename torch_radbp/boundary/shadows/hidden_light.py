@@ -102,6 +102,11 @@ class CutsOfView(NamedTuple):
     strength: Tensor  # (3, K) float64, what is lost where the border moves along that by one
     sweep: Tensor  # as of `border.BordersInView`
 
+    def independent(self) -> Tensor:
+        """As of `split.Sampled`: those of each path together."""
+        _, path = self.cuts.viewpoint.unique(return_inverse=True)
+        return self.strength.new_zeros(3, int(path.max()) + 1).index_add(1, path, self.strength * self.sweep)
+
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
     """What edges hide from paths adds to the derivative of view `number`; args as of `border.jumps_in_view`."""

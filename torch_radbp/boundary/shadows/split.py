@@ -20,16 +20,17 @@ from torch_radbp.sampling.sampler import SampleKey, hash32
 
 TRIED = 1 / 16  # share of the samples that tell the noise
 LEAST = 1 / 8  # share of the samples that are taken where there is little of it,
-UNKNOWN, ENOUGH = 1 / 2, 32  # and where fewer than so many counted, of which the noise cannot be told
+UNKNOWN, ENOUGH = 1 / 4, 8  # and where fewer than so many counted, of which the noise cannot be told
 WORTH = 1 << 16  # paths of an image from which on it is worth trying
 SALT = 0x5851F42D  # tells the random numbers of what is tried from others
 
 
 class Sampled(Protocol):
-    """K samples of one of the integrals."""
+    """Samples of one of the integrals."""
 
-    strength: Tensor  # (3, K) by which the image changes for each unit of `sweep`
-    sweep: Tensor  # (K,) of the border, where its edge moves outwards by a step that is the same for all integrals
+    def independent(self) -> Tensor:
+        """(3, N) what changes in the image where all edges move outwards by a step that is the same for all integrals, in
+        parts of which none depends on another: the variance of their sum is the sum of their squares."""
 
 
 def trying(call: RenderCall) -> RenderCall:
@@ -39,17 +40,23 @@ def trying(call: RenderCall) -> RenderCall:
 
 
 def is_worth_trying(call: RenderCall, number: int) -> bool:
-    """True if view `number` has so many samples that it pays to split them."""
-    view = call.views[number]
-    return view.width * view.height * call.spp >= WORTH
+    """True if view `number` has so many samples that it pays to split them.
+
+    Borders of light without extent are single curves, on which places are spread so evenly that their sum has far less noise
+    than independent ones: where there are any, all samples are taken.
+    """
+    view, lights = call.views[number], call.scene.layout.lights
+    return view.width * view.height * call.spp >= WORTH and not any(kind.delta for kind in lights)
 
 
 def variance(found: Sampled | None) -> float:
-    """That of the sum of samples, where all edges move by the same."""
-    if found is None:
-        return 0.0
-    amount = (found.strength * found.sweep).square().sum(0)
-    return float(torch.where(torch.isfinite(amount), amount, 0.0).sum())
+    """That of the sum of samples, where all edges move by the same; None: there are none."""
+    return 0.0 if found is None else squares(found.independent())
+
+
+def squares(amounts: Tensor) -> float:
+    """The sum of the squares of those that are finite, (3, N)."""
+    return float(torch.where(torch.isfinite(amounts), amounts, 0.0).square().sum())
 
 
 def effort(first: float, tried: Sampled | None) -> float:
@@ -61,5 +68,6 @@ def effort(first: float, tried: Sampled | None) -> float:
     """
     if not first > 0.0:
         return 1.0
-    known = tried is not None and len(tried.sweep) >= ENOUGH
-    return min(1.0, max(LEAST if known else UNKNOWN, (TRIED * variance(tried) / first)**0.5))
+    amounts = torch.zeros(3, 0) if tried is None else tried.independent()
+    least = UNKNOWN if amounts.shape[1] < ENOUGH else LEAST
+    return min(1.0, max(least, (TRIED * squares(amounts) / first)**0.5))
