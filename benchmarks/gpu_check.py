@@ -2,7 +2,7 @@
 
 It runs, each in processes of its own and for so many seconds at most:
 
-- `kernels`: the tests marked `gpu` but for the longest: single kernels, the Cornell box;
+- `kernels`: the tests marked `gpu` but for the longest: single kernels, the Cornell box, all jumps, forward mode, a loop;
 - `figures`: forward and backward passes by themselves: first call, samples a second, over our own CPU, peak of memory
   beside the prediction (`benchmarks.device_figures --device cuda`);
 - `times`: the same beside Mitsuba's `cuda_ad_rgb` (`benchmarks.versus_mitsuba --device cuda`); left out without Mitsuba;
@@ -40,7 +40,8 @@ PACKAGES = ("torch", "llvmlite", "cuda-bindings", "warp-lang", "mitsuba")
 
 
 LONGEST = "every_plugin"  # tests by name; each compiles kernels of its own
-WORKERS = 8  # processes of these, at most
+WORKERS = 16  # processes of these, at most
+PATIENCE = 10  # seconds that a step has to end by itself, once its time is over
 
 
 class Step(NamedTuple):
@@ -50,21 +51,23 @@ class Step(NamedTuple):
     command: tuple[str, ...]
     limit: float  # seconds
     needs: str | None = None  # a module, without which it is left out
+    side_by_side: bool = False  # in processes of their own, each of one thread on the CPU
 
 
 def steps(folder: Path, quick: bool) -> list[Step]:
     """What is run."""
-    tests = (sys.executable, "-m", "pytest", "-m", "gpu", "tests/gpu", "-rf", "--tb=short", "--durations=5")
-    side_by_side = ("-n", str(min(WORKERS, os.cpu_count() or 1))) if util.find_spec("xdist") else ()
+    several = bool(util.find_spec("xdist"))
+    workers = ("-n", str(min(WORKERS, os.cpu_count() or 1))) if several else ()
+    tests = (sys.executable, "-m", "pytest", "-m", "gpu", "tests/gpu", "-rf", "--tb=short", "--durations=5", *workers)
     size = ("--quick", "--rounds", "2") if quick else ("--resolution", "512", "--spp", "64", "--rounds", "3")
 
     def measured(name: str, module: str, limit: float, needs: str | None = None) -> Step:
         return Step(name, (sys.executable, "-m", f"benchmarks.{module}", "--device", "cuda", *size, "--json",
                            str(folder / f"{name}.json")), limit, needs)
 
-    return [Step("kernels", (*tests, "-k", f"not {LONGEST}"), 90),
-            measured("figures", "device_figures", 200), measured("times", "versus_mitsuba", 120, "mitsuba"),
-            Step("plugins", (*tests, "-k", LONGEST, *side_by_side), 180)]
+    return [Step("kernels", (*tests, "-k", f"not {LONGEST}"), 200, side_by_side=several),
+            measured("figures", "device_figures", 250), measured("times", "versus_mitsuba", 300, "mitsuba"),
+            Step("plugins", (*tests, "-k", LONGEST), 400, side_by_side=several)]
 
 
 def saved(folder: Path) -> dict[str, list]:
@@ -90,29 +93,32 @@ def run(step: Step, folder: Path) -> str:
         print(f"== {step.name}: left out, since {step.needs} is not installed", flush=True)
         return f"left out: {step.needs} is not installed"
     print(f"== {step.name}, {step.limit:.0f} s at most: {' '.join(step.command)}", flush=True)
-    start = time.monotonic()
+    start, threads = time.monotonic(), {"OMP_NUM_THREADS": "1"} if step.side_by_side else {}
     with open(folder / f"{step.name}.txt", "w", encoding="utf-8") as log, subprocess.Popen(
             step.command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
-            start_new_session=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}) as process:
-        stop = threading.Timer(step.limit, end, [process])
+            start_new_session=True, env={**os.environ, "PYTHONUNBUFFERED": "1", **threads}) as process:
+        late = threading.Event()
+        stop = threading.Timer(step.limit, end, [process, late])
         stop.start()
         for line in process.stdout:
             print(f"{time.monotonic() - start:6.1f}  {line}", end="", flush=True)
             log.write(line)
             log.flush()
         code = process.wait()
-        in_time = stop.is_alive()
         stop.cancel()
     took = f"in {time.monotonic() - start:.0f} s"
-    if not in_time:
+    if late.is_set():
         return f"stopped after its {took[3:]}"
     return f"passed {took}" if code == 0 else f"failed with status {code} {took}"
 
 
-def end(process: subprocess.Popen) -> None:
-    """Ends a process and those that it has started."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
+def end(process: subprocess.Popen, late: threading.Event) -> None:
+    """Interrupts a process and those that it has started, so that pytest says what has failed so far; then ends them."""
+    late.set()
+    for how, patience in ((signal.SIGINT, PATIENCE), (signal.SIGKILL, None)):
+        with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
+            os.killpg(process.pid, how)
+            process.wait(patience)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from docs.plugin_pages import write_plugin_pages
@@ -34,9 +35,10 @@ def main() -> None:
     """Builds the site; ends with an error if a tutorial fails or Sphinx has a warning."""
     environment = os.environ | {"PYTHONPATH": str(HERE.parent)}
     for script in filter(out_of_date, tutorials()):
-        print(script.name, flush=True)
+        start = time.perf_counter()
         subprocess.run([sys.executable, "-m", "docs.tutorial_page", str(script)], check=True, cwd=HERE.parent,
                        env=environment)
+        print(f"{script.name}: {time.perf_counter() - start:.0f} s", flush=True)
     write_reference(HERE / "reference")
     write_plugin_pages(HERE / "plugins")
     subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-E", str(HERE), str(SITE)], check=True)

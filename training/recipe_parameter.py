@@ -100,6 +100,7 @@ class Parameter(Group):
     # meshes: steps move the shape as a whole, see `rb.optim.LargeSteps`.
     parametrisation: Literal["clamp", "sigmoid", "log", "rigid", "network", "large_steps"] = "clamp"
     network: Network | None = None  # None: of the default size
+    pivot: Vector | None = None  # of "rigid": the place in the world that rotations are about; None: the own origin
     smoothness: Positive | None = None  # of large steps: how far, in squared edges, one reaches; None: 19
     coarse_to_fine: CoarseToFine | None = None  # None: all texels are free from the first step on
     # For reports only. "scene": the value in the scene file; of vertex_positions also a mesh, .ply or .obj,
@@ -123,6 +124,8 @@ class Parameter(Group):
             raise ValueError('parametrisation = "rigid" is a rotation and a translation and takes no bounds')
         if self.parametrisation == "large_steps" and self.bounds is not None:
             raise ValueError('parametrisation = "large_steps" moves vertices together and takes no bounds')
+        if self.pivot is not None and self.parametrisation != "rigid":
+            raise ValueError(f'pivot = ... needs parametrisation = "rigid", got "{self.parametrisation}"')
         if self.smoothness is not None and self.parametrisation != "large_steps":
             raise ValueError(f'smoothness = ... needs parametrisation = "large_steps", got "{self.parametrisation}"')
         if self.coarse_to_fine is not None and self.parametrisation not in ("clamp", "sigmoid", "log"):

@@ -13,8 +13,9 @@ import torch_radbp as rb
 from tests.boundary.test_rims import icosphere
 from tests.scenes import cornell, diffuse, load, look_at, rectangle, rgb, sensor, texels
 from torch_radbp.boundary import SilhouetteWarning
-from torch_radbp.boundary.edges import cells_of, edges_of, weld_size, welded
+from torch_radbp.boundary.edges import edges_of
 from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.shape.welding import cells_of, weld_size, welded
 
 SKY = {"type": "constant", "radiance": rgb(0.5, 0.6, 0.7)}
 PICTURE = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels(4, 4)}}

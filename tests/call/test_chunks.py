@@ -32,10 +32,12 @@ def test_every_sample_of_every_pixel_is_in_one_chunk(sensors, columns, rows, spp
 @pytest.mark.parametrize("workers", [1, 2, 3, 16])
 @pytest.mark.parametrize("side, spp", [(192, 16), (192, 24), (256, 16), (101, 64), (500, 4), (1500, 4)])
 def test_workers_get_as_much_of_every_part_of_the_image(side, spp, workers):
-    """Up to a row of each band."""
+    """Up to a row of each band; of many workers only as many work as there are chunks that are not too small."""
     lanes = fair_chunk([(side, side)], spp, workers, 1 << 18)
-    shares = torch.zeros(workers, side * side)
     chunks = plan_chunks([(side, side)], spp, lanes, workers)
+    assert len(chunks) >= min(workers, side * side * spp // LEAST_LANES)
+    workers = min(workers, len(chunks))
+    shares = torch.zeros(workers, side * side)
     for number, chunk in enumerate(chunks):
         shares[number % workers, chunk.rows.numbers(CPU).long()] = 1
     for quarter in shares.chunk(4, dim=1):

@@ -14,8 +14,17 @@ from collections import deque
 import pytest
 import torch
 
-from torch_radbp.jit import team
-from torch_radbp.jit.team import HERE, alone_in_torch, each, threads, together, until_none_is_left
+from torch_radbp.jit import LaneFunction, team
+from torch_radbp.jit.team import (
+    HERE,
+    after_loops,
+    alone_in_torch,
+    each,
+    loops_together,
+    threads,
+    together,
+    until_none_is_left,
+)
 from torch_radbp.tensors import torch_internals
 from torch_radbp.tensors.torch_internals import setters_of_threads
 
@@ -302,3 +311,26 @@ def test_work_is_done_where_no_thread_can_be_started(monkeypatch):
     seen = []
     together(seen.append, NUMBER)
     assert len(seen) == 1
+
+
+def test_loops_run_together_once_all_have_begun_and_what_waits_for_them_comes_after():
+    double, x = LaneFunction(lambda x: x * 2.0), torch.arange(10_001, dtype=torch.float32)
+    with alone_in_torch():
+        room, told = torch.full((20_002,), torch.nan), []
+        with loops_together():
+            double.into(room, 0, x)
+            after_loops(lambda: told.append(bool(room.isnan().any())))
+            double.into(room, 10_001, x + 1.0)
+            assert room.isnan().all() and not told
+        assert told == [False] and torch.equal(room, torch.cat([2 * x, 2 * x + 2]))
+        assert torch.equal(double(x), 2 * x)  # and outside at once
+
+
+def test_after_an_error_no_loop_runs_that_waited_and_later_ones_run_at_once():
+    double, x, room = LaneFunction(lambda x: x * 2.0), torch.ones(3), torch.zeros(3)
+    with pytest.raises(KeyError), loops_together():
+        double.into(room, 0, x)
+        raise KeyError
+    assert not room.any()
+    double.into(room, 0, x)
+    assert torch.equal(room, 2 * x)

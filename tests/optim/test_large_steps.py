@@ -63,6 +63,16 @@ def test_what_is_registered_leaves_the_vertices_as_they_are(dtype, tolerance):
     torch.testing.assert_close(other.vertex_positions, mesh.vertex_positions + 0.1, rtol=0, atol=2 * tolerance)
 
 
+def test_a_seam_whose_sides_differ_by_rounding_does_not_open():
+    vertices, faces = tensors(trimesh.creation.icosphere(2), torch.float32)
+    other_side = vertices * (1 + 1e-7 * torch.randn_like(vertices))
+    assert not torch.equal(other_side, vertices)
+    system = rb.optim.LargeSteps(torch.cat([faces, faces + len(vertices)]), torch.cat([vertices, other_side]))
+    one, other = system(torch.randn(system.count, 3)).chunk(2)
+    assert system.count == len(vertices) and torch.equal(one, other)
+    assert one.std() > 0.01
+
+
 def test_bad_arguments_are_named(ball):
     vertices, faces = ball
     with pytest.raises(ValueError, match="smoothness must not be negative, got -1"):

@@ -65,6 +65,16 @@ def test_motion_by_half_a_turn_is_found(axis):
     assert PoseError.between(other, MATRIX).angle == pytest.approx(180)
 
 
+def test_a_pivot_stays_where_it_is():
+    pivot = vector(0.3, -2.0, 1.5)
+    turned = moved(MATRIX, vector(0.1, 0.2, -0.3), vector(0, 0, 0), pivot)
+    in_object = torch.linalg.solve(MATRIX, torch.cat([pivot, vector(1.0)]))
+    torch.testing.assert_close((turned @ in_object)[:3], pivot)
+    assert (turned[:3, 3] - MATRIX[:3, 3]).norm() > 0.5
+    rigid, motion = Rigid(MATRIX, pivot.tolist()), torch.stack([vector(0.2, -0.1, 0.4), vector(0.3, -0.1, 0.2)])
+    torch.testing.assert_close(rigid.right_inverse(rigid(motion)), motion, atol=1e-12, rtol=0)
+
+
 def test_pose_error_is_angle_and_distance():
     error = PoseError.between(moved(MATRIX, vector(0, math.radians(2), 0), vector(0.3, 0, 0.4)), MATRIX)
     assert error == pytest.approx((2.0, 0.5))
@@ -101,6 +111,19 @@ def test_initial_offset_is_applied_to_the_matrix_of_the_scene(pose_recipe, folde
     torch.testing.assert_close(parameter.value, expected)
     assert parameter.raw.shape == (2, 3)
     assert parameter.raw.detach().abs().max() < 1e-6
+
+
+def test_a_pivot_changes_steps_but_not_where_a_run_begins(pose_recipe):
+    plain, turned = (Recovery(read_recipe(pose_recipe, overrides)).parameters[0]
+                     for overrides in ([], ["parameters.0.pivot=[0.0, 1.0, 2.0]"]))
+    torch.testing.assert_close(plain.value, turned.value)
+    step = torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    moved_plain, moved_turned = (each.module.parametrizations.to_world[0](step) for each in (plain, turned))
+    torch.testing.assert_close(moved_plain[:3, :3], moved_turned[:3, :3])
+    assert (moved_plain[:3, 3] - moved_turned[:3, 3]).norm() > 0.05
+    with pytest.raises(ValueError, match=r'pivot = ... needs parametrisation = "rigid", got "clamp"'):
+        read_recipe(pose_recipe, ["parameters.0.pivot=[0.0, 1.0, 2.0]", 'parameters.0.parametrisation="clamp"',
+                                  "parameters.0.initial=0.5"])
 
 
 def test_pose_is_recovered_and_written(pose_recipe, folder):

@@ -24,7 +24,7 @@ def slots_of(body: Tensor, points: Tensor) -> Tensor:
     room = torch.pow(2, torch.ceil(torch.log2(count.double())).long()).clamp_min(GROUP)
     slots = torch.full((1 << (int(room.sum()) - 1).bit_length(),), -1, dtype=torch.int32, device=points.device)
     start = 0
-    for one in room.argsort(descending=True).tolist():
+    for one in room.argsort(descending=True, stable=True).tolist():
         own = (body == bodies[one]).nonzero().squeeze(1)
         place, _ = halved(points[own])
         slots[start + place] = own.to(torch.int32)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,9 +11,9 @@ from torch import Tensor
 from torch_radbp.boundary.junctions import cut_at_vertices
 from torch_radbp.jit.order import chosen as chosen_lanes
 from torch_radbp.jit.order import partition
+from torch_radbp.shape.welding import cells_of, weld_size, welded
 from torch_radbp.tensors.vec import rows
 
-WELDED = 1e-5  # vertices nearer than about this share of the mesh's extent count as one
 HASH, SLOTS = 0x1E3779B97F4A7C15, 1 << 22  # the multiplier of a hash, and how many values it has
 MANY = 1 << 16  # triangles of a shape of which all are looked at
 SOME = 1 << 14  # triangles of a larger shape that are looked at
@@ -184,35 +183,3 @@ def touching(cells: tuple[Tensor, Tensor], faces: Tensor, vertices: Tensor) -> T
         touched |= torch.zeros(SLOTS, dtype=torch.bool, device=faces.device).index_fill(0, slot[vertices.long()], True)[slot]
     first, second, third = (touched.index_select(0, corner) for corner in faces.unbind(1))
     return ((first & second) | (second & third) | (third & first)).nonzero().squeeze(1)
-
-
-def weld_size(vertices: Tensor) -> float:
-    """The distance below which the vertices of a mesh, (V, 3), count as one."""
-    extent = float((vertices.amax(0) - vertices.amin(0)).max())
-    # Powers of ten, because coordinates that people write are multiples of them.
-    return 10.0 ** math.floor(math.log10(extent * WELDED)) if extent > 0.0 else 1.0
-
-
-def cells_of(vertices: Tensor, size: float) -> tuple[Tensor, Tensor]:
-    """The cells, of this size, of two grids that contain the vertices, (V, 3); (V,) int64 each.
-
-    One grid is shifted by half a cell against the other, so that vertices at the same place, up to rounding, share a cell
-    of at least one of them.
-    """
-    places = (vertices.double() - vertices.amin(0).double()) / size
-    cells = []
-    for shift in (0.5, 1.0):
-        x, y, z = torch.floor(places + shift).long().unbind(1)
-        cells.append((x << 42) | (y << 21) | z)
-    return tuple(cells)
-
-
-def welded(cells: tuple[Tensor, Tensor]) -> Tensor | None:
-    """For each vertex the first one at the same place, (V,) int32, by the cells from `cells_of`; None: all lie apart."""
-    own = label = torch.arange(len(cells[0]), dtype=torch.int32, device=cells[0].device)
-    groups = [torch.unique(cell, return_inverse=True) for cell in cells]
-    if all(len(found) == len(own) for found, _ in groups):
-        return None
-    for _, group in groups * 2:
-        label = torch.full_like(own, len(own)).scatter_reduce(0, group, label, "amin")[group]
-    return None if torch.equal(label, own) else label

@@ -141,7 +141,7 @@ def candidates(boxes: Boxes, ones: Pairs, others: Pairs, count: int) -> Iterator
         return values[own.other] - start + width * own.one
 
     lows = on_axis(others, low)
-    order = lows.argsort()
+    order = lows.argsort(stable=True)
     lows, widest = lows[order], on_axis(others, high)[order].cummax(0).values if len(order) else lows
     begin = torch.searchsorted(widest, on_axis(ones, low))
     count = (torch.searchsorted(lows, on_axis(ones, high), right=True) - begin).clamp_min(0)

@@ -26,7 +26,7 @@ def cut_at_vertices(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Ten
     edge = torch.cat([cut, edge, cut])
     share = torch.cat([torch.zeros_like(share[:1]).expand(len(cut)), share, torch.ones_like(share[:1]).expand(len(cut))])
     vertex = torch.cat([ends[0, cut], vertex, ends[1, cut]])
-    order = share.argsort()
+    order = share.argsort(stable=True)
     order = order[edge[order].argsort(stable=True)]
     edge, vertex = edge[order], vertex[order]
     inside = (edge[1:] == edge[:-1]) & (vertex[1:] != vertex[:-1])
@@ -37,7 +37,7 @@ def vertices_on(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor,
     """The vertices of edges that lie on others of them: (J,) int64 which edge, the share of it before the vertex, and (J,)
     int64 the vertex. Args as for `cut_at_vertices`."""
     height, own = points @ points.new_tensor(OBLIQUE), ends.unique()
-    places, order = height[own].sort()
+    places, order = height[own].sort(stable=True)
     own, of_ends = own[order], height[ends]
     first = torch.searchsorted(places, of_ends.amin(0) - tolerance)
     counts = torch.searchsorted(places, of_ends.amax(0) + tolerance, right=True) - first

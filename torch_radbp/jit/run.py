@@ -17,6 +17,7 @@ from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.structure import Leaf, difference, flatten, of_lanes, replaced
 from torch_radbp.jit.target import Target, target_of
+from torch_radbp.jit.team import after_loops
 from torch_radbp.jit.trace import trace
 
 
@@ -103,10 +104,14 @@ class LaneFunction:
         self.check_room(room, compiled, given, first + given.lanes)
         tensors, sizes = room.leaves, compiled.sizes
         compiled.run(given, [room.pointers[place] + first * size for place, size in zip(compiled.firsts, sizes)])
-        for place in compiled.others:
-            k = compiled.results[place]
-            source = tensors[compiled.firsts[k]].narrow(0, first, given.lanes) if k >= 0 else given.leaves[~k]
-            tensors[place].narrow(0, first, given.lanes).copy_(source)
+
+        def others() -> None:
+            for place in compiled.others:
+                k = compiled.results[place]
+                source = tensors[compiled.firsts[k]].narrow(0, first, given.lanes) if k >= 0 else given.leaves[~k]
+                tensors[place].narrow(0, first, given.lanes).copy_(source)
+
+        after_loops(others)  # which also keeps what was given until then
         return room.argument
 
     def prepared(self, arguments: tuple) -> tuple[Compiled, Arguments]:

@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from queue import SimpleQueue
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import torch
 
@@ -118,6 +118,8 @@ class Here(threading.local):
     """What belongs to a thread."""
 
     threads: int | None = None  # that work for it, itself included; None: as many as torch has
+    loops: list[LaneLoop] | None = None  # that wait for each other; None: none do
+    afterwards: list[Callable[[], None]] | None = None  # what is to be done after them
 
 
 HERE, TEAM = Here(), Team()
@@ -207,18 +209,61 @@ def until_none_is_left(items: deque[Item]) -> Iterator[Item]:
         yield item
 
 
-def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = PART) -> None:
-    """Runs the C function at `body`, which takes parts of a `Job`, on all threads that work for this one.
+@contextmanager
+def loops_together() -> Iterator[None]:
+    """Loops that this thread begins inside run at the end, in one meeting of the threads rather than one each.
 
-    Args:
-        body: its address.
-        lanes: how many.
-        inputs, outputs: arrays of 64-bit integers, the addresses of what it reads and writes.
-        part: lanes that a thread takes at a time.
+    None may read what another one writes. What is to be done after them is said by `after_loops`.
     """
-    job = Job(lanes, part, 0, inputs.buffer_info()[0], outputs.buffer_info()[0])
-    loop, address = LoopBody(body), ctypes.addressof(job)
-    if lanes <= part or threads() == 1:
-        loop(address)
+    HERE.loops, HERE.afterwards = [], []
+    try:
+        yield
+        loops, afterwards = HERE.loops, HERE.afterwards
+    finally:
+        HERE.loops = HERE.afterwards = None
+    run_loops(loops)
+    for work in afterwards:
+        work()
+
+
+def after_loops(work: Callable[[], None]) -> None:
+    """Does `work` once the loops that this thread has begun have run."""
+    if HERE.afterwards is None:
+        work()
     else:
-        together(lambda task: loop(address), min(threads(), -(-lanes // part)))
+        HERE.afterwards.append(work)
+
+
+class LaneLoop(NamedTuple):
+    """A loop over lanes."""
+
+    body: int  # address of a C function that takes parts of a `Job`
+    lanes: int
+    inputs: array  # of 64-bit integers, the addresses of what it reads and writes
+    outputs: array
+    part: int  # lanes that a thread takes at a time
+
+
+def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = PART) -> None:
+    """Runs a loop on all threads that work for this one; see `LaneLoop`. Inside `loops_together` it waits for the others."""
+    loop = LaneLoop(body, lanes, inputs, outputs, part)
+    if HERE.loops is None:
+        run_loops([loop])
+    else:
+        HERE.loops.append(loop)
+
+
+def run_loops(loops: Sequence[LaneLoop]) -> None:
+    """Runs some loops, of which each thread takes parts until there are none."""
+    jobs = [Job(loop.lanes, loop.part, 0, loop.inputs.buffer_info()[0], loop.outputs.buffer_info()[0]) for loop in loops]
+    calls = [(LoopBody(loop.body), ctypes.addressof(job)) for loop, job in zip(loops, jobs)]
+    parts = sum(-(-loop.lanes // loop.part) for loop in loops)
+
+    def take_parts(task: Task | None = None) -> None:
+        for body, job in calls:
+            body(job)
+
+    if parts <= 1 or threads() == 1:
+        take_parts()
+    else:
+        together(take_parts, min(threads(), parts))

@@ -5,13 +5,20 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_radbp.shape.welding import cells_of, weld_size
+from torch_radbp.shape.welding import welded as first_at_place
+
 
 def welded(vertices: Tensor) -> tuple[Tensor, int]:
-    """The number of each vertex's place, (V,) int64, and how many there are; vertices at equal coordinates are at one."""
+    """The number of each vertex's place, (V,) int64, and how many there are; coordinates equal up to rounding are one."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
         raise ValueError(f"vertices must have shape (V, 3), got {tuple(vertices.shape)}")
-    places, place = torch.unique(vertices.detach(), dim=0, return_inverse=True)
-    return place, len(places)
+    vertices = vertices.detach()
+    first = first_at_place(cells_of(vertices, weld_size(vertices)))
+    if first is None:
+        return torch.arange(len(vertices), device=vertices.device), len(vertices)
+    firsts, place = torch.unique(first, return_inverse=True)
+    return place, len(firsts)
 
 
 def edges_of(faces: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-FIRST = 8  # triangles whose middles are closest, that are looked at first
+FIRST = 4  # triangles whose middles are closest, that are looked at first
 
 
 class OnMesh(NamedTuple):
@@ -30,7 +30,7 @@ def closest_points(points: Tensor, vertices: Tensor, faces: Tensor) -> OnMesh:
     """The points of a mesh that are closest to (Q, 3) points.
 
     Of ever more triangles, those whose middles are closest, until no other can be closer: none of the others has a point
-    within the distance of its middle less its radius.
+    within the distance of its middle less the largest radius. Of these, those that their own radius rules out are skipped.
 
     Args:
         points: float64, on the CPU, as are the vertices.
@@ -41,19 +41,25 @@ def closest_points(points: Tensor, vertices: Tensor, faces: Tensor) -> OnMesh:
 
     corners = vertices[faces]
     middle = corners.mean(1)
-    radius = float((corners - middle[:, None]).norm(dim=2).max())
+    radius = (corners - middle[:, None]).norm(dim=2).amax(1)
     tree = cKDTree(middle.numpy())
     triangle, weights = torch.zeros(len(points), dtype=torch.int64), points.new_zeros(len(points), 3)
+    nearest = points.new_full((len(points),), torch.inf)
     open_, looked_at = torch.arange(len(points)), FIRST
     while len(open_):
         looked_at = min(looked_at, len(faces))
         far, found = tree.query(points[open_].numpy(), looked_at)
         far, found = (torch.from_numpy(part).view(len(open_), looked_at) for part in (far, found))
-        all_weights, distance = closest_in_triangles(points[open_][:, None], corners[found])
-        nearest, best = distance.min(1)
-        rows = torch.arange(len(open_))
-        triangle[open_], weights[open_] = found[rows, best], all_weights[rows, best]
-        unsure = (nearest > far[:, -1] - radius) & (looked_at < len(faces))
+        possible = far - radius[found] < nearest[open_, None]
+        row, column = possible.nonzero(as_tuple=True)
+        own_weights, own_distance = closest_in_triangles(points[open_[row]], corners[found[row, column]])
+        distance, all_weights = torch.full_like(far, torch.inf), far.new_zeros(*far.shape, 3)
+        distance[row, column], all_weights[row, column] = own_distance, own_weights
+        least, best = distance.min(1)
+        closer = (least < nearest[open_]).nonzero().squeeze(1)
+        place, best = open_[closer], best[closer]
+        triangle[place], weights[place], nearest[place] = found[closer, best], all_weights[closer, best], least[closer]
+        unsure = (nearest[open_] > far[:, -1] - radius.max()) & (looked_at < len(faces))
         open_, looked_at = open_[unsure], 4 * looked_at
     return OnMesh(triangle, weights)
 

@@ -65,6 +65,10 @@ class Stages(NamedTuple):
     descended: Callable
     edge_found: Callable
     edge_passed: Callable
+    border_course: Callable
+    cut_course: Callable
+    light_eyes: Callable
+    light_lobes: Callable
     goes_on: Callable
     ideal_vertex: Callable
     parted: Callable

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.order import chosen, put
+from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import Vertex, gathered
 from torch_radbp.path.event import Ends, Scatters
 from torch_radbp.path.integrand import Integrand, taken
@@ -107,8 +108,10 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
         return joined([bounce(*arguments(queue, *same)) for bounce, queue in zip(bounces, queues)]), light
     vertices = room_for_vertices(state, step.scattered)
     room = bounces[0].room(vertices)
-    for bounce, queue in zip(bounces, queues):
-        bounce.into(room, queue.first, *arguments(queue, *same))
+    prepared = [arguments(queue, *same) for queue in queues]
+    with loops_together():
+        for bounce, queue, of_queue in zip(bounces, queues, prepared):
+            bounce.into(room, queue.first, *of_queue)
     return vertices, light
 
 

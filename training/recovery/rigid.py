@@ -5,7 +5,10 @@ of M, its last column, the matrix is
 
     P(w, t) = se3(0, c + t) se3(w, 0) se3(0, -c) M
 
-so that a rotation leaves the origin of the object (or the camera) where it is, and scale and shear stay as they are.
+so that a rotation leaves the origin of the object (or the camera) where it is, and scale and shear stay as they are. The
+optimiser's own numbers may be of a rotation about another place c, a pivot. With the middle of what a camera looks at as the
+pivot, the rotation turns the view and the translation shifts it; with the camera's own origin both shift it, and one
+that scales each number by itself, as Adam does, is slow to tell them apart.
 """
 
 import math
@@ -19,40 +22,49 @@ from torch_radbp.pose import se3
 COMPONENTS = tuple(f"{kind}[{axis}]" for kind in ("rotation", "translation") for axis in "xyz")
 
 
-def moved(matrix: Tensor, rotation_vector: Tensor, translation: Tensor) -> Tensor:
+def moved(matrix: Tensor, rotation_vector: Tensor, translation: Tensor, pivot: Tensor | None = None) -> Tensor:
     """Computes P(w, t) of the module's docstring.
 
     Args:
         matrix: (4, 4) affine.
         rotation_vector: (3,) radians, in world axes; attached.
         translation: (3,) in world units; attached.
+        pivot: (3,) c, in world space; None: the origin of the matrix.
 
     Returns:
-        (4, 4), attached to all three.
+        (4, 4), attached to the first three.
     """
-    turned = se3(rotation_vector, torch.zeros_like(translation))[:3, :3] @ matrix[:3, :3]
-    upper = torch.cat([turned, (matrix[:3, 3] + translation)[:, None]], 1)
+    turn = se3(rotation_vector, torch.zeros_like(translation))[:3, :3]
+    origin = matrix[:3, 3] if pivot is None else pivot + turn @ (matrix[:3, 3] - pivot)
+    upper = torch.cat([turn @ matrix[:3, :3], (origin + translation)[:, None]], 1)
     return torch.cat([upper, matrix[3:]], 0)
 
 
 class Rigid(nn.Module):
-    """Maps a (2, 3) tensor, rotation vector and translation, to the initial matrix moved by them."""
+    """Maps a (2, 3) tensor, rotation vector and translation, to the initial matrix moved by them.
 
-    def __init__(self, initial: Tensor):
+    Args:
+        initial: (4, 4).
+        pivot: the three coordinates of c; None: the origin of `initial`.
+    """
+
+    def __init__(self, initial: Tensor, pivot: list[float] | None = None):
         super().__init__()
         self.register_buffer("initial", initial.detach().clone())
+        self.register_buffer("pivot", None if pivot is None else initial.new_tensor(pivot))
 
     def forward(self, raw: Tensor) -> Tensor:
-        return moved(self.initial, raw[0], raw[1])
+        return moved(self.initial, raw[0], raw[1], self.pivot)
 
     def right_inverse(self, value: Tensor) -> Tensor:
-        return motion_between(self.initial, value)
+        return motion_between(self.initial, value, self.pivot)
 
 
-def motion_between(matrix: Tensor, other: Tensor) -> Tensor:
+def motion_between(matrix: Tensor, other: Tensor, pivot: Tensor | None = None) -> Tensor:
     """Computes the (2, 3) rotation vector, of an angle of at most pi, and translation that move `matrix` to `other`."""
     rotation = other[:3, :3] @ torch.linalg.inv(matrix[:3, :3])
-    return torch.stack([rotation_vector(rotation), other[:3, 3] - matrix[:3, 3]])
+    origin = matrix[:3, 3] if pivot is None else pivot + rotation @ (matrix[:3, 3] - pivot)
+    return torch.stack([rotation_vector(rotation), other[:3, 3] - origin])
 
 
 def rotation_vector(rotation: Tensor) -> Tensor:

@@ -51,7 +51,7 @@ def put_variables(scene: nn.Module, module: nn.Module, attribute: str, spec: rec
     if spec.coarse_to_fine is not None:
         parametrisation = optim.CoarseToFine(spec.coarse_to_fine.cells, *wraps(module), within=parametrisation).to(held)
     elif spec.parametrisation == "rigid":
-        parametrisation = Rigid(held)
+        parametrisation = Rigid(held, spec.pivot)
     elif spec.parametrisation == "large_steps":
         parametrisation = optim.LargeSteps(module.faces, held, spec.smoothness or SMOOTHNESS)
     elif spec.parametrisation == "network":

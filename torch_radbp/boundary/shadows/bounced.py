@@ -21,7 +21,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, light_through, seen_at
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
-from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace
+from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace, unhidden
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
@@ -41,6 +41,7 @@ class ConnectedBorders(NamedTuple):
     borders: Borders
     normal: Vec2  # in the coordinates of `on_receiver`, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
+    sweep: Tensor  # as of `border.BordersInView`
 
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
@@ -55,15 +56,15 @@ def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borde
     return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, outline, borders, step, off))
 
 
-def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> ConnectedBorders | None:
+def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: float) -> ConnectedBorders | None:
     """Places on borders, each connected to a vertex of a path of view `number`; args as of `border.borders_in_view`."""
     view, scene = call.views[number], call.scene
-    if not any(kind.delta for kind in scene.layout.lights):
+    found = borders_of(call, number, casting, effort, Lights(sharp=True, soft=False, around=False), SHARE)
+    if found is None:
         return None
-    found = borders_of(call, number, casting, Lights(sharp=True, soft=False, around=False), SHARE)
-    if found is None or not len(found.times):
+    borders, passed, inwards, times = rows(found, unhidden(call.integrand, found.passed))
+    if not len(times):
         return None
-    borders, inwards, times, key = found
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
     points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), len(times))
     if not len(points.depth):
@@ -73,18 +74,18 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> Connect
     shade = on_receiver(scene, geometry, casting.outline, borders, off=inwards)
     scale = times * len(points.depth)
     normal = Vec2(-along.y * scale, along.x * scale)
-    ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
+    sweep = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y
     place = torch.arange(len(times), dtype=torch.int32, device=scene.device)
     connected = (numbers(view.sample_keys[1], place, SALT, torch.float64) * len(points.depth)).long()
     own = rows(points, connected)
     light = light_received(call, integrand, own, rows(vertex_at(call, geometry, number, points), connected), borders, here,
-                           key)
+                           passed.key)
     light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
     kept = (light != 0).any(0).nonzero().squeeze(1)
     if not len(kept):
         return None
-    light, ahead = light[:, kept], ahead[kept]
-    return ConnectedBorders(*rows((own.place, borders, normal), kept), torch.where(ahead, light, -light))
+    light, sweep = light[:, kept], sweep[kept]
+    return ConnectedBorders(*rows((own.place, borders, normal), kept), torch.where(sweep > 0, light, -light), sweep)
 
 
 def light_received(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, borders: Borders, here: Vec2,

@@ -1,0 +1,42 @@
+"""Vertices of a mesh at one place, up to rounding, as along seams of surface coordinates."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+WELDED = 1e-5  # vertices nearer than about this share of the mesh's extent count as one
+
+
+def weld_size(vertices: Tensor) -> float:
+    """The distance below which the vertices of a mesh, (V, 3), count as one."""
+    extent = float((vertices.amax(0) - vertices.amin(0)).max())
+    # Powers of ten, because coordinates that people write are multiples of them.
+    return 10.0 ** math.floor(math.log10(extent * WELDED)) if extent > 0.0 else 1.0
+
+
+def cells_of(vertices: Tensor, size: float) -> tuple[Tensor, Tensor]:
+    """The cells, of this size, of two grids that contain the vertices, (V, 3); (V,) int64 each.
+
+    One grid is shifted by half a cell against the other, so that vertices at the same place, up to rounding, share a cell
+    of at least one of them.
+    """
+    places = (vertices.double() - vertices.amin(0).double()) / size
+    cells = []
+    for shift in (0.5, 1.0):
+        x, y, z = torch.floor(places + shift).long().unbind(1)
+        cells.append((x << 42) | (y << 21) | z)
+    return tuple(cells)
+
+
+def welded(cells: tuple[Tensor, Tensor]) -> Tensor | None:
+    """For each vertex the first one at the same place, (V,) int32, by the cells from `cells_of`; None: all lie apart."""
+    own = label = torch.arange(len(cells[0]), dtype=torch.int32, device=cells[0].device)
+    groups = [torch.unique(cell, return_inverse=True) for cell in cells]
+    if all(len(found) == len(own) for found, _ in groups):
+        return None
+    for _, group in groups * 2:
+        label = torch.full_like(own, len(own)).scatter_reduce(0, group, label, "amin")[group]
+    return None if torch.equal(label, own) else label
