@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.reflections.differences import BENT, CHANCE, HORIZON, SHADOW, SURFACE, Difference, Pairing
-from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, Reached, along, begins, extended
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, Reached, along, begins, extended, some_of
 from torch_radbp.boundary.reflections.scans import (
     SALT,
     FilmPoints,
@@ -68,6 +68,9 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
     kept = torch.where(begin[ends.first] | begin[ends.second], found.likelihood, 0.0)
     own = (draws(searched, len(kept), MOST_TURNS * lot) < kept).nonzero().squeeze(1)
     pairs = Pairs(*rows((ends, scans.times[ends.first % count] / kept.clamp_min(1e-300), found), own))
+    every, number = torch.cat(pairs.ends), torch.arange(len(own), device=own.device)
+    points, path = rows(points, every), some_of(path, every)  # most points are at no step that is looked at further
+    pairs = pairs._replace(ends=Pairing(number, number + len(own)))
     for turn in range(TURNS):
         if not len(pairs.times):
             return None
