@@ -32,8 +32,8 @@ SHOWN = {
     (0.5, 512): ("lens before a cube",),
 }
 # At the outlines of these balls, meshes with interpolated normals, there is a black strip, of which the inner border is
-# missed where the strip is narrower than what steps of scans are divided into. The shadow is off by 1 %, beyond four standard
-# errors.
+# missed where the strip is narrower than what steps of scans are divided into. The shadow is off by 1 %, beyond four
+# standard errors.
 OFF = {"camera before a ball", "ball before a cube", "mirror before a shadow"}
 ROWS = [Row(name, bias, spp) for (bias, spp), names in SHOWN.items() for name in names]
 QUICK = ("camera before a mirror", "camera before a block", "mirror before squares", "camera, a shadow in a mirror")
