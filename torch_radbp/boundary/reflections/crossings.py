@@ -8,8 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.reflections.differences import BENT, CHANCE, HORIZON, SHADOW, Difference, Pairing
-from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, Reached, along, begins, extended
+from torch_radbp.boundary.reflections.differences import BENT, CHANCE, HORIZON, SHADOW, SURFACE, Difference, Pairing
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, Reached, along, begins, extended, some_of
 from torch_radbp.boundary.reflections.scans import (
     SALT,
     FilmPoints,
@@ -26,6 +26,9 @@ from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, rows
 
 PARTS, TURNS = 6, 2  # into which steps are divided, again and again, as often
+# And again at outlines of curved mirrors and glass that the camera sees. There a mesh with interpolated normals leads
+# reflected rays into itself, and is black, in a strip as wide as its triangles lie off the surface that they stand for.
+TURNS_AT_OUTLINES = 2
 MOST_TURNS = 16
 
 
@@ -65,10 +68,16 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
     kept = torch.where(begin[ends.first] | begin[ends.second], found.likelihood, 0.0)
     own = (draws(searched, len(kept), MOST_TURNS * lot) < kept).nonzero().squeeze(1)
     pairs = Pairs(*rows((ends, scans.times[ends.first % count] / kept.clamp_min(1e-300), found), own))
+    every, number = torch.cat(pairs.ends), torch.arange(len(own), device=own.device)
+    points, path = rows(points, every), some_of(path, every)  # most points are at no step that is looked at further
+    pairs = pairs._replace(ends=Pairing(number, number + len(own)))
     for turn in range(TURNS):
         if not len(pairs.times):
             return None
         points, path, pairs = divided(searched, points, path, pairs, turn + 1 + MOST_TURNS * lot)
+    if searched.call.scene.layout.shading_normals:
+        for turn in range(TURNS, TURNS + TURNS_AT_OUTLINES):
+            points, path, pairs = divided_at_outlines(searched, points, path, pairs, turn + 1 + MOST_TURNS * lot)
     (first, second), times, found = pairs
     own = ((found.depth > 0) & (found.kind != CHANCE) & (found.kind != BENT)).nonzero().squeeze(1)
     if not len(own):
@@ -80,6 +89,20 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
         times = times / torch.where(kind == SHADOW, looks.draw.picked.pmf.double(), 1.0)
     return Crossings(rows(points.film, first), rows(points.film, second), aperture, key, looks, times, kind, depth,
                      along(path, first, met), along(path, second, met))
+
+
+def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pairs,
+                        turn: int) -> tuple[FilmPoints, IdealPath, Pairs]:
+    """As `divided`, of those steps alone that cross a horizon, or an outline of what scatters ideally."""
+    (first, second), _, found = pairs
+    begin = begins(path)
+    outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[first] | begin[second])
+    closer = outline | (found.kind == HORIZON)
+    own, others = (chosen.nonzero().squeeze(1) for chosen in (closer, ~closer))
+    if not len(own):
+        return points, path, pairs
+    points, path, parts = divided(searched, points, path, rows(pairs, own), turn)
+    return points, path, joined([rows(pairs, others), parts])
 
 
 def draws(searched: Searched, count: int, turn: int) -> Tensor:

@@ -123,6 +123,16 @@ def ideally_scattered(integrand: Integrand, state: PathState, hit: Hit, depth: i
     return order, vertex
 
 
+def some_of(path: IdealPath, chosen: Tensor) -> IdealPath:
+    """Some paths, (M,) int64 which, in this order."""
+    found = []
+    for place, met in path:
+        own = place[chosen]
+        here = own >= 0
+        found.append(Vertices(torch.where(here, here.cumsum(0) - 1, -1).to(own.dtype), rows(met, own[here])))
+    return tuple(found)
+
+
 def extended(path: IdealPath, more: IdealPath) -> IdealPath:
     """Some paths and then others."""
     count, others = len(path[0].place), len(more[0].place)
