@@ -6,7 +6,8 @@ the image is taken in six directions of the mesh's vertices. This renderer, with
 (`llvm_ad_rgb`), by its defaults and, without guiding, by three ways to split its samples between interior, primary and
 shadow, take turns within one process, forward and backward. The error of a renderer is the variance of its gradient plus the
 square of its bias, both over the squared size of the reference, which many passes of both give; it counts times the seconds
-of a pass.
+of a pass. A scene takes as long as `--minutes` says: what slow machines have no time for are rounds, whose number is told,
+and the standard error of each ratio with it, that of the variances.
 
 ``--cost`` gives instead the time of all boundary terms over that of the interior, forward and backward, and ``--variance``
 the variance of what the term "shadow" adds to derivative images, for the scenes of `tests.derivatives.shadow_scenes`.
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 
@@ -25,16 +27,26 @@ from benchmarks.boundary.scenes import SCENES
 from benchmarks.scenes.description import Setting
 from tests.derivatives.shadow_scenes import SHADOWS
 
+REFERENCES = ["| scene | gradients | difference | by chance | largest z |", "|---|---|---|---|---|"]
+RENDERERS = ["", "| scene | renderer | passes | ms | variance | squared bias | error x time | ours over it |",
+             "|---|---|---|---|---|---|---|---|"]
+
 
 def rows(found: dict) -> list[str]:
     """Lines of the tables for one scene: how references agree, and each renderer."""
-    lines = [f"| {found['scene']} | {what} | {one['off']:.4f} | {one['by_chance']:.4f} | {one['z']:.1f} |"
-             for what, one in found["references"].items()]
+    lines = REFERENCES + [f"| {found['scene']} | {what} | {one['off']:.4f} | {one['by_chance']:.4f} | {one['z']:.1f} |"
+                          for what, one in found["references"].items()] + RENDERERS
     costs = {who: (one["variance"] + one["bias"]) * one["seconds"] for who, one in found["renderers"].items()}
     best = min((who for who in costs if who not in (OURS, DEFAULT)), key=costs.get)
+    unsure = {who: one["spread"] * one["seconds"] / costs[who] for who, one in found["renderers"].items()}
     for who, one in found["renderers"].items():
-        ratio = "" if who == OURS else f"{costs[OURS] / costs[who]:.3f}{' (best split)' if who == best else ''}"
-        numbers = f"{1e3 * one['seconds']:.0f} | {one['variance']:.2e} | {one['bias']:.2e} | {costs[who]:.2e}"
+        ratio = ""
+        if who != OURS:
+            value = costs[OURS] / costs[who]
+            ratio = f"{value:.3f} +- {value * math.hypot(unsure[who], unsure[OURS]):.3f}"
+            ratio += " (best split)" if who == best else ""
+        numbers = (f"{one['passes']} | {1e3 * one['seconds']:.0f} | {one['variance']:.2e} | {one['bias']:.2e} | "
+                   f"{costs[who]:.2e}")
         lines.append(f"| {found['scene']} | {who} | {numbers} | {ratio} |")
     return lines
 
@@ -50,14 +62,15 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=12, help="passes of each")
     parser.add_argument("--references", type=int, default=8, help="passes with more samples, for the reference")
     parser.add_argument("--differences", type=int, default=0, help="of finite differences beside the reference")
+    parser.add_argument("--minutes", type=float, default=8.0, help="for each scene, after which no pass begins")
     parser.add_argument("--only", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     setting = Setting(options.resolution, options.spp, 0)
     if options.variance:
         variance.print_table(options.scene or list(SHADOWS))
     elif options.only:
-        found = cost.measure(options.scene[0], setting, options.rounds) if options.cost else error.measure(
-            options.scene[0], setting, error.Effort(options.rounds, options.references, options.differences))
+        name, effort = options.scene[0], error.Effort(*(getattr(options, number) for number in error.Effort._fields))
+        found = cost.measure(name, setting, effort.rounds) if options.cost else error.measure(name, setting, effort)
         print(json.dumps(found))
     else:
         if options.cost:
@@ -71,7 +84,7 @@ def main() -> None:
 def in_own_process(name: str, options: argparse.Namespace) -> dict | None:
     """What is measured of a scene; None: it failed."""
     command = [sys.executable, "-m", "benchmarks.boundary", "--only", "--scene", name, *["--cost"] * options.cost]
-    for number in ("resolution", "spp", "rounds", "references", "differences"):
+    for number in ("resolution", "spp", "rounds", "references", "differences", "minutes"):
         command += [f"--{number}", str(getattr(options, number))]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
     return None if done.returncode else json.loads(done.stdout.splitlines()[-1])

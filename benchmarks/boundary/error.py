@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import statistics
 import tempfile
+import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,14 +20,17 @@ WARM_UP = 2
 FINER = 16  # times as many samples have passes from which the reference follows
 AGREES = 3.5  # standard errors
 SLOW, TIMES_LESS = (DEFAULT, MANY), 3  # guided passes take seconds: there are so many times less of them
+FEWEST, FEWEST_SLOW = 4, 3  # passes, however long they take: for the reference, and of a slow renderer
+OF_REFERENCES = 0.4  # share of the time that references may take
 
 
 class Effort(NamedTuple):
-    """How much is rendered of a scene."""
+    """How much is rendered of a scene, at most."""
 
     rounds: int  # of each renderer, in turns; fewer of the slow ones
     references: int  # passes with more samples, of both
     differences: int  # of finite differences in each direction
+    minutes: float  # after which no pass begins, but for the fewest that tell anything
 
 
 class Mean(NamedTuple):
@@ -52,13 +57,17 @@ def measure(name: str, setting: Setting, effort: Effort) -> dict:
     The reference is the mean of both, weighted by their variances, where they agree; else ours.
     """
     make, depth = SCENES[name]
-    setting = setting._replace(max_depth=depth)
+    setting, start = setting._replace(max_depth=depth), time.monotonic()
+    due = start + 60.0 * effort.minutes * OF_REFERENCES, start + 60.0 * effort.minutes
     with tempfile.TemporaryDirectory() as home:
         folder = Path(home)
         fine = make(folder, setting._replace(spp=FINER * setting.spp))
         passes = {OURS: ours(fine, folder), DEFAULT: mitsubas(fine, GUIDED)}
-        means = {who: Mean.of([run(SEEDS + seed).gradient for seed in track(range(effort.references), who, transient=True)])
-                 for who, run in passes.items()}
+        fine_passes = {who: [] for who in passes}
+        for seed in while_due(track(range(effort.references), "references", transient=True), FEWEST, due[0]):
+            for who, run in passes.items():
+                fine_passes[who].append(run(SEEDS + seed).gradient)
+        means = {who: Mean.of(gradients) for who, gradients in fine_passes.items()}
         found = {"references": {"theirs beside ours": means[DEFAULT].beside(means[OURS])}}
         if effort.differences:
             run = differences(fine, folder, 2 * fine.scene.setting.spp)
@@ -73,7 +82,8 @@ def measure(name: str, setting: Setting, effort: Effort) -> dict:
         passes = {OURS: ours(moving, folder), DEFAULT: mitsubas(moving, GUIDED),
                   **{who: mitsubas(moving, integrator) for who, integrator in splits(setting.spp).items()}}
     samples = {who: [] for who in passes}
-    for seed in track(range(-WARM_UP, effort.rounds), name, transient=True):
+    seeds = track(range(-WARM_UP, effort.rounds), name, transient=True)
+    for seed in while_due(seeds, WARM_UP + (FEWEST_SLOW - 1) * TIMES_LESS + 1, due[1]):
         for who, run in passes.items():
             if who in SLOW and (seed % TIMES_LESS if seed >= 0 else seed < -1):
                 continue
@@ -85,8 +95,16 @@ def measure(name: str, setting: Setting, effort: Effort) -> dict:
                     reference) for who, own in samples.items()}}
 
 
+def while_due(seeds: Iterable[int], fewest: int, due: float) -> Iterator[int]:
+    """Seeds until it is late, by `time.monotonic`, but not fewer than some."""
+    for number, seed in enumerate(seeds):
+        if number >= fewest and time.monotonic() > due:
+            return
+        yield seed
+
+
 def judged(gradients: list[np.ndarray], seconds: list[float], fine: Mean, reference: Mean) -> dict[str, float]:
-    """What one renderer is worth, errors as shares of the reference's squared size.
+    """What one renderer is worth, errors as shares of the reference's squared size; and the standard error of the variance.
 
     Args:
         gradients, seconds: of passes.
@@ -97,4 +115,7 @@ def judged(gradients: list[np.ndarray], seconds: list[float], fine: Mean, refere
     variance = float(np.var(gradients, 0, ddof=1).sum()) / size
     off = fine.value - reference.value
     bias = max(0.0, float((off ** 2).sum() - fine.variance.sum() - reference.variance.sum())) / size
-    return {"seconds": statistics.median(seconds), "variance": variance, "bias": bias}
+    without = [float(np.var([*gradients[:k], *gradients[k + 1:]], 0, ddof=1).sum()) / size for k in range(len(gradients))]
+    count = len(gradients)
+    spread = float(np.sqrt((count - 1) * np.var(without)))  # by the jackknife
+    return {"passes": count, "seconds": statistics.median(seconds), "variance": variance, "spread": spread, "bias": bias}

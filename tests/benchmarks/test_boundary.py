@@ -1,11 +1,13 @@
 """What `benchmarks.boundary` measures, without Mitsuba."""
 
+import math
+
 import numpy as np
 import pytest
 
 from benchmarks.boundary import cost
 from benchmarks.boundary.__main__ import rows
-from benchmarks.boundary.error import Mean, judged
+from benchmarks.boundary.error import Mean, judged, while_due
 from benchmarks.boundary.projected import TERMS, projected
 from benchmarks.boundary.scenes import SCENES, VERTICES
 from benchmarks.peers import Ours
@@ -37,20 +39,26 @@ def test_the_error_is_variance_and_bias_over_the_size_of_the_reference():
     gradients = list(random.normal([3.5, 4.0], 0.1, (400, 2)))
     found = judged(gradients, [0.5, 0.7, 0.6], Mean.of(gradients), reference)
     assert found["seconds"] == 0.6
+    assert found["passes"] == 400 and found["spread"] == pytest.approx(found["variance"] / 400**0.5, rel=0.2)
     assert found["variance"] == pytest.approx(0.02 / 25, rel=0.2) and found["bias"] == pytest.approx(0.25 / 25, rel=0.1)
 
 
 def test_rows_name_the_best_split_and_what_ours_is_over_it():
     def one(variance: float) -> dict:
-        return {"seconds": 0.1, "variance": variance, "bias": 0.0}
+        return {"passes": 12, "seconds": 0.1, "variance": variance, "spread": 0.1 * variance, "bias": 0.0}
 
     found = {"scene": "room", "references": {"theirs beside ours": {"off": 0.01, "by_chance": 0.02, "z": 1.0}},
              "renderers": {"ours": one(1.0), "Mitsuba, defaults": one(2.0), "Mitsuba, equal": one(8.0),
                            "Mitsuba, guided, many": one(4.0)}}
     lines = rows(found)
-    assert lines[0] == "| room | theirs beside ours | 0.0100 | 0.0200 | 1.0 |"
-    assert [line.endswith("(best split) |") for line in lines] == [False] * 4 + [True]
-    assert "| 0.250 (best split) |" in lines[-1] and "| 0.500 |" in lines[2]
+    assert lines[2] == "| room | theirs beside ours | 0.0100 | 0.0200 | 1.0 |"
+    assert [line.endswith("(best split) |") for line in lines] == [False] * (len(lines) - 1) + [True]
+    assert "| 0.250 +- 0.035 (best split) |" in lines[-1] and "| 0.500 +- 0.071 |" in lines[-3]
+
+
+def test_passes_end_when_it_is_late_but_not_before_the_fewest():
+    assert list(while_due(range(-1, 9), 4, -math.inf)) == [-1, 0, 1, 2]
+    assert list(while_due(range(3), 1, math.inf)) == [0, 1, 2]
 
 
 def test_costs_are_over_the_interior():

@@ -8,7 +8,7 @@ from tests.scenes import diffuse, load, sensor
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.shadows import hidden_light
-from torch_radbp.boundary.shadows.edge_tree import angle_of_node
+from torch_radbp.boundary.shadows.edge_tree import angle_of_node, coarse
 from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
 from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_of, places_seen
 from torch_radbp.io.transform import rotate, scale, translate
@@ -94,7 +94,8 @@ def test_no_silhouette_is_ruled_out(casting):
     first = int(tree.leaves)
     while first:
         node = torch.arange(first, 2 * first)
-        estimate = angle_of_node(rows(tree.nodes, node.repeat(len(eyes.w))), of_each(eyes, first), extent_of(geometry))
+        own = coarse(of_each(eyes, first))
+        estimate = angle_of_node(rows(tree.nodes, node.repeat(len(eyes.w))), own, extent_of(geometry).float())
         assert (estimate.view(-1, first)[below] > 0).all(), first
         below, first = below.view(len(eyes.w), -1, 2).any(2) if first > 1 else below, first // 2
 

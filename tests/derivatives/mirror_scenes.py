@@ -86,7 +86,7 @@ MIRRORED = {
     "lens before a cube": moved(seen(lens=LENS), "lens.to_world", PUSH["lens"], 5, step=FINE),
     "index of a lens": moved(seen(lens=LENS), "lens.bsdf.eta", constant(1.0), 5, step=FINE),
     "cube through a block": moved(seen(block=BLOCK), "cube.to_world", PUSH["cube"], 5),
-    "block before a cube": moved(seen(block=BLOCK), "block.to_world", PUSH["lens"], 5),
+    "block before a cube": moved(seen(block=BLOCK), "block.to_world", PUSH["lens"], 5, step=FINE),
     "camera before a block": moved(seen(block=BLOCK), "sensor.to_world", PUSH["camera"], 5, step=FINE),
     "plate, its shadow in a mirror": moved(shaded, "plate.to_world", PUSH["plate"], 3, FINE),
     "lamp, a shadow in a mirror": moved(shaded, "lamp.position", constant(0.4, 0.3, 0.5), 3, FINE),

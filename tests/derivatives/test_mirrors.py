@@ -10,7 +10,7 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.derivatives.mirror_scenes import CUBE, IN_MIRROR, MIRROR, MIRRORED, SKY, shaded
+from tests.derivatives.mirror_scenes import CUBE, IN_MIRROR, METAL, MIRROR, MIRRORED, SKY, shaded
 from tests.scenes import diffuse, load, look_at, rgb
 from torch_radbp.boundary import terms
 from torch_radbp.io.transform import rotate, scale, translate
@@ -25,20 +25,22 @@ SHOWN = {
                  "instance in a mirror", "cube in a ball", "index of a lens", "plate, its shadow in a mirror",
                  "lamp, a shadow in a mirror", "floor, a shadow in a mirror", "camera, a shadow in a mirror",
                  "squares in a mirror", "mirror before squares"),
-    (0.2, 512): ("cube behind a pane", "vertices behind a pane", "cube through a block", "camera before a block"),
+    (0.2, 512): ("block before a cube", "cube behind a pane", "vertices behind a pane", "cube through a block",
+                 "camera before a block"),
     (0.3, 512): ("vertices in a mirror",),
     (0.4, 512): ("cube through a lens",),
     (0.5, 512): ("lens before a cube",),
 }
-# Off by 2 to 5 % of the derivative, beyond four standard errors, which may be the step of the differences or what is missed
-# at corners; and of too much noise, by rare samples at the outline of a ball.
-OFF, NOISY = {"camera before a ball", "block before a cube", "mirror before a shadow"}, {"ball before a cube"}
+# At the outlines of these balls, meshes with interpolated normals, there is a black strip, of which the inner border is
+# missed where the strip is narrower than what steps of scans are divided into. The shadow is off by 1 %, beyond four
+# standard errors.
+OFF = {"camera before a ball", "ball before a cube", "mirror before a shadow"}
 ROWS = [Row(name, bias, spp) for (bias, spp), names in SHOWN.items() for name in names]
 QUICK = ("camera before a mirror", "camera before a block", "mirror before squares", "camera, a shadow in a mirror")
 
 
 def test_every_scene_is_examined():
-    assert {row.name for row in ROWS} == set(MIRRORED) - OFF - NOISY and len(ROWS) == len(MIRRORED) - 4 >= 20
+    assert {row.name for row in ROWS} == set(MIRRORED) - OFF and len(ROWS) == len(MIRRORED) - 3 >= 21
 
 
 @pytest.mark.parametrize("row", deep_but([row for row in ROWS if row.name in QUICK], ROWS), ids=str)
@@ -52,14 +54,15 @@ def test_derivatives_are_those_of_finite_differences(row):
 RADIANCE, EDGE = 3.0, 0.35
 
 
-def half_plane() -> rb.Scene:
-    """A mirror at 45 degrees, x + z = 0, seen from above without perspective, from -1 to 1: x is seen at the height -x of a
-    bright half plane, which reaches from below to z = EDGE."""
+def half_plane(low: float = EDGE - 18, high: float = EDGE) -> rb.Scene:
+    """A mirror at 45 degrees, x + z = 0, seen from above without perspective, from -1 to 1: x is seen at the height -x of
+    what is bright, from `low` to `high`."""
     view = {"type": "orthographic", "to_world": look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)),
             "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
     mirror = {"type": "rectangle", "to_world": rotate((0, 1, 0), 45) @ scale((9, 9, 1)), "bsdf": {"type": "conductor"}}
-    bright = {"type": "rectangle", "to_world": translate((15, 0, EDGE - 9)) @ rotate((0, 1, 0), -90) @ scale((9, 9, 1)),
-              "emitter": {"type": "area", "radiance": rgb(RADIANCE, RADIANCE, RADIANCE)}}
+    place = translate((15, 0, 0.5 * (low + high))) @ rotate((0, 1, 0), -90) @ scale((0.5 * (high - low), 9, 1))
+    bright = {"type": "rectangle", "to_world": place, "emitter": {
+        "type": "area", "radiance": rgb(RADIANCE, RADIANCE, RADIANCE)}}
     return load(torch.float64, sensor=view, mirror=mirror, bright=bright)
 
 
@@ -78,6 +81,21 @@ def test_an_edge_in_a_plane_mirror_moves_as_it_does_by_hand(moving, along, speed
     expected = speed * RADIANCE / 2
     assert abs(float(found.mean()) - expected) <= 4 * error + 1e-3 * RADIANCE
     assert error < 0.02 * RADIANCE
+
+
+@pytest.mark.parametrize("width", [0.12, 0.6])
+def test_a_strip_in_a_plane_mirror_grows_as_it_does_by_hand(width):
+    """Most pixels, which are 0.25 wide, see nothing of it at their corners; its two borders are 2 long, of an image of
+    area 4."""
+    scene = half_plane(EDGE - width, EDGE)
+    tangent = torch.zeros(4, 4, dtype=torch.float64)
+    pose = scene.get_parameter("bright.to_world")
+    tangent[:3, 0] = pose.detach()[:3, 0] / (0.5 * width)  # both borders recede by 1
+    found = torch.stack([rb.jvp(scene, {"bright.to_world": tangent}, seed=seed, spp=256, max_depth=2).mean()
+                         for seed in range(8)])
+    error = float(found.std()) / math.sqrt(len(found))
+    assert abs(float(found.mean()) - RADIANCE) <= 4 * error + 1e-3 * RADIANCE
+    assert error < 0.04 * RADIANCE
 
 
 def jumps(moving: str, direction: torch.Tensor, scene: rb.Scene, **settings) -> torch.Tensor:
@@ -100,11 +118,15 @@ def test_what_is_seen_belongs_to_the_primary_term_and_borders_of_shadows_to_that
     assert not jumps(moving.name, moving.tangent(scene), scene, terms=("primary",), sampling="detached").any()
 
 
-@pytest.mark.parametrize("bsdf, wanted", [({"type": "conductor"}, "cube.bsdf.reflectance.value"),
-                                          (diffuse(0.5), "cube.to_world")])
-def test_nothing_is_looked_for_where_nothing_moves_or_nothing_is_seen_by_way_of_others(bsdf, wanted, monkeypatch):
+ROUGH = {"type": "roughdielectric", "alpha": 0.2}
+
+
+@pytest.mark.parametrize("mirror, cube, wanted", [
+    (METAL, CUBE["bsdf"], "cube.bsdf.reflectance.value"), (diffuse(0.5), CUBE["bsdf"], "cube.to_world"),
+    (METAL, ROUGH, "cube.bsdf.alpha.value"), (METAL, ROUGH, "cube.bsdf.eta")])
+def test_nothing_is_looked_for_where_nothing_moves_or_nothing_is_seen_by_way_of_others(mirror, cube, wanted, monkeypatch):
     monkeypatch.setattr(terms, "reflected_jumps", lambda *arguments: pytest.fail("mirrors have been looked into"))
-    scene = load(sensor=IN_MIRROR, mirror=MIRROR | {"bsdf": bsdf}, cube=CUBE, sky=SKY)
+    scene = load(sensor=IN_MIRROR, mirror=MIRROR | {"bsdf": mirror}, cube=CUBE | {"bsdf": cube}, sky=SKY)
     parameter = scene.get_parameter(wanted).requires_grad_()
     rb.Renderer(scene, max_depth=3)(seed=1, spp=4).sum().backward()
     assert float(parameter.grad.abs().sum()) > 0

@@ -10,11 +10,11 @@ from torch_radbp.path.bounce import places_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import texture_values_at
-from torch_radbp.path.wavefront import add_at, first_hit, surviving, take_step, trace
+from torch_radbp.path.wavefront import Step, add_at, first_hit, surviving, take_step, trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, rows_between
-from torch_radbp.tensors.vec import Vec3, rows
+from torch_radbp.tensors.vec import Ray, Vec3, rows
 
 
 def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
@@ -55,6 +55,28 @@ def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
                                    rows_between(vertex.next.vantage, queue.first, queue.last), local.followed, local.cone))
         state, depth = rows(joined(ahead), alive), depth + 1
     return L
+
+
+def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
+    """The rays that reach the vertices of paths at these depths, with all derivatives.
+
+    Args:
+        integrand: attached.
+        start: (N,) of the paths, attached.
+        depth: (N,) int64, less than the vertices of each.
+    """
+    rays, lanes = [], []
+
+    def visit(number: int, state: PathState, step: Step) -> None:
+        own = (depth[state.lane.long()] == number).nonzero().squeeze(1)
+        rays.append(rows(state.ray, own))
+        lanes.append(state.lane[own].long())
+
+    integrand = integrand._replace(max_depth=int(depth.max()) + 1).with_stages(integrand.stages.eager())
+    trace_attached(integrand, start, visit)
+    place, found = torch.cat(lanes), joined(rays)
+    return Ray(*(Vec3(*(torch.zeros_like(depth, dtype=part.dtype).index_copy(0, place, part) for part in parts))
+                 for parts in found))
 
 
 def spread(hit: Hit | None, alive: Tensor, like: Tensor) -> Hit | None:

@@ -76,6 +76,14 @@ class OutlinedMesh(NamedTuple):
     outline: Outline  # without instances
 
 
+class Passing(NamedTuple):
+    """Where bodies pass through each other, and what that depends on."""
+
+    bodies: Bodies
+    place: tuple[Tensor, ...]  # of vertices and instances
+    segments: Segments | None
+
+
 class Outlines:
     """Finds outlines, and remembers the edges of meshes whose triangles have not changed."""
 
@@ -83,6 +91,7 @@ class Outlines:
         self.known: dict[object, OutlinedMesh] = {}
         self.order: tuple[tuple[Tensor, ...], Tensor] | None = None
         self.met: tuple[tuple, Bodies | None] | None = None
+        self.passing: Passing | None = None
 
     def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
         """Where each view of a call may jump: at all shapes where the camera moves, at those that move where it does not.
@@ -163,9 +172,24 @@ class Outlines:
             found.append(texture_segments(scene, faces, counts, lines))
         bodies = self.bodies(scene, counts, moves, generator)
         if bodies is not None:
-            found.append(intersections(call.stages, geometry_of(scene), bodies))
+            found.append(self.intersections(call, scene, bodies))
         found = [own for own in found if own is not None]
         return joined_records(found) if found else None
+
+    def intersections(self, call: RenderCall, scene: SceneTensors, bodies: Bodies) -> Segments | None:
+        """Where bodies pass through each other, found anew only if something has moved.
+
+        Args:
+            call: whose scene it is.
+            scene: detached.
+            bodies: of the scene.
+        """
+        instances = scene.triangles.instances
+        place = *scene.triangles.vertices.p, *(() if instances is None else leaves_of((instances.linear, instances.origin)))
+        known = self.passing
+        if known is None or known.bodies is not bodies or not all(map(same, known.place, place)):
+            known = self.passing = Passing(bodies, place, intersections(call.stages, geometry_of(scene), bodies))
+        return known.segments
 
     def bodies(self, scene: SceneTensors, counts: Sequence[int], moving: Moving,
                generator: torch.Generator) -> Bodies | None:

@@ -65,6 +65,15 @@ class Stages(NamedTuple):
     descended: Callable
     edge_found: Callable
     edge_passed: Callable
+    border_course: Callable
+    cut_course: Callable
+    light_eyes: Callable
+    light_lobes: Callable
+    goes_on: Callable
+    ideal_vertex: Callable
+    parted: Callable
+    film_sample: Callable
+    drawn_by_steps: Callable
 
     def eager(self) -> Stages:
         """The same in plain torch."""

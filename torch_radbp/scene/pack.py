@@ -90,8 +90,10 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
     attributes = tuple(sorted(named))
     if attributes:
         check_attributes(scene, cache)
+    attributes_move = any_differentiated(scene, attributes)
     layout = Layout(
-        bending=materials.bending or any_differentiated(scene, attributes),
+        bending=materials.bending or attributes_move,
+        bends_ideally=materials.bends_ideally or (materials.ideal_by_attributes and attributes_move),
         shading_normals=any(shape.surface.normals is not None for shape in placed),
         back_sides=materials.back_sides, appearances=appearances,
         readers=readers, radiance=radiance.reader,
@@ -174,7 +176,9 @@ class Materials(NamedTuple):
     appearances: tuple[Appearance, ...]
     readers: tuple[Reader, ...]
     textures: tuple[Any, ...]  # the banks of the readers
-    bending: bool  # parameters with derivatives steer ideal specular scattering
+    bending: bool  # parameters with derivatives steer directions that hybrid sampling follows
+    bends_ideally: bool  # by ideal mirrors and glass
+    ideal_by_attributes: bool  # attributes of meshes steer such directions
     back_sides: bool  # whether a material looks the same from behind as from the front, seen from there
 
 
@@ -204,9 +208,11 @@ def material_tables(cache: PackCache, bsdfs: list[BSDF], dtype: torch.dtype, dev
     banks = tuple(reader.bank(list(of_reader[reader].values()), dtype, device) if reader.outside else
                   cache(bank_of, reader, twins(cache, reader, of_reader[reader].values()), dtype, device)
                   for reader in readers)
-    bending = any(differentiated(source) for kind, own in zip(kinds, textures) for slot in kind.bending
-                  for source in own[slot].sources())
-    return Materials(table, appearances, readers, banks, bending, any(two_sided))
+    bending, ideally = (any(differentiated(source) for kind, own in zip(kinds, textures) if kind.delta or not ideal
+                            for slot in kind.bending for source in own[slot].sources()) for ideal in (False, True))
+    by_attributes = any(look.readers[slot].attributes for look in appearances if look.kind.delta
+                        for slot in look.kind.bending)
+    return Materials(table, appearances, readers, banks, bending, ideally, by_attributes, any(two_sided))
 
 
 def column(values: tuple[int | bool, ...] | int, kind: torch.dtype, device: torch.device) -> Tensor:

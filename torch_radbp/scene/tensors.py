@@ -24,7 +24,8 @@ from torch_radbp.texture.reader import OutsideReader, Reader, TableReader
 class Layout:
     """The features of a scene: static, so that absent ones cost nothing. For records of tensors it is one constant."""
 
-    bending: bool  # parameters with derivatives steer ideal specular scattering
+    bending: bool  # parameters with derivatives steer directions that hybrid sampling follows
+    bends_ideally: bool  # by ideal mirrors and glass
     shading_normals: bool  # some differ from the triangles' own normals
     back_sides: bool  # some materials are different, or turned, from behind
     appearances: tuple[Appearance, ...]  # of materials

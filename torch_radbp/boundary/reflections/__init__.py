@@ -25,31 +25,42 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.adjoint.attached import rays_reaching
+from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
+from torch_radbp.adjoint.forward_mode import has_tangents
+from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.reflections.crossings import Crossings, crossings
 from torch_radbp.boundary.reflections.curves import Curves, curves_crossed, level
 from torch_radbp.boundary.reflections.differences import SHADOW
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
-from torch_radbp.boundary.reflections.rays import ray_after
-from torch_radbp.boundary.reflections.scans import MOST, SHARE, STEPS, Scans, Searched, scans_of
-from torch_radbp.boundary.reflections.surfaces import LineTable, Surfaces, continued
+from torch_radbp.boundary.reflections.rays import (
+    Follows,
+    adjoint_of_start,
+    chains_of,
+    following,
+    follows_chains,
+)
+from torch_radbp.boundary.reflections.scans import MOST, SHARE, Searched, scans_of
+from torch_radbp.boundary.reflections.surfaces import LineTable, surfaces_of
 from torch_radbp.boundary.shadows.border import camera_sample
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
-from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.path.integrand import Integrand, taken
 from torch_radbp.path.wavefront import trace
 from torch_radbp.tensors.differentiated import any_differentiated, primal
-from torch_radbp.tensors.record import joined
-from torch_radbp.tensors.vec import Vec2, rows
+from torch_radbp.tensors.record import joined, leaves_of
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, rows
 
-BLOCK = 1 << 11  # places that are scanned together
-USUAL_VERTICES = 4  # of paths, by which memory is estimated
-BYTES_OF_VERTEX = 750  # what is known of it while a place is scanned
-BYTES_OF_CROSSING = 3700  # where it lies, and what it crosses
-BYTES_OF_BOUNCE = 2500  # what torch keeps of it for the backward pass
-CROSSINGS = 2  # of a place
+BLOCK = 1 << 12  # places that are scanned together
+BYTES_OF_CORNER = 700  # what is known of the path from there
+BYTES_OF_PLACE = 12000  # and of those from points of the scans, while they are looked at
+BYTES_OF_CROSSING = 2000  # where it lies, and what it crosses
+BYTES_OF_BOUNCE, USUAL_VERTICES = 2500, 4  # what torch keeps of it for the backward pass where it records; of how many
+CROSSINGS = 1  # of a place
 
 
 class Reflected(NamedTuple):
@@ -68,9 +79,9 @@ def follows_mirrors(call: RenderCall) -> bool:
 
 
 def reflections_move(call: RenderCall) -> bool:
-    """True if a vertex, a normal, an instance, a camera, or an index of refraction has derivatives."""
+    """True if a vertex, a normal, an instance, a camera, or an index of ideal refraction has derivatives."""
     vertices = call.scene.triangles.vertices
-    return call.scene.layout.bending or any_differentiated((
+    return call.scene.layout.bends_ideally or any_differentiated((
         vertices.p, vertices.n, call.scene.triangles.instances, [view.camera.lens for view in call.views]))
 
 
@@ -84,10 +95,11 @@ def bytes_of_reflections(call: RenderCall) -> int:
     """The most that scans, and the crossings that they find, may usually take of memory."""
     paths = call.spp * max(view.width * view.height for view in call.views)
     corners = max((view.grid.columns + 1) * (view.grid.rows + 1) for view in call.views)
-    places, vertices = max(FEWEST, min(MOST, paths // SHARE)), min(call.integrand.max_depth, USUAL_VERTICES)
-    points = max(corners, min(places, BLOCK) * 2 * (STEPS + 1) * call.workers)
-    crossed = places * CROSSINGS * len(call.views)
-    return points * vertices * BYTES_OF_VERTEX + crossed * (BYTES_OF_CROSSING + vertices * BYTES_OF_BOUNCE)
+    places = max(FEWEST, min(MOST, paths // SHARE))
+    together = places if places <= BLOCK else min(places, BLOCK * call.workers)
+    looked_at = max(corners * BYTES_OF_CORNER, together * BYTES_OF_PLACE)
+    kept = BYTES_OF_BOUNCE * min(call.integrand.max_depth, USUAL_VERTICES) if call.adjoint.taped else 0
+    return looked_at + places * CROSSINGS * (BYTES_OF_CROSSING + len(call.views) * kept)
 
 
 def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
@@ -100,13 +112,23 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
     images = []
     with torch.no_grad():
         still = call.still()
-        surfaces = Surfaces(continued(still.scene, reflected.meshes), reflected.lines)
+        surfaces = surfaces_of(still, reflected.meshes, reflected.lines)
+        tables, = taken(call.stages.parted, surfaces=surfaces)
     for number, view in enumerate(call.views):
         integrand = integrand_of(still, still.integrand, still.chunks[0]._replace(sensor=number))
-        searched = Searched(still, number, only_ideal(integrand), surfaces, reflected.shadows)
+        searched = Searched(still, number, only_ideal(integrand), surfaces, tables, reflected.shadows)
         found = jumps_in_view(call, searched, integrand, reflected.surfaces)
         images.append(image_of(view, [] if found is None else [found], call.scene.dtype))
     return torch.stack(images)
+
+
+class Jumping(NamedTuple):
+    """K crossings of curves at which the image jumps; detached."""
+
+    crossed: Crossings
+    curves: Curves
+    follows: Follows  # how the levels of the curves follow the paths
+    strength: Tensor  # (3, K) float64, by how much more light an image has there for each change of the levels
 
 
 def jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, surfaces: bool) -> FilmJumps | None:
@@ -122,74 +144,101 @@ def jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, su
         found = jumping(searched, integrand, surfaces)
     if found is None:
         return None
-    crossed, curves, strength = found
-    seen = level_on_film(call, searched, crossed, curves, crossed.low)
-    middle = Vec2(*(0.5 * (low + high) for low, high in zip(crossed.low, crossed.high)))
-    return FilmJumps(middle, strength * (seen - primal(seen)))
+    middle = Vec2(*(0.5 * (low + high) for low, high in zip(found.crossed.low, found.crossed.high)))
+    return FilmJumps(middle, found.strength * moved(call, searched, found))
 
 
-def level_on_film(call: RenderCall, searched: Searched, crossed: Crossings, curves: Curves, film: Vec2) -> Tensor:
-    """The level of curves at points of the film, (K,) float64, attached; args as of `jumps_in_view`."""
-    number = searched.number
-    integrand = integrand_of(call, call.make_integrand(call.scene), call.chunks[0]._replace(sensor=number))
-    sample = camera_sample(call, call.views[number], film, crossed.aperture, crossed.key)
-    ray = ray_after(call, integrand, sample, crossed.depth)
-    return level(call.scene, searched.surfaces.lines, curves, ray, None if crossed.looks is None else crossed.looks.draw)
+def moved(call: RenderCall, searched: Searched, found: Jumping) -> Tensor:
+    """(K,) float64 zeros, attached: how the levels of curves change at points of the film; args as of `jumps_in_view`."""
+    crossed, curves, follows, _ = found
+    view, lines, draw = call.views[searched.number], searched.surfaces.lines, draw_of(crossed)
+    sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
+    if call.adjoint.taped or has_tangents((call.scene, view.camera)):
+        integrand = integrand_of(call, call.make_integrand(call.scene), call.chunks[0]._replace(sensor=searched.number))
+        ray = rays_reaching(follows_chains(integrand), started(call, sample), crossed.depth)
+        seen = level(call.scene, lines, curves, ray, draw)
+        return seen - primal(seen)
+    change = following(follows, sample.ray, call.scene)
+    if any_differentiated(call.scene):
+        seen = level(call.scene, lines, curves, follows.chains.ray, draw)
+        change = change + (seen - primal(seen))
+    return change
 
 
-def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> tuple[Crossings, Curves, Tensor] | None:
-    """Where a view sees jumps, on what curves, and (3, K) float64 by how much more light an image has there for each change
-    of their level; None: nowhere. Args as for `jumps_in_view`."""
-    scans = scans_of(searched)
-    if scans is None:
-        return None
-    lots = torch.arange(len(scans.times), device=scans.times.device).split(BLOCK)
-
-    def work(share: Iterable[int]) -> list[tuple[Crossings, Curves, Tensor] | None]:
-        return [in_lot(searched, integrand, surfaces, rows(scans, lots[lot]), lot) for lot in share]
-
-    shares = in_turns(len(lots), searched.call.workers, work)
-    parts = [shares[lot % len(shares)][lot // len(shares)] for lot in range(len(lots))]
-    parts = [part for part in parts if part is not None]
-    if not parts:
-        return None
-    crossed, curves, strength = zip(*parts)
-    return joined(list(crossed)), joined(list(curves)), torch.cat(strength, 1)
+def draw_of(crossed: Crossings) -> LightDraw | None:
+    """The light samples whose shadows are meant."""
+    return None if crossed.looks is None else crossed.looks.draw
 
 
-def in_lot(searched: Searched, integrand: Integrand, surfaces: bool, scans: Scans,
-           lot: int) -> tuple[Crossings, Curves, Tensor] | None:
-    """What `jumping` says of some scans; `lot`: as for `crossings`."""
-    crossed = crossings(searched, scans, lot)
+def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> Jumping | None:
+    """Where a view sees jumps, and on what curves; None: nowhere. Args as for `jumps_in_view`."""
+    crossed = crossings_in_view(searched)
     if crossed is None:
         return None
     curves, known = curves_crossed(searched, crossed)
     own = (known if surfaces else known & (crossed.kind == SHADOW)).nonzero().squeeze(1)
     crossed, curves = rows((crossed, curves), own)
-    jump = radiance_at(searched, integrand, crossed, crossed.low) - radiance_at(searched, integrand, crossed, crossed.high)
+    jump = jumps_at(searched, integrand, crossed)
     own = (jump != 0).any(0).nonzero().squeeze(1)
     if not len(own):
         return None
     crossed, curves = rows((crossed, curves), own)
-    slope = slope_on_film(searched, crossed, curves)
+    follows = how_levels_follow(searched, integrand, crossed, curves)
+    slope = slope_on_film(searched, crossed, follows.adj_start)
     step = Vec2(*(high - low for low, high in zip(crossed.low, crossed.high)))
     steepness = slope.x.abs() + slope.y.abs()
     known = (steepness > 0) & torch.isfinite(steepness)
     weight = -torch.sign(slope.x * step.x + slope.y * step.y) * crossed.times / torch.where(known, steepness, 1.0)
-    return crossed, curves, jump[:, own] * torch.where(known, weight, 0.0)
+    return Jumping(crossed, curves, follows, jump[:, own] * torch.where(known, weight, 0.0))
 
 
-def radiance_at(searched: Searched, integrand: Integrand, crossed: Crossings, film: Vec2) -> Tensor:
-    """(3, K) float64, what a camera sees at points of the film beside curves."""
+def crossings_in_view(searched: Searched) -> Crossings | None:
+    """Where scans of a view cross curves; None: nowhere."""
+    scans = scans_of(searched)
+    if scans is None:
+        return None
+    lots = torch.arange(len(scans.times), device=scans.times.device).split(BLOCK)
+
+    def work(share: Iterable[int]) -> list[Crossings | None]:
+        return [crossings(searched, rows(scans, lots[lot]), lot) for lot in share]
+
+    shares = in_turns(len(lots), searched.call.workers, work)
+    parts = [shares[lot % len(shares)][lot // len(shares)] for lot in range(len(lots))]
+    parts = [part for part in parts if part is not None]
+    return joined(parts) if parts else None
+
+
+def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
+    """(3, K) float64, by how much more a camera sees at the low points beside curves than at the high ones."""
     call = searched.call
-    sample = camera_sample(call, call.views[searched.number], film, crossed.aperture, crossed.key)
+    film = joined([crossed.low, crossed.high])
+    aperture, key = (joined([part] * 2) for part in (crossed.aperture, crossed.key))
+    sample = camera_sample(call, call.views[searched.number], film, aperture, key)
     found = torch.stack(tuple(trace(integrand, started(call, sample)))).double()
-    return found if sample.weight is None else found * sample.weight
+    low, high = (found if sample.weight is None else found * sample.weight).chunk(2, 1)
+    return low - high
 
 
-def slope_on_film(searched: Searched, crossed: Crossings, curves: Curves) -> Vec2:
-    """How the level of curves changes with the point of the film, (K,) float64."""
+def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossings, curves: Curves) -> Follows:
+    """How the levels of curves change with the paths that see them."""
+    call, integrand = searched.call, follows_chains(integrand)
+    sample = camera_sample(call, call.views[searched.number], crossed.low, crossed.aperture, crossed.key)
+    chains = chains_of(integrand, started(call, sample), crossed.depth)
+    with torch.enable_grad():
+        leaves = [part.clone().requires_grad_() for part in leaves_of(chains.ray)]
+        ray = Ray(Vec3(*leaves[:3]), Vec3(*leaves[3:]))
+        found = level(call.scene, searched.surfaces.lines, curves, ray, draw_of(crossed))
+        slopes = vector_jacobian_product([found], leaves, [torch.ones_like(found)])
+    slopes = [zeros_unless(*parts) for parts in zip(slopes, leaves)]
+    adj_ray, nothing = Ray(Vec3(*slopes[:3]), Vec3(*slopes[3:])), (False,) * len(leaves_of(call.scene))
+    return Follows(integrand, chains, adj_ray, adjoint_of_start(integrand, chains, adj_ray, nothing, Gradients([])))
+
+
+def slope_on_film(searched: Searched, crossed: Crossings, adj_start: Ray) -> Vec2:
+    """How levels change with the point of the film, (K,) float64; `adj_start`: by the rays with which their paths begin."""
+    call = searched.call
     with torch.enable_grad():
         film = Vec2(*(part.clone().requires_grad_() for part in crossed.low))
-        found = level_on_film(searched.call, searched, crossed, curves, film)
-        return Vec2(*torch.autograd.grad(found.sum(), tuple(film)))
+        sample = camera_sample(call, call.views[searched.number], film, crossed.aperture, crossed.key)
+        slopes = vector_jacobian_product(leaves_of(sample.ray), list(film), leaves_of(adj_start))
+    return Vec2(*(zeros_unless(*parts) for parts in zip(slopes, film)))

@@ -1,39 +1,35 @@
-"""Points at which scans of the film cross curves at which the image jumps, by bisection between points that see different
-things."""
+"""Points at which scans of the film cross curves at which the image jumps, by sections of steps between points that see
+different things."""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.places import APART
-from torch_radbp.boundary.reflections.differences import CHANCE, HORIZON, SHADOW, Difference, difference
-from torch_radbp.boundary.reflections.ideal_paths import (
-    IdealPath,
-    LightLooks,
-    Reached,
-    along,
-    begins,
-    either,
-)
+from torch_radbp.boundary.reflections.differences import BENT, CHANCE, HORIZON, SHADOW, SURFACE, Difference, Pairing
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, Reached, along, begins, extended, some_of
 from torch_radbp.boundary.reflections.scans import (
     SALT,
-    STEPS,
     FilmPoints,
     Scans,
     Searched,
     neighbours,
+    parting,
     paths_from,
     points_of,
 )
 from torch_radbp.boundary.shadows.seen_edges import numbers, salted
-from torch_radbp.sampling.sampler import LaneKey
+from torch_radbp.sampling.sampler import LaneKey, SampleKey
+from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, rows
 
-FINEST = 12  # halvings of a step, at most
+PARTS, TURNS = 6, 2  # into which steps are divided, again and again, as often
+# And again at outlines of curved mirrors and glass that the camera sees. There a mesh with interpolated normals leads
+# reflected rays into itself, and is black, in a strip as wide as its triangles lie off the surface that they stand for.
+TURNS_AT_OUTLINES = 2
+MOST_TURNS = 16
 
 
 class Crossings(NamedTuple):
@@ -45,23 +41,18 @@ class Crossings(NamedTuple):
     key: LaneKey
     looks: LightLooks | None
     times: Tensor  # (K,) float64, how many square pixels there are for each scan, over the probability to be followed
-    kind: Tensor  # (K,) int64, how the paths part there
+    kind: Tensor  # (K,) int32, how the paths part there
     depth: Tensor  # (K,) int64, after how many vertices
     below: Reached  # what the path from the low point meets there; on a horizon, what it leaves
     above: Reached  # and that from the high point
 
 
 class Pairs(NamedTuple):
-    """Two points of the film each, N, and what is seen from there."""
+    """N steps between points, and how the paths from there part."""
 
-    low: Vec2
-    high: Vec2
-    aperture: Vec2 | None
-    key: LaneKey
-    looks: LightLooks | None
-    times: Tensor
-    below: IdealPath
-    above: IdealPath
+    ends: Pairing
+    times: Tensor  # (N,) float64, see `Crossings`
+    found: Difference
 
 
 def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
@@ -72,51 +63,83 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
         lot: another number for other scans, of which random numbers are made.
     """
     count, points = len(scans.times), points_of(scans)
-    path = paths_from(searched, points)
-    low, high = neighbours(count, scans.times.device)
-    first, second = rows(path, low), rows(path, high)
-    found = difference(searched.call.scene, searched.surfaces, first, second)
-    own = ((found.likelihood > 0) & (begins(first) | begins(second))).nonzero().squeeze(1)
-    low, high = low[own], high[own]
-    pairs = Pairs(rows(points.film, low), rows(points.film, high), *rows((points.aperture, points.key, points.looks), low),
-                  scans.times[low % count], rows(first, own), rows(second, own))
-    found = rows(found, own)
-    for turn in range(halvings(searched)):
+    path, ends = paths_from(searched, points), neighbours(count, scans.times.device)
+    found, begin = parting(searched, path, ends), begins(path)
+    kept = torch.where(begin[ends.first] | begin[ends.second], found.likelihood, 0.0)
+    own = (draws(searched, len(kept), MOST_TURNS * lot) < kept).nonzero().squeeze(1)
+    pairs = Pairs(*rows((ends, scans.times[ends.first % count] / kept.clamp_min(1e-300), found), own))
+    every, number = torch.cat(pairs.ends), torch.arange(len(own), device=own.device)
+    points, path = rows(points, every), some_of(path, every)  # most points are at no step that is looked at further
+    pairs = pairs._replace(ends=Pairing(number, number + len(own)))
+    for turn in range(TURNS):
         if not len(pairs.times):
             return None
-        pairs, found = halved(searched, pairs, turn + FINEST * lot)
-    own = ((found.depth > 0) & (found.kind != CHANCE)).nonzero().squeeze(1)
+        points, path, pairs = divided(searched, points, path, pairs, turn + 1 + MOST_TURNS * lot)
+    if searched.call.scene.layout.shading_normals:
+        for turn in range(TURNS, TURNS + TURNS_AT_OUTLINES):
+            points, path, pairs = divided_at_outlines(searched, points, path, pairs, turn + 1 + MOST_TURNS * lot)
+    (first, second), times, found = pairs
+    own = ((found.depth > 0) & (found.kind != CHANCE) & (found.kind != BENT)).nonzero().squeeze(1)
     if not len(own):
         return None
-    pairs, found = rows(pairs, own), rows(found, own)
-    met = found.depth - (found.kind == HORIZON).long()
-    if pairs.looks is not None:
-        chance = torch.where(found.kind == SHADOW, pairs.looks.draw.picked.pmf.double(), 1.0)
-        pairs = pairs._replace(times=pairs.times / chance)
-    return Crossings(*pairs[:6], found.kind, found.depth, along(pairs.below, met), along(pairs.above, met))
+    first, second, times, kind, depth = rows((first, second, times, found.kind, found.depth.long()), own)
+    met = depth - (kind == HORIZON).long()
+    aperture, key, looks = rows(points[1:], first)
+    if looks is not None:
+        times = times / torch.where(kind == SHADOW, looks.draw.picked.pmf.double(), 1.0)
+    return Crossings(rows(points.film, first), rows(points.film, second), aperture, key, looks, times, kind, depth,
+                     along(path, first, met), along(path, second, met))
 
 
-def halvings(searched: Searched) -> int:
-    """How often a step of a scan is halved: until rounding of camera rays would decide."""
-    film = searched.call.views[searched.number].camera.film
-    least = 4.0 * APART * float(torch.maximum(film.size_x, film.size_y))
-    return max(1, min(FINEST, math.ceil(-math.log2(STEPS * least))))
+def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pairs,
+                        turn: int) -> tuple[FilmPoints, IdealPath, Pairs]:
+    """As `divided`, of those steps alone that cross a horizon, or an outline of what scatters ideally."""
+    (first, second), _, found = pairs
+    begin = begins(path)
+    outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[first] | begin[second])
+    closer = outline | (found.kind == HORIZON)
+    own, others = (chosen.nonzero().squeeze(1) for chosen in (closer, ~closer))
+    if not len(own):
+        return points, path, pairs
+    points, path, parts = divided(searched, points, path, rows(pairs, own), turn)
+    return points, path, joined([rows(pairs, others), parts])
 
 
-def halved(searched: Searched, pairs: Pairs, turn: int) -> tuple[Pairs, Difference]:
-    """Halves of pairs between which something differs: where it does in both, one of them, by chance."""
-    middle = Vec2(*(0.5 * (one + other) for one, other in zip(pairs.low, pairs.high)))
-    path = paths_from(searched, FilmPoints(middle, pairs.aperture, pairs.key, pairs.looks))
-    first, second = (difference(searched.call.scene, searched.surfaces, *ends)
-                     for ends in ((pairs.below, path), (path, pairs.above)))
-    total = first.likelihood + second.likelihood
-    lane = torch.arange(len(total), dtype=torch.int32, device=total.device)
-    draw = numbers(salted(searched.call.views[searched.number], SALT + 2), lane, SALT + turn, torch.float64)
-    lower = draw * total < first.likelihood
-    found = Difference(*(torch.where(lower, one, other) for one, other in zip(first, second)))
-    pairs = pairs._replace(low=Vec2(*(torch.where(lower, a, b) for a, b in zip(pairs.low, middle))),
-                           high=Vec2(*(torch.where(lower, a, b) for a, b in zip(middle, pairs.high))),
-                           times=pairs.times * total / found.likelihood.clamp_min(1e-300),
-                           below=either(lower, pairs.below, path), above=either(lower, path, pairs.above))
+def draws(searched: Searched, count: int, turn: int) -> Tensor:
+    """So many uniform numbers, float64, others in each turn."""
+    lane = torch.arange(count, dtype=torch.int32, device=searched.call.scene.device)
+    key = salted(searched.call.views[searched.number], SALT + 2)
+    return searched.call.stages.drawn_by_steps(key, lane, torch.full_like(key.seed, SALT + turn))
+
+
+def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
+    """Uniform numbers, (N,) float64.
+
+    Args:
+        key: of the view.
+        lane: (N,) int32.
+        counter: () int32, another one for others.
+    """
+    return numbers(key, lane, counter, torch.float64)
+
+
+def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pairs,
+            turn: int) -> tuple[FilmPoints, IdealPath, Pairs]:
+    """Parts of steps between whose ends something differs: where it does in several, one of them, by chance; and the points
+    with those between, with their paths."""
+    count, (first, second) = len(pairs.times), pairs.ends
+    low, high = rows(points.film, first), rows(points.film, second)
+    shares = [part / PARTS for part in range(1, PARTS)]
+    between = FilmPoints(Vec2(*(torch.cat([a + (b - a) * share for share in shares]) for a, b in zip(low, high))),
+                         *(joined([part] * len(shares)) for part in rows(points[1:], first)))
+    more = torch.arange((PARTS - 1) * count, device=first.device) + len(path[0].place)
+    points, path = joined([points, between]), extended(path, paths_from(searched, between))
+    every = torch.cat([first, more, second])
+    ends = Pairing(every[:-count], every[count:])  # the first part of all steps, then the second one, ...
+    found = parting(searched, path, ends)
+    sums = found.likelihood.view(PARTS, count).cumsum(0)
+    total = sums[-1]
+    drawn = (draws(searched, count, turn) * total >= sums[:-1]).sum(0)
     own = (total > 0).nonzero().squeeze(1)
-    return rows(pairs, own), rows(found, own)
+    ends, found = rows((ends, found), drawn[own] * count + own)
+    return points, path, Pairs(ends, pairs.times[own] * total[own] / found.likelihood.clamp_min(1e-300), found)

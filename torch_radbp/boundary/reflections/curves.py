@@ -14,7 +14,7 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, geometry_of, positions, vertex_normals
 from torch_radbp.boundary.reflections import differences
 from torch_radbp.boundary.reflections.crossings import Crossings
-from torch_radbp.boundary.reflections.ideal_paths import to_light
+from torch_radbp.boundary.reflections.ideal_paths import LIT, to_light
 from torch_radbp.boundary.reflections.scans import Searched
 from torch_radbp.boundary.reflections.surfaces import LineTable, level_of_line
 from torch_radbp.boundary.shadows.film_jumps import attached_geometry
@@ -109,7 +109,7 @@ def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[Side, Tenso
         ray, distance = to_light(scene, met.ray, met.hit, crossed.looks.draw)
         hit = searched.integrand.caster.intersect(ray)
         rays.append(in_double(ray))
-        hits.append(hit._replace(prim=torch.where((hit.t < distance) & ~met.lit, hit.prim, -1)))
+        hits.append(hit._replace(prim=torch.where((hit.t < distance) & ((met.what & LIT) == 0), hit.prim, -1)))
     return nearest_side(geometry_of(scene), rays, hits)
 
 

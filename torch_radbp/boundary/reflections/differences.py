@@ -2,98 +2,148 @@
 
 from __future__ import annotations
 
-from itertools import zip_longest
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.reflections.ideal_paths import IdealPath, Reached
+from torch_radbp.boundary.reflections.ideal_paths import (
+    FRONT,
+    LIT,
+    ONWARDS,
+    OUTSIDE,
+    THROUGH,
+    IdealPath,
+    Reached,
+    Vertices,
+)
 from torch_radbp.boundary.reflections.surfaces import Surfaces
+from torch_radbp.jit.order import chosen
+from torch_radbp.path.integrand import Stages
+from torch_radbp.path.wavefront import put_rows
 from torch_radbp.scene.interaction import triangle_normal
-from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
 
 # How two paths part: one meets another surface; they meet different sides of a surface, by its shading normals; a texture
 # jumps between them; chance lets one go another way, which is no jump; they leave the surface on different sides of its
-# triangles; light reaches only one of their ends.
-SAME, SURFACE, RIM, TEXTURE, CHANCE, HORIZON, SHADOW = range(7)
-LEAST = 0.1  # likelihood of a jump between points of what may be one smooth surface
+# triangles; light reaches only one of their ends; or they meet what seems to be one smooth surface, and nothing else
+# differs.
+SAME, SURFACE, RIM, TEXTURE, CHANCE, HORIZON, SHADOW, BENT = range(8)
+LEAST = 0.05  # likelihood of a jump between points of what may be one smooth surface
+LEAST_OF_CHANCE = 0.1  # the same where chance lets paths part
 AT_ONCE = 0.5  # the same right beside what the camera sees without mirrors: at outlines of curved mirrors
 BEND = 2.0  # sine of the angle between a surface and the way to a point of another, of which 1 / BEND is surely a jump
+SMOOTH = 0.2  # BEND times that angle below which points of one smooth surface are taken to lie side by side
 
 
 class Difference(NamedTuple):
     """How the paths of N pairs part."""
 
-    kind: Tensor  # (N,) int64
-    depth: Tensor  # (N,) int64, after how many ideal vertices; of a horizon that of the surface counts
+    kind: Tensor  # (N,) int32
+    depth: Tensor  # (N,) int32, after how many ideal vertices; of a horizon that of the surface counts
     likelihood: Tensor  # (N,) float64, of a jump between the two; 0 if the paths are alike
+    alike: Tensor  # (N,) bool: they have not parted so far, and go on
 
 
-def difference(scene: SceneTensors, surfaces: Surfaces, first: IdealPath, second: IdealPath) -> Difference:
+class Pairing(NamedTuple):
+    """Pairs of paths, N."""
+
+    first: Tensor  # (N,) int64, rows of paths
+    second: Tensor
+
+
+def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing) -> Difference:
     """How the paths of pairs part: by the first vertex at which they do.
 
     Args:
-        scene: detached.
-        surfaces: of the scene.
-        first, second: (N,) each.
+        stages: of the call.
+        surfaces: of the scene, prepared for the stages.
+        path: the paths.
+        pairs: of them.
     """
-    undecided = torch.ones_like(first[0].here)
-    kind, depth = (torch.zeros(len(undecided), dtype=torch.int64, device=undecided.device) for _ in range(2))
-    likelihood = torch.zeros(len(undecided), dtype=torch.float64, device=undecided.device)
-    for number, (one, other) in enumerate(zip_longest(first, second)):
-        if one is None or other is None:  # where only one of two goes on they have parted before
-            break
-        both = undecided & one.here & other.here
-        together = joined(surfaces.continues, one, other)
-        turned, sideways = one.front ^ other.front, one.outside ^ other.outside
-        by_chance = (one.onwards ^ other.onwards) | (one.through ^ other.through)
-        shadow, drawn = one.lit ^ other.lit, torch.zeros_like(turned)
-        for cell, another in zip(one.cells, other.cells):
-            drawn = drawn | ((cell != another) & (one.hit.prim >= 0))
-        met = torch.full_like(kind, SAME)
-        for how, parts in ((SHADOW, shadow), (HORIZON, sideways), (CHANCE, by_chance), (TEXTURE, drawn), (RIM, turned),
-                           (SURFACE, ~together)):
-            met = torch.where(parts, how, met)  # the last of them counts
-        kind = torch.where(both, met, kind)
-        depth = torch.where(both, number + (met == HORIZON).long(), depth)
-        parts = both & (met != SAME)
-        own = (parts & (met == SURFACE)).nonzero().squeeze(1)
-        likelihood = torch.where(parts, torch.where(met == CHANCE, LEAST, 1.0), likelihood)
-        if len(own):
-            likelihood[own] = likelihood_of_jump(scene, *(rows(met, own) for met in (one, other)))
-        if number == 0:  # what the camera sees at once is no matter of this term, unless something else is right beside it
-            likelihood = torch.where(parts & (met != HORIZON), AT_ONCE, likelihood)
-        undecided = both & ~parts & one.onwards
-    return Difference(kind, depth, likelihood)
+    device, count = pairs.first.device, len(pairs.first)
+    nothing = torch.zeros(count, dtype=torch.int32, device=device)
+    found = Difference(nothing, nothing.clone(), torch.zeros(count, dtype=torch.float64, device=device),
+                       torch.ones(count, dtype=torch.bool, device=device))
+    whole = None
+    for number, vertices in enumerate(path):
+        depth = torch.full((), number, dtype=torch.int32, device=device)
+        found = stages.parted(surfaces, vertices, pairs, found, depth)
+        if whole is None:  # what parts at once, or meets nothing ideal, needs no further look
+            whole, onwards = found, chosen(found.alike)
+            pairs, found = stages.rows((pairs, found), onwards)
+    put_rows(whole, onwards, found)
+    return whole
 
 
-def joined(continues: Tensor, one: Reached, other: Reached) -> Tensor:
+def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:
+    """How paths part that have come so far.
+
+    Args:
+        surfaces: of the scene.
+        vertices: of the paths, after `number`, () int32, ideal ones.
+        pairs: of the paths.
+        so_far: what is known from vertices before.
+    """
+    first, second = (lookup(vertices.place, own) for own in pairs)
+    both = so_far.alike & (first >= 0) & (second >= 0)  # where only one of two goes on they have parted before
+    one, other = (rows(vertices.met, place.clamp_min(0)) for place in (first, second))
+    differs = one.what ^ other.what
+    surely, bend = how_bent(surfaces, one, other)
+    together = joined(surfaces, one, other)
+    smooth = ~surely & ~together & part_of_one(surfaces, one, other) & (bend < SMOOTH)
+    drawn = torch.zeros_like(both)
+    for cell, another in zip(one.cells, other.cells):
+        drawn = drawn | ((cell != another) & (one.hit.prim >= 0))
+    met = torch.zeros_like(so_far.kind)
+    for how, parts in ((BENT, smooth & ~(number == 0)), (SHADOW, (differs & LIT) != 0), (HORIZON, (differs & OUTSIDE) != 0),
+                       (CHANCE, (differs & (ONWARDS | THROUGH)) != 0), (TEXTURE, drawn), (RIM, (differs & FRONT) != 0),
+                       (SURFACE, ~(together | smooth))):
+        met = torch.where(parts, how, met).to(met.dtype)  # the last of them counts
+    likely = torch.where(met == CHANCE, LEAST_OF_CHANCE, torch.ones_like(bend))
+    likely = torch.where((met == BENT) | (met == SURFACE), torch.where(surely, 1.0, bend.clamp(LEAST, 1.0)), likely)
+    likely = torch.where((met == SAME), 0.0, likely)
+    # What the camera sees at once is no matter of this term, unless something else is right beside it.
+    likely = torch.where((number == 0) & (met != HORIZON) & (met != SAME), AT_ONCE, likely)
+    tells = both & (met != SAME)
+    known = tells & ~((met == BENT) & (so_far.kind != SAME))
+    depth = number + (met == HORIZON).to(number.dtype)
+    return Difference(torch.where(known, met, so_far.kind), torch.where(known, depth, so_far.depth),
+                      torch.where(tells, torch.maximum(likely, so_far.likelihood), so_far.likelihood),
+                      both & ((met == SAME) | (met == BENT)) & ((one.what & ONWARDS) != 0))
+
+
+def joined(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
     """(N,) bool: two rays meet the same triangle, neighbours on a smooth surface, or both nothing."""
     same, there = one.hit.prim == other.hit.prim, one.hit.prim.clamp_min(0)
     near = torch.zeros_like(same)
     for side in range(3):
-        near = near | (lookup(continues, 3 * there + side) == other.hit.prim)
+        near = near | (lookup(surfaces.smooth.continues, 3 * there + side) == other.hit.prim)
     same = same | (near & (one.hit.prim >= 0) & (other.hit.prim >= 0))
     return same if one.hit.instance is None else same & (one.hit.instance == other.hit.instance)
 
 
-def likelihood_of_jump(scene: SceneTensors, one: Reached, other: Reached) -> Tensor:
-    """How likely a jump is between two different triangles that nearby rays meet; (N,) float64."""
-    hits = one.hit.prim >= 0, other.hit.prim >= 0
-    p, q = (point_met(met) for met in (one, other))
-    way = q - p
+def part_of_one(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
+    """(N,) bool: two rays meet one smooth surface, if they meet the same instance."""
+    parts = [lookup(surfaces.smooth.part, met.hit.prim.clamp_min(0)) for met in (one, other)]
+    return parts[0] == parts[1]
+
+
+def how_bent(surfaces: Surfaces, one: Reached, other: Reached) -> tuple[Tensor, Tensor]:
+    """Where nearby rays surely meet different surfaces, (N,) bool; and by how much the way from one point to the other is
+    not along the triangles, (N,) float64, BEND times a sine."""
+    way = point_met(other) - point_met(one)
     length = torch.sqrt(dot(way, way)).clamp_min(TINY)
     bend = torch.zeros_like(length)
     for met in (one, other):
-        bend = torch.maximum(bend, dot(triangle_normal(scene, met.hit).map(torch.Tensor.double), way).abs() / length)
-    materials = [lookup(scene.triangles.material, met.hit.prim.clamp_min(0)) for met in (one, other)]
-    surely = ~(hits[0] & hits[1]) | (materials[0] != materials[1]) | (one.front ^ other.front)
+        bend = torch.maximum(bend, dot(triangle_normal(surfaces, met.hit).map(torch.Tensor.double), way).abs() / length)
+    materials = [lookup(surfaces.triangles.material, met.hit.prim.clamp_min(0)) for met in (one, other)]
+    surely = (one.hit.prim < 0) | (other.hit.prim < 0) | (materials[0] != materials[1]) | (
+        ((one.what ^ other.what) & FRONT) != 0)
     if one.hit.instance is not None:
         surely = surely | (one.hit.instance != other.hit.instance)
-    return torch.where(surely, 1.0, (BEND * bend).clamp(LEAST, 1.0))
+    return surely, BEND * bend
 
 
 def point_met(met: Reached) -> Vec3:

@@ -1,40 +1,126 @@
-"""The rays of camera paths after ideal vertices, attached."""
+"""The rays that leave chains of ideal vertices, and how they follow what the chains are attached to."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.attached import trace_attached
+from torch_radbp.adjoint.function import asks_for_gradient, first_derivatives_only
+from torch_radbp.adjoint.scatter import Gradients, gradients_of
+from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
-from torch_radbp.call.render_call import RenderCall, started
-from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Step
-from torch_radbp.tensors.record import joined
+from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
+from torch_radbp.public_call import public_call
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import differentiable
+from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import Ray, Vec3, rows
 
 
-def ray_after(call: RenderCall, integrand: Integrand, sample: CameraSample, depth: Tensor) -> Ray:
-    """The rays of paths after so many vertices each.
+class Chains(NamedTuple):
+    """K chains of ideal vertices; detached."""
+
+    states: dict[int, PathState]  # by the number of a vertex, of the paths that go on there
+    steps: dict[int, Step]
+    depth: Tensor  # (K,) int64, how many vertices each has
+    ray: Ray  # that leaves the last of them
+
+
+def follows_chains(integrand: Integrand) -> Integrand:
+    """The integrand by which chains follow what they are attached to."""
+    integrand = only_ideal(integrand)
+    # Whether all directions are followed or not.
+    return integrand._replace(settings=integrand.settings._replace(moving=True, sampling="hybrid"))
+
+
+def chains_of(integrand: Integrand, start: PathState, depth: Tensor) -> Chains:
+    """The chains of so many vertices that paths begin with.
 
     Args:
-        integrand: attached.
-        sample: (K,) where the paths begin, attached.
+        integrand: from `follows_chains`, of a detached scene.
+        start: (K,) of the paths.
         depth: (K,) int64, less than the vertices of each.
     """
-    integrand = only_ideal(integrand)
-    settings = integrand.settings._replace(moving=True, sampling="hybrid")  # whether all directions are followed or not
-    rays, lanes = [], []
+    state, states, steps, ends = start, {}, {}, []
+    while len(state.lane):
+        left = depth[state.lane.long()] - len(steps)
+        ends.append((state.lane[left == 0], rows(state.ray, (left == 0).nonzero().squeeze(1))))
+        state = rows(state, (left > 0).nonzero().squeeze(1))
+        if len(state.lane):
+            states[len(steps)] = state
+            vertex, _, step = take_step(integrand, state, len(steps), with_light=False)
+            steps[len(steps)] = step
+            state = survivors(integrand, vertex.next, step)
+    ray = Ray(Vec3.buffer(start.pdf), Vec3.buffer(start.pdf))
+    for lane, found in ends:
+        put_rows(ray, lane, found)
+    return Chains(states, steps, depth, ray)
 
-    def visit(number: int, state: PathState, step: Step) -> None:
-        own = (depth[state.lane.long()] == number).nonzero().squeeze(1)
-        rays.append(rows(state.ray, own))
-        lanes.append(state.lane[own].long())
 
-    integrand = integrand._replace(settings=settings, max_depth=int(depth.max()) + 1).with_stages(call.stages.eager())
-    trace_attached(integrand, started(call, sample), visit)
-    place, found = torch.cat(lanes), joined(rays)
-    return Ray(*(Vec3(*(torch.zeros_like(depth, dtype=part.dtype).index_copy(0, place, part) for part in parts))
-                 for parts in found))
+def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted: tuple[bool, ...],
+                     gradients: Gradients) -> Ray:
+    """The adjoints of the rays with which chains begin.
+
+    Args:
+        integrand: that the chains are of.
+        chains: (K,).
+        adj_ray: of the rays that leave them.
+        wanted: of each leaf of the scene, as `leaves_of` counts them, whether `gradients` have it.
+        gradients: added to.
+    """
+    record = PathRecord(lambda: chains.states[0], None, chains.states, chains.steps, len(chains.steps))
+    sweep = Sweep(integrand, record, Vec3.buffer(adj_ray.d.x), numbered_leaves(integrand.scene, wanted), gradients)
+    for number in reversed(range(len(chains.steps))):
+        own = (chains.depth == number + 1).nonzero().squeeze(1).int()
+        put_rows(sweep.memo.adj_ray, own, rows(adj_ray, own))
+        sweep.adjoint(chains.states[number], number)
+    return sweep.memo.adj_ray
+
+
+class Follows(NamedTuple):
+    """How numbers, K, follow chains."""
+
+    integrand: Integrand
+    chains: Chains
+    adj_ray: Ray  # of the rays that leave these
+    adj_start: Ray  # and of those with which they begin
+
+
+class FollowFunction(torch.autograd.Function):
+    """Zeros that follow chains, as a function of the rays with which these begin and of what they meet."""
+
+    @staticmethod
+    def forward(ctx, follows: Follows, wanted: tuple[bool, ...], *leaves: Tensor) -> Tensor:
+        ctx.follows = follows._replace(integrand=follows.integrand._replace(caster=None))
+        ctx.wanted, ctx.leaves = wanted, [leaf.detach() for leaf in leaves[6:]]
+        return torch.zeros_like(follows.chains.depth, dtype=torch.float64)
+
+    @staticmethod
+    @first_derivatives_only
+    @torch.autograd.function.once_differentiable
+    @public_call
+    def backward(ctx, asked: Tensor):
+        integrand, chains, adj_ray, adj_start = ctx.follows
+        asked = asked.to(adj_start.d.x.dtype)
+        of_start = [part * asked for part in leaves_of(adj_start)]
+        if not ctx.leaves:
+            return None, None, *of_start
+        gradients = Gradients(ctx.leaves)
+        scaled = Ray(*(part * asked for part in adj_ray))
+        adjoint_of_start(integrand, chains, scaled, ctx.wanted, gradients)
+        return None, None, *of_start, *gradients_of([gradients])[0]
+
+
+def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
+    """(K,) float64 zeros that follow chains.
+
+    Args:
+        follows: how.
+        start: the rays with which these begin, attached.
+        scene: attached.
+    """
+    return FollowFunction.apply(follows, tuple(asks_for_gradient(scene)), *leaves_of(start), *differentiable(scene))

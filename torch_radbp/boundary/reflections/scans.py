@@ -6,13 +6,13 @@ different things by way of mirrors and glass, and a little more, for what is sma
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.boundary.places import FEWEST, NEIGHBOURS, lot_of, picked
-from torch_radbp.boundary.reflections.differences import CHANCE, SURFACE, difference
+from torch_radbp.boundary.reflections.differences import CHANCE, SURFACE, Difference, Pairing, difference
 from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, begins, ideal_path, with_light
 from torch_radbp.boundary.reflections.surfaces import Surfaces
 from torch_radbp.boundary.shadows.border import Lights, aperture_of, camera_sample
@@ -50,6 +50,7 @@ class Searched(NamedTuple):
     number: int  # of the view
     integrand: Integrand  # from `only_ideal`
     surfaces: Surfaces
+    tables: Any  # the same, prepared for the stages
     shadows: bool  # borders of shadows of light without extent are looked for
 
 
@@ -69,8 +70,13 @@ def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
     """The ideal paths from points of the film."""
     call = searched.call
     sample = camera_sample(call, call.views[searched.number], points.film, points.aperture, points.key)
-    path = ideal_path(searched.integrand, started(call, sample), searched.surfaces.lines)
+    path = ideal_path(searched.integrand, started(call, sample), searched.tables)
     return path if points.looks is None else with_light(searched.integrand, path, points.looks)
+
+
+def parting(searched: Searched, path: IdealPath, pairs: Pairing) -> Difference:
+    """How the paths of pairs part."""
+    return difference(searched.call.stages, searched.tables, path, pairs)
 
 
 def looks_of(searched: Searched, count: int) -> LightLooks | None:
@@ -132,20 +138,20 @@ def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tupl
     shared = lane_key(salt, torch.full_like(corner, -1), torch.full_like(corner, turn))
     aperture = aperture_of(view, lane_key(salt, corner, torch.full_like(corner, turn)))
     path = paths_from(searched, FilmPoints(film, aperture, shared, rows(looks, torch.full_like(corner, turn))))
-    corner = corner.view(height, width).long()
+    corner, begin = corner.view(height, width).long(), begins(path)
     likely = torch.zeros(height - 1, width - 1, dtype=torch.float64, device=call.scene.device)
     for one, other, pixels in ((corner[:, :-1], corner[:, 1:], ((slice(0, -1), slice(None)), (slice(1, None), slice(None)))),
                                (corner[:-1], corner[1:], ((slice(None), slice(0, -1)), (slice(None), slice(1, None))))):
-        first, second = (rows(path, ends.flatten()) for ends in (one, other))
-        found = difference(call.scene, searched.surfaces, first, second)
+        pairs = Pairing(one.flatten(), other.flatten())
+        found = parting(searched, path, pairs)
         likelihood = torch.where((found.depth > 0) & (found.kind != CHANCE), found.likelihood, 0.0)
         if call.scene.layout.shading_normals:  # by which rays leave outlines of curved mirrors on the wrong side
-            outline = (found.kind == SURFACE) & (found.depth == 0) & (begins(first) | begins(second))
+            outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[pairs.first] | begin[pairs.second])
             likelihood = torch.where(outline, OUTLINE, likelihood)
         found = likelihood.view(one.shape)
         for part in pixels:
             likely = torch.maximum(likely, found[part])
-    return likely, begins(path).view(height, width)
+    return likely, begin.view(height, width)
 
 
 def points_of(scans: Scans) -> FilmPoints:
@@ -158,7 +164,7 @@ def points_of(scans: Scans) -> FilmPoints:
         scans.aperture, scans.key, scans.looks)))
 
 
-def neighbours(count: int, device: torch.device) -> tuple[Tensor, Tensor]:
+def neighbours(count: int, device: torch.device) -> Pairing:
     """The numbers of the points at either end of all steps of so many scans, (2 STEPS M,) int64 each."""
     first = torch.arange(2 * (STEPS + 1) * count, device=device).view(2, STEPS + 1, count)
-    return first[:, :-1].flatten(), first[:, 1:].flatten()
+    return Pairing(first[:, :-1].flatten(), first[:, 1:].flatten())

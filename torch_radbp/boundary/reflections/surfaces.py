@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
 
 from torch_radbp.boundary.edge_places import jump_of_creases
-from torch_radbp.boundary.geometry import geometry_of, in_world
+from torch_radbp.boundary.geometry import Geometry, NormalsOnly, geometry_of, in_world
 from torch_radbp.boundary.outline import Outline
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.path.integrand import Stages
 from torch_radbp.plugin.jump_lines import JumpLines
+from torch_radbp.raycast.caster_cache import same
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene import Scene
 from torch_radbp.scene.interaction import at_corners
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.placement import for_lanes
+from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import interpolated
+from torch_radbp.tensors.vec import Vec3, interpolated
 
 
 class LineTable(NamedTuple):
@@ -36,31 +42,92 @@ class LineTable(NamedTuple):
         return slot * self.count + self.shape.index_select(0, prim.clamp_min(0))
 
 
-class Surfaces(NamedTuple):
-    """The surfaces of a scene; detached."""
+class SmoothParts(NamedTuple):
+    """How the T triangles of a scene hang together."""
 
-    continues: Tensor  # (3 T,) int32, from `continued`
+    continues: Tensor  # (3 T,) int32, for each side, opposite a corner, on which triangle the surface goes on without a jump
+    part: Tensor  # (T,) int32, equal of triangles of one smooth surface
+
+
+class Surfaces(NamedTuple):
+    """The surfaces of a scene, in place of `SceneTensors`; detached. Functions of lanes read them."""
+
+    triangles: TriangleTable
+    layout: NormalsOnly
+    smooth: SmoothParts
     lines: LineTable | None  # None: no texture jumps
 
 
-def continued(scene: SceneTensors, meshes: Sequence[Outline]) -> Tensor:
-    """For each side of the triangles, three each, opposite their corners, the triangle on which the surface goes on without
-    a jump; -1: it does not. (3 T,) int32.
+class Known(NamedTuple):
+    """Smooth parts, and what they depend on."""
+
+    vertices: Vec3
+    meshes: list[Outline]
+    smooth: SmoothParts
+
+
+KNOWN: WeakKeyDictionary[Scene, Known] = WeakKeyDictionary()
+
+
+def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None) -> Surfaces:
+    """The surfaces of a call's scene; how triangles hang together is found anew only if vertices or edges have changed.
 
     Args:
+        call: detached.
+        meshes: the edges of all of them, in the frames of their vertices.
+        lines: of textures.
+    """
+    triangles, known = call.scene.triangles, KNOWN.get(call.module)
+    if (known is None or not all(map(same, known.vertices, triangles.vertices.p))
+            or len(meshes) != len(known.meshes) or any(own is not old for own, old in zip(meshes, known.meshes))):
+        known = Known(triangles.vertices.p, meshes, smooth_parts(call.stages, call.scene, meshes))
+        KNOWN[call.module] = known
+    vertices = triangles.vertices._replace(attributes=(), uv=None if lines is None else triangles.vertices.uv)
+    triangles = triangles._replace(vertices=vertices, clearance=None, along=None, emitter=None, balls=None, attributes=(),
+                                   numbers=None, instances=for_lanes(triangles.instances))
+    return Surfaces(triangles, NormalsOnly(call.scene.layout.shading_normals), known.smooth, lines)
+
+
+def smooth_parts(stages: Stages, scene: SceneTensors, meshes: Sequence[Outline]) -> SmoothParts:
+    """How the triangles of a scene hang together.
+
+    Args:
+        stages: of the call.
         scene: detached.
         meshes: the edges of all of them, in the frames of their vertices.
     """
-    geometry = geometry_of(scene)
-    found = torch.full((3 * len(scene.triangles.material),), -1, dtype=torch.int32, device=scene.device)
+    geometry, device, count = geometry_of(scene), scene.device, len(scene.triangles.material)
+    continues = torch.full((3 * count,), -1, dtype=torch.int32, device=device)
+    joints = [torch.zeros(2, 0, dtype=torch.int64, device=device)]
     for mesh in meshes:
-        edges = mesh.edges
-        a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite[:2]), None)
-        smooth = (edges.count == 2) & (jump_of_creases(mesh, a, b, opposite) == 0)
-        one, other = (corner[smooth] for corner in edges.corner[:2])
-        for here, there in ((one, other), (other, one)):
-            found[here.long()] = torch.div(there, 3, rounding_mode="floor")
-    return found
+        own = stages.goes_on(geometry, mesh).nonzero().squeeze(1)
+        one, other = (corner[own].long() for corner in mesh.edges.corner[:2])
+        faces = torch.div(one, 3, rounding_mode="floor"), torch.div(other, 3, rounding_mode="floor")
+        continues[one], continues[other] = faces[1].int(), faces[0].int()
+        joints.append(torch.stack(faces))
+    return SmoothParts(continues, connected(torch.cat(joints, 1), count).int())
+
+
+def goes_on(geometry: Geometry, outline: Outline) -> Tensor:
+    """(E,) bool: surfaces go on without a jump across edges that are no silhouettes."""
+    edges = outline.edges
+    a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite[:2]), None)
+    return (edges.count == 2) & (jump_of_creases(outline, a, b, opposite) == 0.0)
+
+
+def connected(joints: Tensor, count: int) -> Tensor:
+    """The least number of those that each of `count` things hangs together with; `joints`: (2, J) int64, pairs that do."""
+    label = torch.arange(count, device=joints.device)
+    while True:
+        own = label[joints]
+        least = own.amin(0)
+        found = label.clone()
+        for end in own:
+            found.scatter_reduce_(0, end, least, "amin")
+        found = found[found]
+        if torch.equal(found, label):
+            return label
+        label = found
 
 
 def line_table(lines: Sequence[tuple[JumpLines, ...]], sizes: Sequence[int], device: torch.device) -> LineTable | None:
@@ -74,16 +141,18 @@ def line_table(lines: Sequence[tuple[JumpLines, ...]], sizes: Sequence[int], dev
     return LineTable(*columns, torch.repeat_interleave(torch.tensor(sizes, device=device)), len(lines), most)
 
 
-def cells_met(scene: SceneTensors, lines: LineTable | None, hit: Hit) -> tuple[Tensor, ...]:
+def cells_met(surfaces: Surfaces, hit: Hit) -> tuple[Tensor, ...]:
     """Between which lines textures are met, by the number of the last line of each kind, (N,) float64."""
-    if lines is None or scene.triangles.vertices.uv is None:
+    lines = surfaces.lines
+    if lines is None or surfaces.triangles.vertices.uv is None:
         return ()
     rows = [lines.row(hit.prim, slot) for slot in range(lines.most)]
-    return tuple(torch.minimum(torch.maximum(torch.floor(level_of_line(scene, lines, hit.prim, row, hit.u, hit.v)),
-                                             lines.first[row] - 1.0), lines.last[row]) for row in rows)
+    return tuple(torch.minimum(torch.maximum(torch.floor(level_of_line(surfaces, lines, hit.prim, row, hit.u, hit.v)),
+                                             lookup(lines.first, row) - 1.0), lookup(lines.last, row)) for row in rows)
 
 
-def level_of_line(scene: SceneTensors, lines: LineTable, prim: Tensor, row: Tensor, u: Tensor, v: Tensor) -> Tensor:
+def level_of_line(scene: SceneTensors | Surfaces, lines: LineTable, prim: Tensor, row: Tensor, u: Tensor,
+                  v: Tensor) -> Tensor:
     """The number that is an integer on lines, (N,) float64, attached to the surface coordinates.
 
     Args:
@@ -93,4 +162,4 @@ def level_of_line(scene: SceneTensors, lines: LineTable, prim: Tensor, row: Tens
     """
     corners = lookup(scene.triangles.corners, prim.clamp_min(0))
     uv = interpolated(at_corners(scene.triangles.vertices.uv, corners), u, v)
-    return lines.x[row] * uv.x.double() + lines.y[row] * uv.y.double() + lines.z[row]
+    return lookup(lines.x, row) * uv.x.double() + lookup(lines.y, row) * uv.y.double() + lookup(lines.z, row)

@@ -9,7 +9,7 @@ points that move.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,12 +19,11 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
-from torch_radbp.boundary.shadows import border, bounced, hidden_light, pictures, seen_through
+from torch_radbp.boundary.shadows import border, bounced, hidden_light, pictures, seen_through, split
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.boundary.shadows.seen_edges import Casting
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.call.workers import in_turns
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 
 BYTES_OF_EDGE = 400  # nodes of the tree, and what they are made of
@@ -36,8 +35,9 @@ BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
 class Part(NamedTuple):
     """One of the integrals that are cut off."""
 
-    found: Callable[..., Any]  # of a call without derivatives, a view's number and edges: places; None: there are none
-    jumps: Callable[..., FilmJumps]  # of a call, the same and the places
+    found: Callable[..., Any]  # of a call without derivatives, a view, edges and effort: places; None: there are none
+    jumps: Callable[..., FilmJumps]  # of a call, a view's number, edges and the places
+    is_cast: bool = True  # by edges; its places are `split.Sampled`
 
 
 def shadows_move(call: RenderCall) -> bool:
@@ -53,8 +53,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
     edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
     vertices = max(hidden_light.FEWEST_PATHS, min(hidden_light.MOST, paths // hidden_light.SHARE))
     samples = max(FEWEST, min(border.MOST, paths // border.share_of(call.scene)))
-    at_once = max if call.workers == 1 else sum  # parts are found side by side
-    ways, places = (at_once((samples * of_sample, vertices * of_vertex)) for of_sample, of_vertex in (
+    ways, places = (max((samples * of_sample, vertices * of_vertex)) for of_sample, of_vertex in (
         (border.LOOKS, hidden_light.LOOKS), (1, hidden_light.PLACES)))
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
     places += bool(pictures.lines_of_pictures(call)) * samples
@@ -82,28 +81,41 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
         edges = Casting(casting, edge_tree(stages, geometry, casting))
     parts = [Part(partial(border.borders_in_view, lights=lights), border.jumps_in_view)] if on_film else []
     if on_film and settings.nee:
-        parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind))
-                  for kind, lines in pictures.lines_of_pictures(call).items()]
+        parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind),
+                       is_cast=False) for kind, lines in pictures.lines_of_pictures(call).items()]
     if glued and (max_depth > 2 or not (surfaces and around)):
         first = hidden_light.FirstVertex(not surfaces, not around)
         parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view))
     if glued and max_depth > 2 and seen_through.passes_straight(call.scene):
         parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view))
-    if glued and max_depth > 2 and settings.nee:
+    if glued and max_depth > 2 and settings.nee and any(kind.delta for kind in call.scene.layout.lights):
         parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
-    still, views = call.still(), range(len(call.views))
-    wanted = [(number, part) for number in views for part in parts]
-
-    def find(share: Iterable[int]) -> dict[int, Any]:
-        return {place: wanted[place][1].found(still, wanted[place][0], edges) for place in share}
-
-    with torch.no_grad():
-        found = {place: one for share in in_turns(len(wanted), call.workers, find) for place, one in share.items()}
-    jumps = [[] for _ in views]
-    for place, (number, part) in enumerate(wanted):
-        if found[place] is not None:
-            jumps[number].append(part.jumps(call, number, edges, found[place]))
+    still, jumps = call.still(), []
+    for number in range(len(call.views)):
+        with torch.no_grad():
+            found = found_of_view(still, number, edges, parts)
+        jumps.append([part.jumps(call, number, edges, own) for part, own in zip(parts, found) if own is not None])
     return torch.stack([image_of(view, own, call.scene.dtype) for view, own in zip(call.views, jumps)])
+
+
+def found_of_view(still: RenderCall, number: int, edges: Casting, parts: Sequence[Part]) -> list[Any]:
+    """The places of each part that a view has; of the first all, of the others as many as are worth it beside those.
+
+    Args:
+        still: without derivatives.
+        number: of the view.
+        edges: of all that casts shadows.
+        parts: of the derivative.
+    """
+    found = [part.found(still, number, edges, 1.0) for part in parts[:1]]
+    splits = parts[:1] and parts[0].is_cast and split.is_worth_trying(still, number)
+    most, tried = split.variance(found[0]) if splits else 0.0, split.trying(still)
+    for part in parts[1:]:
+        effort = 1.0
+        if most > 0.0 and part.is_cast:
+            effort = split.effort(most, part.found(tried, number, edges, split.TRIED))
+        found.append(part.found(still, number, edges, effort))
+    return found
 
 
 def aimed_at(call: RenderCall) -> tuple[bool, bool]:

@@ -33,19 +33,23 @@ from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
     Casting,
-    beyond,
+    Passed,
     corners_of,
     crossed_at,
     extent_of,
+    finite_normal,
+    onto_surfaces,
     pace,
     places_seen,
     point_of_edge,
     salted,
+    unhidden,
 )
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
+from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import first_hit
 from torch_radbp.raycast.protocol import Hit
@@ -53,6 +57,7 @@ from torch_radbp.sampling.sampler import LaneKey, bounce_key, fine_unit, random_
 from torch_radbp.scene.cone import camera_cone
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
@@ -88,19 +93,38 @@ class CastShadows(NamedTuple):
     """N places on borders of shadows, and what is known of them."""
 
     borders: Borders
+    passed: Passed  # how the light does that; its edge may be hidden from the light
     inwards: Vec3  # by which points right beside the edges lie in the shade
     times: Tensor  # how many edges in the mean of all light samples a place stands for
-    key: LaneKey
 
 
 class BordersInView(NamedTuple):
-    """K places on borders that a view sees; detached."""
+    """K places on borders that a view sees; detached.
+
+    The border sweeps an area where its edge moves outwards; by that, parts of the derivative are compared (`split.py`).
+    """
 
     borders: Borders
     place: Vec2  # on the film, pixels from the upper left corner of the window
     aperture: Vec2 | None  # of the lens
     normal: Vec2  # of the border on the film, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, the difference of what is seen behind and ahead
+    sweep: Tensor  # (K,) where the edge moves by a step that is the same for all
+
+    def independent(self) -> Tensor:
+        """As of `split.Sampled`: each place has a light sample of its own."""
+        return self.strength * self.sweep
+
+
+class BorderCourse(NamedTuple):
+    """How N borders run on the film; detached, float64."""
+
+    on_border: Vec3  # (N,) world
+    film: Vec2  # (N,) where that is seen
+    aperture: Vec2 | None
+    normal: Vec2  # as of `BordersInView`; 0 where that is not known, or counts in no pixel
+    aside: Vec2  # to what lies right beside the border in the shade
+    sweep: Tensor
 
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: BordersInView) -> FilmJumps:
@@ -145,74 +169,89 @@ def share_of(scene: SceneTensors) -> int:
     return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
 
 
-def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> CastShadows | None:
+def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights,
+               share: int) -> CastShadows | None:
     """Places on borders of shadows, whether view `number` sees them or not; None: there are none.
 
     Args:
         call: detached.
         casting: the edges.
+        effort: share of the samples that are taken.
         lights: whose shadows are meant.
-        share: one place for so many paths of the image.
+        share: one place for so many paths of the image, with all of them.
     """
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     paths = view.width * view.height * call.spp
-    points = light_points(scene, view, max(FEWEST, min(MOST, paths // share)))
+    points = light_points(scene, view, max(FEWEST, int(effort * min(MOST, paths // share))))
     count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
     points = rows(points, meant)
     if not len(meant):
         return None
-    passed = places_seen(call.stages, geometry, casting, points.eyes, salted(view, SALT), LOOKS, count)
+    eyes = call.integrand.part(Ends.SURROUNDINGS).call(call.stages.light_eyes, points.draw)
+    passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, count)
     if passed is None:
         return None
-    receiver, free = beyond(call.integrand, passed)
+    passed, receiver = onto_surfaces(call.integrand, passed)
     borders = Borders(passed.edge, passed.along, rows(points.draw, passed.eye), receiver)
     inwards = passed.outwards * (-BESIDE * extent_of(geometry))
-    found = CastShadows(borders, inwards, passed.times / count, passed.key)
-    return rows(found, (free & (receiver.prim >= 0)).nonzero().squeeze(1))
+    return CastShadows(borders, passed, inwards, passed.times / count) if len(passed.edge) else None
 
 
-def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lights) -> BordersInView | None:
+def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights) -> BordersInView | None:
     """Places on borders of shadows of direct light that view `number` sees; None: there are none.
 
     Args:
         call: detached.
         casting: the edges of all that casts shadows.
+        effort: share of the samples that are taken.
         lights: whose shadows are meant.
     """
     view, scene = call.views[number], call.scene
-    found = borders_of(call, number, casting, lights, share_of(scene))
+    found = borders_of(call, number, casting, effort, lights, share_of(scene))
     if found is None:
         return None
-    borders, inwards, times, key = found
+    borders, passed, inwards, times = found
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
-    geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, key)
-    on_border = border(scene, geometry, casting.outline, borders)
-
-    def seen(step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
-        return on_film(camera, border(scene, geometry, casting.outline, borders, step, off), aperture)
-
-    (film, along), shade = pace(seen, times), seen(off=inwards)
-    normal = Vec2(-along.y * times, along.x * times)
-    aside = Vec2(shade.x - film.x, shade.y - film.y)
-    ahead = aside.x * normal.x + aside.y * normal.y > 0
-    counted = (counts_somewhere(camera, film) & torch.isfinite(normal.x) & torch.isfinite(normal.y)).nonzero().squeeze(1)
-    if not len(counted):
+    geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
+    course = integrand.part(Ends.SURROUNDINGS).call(call.stages.border_course, geometry, casting.outline, camera, borders,
+                                                    inwards, times, aperture)
+    counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
+    counted = counted[unhidden(integrand, rows(passed, counted))]
+    borders, course, key = rows((borders, course, passed.key), counted)
+    sample = camera_sample(call, view, course.film, course.aperture, key)
+    shown = sees(integrand, sample.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
+    borders, course, key, sample = rows((borders, course, key, sample), shown)
+    in_shade = camera_sample(call, view, into_shade(camera, course.film, course.aside), course.aperture, key)
+    shown = sees(integrand, in_shade.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
+    if not len(shown):
         return None
-    borders, on_border, film, aperture, normal, aside, ahead, key = rows(
-        (borders, on_border, film, aperture, normal, aside, ahead, key), counted)
-    sample = camera_sample(call, view, film, aperture, key)
-    in_shade = camera_sample(call, view, into_shade(camera, film, aside), aperture, key)
-    shown = (sees(integrand, in_shade.ray, borders.receiver, on_border)
-             & sees(integrand, sample.ray, borders.receiver, on_border))
-    kept = shown.nonzero().squeeze(1)
-    if not len(kept):
-        return None
-    borders, on_border, film, aperture, normal, ahead, sample = rows(
-        (borders, on_border, film, aperture, normal, ahead, sample), kept)
-    light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, on_border), borders.draw)
+    borders, course, sample = rows((borders, course, sample), shown)
+    light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, course.on_border),
+                            borders.draw)
     light = light if sample.weight is None else light * sample.weight
     strength = torch.stack(tuple(light)).double()
-    return BordersInView(borders, film, aperture, normal, torch.where(ahead, strength, -strength))
+    return BordersInView(borders, course.film, course.aperture, course.normal,
+                         torch.where(course.sweep > 0, strength, -strength), course.sweep)
+
+
+def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
+                  inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> BorderCourse:
+    """How borders run on the film.
+
+    Args:
+        scene, geometry, outline, borders: as for `border`, detached.
+        camera: that sees them.
+        inwards, times: (N,) as of `CastShadows`.
+        aperture: (N,) of the rays that see them.
+    """
+    def seen(step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
+        return on_film(camera, border(scene, geometry, outline, borders, step, off), aperture)
+
+    (film, along), shade = pace(seen, times), seen(off=inwards)
+    counts, aside = counts_somewhere(camera, film), Vec2(shade.x - film.x, shade.y - film.y)
+    normal = finite_normal(along, times).map(lambda c: torch.where(counts, c, 0.0))
+    return BorderCourse(border(scene, geometry, outline, borders), film, aperture, normal, aside,
+                        aside.x * normal.x + aside.y * normal.y)
 
 
 def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
@@ -224,14 +263,21 @@ def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
 
 
 def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:
-    """The rays through points of the film, pixels from the upper left corner of the window."""
-    camera, dtype = view.camera, call.scene.dtype
+    """The rays through points of the film, pixels from the upper left corner of the window; attached as camera and points
+    are."""
+    make = film_sample if any_differentiated((view.camera, film)) else call.stages.film_sample
+    return make(view.camera, film, aperture, key, call.scene.layout.traces_cones)
+
+
+def film_sample(camera: Camera, film: Vec2, aperture: Vec2 | None, key: LaneKey, cones: bool) -> CameraSample:
+    """As `camera_sample`; `cones`: whether textures ask for them."""
+    dtype = camera.dtype
     position = Vec2(*(((place + crop) / size).to(dtype) for place, crop, size in (
         (film.x, camera.film.crop_x, camera.film.size_x), (film.y, camera.film.crop_y, camera.film.size_y))))
     aperture = None if aperture is None else aperture.map(lambda part: part.to(dtype))
     ray, weight = camera.kind.sample_ray(camera.lens, position, aperture)
     ray = Ray(*(part.map(torch.Tensor.contiguous) for part in ray))
-    cone = camera_cone(camera, ray, position, aperture) if call.scene.layout.traces_cones else None
+    cone = camera_cone(camera, ray, position, aperture) if cones else None
     return CameraSample(ray, key, weight, cone, None)
 
 

@@ -21,7 +21,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, light_through, seen_at
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
-from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace
+from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace, unhidden
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
@@ -55,15 +55,15 @@ def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borde
     return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, outline, borders, step, off))
 
 
-def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> ConnectedBorders | None:
+def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: float) -> ConnectedBorders | None:
     """Places on borders, each connected to a vertex of a path of view `number`; args as of `border.borders_in_view`."""
     view, scene = call.views[number], call.scene
-    if not any(kind.delta for kind in scene.layout.lights):
+    found = borders_of(call, number, casting, effort, Lights(sharp=True, soft=False, around=False), SHARE)
+    if found is None:
         return None
-    found = borders_of(call, number, casting, Lights(sharp=True, soft=False, around=False), SHARE)
-    if found is None or not len(found.times):
+    borders, passed, inwards, times = rows(found, unhidden(call.integrand, found.passed))
+    if not len(times):
         return None
-    borders, inwards, times, key = found
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
     points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), len(times))
     if not len(points.depth):
@@ -78,7 +78,7 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> Connect
     connected = (numbers(view.sample_keys[1], place, SALT, torch.float64) * len(points.depth)).long()
     own = rows(points, connected)
     light = light_received(call, integrand, own, rows(vertex_at(call, geometry, number, points), connected), borders, here,
-                           key)
+                           passed.key)
     light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
     kept = (light != 0).any(0).nonzero().squeeze(1)
     if not len(kept):

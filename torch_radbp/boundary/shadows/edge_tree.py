@@ -7,7 +7,8 @@ down, one of the nodes some levels below is picked in proportion to an estimate 
 0 where none may be a silhouette. Below the last nodes the angles of a few edges are computed.
 
 Children follow from the number of their parent: 2 n and 2 n + 1, from the root, 1, on. The order of the edges is found once;
-their bounds follow what moves.
+their bounds follow what moves. They are kept in float32, a row of 64 bytes for each node, and made as much wider as rounding
+may be wrong.
 
 References: Hertzmann and Zorin 2000, "Illustrating smooth surfaces", section 3.3 (silhouettes by a hierarchy); Li, Aittala,
 Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 5 (importance sampling).
@@ -27,17 +28,19 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import COPLANAR, Eyes, how_much_counts, how_much_lobes_count
 from torch_radbp.path.integrand import Stages
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.record import joined
-from torch_radbp.tensors.vec import TINY, Vec3, angle_between, cross, dot, normalize, rows, unit_normal, where
+from torch_radbp.tensors.record import joined, leaves_of, with_leaves
+from torch_radbp.tensors.vec import TINY, Vec3, angle_between, cross, dot, max_component, normalize, rows, unit_normal, where
+from torch_radbp.texture.interleaved import columns
 
 LEVELS = 3  # that places go down at once
 LEAST = 0.02  # how much nodes count in which directions across are just possible
-LEEWAY = 1e-7  # radians, by which rounding must not make cones too narrow
+LEEWAY = 1e-6  # radians, by which rounding must not make cones too narrow
+ROUNDED = 4 * 2.0**-24  # share of their coordinates by which it must not make boxes too small
 STRAIGHT = 0.5 * torch.pi
 
 
 class EdgeNodes(NamedTuple):
-    """M nodes; detached, float64, world."""
+    """M nodes; detached, float32, world."""
 
     low: Vec3  # (M,) the corners of the box
     high: Vec3
@@ -76,6 +79,7 @@ def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
         levels.append(stages.merged_bounds(levels[-1], numbers_to(len(levels[-1].bend) // 2, slots)))
     above = levels[GROUP.bit_length() - 1:]
     nodes = joined([above[-1], *reversed(above)])
+    nodes = with_leaves(nodes, columns(leaves_of(nodes)))
     return EdgeTree(nodes, slots, torch.full((), len(above[0].bend), dtype=torch.int32, device=slots.device))
 
 
@@ -103,13 +107,17 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
     other = where(edges.count == 2, unit_normal(tips[-1] - a, along), one)
     turned = torch.where(dot(one, normal_of(geometry, edges.corner[0], instance)) < 0.0, -1.0, 1.0)
     axis = normalize(one + other) * turned
-    angle = torch.where(edges.count == 2, 0.5 * angle_between(one, other) + LEEWAY, STRAIGHT).clamp_max(STRAIGHT)
+    between = angle_between(coarse(one), coarse(other))
+    angle = torch.where(edges.count == 2, 0.5 * between + LEEWAY, STRAIGHT).clamp_max(STRAIGHT)
     bend = torch.where(exists, torch.sqrt(dot(along, along)) * 2.0 * angle, 0.0)
     none = torch.full_like(along.x, torch.inf)
     low, high = (Vec3(*(extreme(p, q) for p, q in zip(a, b))) for extreme in (torch.minimum, torch.maximum))
+    wider = ROUNDED * torch.maximum(max_component(a.map(torch.abs)), max_component(b.map(torch.abs)))
+    low, high = low.map(lambda c: c - wider), high.map(lambda c: c + wider)
     low, high = where(exists, low, Vec3(none, none, none)), where(exists, high, Vec3(-none, -none, -none))
-    return EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle, angle, bend, dot(axis, a),
-                     dot(axis, along).abs())
+    bounds = EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle, angle, bend, dot(axis, a),
+                       dot(axis, along).abs())
+    return coarse(bounds)
 
 
 def normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Vec3:
@@ -132,7 +140,8 @@ def merged_bounds(below: EdgeNodes, node: Tensor) -> EdgeNodes:
     first = one.bend > 0.0
     thickness = torch.where(first, one.thickness, other.thickness)
     together = torch.maximum(one.thickness, other.thickness) + (one.plane - other.plane).abs()
-    parallel = dot(one.axis, other.axis) > 1.0 - LEEWAY**2
+    apart = one.axis - other.axis
+    parallel = dot(apart, apart) < LEEWAY * LEEWAY
     thickness = torch.where(both, torch.where(parallel, together, torch.inf), thickness)
     return EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle,
                      torch.maximum(*(torch.where(part.bend > 0.0, part.sharpest, 0.0) for part in (one, other))),
@@ -140,9 +149,9 @@ def merged_bounds(below: EdgeNodes, node: Tensor) -> EdgeNodes:
 
 
 def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
-    """An estimate of the angles under which the edges of nodes are seen, times how much they count; (N,) float64.
+    """An estimate of the angles under which the edges of nodes are seen, times how much they count; (N,) float32.
 
-    It is 0 only where none is a silhouette, or counts.
+    It is 0 only where none is a silhouette, or counts. Eyes and the extent are `coarse` here.
     """
     middle, half = (node.low + node.high) * 0.5, (node.high - node.low) * 0.5
     reach = middle * eye.w - eye.place
@@ -170,18 +179,23 @@ def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
     return torch.where(possible & (node.bend > 0.0) & ~own, share * torch.rsqrt(limit) * counts, 0.0)
 
 
+def coarse(record):
+    """Eyes, or another record, as nodes are compared with them: in float32."""
+    return with_leaves(record, [leaf.float() for leaf in leaves_of(record)])
+
+
 def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, levels: int) -> Descent:
     """Places some levels farther down: one of all nodes there is picked, so that few ways end where no edge is.
 
     Args:
         nodes: of the tree.
-        eyes: look for edges.
-        extent: () of the scene.
+        eyes: look for edges; `coarse`.
+        extent: () of the scene, likewise.
         at: (N,) where they are.
         levels: how many.
     """
     eye, first = rows(eyes, at.eye), at.node * (1 << levels)
-    angles = [angle_of_node(rows(nodes, first + place), eye, extent) for place in range(1 << levels)]
+    angles = [angle_of_node(rows(nodes, first + place), eye, extent).double() for place in range(1 << levels)]
     place, share, u = drawn(angles, at.u)
     return Descent(at.eye, first + place, u, at.chance * share)
 

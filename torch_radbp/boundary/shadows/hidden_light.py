@@ -32,24 +32,28 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
-from torch_radbp.boundary.shadows.light_points import light_points, lobes_of_light
+from torch_radbp.boundary.shadows.light_points import light_points
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
     Casting,
     Passed,
-    beyond,
     corners_of,
     crossed_at,
     extent_of,
+    finite_normal,
+    onto_surfaces,
     pace,
     places_seen,
     point_of_edge,
     salted,
+    unhidden,
 )
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.call.view import View
 from torch_radbp.path.direct_light import scattered_light
-from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.event import Ends
+from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
@@ -74,6 +78,11 @@ class FirstVertex(NamedTuple):
                             dtype=torch.bool, device=scene.device)
 
 
+def without_extent(scene: SceneTensors) -> Tensor:
+    """For each kind of light in a scene, whether it has none; bool."""
+    return torch.tensor([kind.delta for kind in scene.layout.lights], dtype=torch.bool, device=scene.device)
+
+
 class Cuts(NamedTuple):
     """N places where edges cut off what is seen from viewpoints; detached."""
 
@@ -91,6 +100,12 @@ class CutsOfView(NamedTuple):
     cuts: Cuts
     normal: Vec2  # in the coordinates of `cut_at`, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, what is lost where the border moves along that by one
+    sweep: Tensor  # as of `border.BordersInView`
+
+    def independent(self) -> Tensor:
+        """As of `split.Sampled`: those of each path together."""
+        _, path = self.cuts.viewpoint.unique(return_inverse=True)
+        return self.strength.new_zeros(3, int(path.max()) + 1).index_add(1, path, self.strength * self.sweep)
 
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
@@ -98,6 +113,14 @@ def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: CutsOf
     geometry = attached_geometry(call.scene)
     seen = cut_at(geometry, casting.outline, vertex_at(call, geometry, number, found.points), found.cuts)
     return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept(seen, found.normal))
+
+
+class CutCourse(NamedTuple):
+    """How N borders of cuts run; detached, float64."""
+
+    basis: tuple[Vec3, Vec3]  # across the line of sight
+    normal: Vec2  # as of `CutsOfView`; 0 where it is not known
+    sweep: Tensor
 
 
 def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, step: Tensor | float = 0.0,
@@ -119,17 +142,16 @@ def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, ste
     return Vec2(*(torch.where(cuts.hit.prim >= 0, inside, dot(d, across)) for inside, across in zip(met, cuts.basis)))
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> CutsOfView | None:
+def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float, first: FirstVertex) -> CutsOfView | None:
     """Places where edges cut off light from paths of view `number`; None: there are none.
 
     Args:
-        call, casting: as for `border.borders_in_view`.
+        call, casting, effort: as for `border.borders_in_view`.
         first: what the first vertices of paths receive straight from lights.
     """
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
-    paths = min(MOST, view.width * view.height * call.spp // SHARE)
-    points = viewpoints(call, number, integrand, max(FEWEST_PATHS, paths))
+    points = viewpoints(call, number, integrand, number_of_paths(call, view, effort))
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)
@@ -138,43 +160,70 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVe
     lobes = (points.lobe,)
     if call.scene.layout.lights:
         lights = light_points(call.scene, view, len(points.depth))
-        meant = (points.depth > 0) | first.meant(call.scene)[lights.kind]
-        lobes += (lobes_of_light(call.scene, at, lights, meant),)
+        meant = ((points.depth > 0) | first.meant(call.scene)[lights.kind]) & ~without_extent(call.scene)[lights.kind]
+        lobe = integrand.part(Ends.SURROUNDINGS).call(call.stages.light_lobes, at, lights.draw)
+        lobes += (lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),)
     eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS,
                          PLACES * len(points.depth))
     if passed is None:
         return None
-    hit, free = beyond(call.integrand, passed)
-    passed, hit = rows((passed, hit), free.nonzero().squeeze(1))
-    return cuts_that_matter(geometry, casting, points, at, passed, hit,
+    if call.scene.layout.surround is None:
+        passed, hit = onto_surfaces(call.integrand, passed)
+        passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
+    else:
+        passed = rows(passed, unhidden(call.integrand, passed))
+        hit = call.integrand.caster.intersect(passed.onwards)
+    if not len(passed.edge):
+        return None
+    return cuts_that_matter(call.stages, geometry, casting, points, at, passed, hit,
                             lambda cuts: light_beyond(call, integrand, points, cuts, passed, at, first))
 
 
-def cuts_that_matter(geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
-                     light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
+def number_of_paths(call: RenderCall, view: View, effort: float) -> int:
+    """Of how many paths edges are looked at, with a share of the samples that there are at most."""
+    return max(FEWEST_PATHS, int(effort * min(MOST, view.width * view.height * call.spp // SHARE)))
+
+
+def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed,
+                     hit: Hit, light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
     """The cuts at which light is lost; None: there are none.
 
     Args:
-        geometry, casting: as for `places_seen`.
+        stages, geometry, casting: as for `places_seen`.
         points: viewpoints, which lie `at` (M,) world.
         passed: (N,) places on edges that are seen from them.
         hit: (N,) where lines from viewpoints through these are cut off.
         light: from cuts to (3, N) what the view sees of the light there, for each unit of `cut_at`'s coordinates.
     """
-    sight = normalize(passed.p - rows(at, passed.eye))
-    side = normalize(cross(passed.outwards, sight))
-    cuts = Cuts(passed.eye, passed.edge, passed.along, hit, (cross(sight, side), side))
-    here, along = pace(lambda step: cut_at(geometry, casting.outline, at, cuts, step), passed.times)
-    open_at = cut_at(geometry, casting.outline, at, cuts, off=passed.outwards * (BESIDE * extent_of(geometry)))
-    normal = Vec2(-along.y * passed.times, along.x * passed.times)
-    opens_ahead = (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y > 0
-    lost = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light(cuts), 0.0)
+    basis, normal, sweep = stages.cut_course(geometry, casting.outline, at, passed, hit, extent_of(geometry))
+    cuts = Cuts(passed.eye, passed.edge, passed.along, hit, basis)
+    lost = torch.where((normal.x != 0.0) | (normal.y != 0.0), light(cuts), 0.0)
     kept = (lost != 0).any(0).nonzero().squeeze(1)
     if not len(kept):
         return None
-    cuts, normal, opens_ahead, lost = rows(cuts, kept), rows(normal, kept), opens_ahead[kept], lost[:, kept]
-    return CutsOfView(points, cuts, normal, torch.where(opens_ahead, -lost, lost))
+    cuts, normal, sweep, lost = rows(cuts, kept), rows(normal, kept), sweep[kept], lost[:, kept]
+    return CutsOfView(points, cuts, normal, torch.where(sweep > 0, -lost, lost), sweep)
+
+
+def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
+    """How the borders of cuts run.
+
+    Args:
+        geometry: of the scene, detached.
+        outline: the edges.
+        at: (M,) the viewpoints.
+        passed: (N,) places on edges that are seen from them.
+        hit: (N,) what lies beyond.
+        extent: () of the scene.
+    """
+    sight = normalize(passed.p - rows(at, passed.eye))
+    side = normalize(cross(passed.outwards, sight))
+    cuts = Cuts(passed.eye, passed.edge, passed.along, hit, (cross(sight, side), side))
+    here, along = pace(lambda step: cut_at(geometry, outline, at, cuts, step), passed.times)
+    open_at = cut_at(geometry, outline, at, cuts, off=passed.outwards * (BESIDE * extent))
+    normal = finite_normal(along, passed.times)
+    return CutCourse(cuts.basis, normal, (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y)
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, cuts: Cuts, passed: Passed, at: Vec3,

@@ -26,7 +26,6 @@ class LightPoints(NamedTuple):
     """M light samples."""
 
     draw: LightDraw
-    eyes: Eyes  # where they are, detached
     kind: Tensor  # (M,) int64, of the light, its number in `Layout.lights`
 
 
@@ -47,26 +46,28 @@ def light_points(scene: SceneTensors, view: View, count: int) -> LightPoints:
         element = choice.sample(numbers.choice, unit(numbers.split, scene.dtype))
         pmf = choice.pmf[element.long()]
     draw = LightDraw(numbers, LightPick(element, pmf, torch.zeros_like(pmf)))
-    zero = torch.zeros(count, dtype=torch.float64, device=device)
+    return LightPoints(draw, scene.lights.kind[element.long()].long())
+
+
+def light_eyes(scene: SceneTensors, draw: LightDraw) -> Eyes:
+    """Where light samples, (M,), look for edges from; `scene`: detached, any part of it."""
+    zero = torch.zeros_like(draw.picked.pmf).double()
     nowhere = Vec3(zero, zero, zero)
     aims = aims_at(scene, nowhere, draw)
     start, d, parallel = line_of(aims, nowhere)
-    eyes = Eyes(where(parallel, -d, start), (~parallel).double(), normal_of(aims, nowhere), zero + BEHIND, zero)
-    return LightPoints(draw, eyes, scene.lights.kind[element.long()].long())
+    return Eyes(where(parallel, -d, start), (~parallel).double(), normal_of(aims, nowhere), zero + BEHIND, zero)
 
 
-def lobes_of_light(scene: SceneTensors, p: Vec3, points: LightPoints, meant: Tensor) -> Lobe:
+def light_lobes(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Lobe:
     """The lights of samples, one for each of some points, as they are seen from there.
 
     Args:
-        scene: detached.
+        scene: detached, any part of it.
         p: (M,) world, float64.
-        points: (M,).
-        meant: (M,) bool, of which lights are wanted; those without extent never are.
+        draw: (M,) the samples.
     """
-    aims = aims_at(scene, p, points.draw)
-    sharp = torch.tensor([kind.delta for kind in scene.layout.lights], device=scene.device)[points.kind]
-    return lobe_around(aims("d"), torch.where(meant & ~sharp, aims("pdf") / points.draw.picked.pmf.clamp_min(TINY), 0.0))
+    aims = aims_at(scene, p, draw)
+    return lobe_around(aims("d"), aims("pdf") / draw.picked.pmf.clamp_min(TINY))
 
 
 def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec3, Tensor]:

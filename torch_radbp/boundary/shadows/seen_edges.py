@@ -13,7 +13,7 @@ from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of, picked
-from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to
+from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, coarse, drawn, numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
@@ -32,7 +32,7 @@ from torch_radbp.sampling.sampler import (
     uniform,
 )
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, crossing, dot, normalize, rows
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, angle_between, cross, crossing, dot, normalize, rows
 
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
@@ -131,12 +131,14 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
     """
     key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
     numbers = bounce_key(key, CAMERA_COUNTER)
-    aim, along = (fine_unit(random_bits(numbers, dimension)) for dimension in (1, 0))
+    aim, turn = (fine_unit(random_bits(numbers, dimension)) for dimension in (1, 0))
     number, _, times = picked(lot, place, aim)
     (edge, repeated, _), eye = rows((found, eye), number)
     times, own = times * repeated, rows(eyes, eye)
     edges, instance, share = rows((outline.edges, outline.instance, outline.share), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
+    along, density = evenly_seen(a * own.w - own.place, b * own.w - own.place, turn)
+    along, times = torch.where(own.w > 0.0, along, turn), torch.where(own.w > 0.0, times / density, times)
     p = a + (b - a) * along
     sight = normalize(p * own.w - own.place)
     across = normalize(cross(b - a, sight))
@@ -151,6 +153,25 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
     distance = torch.where(own.w > 0.0, length * (1.0 - BEFORE), FAR).to(dtype)
     return Passed(edge, eye, along, times if share is None else times / share, p, outwards, Ray(o, -d), Ray(o, d),
                   distance, key)
+
+
+def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
+    """Places of lines from a to b that are seen from the origin after so many turns from one to the other, and the density
+    that they have if turns are uniform: near an eye light turns much over short ways. (N,) each.
+
+    Args:
+        a, b: (N,) float64.
+        turn: (N,) in [0, 1), shares of the angle between them.
+    """
+    (to_a, near_a), (to_b, near_b) = ((end * torch.rsqrt(squared), torch.sqrt(squared))
+                                      for end in (a, b) for squared in [dot(end, end).clamp_min(TINY)])
+    angle, normal = angle_between(to_a, to_b), cross(a, b)
+    start, end = near_b * torch.sin((1.0 - turn) * angle), near_a * torch.sin(turn * angle)
+    known = (start + end > 0.0) & (dot(normal, normal) > 0.0)
+    along = end / torch.where(known, start + end, 1.0)
+    p = a + (b - a) * along
+    density = torch.sqrt(dot(normal, normal)) / (dot(p, p) * angle).clamp_min(TINY)
+    return torch.where(known, along, turn), torch.where(known, density, 1.0)
 
 
 def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int,
@@ -172,8 +193,9 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
     u = fine_unit(eye * STEPS[0] + hash32(seed.seed)) + (way - eye * each)  # as many in each part of the edges
     at = Descent(eye, torch.ones_like(way), u / each, torch.ones_like(u))
     whole, part = divmod(int(tree.leaves).bit_length() - 1, LEVELS)
+    seen_from, wide = coarse(eyes), extent.float()
     for levels in [part] * (part > 0) + [LEVELS] * whole:
-        at = stages.descended(tree.nodes, eyes, extent, at, levels)
+        at = stages.descended(tree.nodes, seen_from, wide, at, levels)
     found = stages.edge_found(geometry, outline, tree, eyes, at, extent)
     order = found.edge.argsort(stable=True)  # places on an edge are well spread along it
     found, eye = rows((found._replace(times=found.times / each), eye), order)
@@ -191,7 +213,7 @@ def salted(view: View, salt: int) -> SampleKey:
     return SampleKey(hash32(key.seed ^ salt), key.shared)
 
 
-def numbers(key: SampleKey, lane: Tensor, counter: int, dtype: torch.dtype) -> Tensor:
+def numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: torch.dtype) -> Tensor:
     """A uniform number in [0, 1) for each of some lanes, (N,) int32."""
     return uniform(bounce_key(LaneKey(hash32(lane + key.seed), torch.zeros_like(lane)), counter), 0, dtype)
 
@@ -201,10 +223,15 @@ def extent_of(geometry: Geometry) -> Tensor:
     return torch.stack([part.max() - part.min() for part in geometry.triangles.vertices.p]).amax().double()
 
 
-def beyond(integrand: Integrand, passed: Passed) -> tuple[Hit, Tensor]:
-    """What lies beyond edges, right beside them, (N,); and (N,) bool, whether nothing hides the edges from the eyes."""
-    free = ~integrand.caster.occluded(passed.back, passed.distance)
-    return integrand.caster.intersect(passed.onwards), free
+def onto_surfaces(integrand: Integrand, passed: Passed) -> tuple[Passed, Hit]:
+    """Places on edges right beside which a surface lies beyond, and that; the edges may be hidden from the eyes."""
+    hit = integrand.caster.intersect(passed.onwards)
+    return rows((passed, hit), (hit.prim >= 0).nonzero().squeeze(1))
+
+
+def unhidden(integrand: Integrand, passed: Passed) -> Tensor:
+    """Numbers of those of N places on edges that nothing hides from the eyes, (K,) int64."""
+    return (~integrand.caster.occluded(passed.back, passed.distance)).nonzero().squeeze(1)
 
 
 def point_of_edge(geometry: Geometry, outline: Outline, edge: Tensor, along: Tensor) -> Vec3:
@@ -232,6 +259,18 @@ def crossed_at(corners: tuple[Vec3, Vec3, Vec3], line: Ray) -> Vec2:
     return Vec2(of_u / volume, of_v / volume)
 
 
+def finite_normal(along: Vec2, times: Tensor) -> Vec2:
+    """Across curves, as long as the pieces that places stand for; 0 where they run too fast to be counted; (N,) each.
+
+    Args:
+        along: (N,) how fast places move along their edges, of `pace`.
+        times: (N,) of edges for which each stands.
+    """
+    normal = Vec2(-along.y * times, along.x * times)
+    counts = torch.isfinite(normal.x) & torch.isfinite(normal.y)
+    return normal.map(lambda c: torch.where(counts, c, 0.0))
+
+
 def pace(seen: Callable[[Tensor], Vec2], like: Tensor) -> tuple[Vec2, Vec2]:
     """Where places are that follow from the way along edges, and how fast they move along; (N,) each, detached.
 
@@ -241,7 +280,7 @@ def pace(seen: Callable[[Tensor], Vec2], like: Tensor) -> tuple[Vec2, Vec2]:
     """
     def velocity(coordinate: int) -> tuple[Tensor, Tensor]:
         with torch.enable_grad():
-            step = torch.zeros_like(like).requires_grad_()
+            step = (0.0 * like).requires_grad_()
             place = seen(step)[coordinate]
             found, = vector_jacobian_product([place], [step], [torch.ones_like(step)])
         return place.detach(), zeros_unless(found, step).detach()

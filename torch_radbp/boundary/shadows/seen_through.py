@@ -32,13 +32,11 @@ from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.hidden_light import (
     EVEN,
-    FEWEST_PATHS,
     LOOKS,
-    MOST,
     PLACES,
-    SHARE,
     CutsOfView,
     cuts_that_matter,
+    number_of_paths,
 )
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
@@ -68,13 +66,13 @@ def passes_straight(scene: SceneTensors) -> bool:
     return any(look.kind.straight for look in scene.layout.appearances)
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Casting) -> CutsOfView | None:
+def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float) -> CutsOfView | None:
     """Places where lines to edges pass straight through surfaces that paths of a view meet, of which they are cuts; None:
     there are none. Args as for `border.borders_in_view`."""
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
-    count = max(FEWEST_PATHS, min(MOST, view.width * view.height * call.spp // SHARE))
-    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), count)
+    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1),
+                        number_of_paths(call, view, effort))
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)
@@ -94,7 +92,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting) -> CutsOfView 
     if not len(reached):
         return None
     passed, beside, on = rows((passed, beside, on), reached)
-    return cuts_that_matter(geometry, casting, points, at, passed, beside.hit,
+    return cuts_that_matter(call.stages, geometry, casting, points, at, passed, beside.hit,
                             lambda cuts: difference(call, integrand, points, passed, (beside, on)))
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.attached import trace_attached
+from torch_radbp.adjoint.attached import rays_reaching
 from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.shadows.eyes import Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import corners_of, numbers, salted
@@ -16,12 +16,11 @@ from torch_radbp.path.bounce import CameraSample, sample_camera
 from torch_radbp.path.event import Scatters
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Step, bounces
+from torch_radbp.path.wavefront import bounces
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.cone import Cone
 from torch_radbp.tensors.differentiated import any_differentiated
-from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others
@@ -130,17 +129,9 @@ def arriving(call: RenderCall, number: int, points: Viewpoints) -> Ray:
     integrand = call.make_integrand(call.scene)
     if not len(later) or not integrand.settings.moving or not any_differentiated((call.scene, view.camera)):
         return ray
-    chosen, rays, lanes = rows(points, later), [], []
-
-    def visit(depth: int, state: PathState, step: Step) -> None:
-        own = (chosen.depth[state.lane.long()] == depth).nonzero().squeeze(1)
-        rays.append(rows(state.ray, own))
-        lanes.append(later[state.lane[own].long()])
-
-    integrand = integrand._replace(max_depth=int(chosen.depth.max()) + 2).with_stages(call.stages.eager())
-    trace_attached(integrand, started(call, begun(chosen)), visit)
-    place, found = torch.cat(lanes), joined(rays)
-    return Ray(*(Vec3(*(old.index_copy(0, place, new) for old, new in zip(*parts))) for parts in zip(ray, found)))
+    chosen = rows(points, later)
+    found = rays_reaching(integrand, started(call, begun(chosen)), chosen.depth)
+    return Ray(*(Vec3(*(old.index_copy(0, later, new) for old, new in zip(*parts))) for parts in zip(ray, found)))
 
 
 def path_of(call: RenderCall, ray: Ray, key: LaneKey) -> PathState:

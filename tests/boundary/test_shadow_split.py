@@ -1,0 +1,96 @@
+"""Samples of shadows go where they lower the noise, and places near eyes are spread by how much light turns there."""
+
+import math
+from typing import NamedTuple
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.derivatives.shadow_scenes import SHADOWS
+from torch_radbp.boundary.shadows import hidden_light, split
+from torch_radbp.boundary.shadows.seen_edges import evenly_seen
+from torch_radbp.tensors.vec import Vec3
+
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+
+
+class Samples(NamedTuple):
+    amounts: torch.Tensor
+
+    def independent(self) -> torch.Tensor:
+        return self.amounts
+
+
+def samples(count: int, size: float) -> Samples:
+    return Samples(torch.full((3, count), size / math.sqrt(3.0)))
+
+
+def test_the_variance_is_the_sum_of_squares():
+    assert split.variance(samples(50, 0.1)) == pytest.approx(50 * 0.1**2)
+    assert split.variance(None) == 0.0
+
+
+def test_samples_of_one_path_are_no_independent_ones():
+    cuts = hidden_light.Cuts(torch.tensor([7, 7, 2, 7]), None, None, None, None)
+    strength = torch.tensor([[1.0, 2.0, 10.0, 0.5]], dtype=torch.float64).repeat(3, 1)
+    found = hidden_light.CutsOfView(None, cuts, None, strength, torch.tensor([2.0, 1.0, 0.1, 2.0], dtype=torch.float64))
+    assert found.independent().tolist() == [[1.0, 5.0]] * 3
+    assert split.variance(found) == pytest.approx(3 * 26.0)
+
+
+@pytest.mark.parametrize("quiet", [1.0, 0.5, 0.2, 0.01])
+def test_samples_are_as_the_root_of_the_variance_but_for_the_least(quiet):
+    tried = samples(64, 0.1)
+    first = split.TRIED * split.variance(tried) / quiet**2
+    assert split.effort(first, tried) == pytest.approx(max(quiet, split.LEAST))
+
+
+def test_of_little_known_noise_many_samples_are_taken():
+    assert split.effort(1e9, samples(split.ENOUGH - 1, 0.1)) == split.effort(1e9, None) == split.UNKNOWN
+    assert split.effort(0.0, samples(64, 0.1)) == 1.0
+
+
+def test_what_is_not_worth_it_gets_fewer_samples(monkeypatch):
+    """The shadow of a lamp is far stronger than that of the light that a floor sends back to what stands on it."""
+    efforts, cuts = [], hidden_light.cuts_of_view
+
+    def noted(call, number, casting, effort, first):
+        efforts.append(effort)
+        return cuts(call, number, casting, effort, first)
+
+    monkeypatch.setattr(hidden_light, "cuts_of_view", noted)
+    moving = SHADOWS["cube, rectangle"]
+    monkeypatch.setattr(split, "WORTH", 1)
+    scene = moving.build()
+    rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=128, seed=0, max_depth=3, terms=("shadow",))
+    assert efforts[0] == split.TRIED and split.LEAST <= efforts[1] < 1.0
+
+
+def test_nothing_is_split_beside_sharp_shadows(monkeypatch):
+    monkeypatch.setattr(split, "effort", lambda *_: pytest.fail("it was split"))
+    moving = SHADOWS["camera before a wall, spot"]
+    monkeypatch.setattr(split, "WORTH", 1)
+    scene = moving.build()
+    image = rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=8, seed=0, max_depth=moving.max_depth, terms=("shadow",))
+    assert image.isfinite().all() and image.abs().max() > 0
+
+
+def test_places_on_a_line_are_seen_evenly():
+    a, b = Vec3(*torch.tensor([[1.0, 0.02, 0.0]], dtype=torch.float64).T), Vec3(*torch.tensor([[-0.4, 0.0, 0.3]],
+                                                                                          dtype=torch.float64).T)
+    turn = (torch.arange(4096, dtype=torch.float64) + 0.5) / 4096
+    along, density = evenly_seen(a, b, turn)
+    p = torch.stack(tuple(a + (b - a) * along), 1)
+    to = p / p.norm(dim=1, keepdim=True)
+    steps = (to[1:] * to[:-1]).sum(1).clamp(-1, 1).acos()
+    assert steps.max() < 1.001 * steps.min() and (along.diff() > 0).all()
+    assert float((1.0 / density).mean()) == pytest.approx(1.0, rel=1e-3)
+    # The density over the way is the turn per way.
+    assert torch.allclose(density[1:-1], 2.0 / 4096 / (along[2:] - along[:-2]), rtol=1e-2)
+
+
+def test_lines_that_are_seen_end_on_have_places_everywhere():
+    a, b = (Vec3(*(torch.full((3,), value, dtype=torch.float64) for value in end)) for end in ((1, 0, 0), (2, 0, 0)))
+    along, density = evenly_seen(a, b, torch.tensor([0.1, 0.5, 0.9], dtype=torch.float64))
+    assert along.tolist() == [0.1, 0.5, 0.9] and density.tolist() == [1.0] * 3

@@ -1,0 +1,61 @@
+"""Surfaces that go on smoothly, over which what is seen in mirrors changes without a jump."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.derivatives.mirror_scenes import CUBE, IN_MIRROR, METAL, MIRROR, SKY
+from tests.scenes import load
+from torch_radbp.boundary import terms
+from torch_radbp.boundary.reflections.surfaces import Surfaces, connected, surfaces_of
+from torch_radbp.io.transform import scale
+
+
+def surfaces(scene: rb.Scene, monkeypatch) -> Surfaces:
+    """Those that mirrors are looked into with, of a call in which the camera moves."""
+    found = []
+
+    def looked_into(call, reflected):
+        still = call.still()
+        found.append(surfaces_of(still, reflected.meshes, reflected.lines))
+        return torch.zeros(())
+
+    monkeypatch.setattr(terms, "reflected_jumps", looked_into)
+    scene.get_parameter("sensor.to_world").requires_grad_()
+    rb.Renderer(scene, max_depth=3)(seed=1, spp=1)
+    return found[0]
+
+
+BALL = {"type": "sphere", "to_world": scale((0.3, 0.3, 0.3)), "bsdf": METAL}
+
+
+@pytest.mark.parametrize("thing, parts, sizes", [(CUBE, 6, 2), (BALL, 1, None)], ids=["cube", "ball"])
+def test_sides_of_a_cube_are_smooth_parts_and_so_is_a_ball(thing, parts, sizes, monkeypatch):
+    scene = load(sensor=IN_MIRROR, mirror=MIRROR, thing=thing, sky=SKY)
+    found = surfaces(scene, monkeypatch).smooth
+    _, counts = found.part.unique(return_counts=True)
+    assert len(counts) == 1 + parts and (sizes is None or counts.tolist() == [sizes] * (1 + parts))
+    near = found.continues >= 0
+    here = torch.div(near.nonzero().squeeze(1), 3, rounding_mode="floor")
+    assert near.any() and torch.equal(found.part[here], found.part[found.continues[near].long()])
+
+
+def test_smooth_parts_are_found_anew_only_if_vertices_have_moved(monkeypatch):
+    scene = load(sensor=IN_MIRROR, mirror=MIRROR, thing=CUBE, sky=SKY)
+    first, second = (surfaces(scene, monkeypatch).smooth for _ in range(2))
+    assert first is second
+    scene.get_parameter("thing.to_world").data[0, 3] += 0.5
+    assert surfaces(scene, monkeypatch).smooth is not first
+
+
+def test_what_hangs_together_has_the_least_number_among_it():
+    generator = torch.Generator().manual_seed(3)
+    joints = torch.randint(200, (2, 150), generator=generator)
+    label = list(range(200))
+    for _ in range(200):
+        for one, other in joints.T.tolist():
+            label[one] = label[other] = min(label[one], label[other])
+    assert 20 < len(set(label)) < 150 and connected(joints, 200).tolist() == label
+    assert connected(joints[:, :0], 3).tolist() == [0, 1, 2]

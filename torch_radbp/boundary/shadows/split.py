@@ -1,0 +1,73 @@
+"""How samples are split between the integrals that borders of shadows cut off.
+
+Samples are worth taking where they lower the noise of the whole. Of the first integral all are taken. Of each of the others
+a few tell how much noise there is. They are not used otherwise: were their numbers to decide how many others they are added
+to, large ones would count less. Sums of integrals that have variances V with as many samples each are the least noisy for
+their cost with samples in proportion to sqrt(V).
+
+Reference: Owen 2013, "Monte Carlo theory, methods and examples", section 8.4 (Neyman allocation).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.sampling.sampler import SampleKey, hash32
+
+TRIED = 1 / 16  # share of the samples that tell the noise
+LEAST = 1 / 8  # share of the samples that are taken where there is little of it,
+UNKNOWN, ENOUGH = 1 / 4, 8  # and where fewer than so many counted, of which the noise cannot be told
+WORTH = 1 << 16  # paths of an image from which on it is worth trying
+SALT = 0x5851F42D  # tells the random numbers of what is tried from others
+
+
+class Sampled(Protocol):
+    """Samples of one of the integrals."""
+
+    def independent(self) -> Tensor:
+        """(3, N) what changes in the image where all edges move outwards by a step that is the same for all integrals, in
+        parts of which none depends on another: the variance of their sum is the sum of their squares."""
+
+
+def trying(call: RenderCall) -> RenderCall:
+    """The call with random numbers of its own for what is tried."""
+    return call._replace(views=[view._replace(sample_keys=tuple(
+        SampleKey(hash32(key.seed ^ SALT), key.shared) for key in view.sample_keys)) for view in call.views])
+
+
+def is_worth_trying(call: RenderCall, number: int) -> bool:
+    """True if view `number` has so many samples that it pays to split them.
+
+    Borders of light without extent are single curves, on which places are spread so evenly that their sum has far less noise
+    than independent ones: where there are any, all samples are taken.
+    """
+    view, lights = call.views[number], call.scene.layout.lights
+    return view.width * view.height * call.spp >= WORTH and not any(kind.delta for kind in lights)
+
+
+def variance(found: Sampled | None) -> float:
+    """That of the sum of samples, where all edges move by the same; None: there are none."""
+    return 0.0 if found is None else squares(found.independent())
+
+
+def squares(amounts: Tensor) -> float:
+    """The sum of the squares of those that are finite, (3, N)."""
+    return float(torch.where(torch.isfinite(amounts), amounts, 0.0).square().sum())
+
+
+def effort(first: float, tried: Sampled | None) -> float:
+    """The share of its samples that an integral is worth.
+
+    Args:
+        first: variance of the first integral, with all of its samples.
+        tried: the other, with a share of `TRIED`; None: nothing of it counts.
+    """
+    if not first > 0.0:
+        return 1.0
+    amounts = torch.zeros(3, 0) if tried is None else tried.independent()
+    least = UNKNOWN if amounts.shape[1] < ENOUGH else LEAST
+    return min(1.0, max(least, (TRIED * squares(amounts) / first)**0.5))
