@@ -3,10 +3,10 @@
 After reflection and refraction into single directions, a point of the film sees something else, a ray of which the path is
 attached to the camera, to all mirrors and to all glass on its way. Where what it meets changes, at an edge, the radiance L
 jumps along a curve of the film. No edge is projected there: a curve has as many images as there are ways, and they are bent.
-Instead the film is scanned, along short horizontal and vertical lines; points on these that see different things are
-brought together by bisection. With g a level that is 0 on the curve, and n its normal, the curve moves by -g' / |grad g|,
-and N horizontal lines of unit length for each square pixel, with as many vertical ones, cross a piece dl of it
-N (|n_x| + |n_y|) dl times. So each crossing stands for
+Instead the film is scanned, along short horizontal and vertical lines; steps between points on these that see different
+things are divided, again and again. With g a level that is 0 on the curve, and n its normal, the curve moves by
+-g' / |grad g|, and N horizontal lines of unit length for each square pixel, with as many vertical ones, cross a piece dl of
+it N (|n_x| + |n_y|) dl times. So each crossing stands for
 
     dI = h (L_low - L_high) (-g') sign / (N (|g_x| + |g_y|))
 
