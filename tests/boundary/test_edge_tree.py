@@ -8,7 +8,7 @@ from tests.scenes import diffuse, load, sensor
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.shadows import hidden_light
-from torch_radbp.boundary.shadows.edge_tree import angle_of_node, coarse
+from torch_radbp.boundary.shadows.edge_tree import angle_of_node, rounded
 from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
 from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_of, places_seen
 from torch_radbp.io.transform import rotate, scale, translate
@@ -38,18 +38,18 @@ BODIES = {"floor and cube": {"floor": FLOOR, "cube": CUBE}, "waves": {"waves": w
           "turned triangles": {"mesh": TURNED, "cube": CUBE}}
 
 
-@pytest.fixture(params=BODIES)
+@pytest.fixture(params=[(name, dtype) for name in BODIES for dtype in (torch.float64, torch.float32)], ids=str)
 def casting(request, monkeypatch) -> tuple[Geometry, Casting]:
     """The geometry of a scene and its edges with their tree, as a rendering has them."""
-    found = []
+    found, (name, dtype) = [], request.param
 
     def noted(stages, geometry, casting, *_):
         found.append((geometry, casting))
 
     monkeypatch.setattr(hidden_light, "places_seen", noted)
     sky = {"type": "constant", "radiance": 1.0}
-    scene = load(sensor=sensor(4, (0, 0, 3)), sky=sky, **BODIES[request.param]).double()
-    pose = torch.eye(4, dtype=torch.float64)[None, 0].expand(4, 4) * 0.1
+    scene = load(sensor=sensor(4, (0, 0, 3)), sky=sky, **BODIES[name]).to(dtype)
+    pose = torch.eye(4, dtype=dtype)[None, 0].expand(4, 4) * 0.1
     rb.jvp(scene, {"sensor.to_world": pose}, spp=4, max_depth=2)
     return found[0]
 
@@ -94,8 +94,8 @@ def test_no_silhouette_is_ruled_out(casting):
     first = int(tree.leaves)
     while first:
         node = torch.arange(first, 2 * first)
-        own = coarse(of_each(eyes, first))
-        estimate = angle_of_node(rows(tree.nodes, node.repeat(len(eyes.w))), own, extent_of(geometry).float())
+        own, extent = (rounded(part, tree.nodes.bend.dtype) for part in (of_each(eyes, first), extent_of(geometry)))
+        estimate = angle_of_node(rows(tree.nodes, node.repeat(len(eyes.w))), own, extent)
         assert (estimate.view(-1, first)[below] > 0).all(), first
         below, first = below.view(len(eyes.w), -1, 2).any(2) if first > 1 else below, first // 2
 

@@ -32,8 +32,12 @@ def make(**settings):
 
 @pytest.fixture(scope="module")
 def compiled():
-    """A renderer that has rendered, and walked back, once, with more than a few lanes at each depth for each core."""
+    """A renderer that has rendered, and walked back, once, with more than a few lanes at each depth for each core.
+
+    Before it one in chunks, whose image and derivative are traced one after the other.
+    """
     renderer = make(compile=True)
+    view_and_gradients(make(compile=True, chunk=500))
     view_and_gradients(renderer, spp=64)
     return renderer
 

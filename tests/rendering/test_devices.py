@@ -67,9 +67,11 @@ OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "chance_of_light"}, {"side_met"}
 OF_JUMPS, OF_SEGMENTS = {"slopes", "swept", "asked_of_places"}, {"segment_weight", "segment_place"}
 OF_SHADOWS = {"descended", "edge_found", "edge_passed", "direct_light", "scattered", "border_course", "cut_course",
               "light_eyes", "light_lobes"}
+OF_MIRRORS = {"goes_on", "ideal_vertex", "parted", "drawn_by_steps"}
+# Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS},
-          "networks": {"ending", "shines", *OF_MANY_LAMPS, *OF_TWO_SIDES},
-          "shining networks": {"shines", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SEGMENTS}}  # stages that a scene does without
+          "networks": {"ending", "shines", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS},
+          "shining networks": {"shines", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SEGMENTS, *OF_MIRRORS}}
 
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))

@@ -3,6 +3,7 @@ different things."""
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import NamedTuple
 
 import torch
@@ -137,7 +138,7 @@ def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pair
     every = torch.cat([first, more, second])
     ends = Pairing(every[:-count], every[count:])  # the first part of all steps, then the second one, ...
     found = parting(searched, path, ends)
-    sums = found.likelihood.view(PARTS, count).cumsum(0)
+    sums = torch.stack(list(accumulate(found.likelihood.view(PARTS, count))))
     total = sums[-1]
     drawn = (draws(searched, count, turn) * total >= sums[:-1]).sum(0)
     own = (total > 0).nonzero().squeeze(1)

@@ -7,8 +7,8 @@ down, one of the nodes some levels below is picked in proportion to an estimate 
 0 where none may be a silhouette. Below the last nodes the angles of a few edges are computed.
 
 Children follow from the number of their parent: 2 n and 2 n + 1, from the root, 1, on. The order of the edges is found once;
-their bounds follow what moves. They are kept in float32, a row of 64 bytes for each node, and made as much wider as rounding
-may be wrong.
+their bounds follow what moves. They have the scene's dtype, in float32 a row of 64 bytes for each node, and are as much
+wider as rounding may be wrong.
 
 References: Hertzmann and Zorin 2000, "Illustrating smooth surfaces", section 3.3 (silhouettes by a hierarchy); Li, Aittala,
 Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 5 (importance sampling).
@@ -30,7 +30,7 @@ from torch_radbp.path.integrand import Stages
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined, leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Vec3, angle_between, cross, dot, max_component, normalize, rows, unit_normal, where
-from torch_radbp.texture.interleaved import columns
+from torch_radbp.texture.interleaved import interleaved
 
 LEVELS = 3  # that places go down at once
 LEAST = 0.02  # how much nodes count in which directions across are just possible
@@ -40,7 +40,7 @@ STRAIGHT = 0.5 * torch.pi
 
 
 class EdgeNodes(NamedTuple):
-    """M nodes; detached, float32, world."""
+    """M nodes; detached, in the scene's dtype, world."""
 
     low: Vec3  # (M,) the corners of the box
     high: Vec3
@@ -78,8 +78,7 @@ def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
     while len(levels[-1].bend) > 1:
         levels.append(stages.merged_bounds(levels[-1], numbers_to(len(levels[-1].bend) // 2, slots)))
     above = levels[GROUP.bit_length() - 1:]
-    nodes = joined([above[-1], *reversed(above)])
-    nodes = with_leaves(nodes, columns(leaves_of(nodes)))
+    nodes = interleaved(joined([above[-1], *reversed(above)]))
     return EdgeTree(nodes, slots, torch.full((), len(above[0].bend), dtype=torch.int32, device=slots.device))
 
 
@@ -107,7 +106,8 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
     other = where(edges.count == 2, unit_normal(tips[-1] - a, along), one)
     turned = torch.where(dot(one, normal_of(geometry, edges.corner[0], instance)) < 0.0, -1.0, 1.0)
     axis = normalize(one + other) * turned
-    between = angle_between(coarse(one), coarse(other))
+    own = geometry.triangles.vertices.p.x.dtype
+    between = angle_between(*(rounded(normal, own) for normal in (one, other)))
     angle = torch.where(edges.count == 2, 0.5 * between + LEEWAY, STRAIGHT).clamp_max(STRAIGHT)
     bend = torch.where(exists, torch.sqrt(dot(along, along)) * 2.0 * angle, 0.0)
     none = torch.full_like(along.x, torch.inf)
@@ -117,7 +117,7 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
     low, high = where(exists, low, Vec3(none, none, none)), where(exists, high, Vec3(-none, -none, -none))
     bounds = EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle, angle, bend, dot(axis, a),
                        dot(axis, along).abs())
-    return coarse(bounds)
+    return rounded(bounds, own)
 
 
 def normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Vec3:
@@ -149,9 +149,9 @@ def merged_bounds(below: EdgeNodes, node: Tensor) -> EdgeNodes:
 
 
 def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
-    """An estimate of the angles under which the edges of nodes are seen, times how much they count; (N,) float32.
+    """An estimate of the angles under which the edges of nodes are seen, times how much they count; (N,).
 
-    It is 0 only where none is a silhouette, or counts. Eyes and the extent are `coarse` here.
+    It is 0 only where none is a silhouette, or counts. All have the dtype of nodes.
     """
     middle, half = (node.low + node.high) * 0.5, (node.high - node.low) * 0.5
     reach = middle * eye.w - eye.place
@@ -179,9 +179,9 @@ def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
     return torch.where(possible & (node.bend > 0.0) & ~own, share * torch.rsqrt(limit) * counts, 0.0)
 
 
-def coarse(record):
-    """Eyes, or another record, as nodes are compared with them: in float32."""
-    return with_leaves(record, [leaf.float() for leaf in leaves_of(record)])
+def rounded(record, dtype: torch.dtype):
+    """Eyes, or another record, in the dtype of nodes, which are compared with them."""
+    return with_leaves(record, [leaf.to(dtype) for leaf in leaves_of(record)])
 
 
 def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, levels: int) -> Descent:
@@ -189,7 +189,7 @@ def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, levels:
 
     Args:
         nodes: of the tree.
-        eyes: look for edges; `coarse`.
+        eyes: look for edges; in the dtype of the nodes.
         extent: () of the scene, likewise.
         at: (N,) where they are.
         levels: how many.

@@ -44,7 +44,8 @@ def how_much_counts(eye: Eyes, d: Vec3, cosine: Tensor | float = 1.0, sine: Tens
     across = torch.sqrt(1.0 - faced * faced)
     before, behind = (torch.where(side >= cosine, 1.0, side * cosine + across * sine) for side in (faced, -faced))
     faced = torch.maximum(before, eye.behind * behind)
-    return torch.where(faced > COPLANAR, faced + eye.even, torch.where(dot(eye.n, eye.n) > 0.0, 0.0, 1.0))
+    along = torch.where(dot(eye.n, eye.n) > 0.0, torch.zeros_like(faced), 1.0)
+    return torch.where(faced > COPLANAR, faced + eye.even, along)
 
 
 def lobe_around(d: Vec3, density: Tensor) -> Lobe:

@@ -13,7 +13,7 @@ from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of, picked
-from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, coarse, drawn, numbers_to
+from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to, rounded
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
@@ -193,7 +193,7 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
     u = fine_unit(eye * STEPS[0] + hash32(seed.seed)) + (way - eye * each)  # as many in each part of the edges
     at = Descent(eye, torch.ones_like(way), u / each, torch.ones_like(u))
     whole, part = divmod(int(tree.leaves).bit_length() - 1, LEVELS)
-    seen_from, wide = coarse(eyes), extent.float()
+    seen_from, wide = (rounded(part, tree.nodes.bend.dtype) for part in (eyes, extent))
     for levels in [part] * (part > 0) + [LEVELS] * whole:
         at = stages.descended(tree.nodes, seen_from, wide, at, levels)
     found = stages.edge_found(geometry, outline, tree, eyes, at, extent)
