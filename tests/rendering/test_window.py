@@ -145,11 +145,11 @@ def plate_and_lamp(rfilter: str) -> rb.Scene:
                 lamp={"type": "point", "position": [1.2, 0.9, 2.5], "intensity": rgb(9, 8, 7)})
 
 
-@pytest.mark.parametrize("term, window, spp", [("primary", (2, 5, 7, 6), 24), ("shadow", (1, 5, 11, 10), 256)])
+@pytest.mark.parametrize("term, window, spp", [("primary", (2, 5, 7, 6), 12), ("shadow", (1, 5, 11, 10), 128)])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_edges_and_shadows_add_to_a_window_what_they_add_to_the_whole_image(rfilter, term, window, spp):
     """They are sampled anew, so in the mean over seeds."""
-    scene, count, settings = plate_and_lamp(rfilter), 8, {"spp": spp, "max_depth": 2, "terms": [term]}
+    scene, count, settings = plate_and_lamp(rfilter), 16, {"spp": spp, "max_depth": 2, "terms": [term]}
     shift = torch.zeros(4, 4, dtype=torch.float64)
     shift[0, 3], shift[1, 3] = 1.0, 0.6
 
