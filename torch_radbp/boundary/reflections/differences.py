@@ -68,16 +68,11 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
                        torch.ones(count, dtype=torch.bool, device=device))
     whole = None
     for number, vertices in enumerate(path):
-        if not len(vertices.met.what):  # no path gets so far
-            found = found._replace(alike=torch.zeros_like(found.alike))
-            break
         depth = torch.full((), number, dtype=torch.int32, device=device)
         found = stages.parted(surfaces, vertices, pairs, found, depth)
         if whole is None:  # what parts at once, or meets nothing ideal, needs no further look
             whole, onwards = found, chosen(found.alike)
             pairs, found = stages.rows((pairs, found), onwards)
-    if whole is None:
-        return found
     put_rows(whole, onwards, found)
     return whole
 

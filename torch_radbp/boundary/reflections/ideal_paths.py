@@ -124,12 +124,15 @@ def ideally_scattered(integrand: Integrand, state: PathState, hit: Hit, depth: i
 
 
 def some_of(path: IdealPath, chosen: Tensor) -> IdealPath:
-    """Some paths, (M,) int64 which, in this order."""
+    """Some paths, (M,) int64 which, in this order; as many vertices as the longest of them has."""
     found = []
     for place, met in path:
         own = place[chosen]
         here = own >= 0
-        found.append(Vertices(torch.where(here, here.cumsum(0) - 1, -1).to(own.dtype), rows(met, own[here])))
+        left = own[here]
+        if not len(left):
+            break
+        found.append(Vertices(torch.where(here, here.cumsum(0) - 1, -1).to(own.dtype), rows(met, left)))
     return tuple(found)
 
 
