@@ -315,8 +315,9 @@ class Renderer(nn.Module):
         """The edges at which the images of a call jump. Warns of what derivatives and the image lack."""
         rendering = rendering_of(call, self.scene, self.sampling, PackCache(self.cache), PRIMARY in self.terms,
                                  SHADOW in self.terms, self.depth_limit)
-        self.jump_watch.look(rendering)
-        return edges_of_call(rendering, self.scene, call, seed)
+        edges = edges_of_call(rendering, self.scene, call, seed)
+        self.jump_watch.look(rendering)  # casts rays, for which the tree of a large mesh may still be built
+        return edges
 
     def prepare(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                 aovs: bool = False, window: WindowChoice = None) -> RenderCall:
@@ -336,14 +337,13 @@ class Renderer(nn.Module):
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
-        max_depth = self.depth_limit
         fused = self.runs_compiled()
         parameters = {name: value for name, value in (*own, *beside.items()) if value.requires_grad}
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         windows = [shot.window for shot in shots]
         grids, lanes, together = plan_lanes(windows, self.rr_depth, Request(
-            len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, max_depth, self.scene.dtype, device,
+            len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, self.depth_limit, self.scene.dtype, device,
             workers, self.adjoint if differentiating else None, record_bytes, fused))
         cache = PackCache(self.cache_for_aovs if aovs else self.cache)
         scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
@@ -357,7 +357,7 @@ class Renderer(nn.Module):
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
-            return Integrand(tensors, proposal_of(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
+            return Integrand(tensors, proposal_of(tensors), caster, settings, self.depth_limit, self.rr_depth, stages, {})
 
         chunks = plan_chunks(grids, spp, lanes, workers)
         integrand = make_integrand(detached(scene))
