@@ -101,7 +101,7 @@ class Tree:
         """Builds it on this thread, whose errors Embree tells to this thread alone."""
         embree = library.load()
         try:
-            embree.rtcSetSceneFlags(self.scene, library.SCENE_FLAG_ROBUST)  # no ray slips between two triangles with one edge
+            embree.rtcSetSceneFlags(self.scene, library.SCENE_FLAG_ROBUST)  # no ray slips between two triangles
             for geometry in self.geometries:
                 embree.rtcCommitGeometry(geometry.handle)
                 embree.rtcAttachGeometry(self.scene, geometry.handle)

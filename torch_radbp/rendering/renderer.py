@@ -343,8 +343,8 @@ class Renderer(nn.Module):
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         windows = [shot.window for shot in shots]
         grids, lanes, together = plan_lanes(windows, self.rr_depth, Request(
-            len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, self.depth_limit, self.scene.dtype, device,
-            workers, self.adjoint if differentiating else None, record_bytes, fused))
+            len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, self.depth_limit, self.scene.dtype,
+            device, workers, self.adjoint if differentiating else None, record_bytes, fused))
         cache = PackCache(self.cache_for_aovs if aovs else self.cache)
         scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
         caster = self.caster_of(scene)
