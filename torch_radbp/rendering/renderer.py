@@ -17,7 +17,6 @@ from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.aov.images import beside_image
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
 from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, rendering_of
-from torch_radbp.call.chunks import plan_chunks
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
 from torch_radbp.call.zeroed_memory import ZeroedMemory
@@ -29,7 +28,7 @@ from torch_radbp.raycast import RayCaster
 from torch_radbp.raycast.caster_cache import CastTriangles
 from torch_radbp.raycast.kept_caster import KeptCaster
 from torch_radbp.rendering.cost import Request, bytes_of_records
-from torch_radbp.rendering.lanes import plan_lanes
+from torch_radbp.rendering.lanes import plan_lanes, wavefronts_of
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
@@ -342,7 +341,7 @@ class Renderer(nn.Module):
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         windows = [shot.window for shot in shots]
-        grids, lanes, together = plan_lanes(windows, self.rr_depth, Request(
+        plan = plan_lanes(windows, self.rr_depth, Request(
             len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, self.depth_limit, self.scene.dtype,
             device, workers, self.adjoint if differentiating else None, record_bytes, fused))
         cache = PackCache(self.cache_for_aovs if aovs else self.cache)
@@ -359,16 +358,16 @@ class Renderer(nn.Module):
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return Integrand(tensors, proposal_of(tensors), caster, settings, self.depth_limit, self.rr_depth, stages, {})
 
-        chunks = plan_chunks(grids, spp, lanes, workers)
+        wavefronts = wavefronts_of(views, plan, spp, workers)
         integrand = make_integrand(detached(scene))
-        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views, chunks, spp,
-                          seeds[0] == seeds[1], record_bytes, together, workers, self.memory, settings.following,
+        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views, wavefronts, spp,
+                          seeds[0] == seeds[1], record_bytes, plan.together, workers, self.memory, settings.following,
                           self.scene, parameters)
         if self.memory_budget is None:
             return call
-        plan = self.plan(call)
-        chunks = plan_chunks(grids, spp, plan.chunk, workers)
-        return call._replace(adjoint=plan.adjoint, chunks=chunks, record_bytes=0.0 if plan.retrace else inf)
+        within = self.plan(call)
+        wavefronts = wavefronts_of(views, plan.bounded(within.chunk), spp, workers)
+        return call._replace(adjoint=within.adjoint, wavefronts=wavefronts, record_bytes=0.0 if within.retrace else inf)
 
     @property
     def depth_limit(self) -> int:
