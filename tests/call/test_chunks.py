@@ -56,7 +56,7 @@ def test_chunks_of_a_small_image_are_not_too_small():
 
 
 @pytest.mark.parametrize("sensors, side, spp, workers, expected", [
-    (1, 64, 4, 2, 1), (2, 64, 4, 2, 1), (8, 64, 4, 2, 2), (8, 64, 4, 1, 1), (9, 64, 16, 2, 4), (3, 8, 1, 16, 1)])
+    (1, 64, 4, 2, 1), (2, 64, 4, 2, 1), (8, 64, 8, 2, 2), (8, 64, 4, 1, 1), (9, 64, 16, 2, 4), (3, 8, 1, 16, 1)])
 def test_small_images_are_traced_as_one_as_long_as_no_worker_is_idle(sensors, side, spp, workers, expected):
     grids = [(side, side)] * sensors
     chunks = plan_chunks(grids, spp, fair_chunk(grids, spp, workers, 1 << 18), workers)

@@ -127,4 +127,4 @@ def test_a_small_image_is_not_dealt_out():
     """A second thread would spend more on its share of Python than it takes over."""
     renderer = rb.Renderer(CASES["cornell"].scene(), spp=1, max_depth=2)
     assert len(with_threads(4, lambda: renderer.prepare(0, None, None, None)).wavefronts) == 1
-    assert len(with_threads(4, lambda: renderer.prepare(0, None, 5000, None)).wavefronts) >= 4
+    assert len(with_threads(4, lambda: renderer.prepare(0, None, 10_000, None)).wavefronts) >= 4
