@@ -179,11 +179,13 @@ def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
     most = torch.where(straight, 1.0, node.sine * cosine + node.cosine * sine + LEEWAY)
     # Nor is there any silhouette where the eye lies off the slab by more than directions across can lead to.
     lifted, coordinates = (dot(node.axis, eye.place) - node.plane).abs(), max_component(eye.place.map(torch.abs)) + extent
-    off = node.thickness + node.sine * (torch.sqrt(squared) + torch.sqrt(size)) + SLACK * coordinates
-    possible = (tilt <= most) & (~away | (lifted <= off))
-    # Normals in a cone are fewer towards its border, unless they are those of few edges.
+    most_lifted = node.thickness + node.sine * (torch.sqrt(squared) + torch.sqrt(size)) + SLACK * coordinates
+    possible = (tilt <= most) & (~away | (lifted <= most_lifted))
+    # Normals in a cone are fewer towards its border, and edges towards where the slab ends, unless they are few.
     few = node.sharpest / node.angle.clamp_min(TINY)
-    near = torch.where(straight, 1.0, torch.maximum(((1.0 - (tilt / most)**2)**2).clamp_min(LEAST), few))
+    across = torch.where(straight, 1.0, (1.0 - (tilt / most)**2)**2)
+    aside = torch.where(away, 1.0 - (lifted / most_lifted)**2, 1.0)
+    near = torch.maximum(torch.minimum(across, aside).clamp_min(LEAST), few)
     counts = how_much_counts(eye, d, cosine, sine)
     if eye.lobes:
         counts = counts * how_much_lobes_count(eye, d, sine_squared)
