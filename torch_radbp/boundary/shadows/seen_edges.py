@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -77,6 +77,12 @@ def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, ex
     """
     edges, instance = rows((outline.edges, outline.instance), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
+    silhouette = is_silhouette(a, b, opposite, a * eye.w - eye.place)
+    return torch.where((edge >= 0) & silhouette, angle_of(a, b, eye, extent), 0.0)
+
+
+def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
+    """The angles under which lines from a to b, (N,) each, are seen, as of `angle_seen`."""
     from_a, from_b = (end * eye.w - eye.place for end in (a, b))
     to_a, to_b, across = normalize(from_a), normalize(from_b), cross(b - a, eye.place)
     apart = to_a - to_b
@@ -84,8 +90,7 @@ def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, ex
     counts = torch.maximum(how_much_counts(eye, to_a), how_much_counts(eye, to_b))
     if eye.lobes:
         counts = counts * how_much_lobes_count(eye, normalize(to_a + to_b), 0.25 * dot(apart, apart))
-    seen = torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
-    return torch.where((edge >= 0) & is_silhouette(a, b, opposite, from_a), seen * counts, 0.0)
+    return counts * torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
 
 
 class Found(NamedTuple):
@@ -107,6 +112,11 @@ def edge_found(geometry: Geometry, outline: Outline, tree: EdgeTree, eyes: Eyes,
     """
     own, first = rows(eyes, at.eye), (at.node - tree.leaves) * GROUP
     angles = [angle_seen(geometry, outline, lookup(tree.slots, first + place), own, extent) for place in range(GROUP)]
+    return found_among(tree, at, first, angles)
+
+
+def found_among(tree: EdgeTree, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> Found:
+    """What ways down have found below the last nodes, of `GROUP` slots each, from `first` on, with these angles."""
     place, share, _ = drawn(angles, at.u)
     angle = torch.zeros_like(share)
     for number, its in enumerate(angles):
@@ -129,30 +139,46 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
         seed: of the random numbers.
         place: (N,) int32, numbers of the places.
     """
-    key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
-    numbers = bounce_key(key, CAMERA_COUNTER)
-    aim, turn = (fine_unit(random_bits(numbers, dimension)) for dimension in (1, 0))
+    key, aim, turn = numbers_of_places(seed, place)
     number, _, times = picked(lot, place, aim)
     (edge, repeated, _), eye = rows((found, eye), number)
     times, own = times * repeated, rows(eyes, eye)
     edges, instance, share = rows((outline.edges, outline.instance, outline.share), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
-    along, density = evenly_seen(a * own.w - own.place, b * own.w - own.place, turn)
-    along, times = torch.where(own.w > 0.0, along, turn), torch.where(own.w > 0.0, times / density, times)
-    p = a + (b - a) * along
+    along, times, p = place_between(a, b, own, turn, times)
     sight = normalize(p * own.w - own.place)
     across = normalize(cross(b - a, sight))
     inside = [dot(tip - a, across) for tip in opposite[:2]]
     deeper = torch.where(inside[0].abs() > inside[-1].abs(), inside[0], inside[-1])
     outwards = across * torch.where(deeper > 0.0, -1.0, 1.0)
-    start = p + outwards * (BESIDE * extent)
+    times = times if share is None else times / share
+    return passed_at(own, Passed(edge, eye, along, times, p, outwards, None, None, None, key), extent,
+                     geometry.triangles.n.x.dtype)
+
+
+def numbers_of_places(seed: SampleKey, place: Tensor) -> tuple[LaneKey, Tensor, Tensor]:
+    """The random numbers of places, (N,) int32: their keys, what they are picked by, and where on it they lie."""
+    key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    numbers = bounce_key(key, CAMERA_COUNTER)
+    return key, fine_unit(random_bits(numbers, 1)), fine_unit(random_bits(numbers, 0))
+
+
+def place_between(a: Vec3, b: Vec3, eye: Eyes, turn: Tensor, times: Tensor) -> tuple[Tensor, Tensor, Vec3]:
+    """Places of lines from a to b that eyes see after so many turns: shares of the way, for how many lines they stand, and
+    the places; (N,) each. Args as for `evenly_seen`, and `times`: what was picked stands for so many."""
+    along, density = evenly_seen(a * eye.w - eye.place, b * eye.w - eye.place, turn)
+    along, times = torch.where(eye.w > 0.0, along, turn), torch.where(eye.w > 0.0, times / density, times)
+    return along, times, a + (b - a) * along
+
+
+def passed_at(own: Eyes, place: Passed, extent: Tensor, dtype: torch.dtype) -> Passed:
+    """Places with the rays that pass there; `own`: (N,) the eye of each, `dtype`: of rays."""
+    start = place.p + place.outwards * (BESIDE * extent)
     away = start * own.w - own.place
     length = torch.sqrt(dot(away, away)).clamp_min(TINY)
-    d, dtype = away * (1.0 / length), geometry.triangles.n.x.dtype
-    o, d = (part.map(lambda c: c.to(dtype)) for part in (start, d))
+    o, d = (part.map(lambda c: c.to(dtype)) for part in (start, away * (1.0 / length)))
     distance = torch.where(own.w > 0.0, length * (1.0 - BEFORE), FAR).to(dtype)
-    return Passed(edge, eye, along, times if share is None else times / share, p, outwards, Ray(o, -d), Ray(o, d),
-                  distance, key)
+    return place._replace(back=Ray(o, -d), onwards=Ray(o, d), distance=distance)
 
 
 def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
@@ -188,7 +214,18 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
         count: how many places there are to be on edges that were found.
     """
     outline, tree = casting
-    way, extent = numbers_to(each * len(eyes.w), tree.slots), extent_of(geometry)
+    extent = extent_of(geometry)
+    at = ways_down(stages, tree, eyes, seed, each, extent)
+    found = picked_ones(stages.edge_found(geometry, outline, tree, eyes, at, extent), at.eye, each, count)
+    if found is None:
+        return None
+    return stages.edge_passed(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent,
+                              numbers_to(count, found.eye))
+
+
+def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each: int, extent: Tensor) -> Descent:
+    """Ways down the tree to the last nodes; args as for `places_seen`, and `extent`: () of the scene."""
+    way = numbers_to(each * len(eyes.w), tree.slots)
     eye = torch.div(way, each, rounding_mode="floor")
     u = fine_unit(eye * STEPS[0] + hash32(seed.seed)) + (way - eye * each)  # as many in each part of the edges
     at = Descent(eye, torch.ones_like(way), u / each, torch.ones_like(u))
@@ -196,15 +233,24 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
     seen_from, wide = (rounded(part, tree.nodes.bend.dtype) for part in (eyes, extent))
     for levels in [part] * (part > 0) + [LEVELS] * whole:
         at = stages.descended(tree.nodes, seen_from, wide, at, levels)
-    found = stages.edge_found(geometry, outline, tree, eyes, at, extent)
+    return at
+
+
+class PickedOnes(NamedTuple):
+    """What K ways down the tree have found, and what places on it are picked by."""
+
+    found: Found
+    eye: Tensor  # (K,) int32, that sees each
+    lot: Lot
+
+
+def picked_ones(found: Found, eye: Tensor, each: int, count: int) -> PickedOnes | None:
+    """What ways have found, so many from each eye, in order, for so many places; None: nothing."""
     order = found.edge.argsort(stable=True)  # places on an edge are well spread along it
     found, eye = rows((found._replace(times=found.times / each), eye), order)
     weight = found.times * found.angle
     total = running_sum(weight)
-    if not float(total[-1]) > 0.0:
-        return None
-    return stages.edge_passed(geometry, outline, eyes, lot_of(weight, count, total), found, eye, seed, extent,
-                              numbers_to(count, eye))
+    return PickedOnes(found, eye, lot_of(weight, count, total)) if float(total[-1]) > 0.0 else None
 
 
 def salted(view: View, salt: int) -> SampleKey:
