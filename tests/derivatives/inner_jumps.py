@@ -74,11 +74,9 @@ def joined(*parts: tuple[torch.Tensor, torch.Tensor]) -> dict[str, Any]:
     firsts = [0, *accumulate(len(vertices) for vertices, _ in parts)]
     texel = [torch.tensor([(number + 0.5) / len(parts), 0.5]).expand(len(vertices), 2)
              for number, (vertices, _) in enumerate(parts)]
-    colours = {"type": "bitmap", "bitmap": noise(1, len(parts)), "raw": True, "filter_type": "nearest"}
     return {"type": "mesh", "vertex_positions": torch.cat([vertices for vertices, _ in parts]),
             "faces": torch.cat([faces + first for first, (_, faces) in zip(firsts, parts)]),
-            "vertex_texcoords": torch.cat(texel).double(),
-            "bsdf": {"type": "twosided", "one": {"type": "diffuse", "reflectance": colours}}}
+            "vertex_texcoords": torch.cat(texel).double(), "bsdf": coloured(len(parts))}
 
 
 def placed(vertices: torch.Tensor, *poses: Any) -> torch.Tensor:
@@ -96,8 +94,15 @@ def ribbon(steps: int = 12) -> dict[str, Any]:
     first = torch.arange(steps)
     faces = torch.cat([torch.stack([first, first + 1, first + steps + 2], 1),
                        torch.stack([first, first + steps + 2, first + steps + 1], 1)])
+    half = torch.stack([0.25 + 0.5 * (t > 0), torch.full_like(t, 0.5)], 1)
     return {"type": "mesh", "faces": faces, "vertex_positions": placed(torch.cat(side), rotate((0.2, 0.1, 1), 25)),
-            "bsdf": {"type": "twosided", "one": diffuse(0.8, 0.5, 0.3)}}
+            "vertex_texcoords": half.repeat(2, 1), "bsdf": coloured(2)}
+
+
+def coloured(count: int) -> dict[str, Any]:
+    """A material of so many colours, side by side."""
+    return {"type": "twosided", "one": {"type": "diffuse", "reflectance": {
+        "type": "bitmap", "bitmap": noise(1, count), "raw": True, "filter_type": "nearest"}}}
 
 
 SQUARE = torch.tensor([[-6, -6, 0], [6, -6, 0], [6, 6, 0], [-6, 6, 0]]).double(), torch.tensor([[0, 1, 2], [0, 2, 3]])
@@ -105,7 +110,7 @@ CORNERS = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0], dtype=torch.float64)]
 CUBE = CORNERS, torch.tensor([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6],
                               [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])
 SHEETS = joined((placed(SQUARE[0], rotate((0.2, 1, 0.1), 4)), SQUARE[1]),
-                (placed(SQUARE[0], rotate((0.3, 1, 0.1), 37)), SQUARE[1]))
+                (placed(SQUARE[0], translate((0.13, 0.2, 0.07)), rotate((0.3, 1, 0.1), 37)), SQUARE[1]))
 CUBES = joined(*((placed(CUBE[0], translate((0.1, 0.5, 0.4)), rotate(axis, 50), scale((0.4, 0.25, 0.3))), CUBE[1])
                  for axis in ((1, 0.7, 0.4), (0.3, -0.6, 1))))
 
@@ -126,7 +131,7 @@ BELOW = {"sensor": WALL_VIEWED, "wall": WALL, "lamp": {
     "type": "spot", "to_world": look_at((0.3, 0.3, 2.4), (0.1, 0.5, 0), (0, 1, 0)), "cutoff_angle": 35,
     "intensity": rgb(60, 50, 55)}}
 DIPPED = {"floor": floor(diffuse(0.1, 0.2, 0.3)), "ball": {
-    "type": "sphere", "to_world": translate((0.1, 0.5, 0.15)) @ scale((0.5, 0.5, 0.5)), "bsdf": diffuse(0.9, 0.8, 0.7)}}
+    "type": "sphere", "to_world": translate((0.1, 0.5, -0.3)) @ scale((0.5, 0.5, 0.5)), "bsdf": diffuse(0.9, 0.8, 0.7)}}
 CEILING = {"type": "rectangle", "to_world": translate((0.3, 0.1, 2.05)) @ rotate((1, 0.3, 0.1), 8) @ scale((0.7, 0.7, 1)),
            "bsdf": {"type": "twosided", "one": diffuse(0.2)}}
 SUNK_LAMP = {"floor": floor(diffuse(0.8, 0.4, 0.2)), "lamp": LAMPS["ball"], "ceiling": CEILING}
@@ -168,7 +173,7 @@ INNER_JUMPS = {
                                             rigid(TWIST, (0.3, -2.0, 2.6)), FINE / 4),
     "ribbon through itself": MovingScene(scene(sensor=VIEWED, ribbon=ribbon(), lamp=POINT), "ribbon.vertex_positions",
                                          wave(size=0.3), FINE),
-    "ball in a floor, seen by a wall": seen_by_a_wall("ball.to_world", rigid(TWIST, (0.1, 0.5, 0.15)), **DIPPED),
+    "ball in a floor, seen by a wall": seen_by_a_wall("ball.to_world", rigid(TWIST, (0.1, 0.5, -0.3)), **DIPPED),
     "ball in a floor, floor, seen by a wall": seen_by_a_wall("floor.to_world", PUSH, **DIPPED),
     "ball in a floor, floor, four bounces": seen_by_a_wall("floor.to_world", PUSH, 4, **DIPPED),
     "cubes of a mesh, seen by a wall": seen_by_a_wall("cubes.vertex_positions", second(rigid(TWIST, (0.1, 0.5, 0.4))),

@@ -52,7 +52,7 @@ class Passing:
         """
         scene = detached(call.scene)
         found = (self.of_pairs(rendering, call, scene, moving, generator),
-                 of_single(rendering, call, scene, edges, generator))
+                 of_single(rendering, call, scene, moving, edges, generator))
         return [own for own in found if own is not None]
 
     def of_pairs(self, rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving,
@@ -82,18 +82,31 @@ class Passing:
             self.known.pop(next(iter(self.known)))
 
 
-def of_single(rendering: Rendering, call: RenderCall, scene: SceneTensors, edges: BodyEdges | None,
+def of_single(rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving, edges: BodyEdges | None,
               generator: torch.Generator) -> Segments | None:
-    """The segments of single bodies that pass through themselves; args as for `Passing.of_pairs`."""
-    may = rendering.self_crossing
+    """The segments of single bodies that pass through themselves; args as for `Passing.segments`, and the scene of the call,
+    detached."""
+    there = with_groups(rendering, moving)
+    may = [crosses and own for crosses, own in zip(rendering.self_crossing, there)]
     if edges is None or not any(may):
         return None
+    count, wanted = len(edges.edges.a), None
     ends = torch.tensor(rendering.sizes, device=scene.device).cumsum(0)
-    if not all(may):
+    if may != there:
         own = shape_of(ends, torch.div(edges.edges.corner[0], 3, rounding_mode="floor"))
-        edges = rows(edges, torch.tensor(may, device=scene.device)[own].nonzero().squeeze(1))
-    looked_at = probes(len(edges.edges.a), edges_looked_at(call), generator)
+        wanted = torch.tensor(may, device=scene.device)[own].nonzero().squeeze(1)
+        count = len(wanted)
+    looked_at = probes(count, edges_looked_at(call), generator)
+    if wanted is not None:
+        looked_at = looked_at._replace(edge=wanted[looked_at.edge.to(scene.device)])
     return self_intersections(call.caster, geometry_of(scene), edges, looked_at, ends)
+
+
+def with_groups(rendering: Rendering, moving: Moving) -> list[bool]:
+    """For each shape, whether it moves, or something in its group does."""
+    groups = [None if instances is None else id(instances[0].shapegroup) for instances in rendering.scene.shown_by]
+    moved = {group for group, moves in zip(groups, moving.shapes) if moves and group is not None}
+    return [moves or group in moved for group, moves in zip(groups, moving.shapes)]
 
 
 def bodies_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Bodies | None:

@@ -1,9 +1,10 @@
 """Where bodies pass through themselves: the segments along which their triangles meet, found by rays along their edges.
 
 A segment along which two triangles meet ends where an edge of one of them pierces the other one. So rays along all edges of
-a body find each segment twice, once from either end, and each time it counts by half. Of many edges some are looked at, in
-each rendering others, which count for the rest: what that costs does not grow with the mesh, and in the mean of several
-renderings nothing is left out. A long curve in a fine mesh is pierced by thousands of edges, of which some are always found.
+a body find each segment twice, once from either end. Of many edges some are looked at, in each rendering others, which count
+for the rest, and each time that a segment is found by half: what that costs does not grow with the mesh, and in the mean of
+several renderings nothing is left out. A long curve in a fine mesh is pierced by thousands of edges, of which some are
+always found.
 
 A body is a shape, or what one instance shows; how bodies pass through each other is found in `intersections.py`.
 """
@@ -25,7 +26,7 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.tensors.vec import Ray, rows
 
-SHARE, FEWEST, MOST = 16, 1 << 12, 1 << 15  # edges that are looked at: one for so many paths, at least, at most
+SHARE, FEWEST, MOST = 64, 1 << 11, 1 << 14  # edges that are looked at: one for so many paths, at least, at most
 ENDS = 1e-4  # share of its length at either end of an edge that is not looked at: there its triangles meet others
 MOST_PIERCED = 64  # triangles that are looked for along one edge
 
@@ -41,7 +42,7 @@ class BodyEdges(NamedTuple):
 class Probes(NamedTuple):
     """N edges that are looked at."""
 
-    edge: Tensor  # (N,) int64, on the CPU
+    edge: Tensor  # (N,) int64, which
     share: float  # how often one edge is among them, in the mean
 
 
@@ -70,15 +71,15 @@ def self_intersections(caster: RayCaster, geometry: Geometry, bodies: BodyEdges,
         looked_at: some of them.
         ends: (S,) int64, how many triangles there are up to the end of each shape.
     """
-    edges, instance, share = rows(bodies, looked_at.edge.to(ends.device))
-    a, b = in_world(geometry, (edges.a, edges.b), instance)
+    chosen = looked_at.edge.to(ends.device)
+    a, b = in_world(geometry, *rows(((bodies.edges.a, bodies.edges.b), bodies.instance), chosen))
     dtype = geometry.triangles.vertices.p.x.dtype
     ray = Ray(*(part.map(lambda c: c.to(dtype).contiguous()) for part in (a + (b - a) * ENDS, (b - a) * (1.0 - 2.0 * ENDS))))
     found = list(pierced(caster, ray))
     if not found:
         return None
     edge, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*found))
-    edges, instance, share = rows((edges, instance, share), edge)
+    edges, instance, share = rows(bodies, chosen[edge])
     own = shape_of(ends, torch.div(edges.corner[0], 3, rounding_mode="floor")) == shape_of(ends, other)
     if instance is not None:
         own = (instance == shown_by) & (own | (instance > 0))
@@ -93,7 +94,25 @@ def self_intersections(caster: RayCaster, geometry: Geometry, bodies: BodyEdges,
                  torch.cat([each, each]))
     first = torch.arange(len(one), device=one.device)
     segments = segments_between(geometry, both, Pairs(first, first + len(one)))
+    if looked_at.share == 1.0:
+        segments = once_each(segments, share is None)
     return segments if len(segments.triangle) else None
+
+
+def once_each(segments: Segments, surely: bool) -> Segments:
+    """Segments of which one may be there several times, or once where an edge pierces another edge; each once.
+
+    Args:
+        segments: (S,).
+        surely: nothing else decides whether a segment is among these.
+    """
+    low, high = torch.minimum(segments.triangle, segments.through), torch.maximum(segments.triangle, segments.through)
+    pairs = torch.stack([low, high, *(() if segments.instance is None else [segments.instance])])
+    found, which = torch.unique(pairs, dim=1, return_inverse=True)
+    place = torch.arange(len(which), device=which.device)
+    first = torch.full_like(found[0], len(which), dtype=torch.int64).scatter_reduce(0, which, place, "amin")
+    segments = rows(segments, first)
+    return segments._replace(share=None if surely else 0.5 * segments.share)
 
 
 def shape_of(ends: Tensor, triangle: Tensor) -> Tensor:
