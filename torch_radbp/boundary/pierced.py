@@ -117,7 +117,7 @@ def once_each(segments: Segments, surely: bool) -> Segments:
 
 def shape_of(ends: Tensor, triangle: Tensor) -> Tensor:
     """The shapes that triangles, (N,) int32, belong to; `ends`: of `self_intersections`."""
-    return torch.bucketize(triangle, ends, right=True)
+    return torch.bucketize(triangle, ends.to(triangle.dtype), right=True)
 
 
 def pierced(caster: RayCaster, ray: Ray) -> Iterator[tuple[Tensor, Tensor, Tensor | None]]:
