@@ -92,7 +92,7 @@ def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree, effort:
         effort: share of the samples that are taken.
     """
     view, geometry = call.views[number], geometry_of(call.scene)
-    integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
+    integrand = integrand_of(call, call.integrand, number)
     points = viewpoints(call, number, integrand, number_of_paths(call, view, effort))
     if not len(points.depth):
         return None
