@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from tests.derivatives.moving_scenes import TWIST, MovingScene, constant, rigid, scene, wave
-from tests.derivatives.shadow_scenes import ABOVE, COARSE, FINE, LAMPS, SIZE, WALL
+from tests.derivatives.shadow_scenes import ABOVE, FINE, LAMPS, SIZE, WALL
 from tests.scenes import diffuse, look_at, rgb, sensor
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -137,9 +137,9 @@ CEILING = {"type": "rectangle", "to_world": translate((0.3, 0.1, 2.05)) @ rotate
 SUNK_LAMP = {"floor": floor(diffuse(0.8, 0.4, 0.2)), "lamp": LAMPS["ball"], "ceiling": CEILING}
 
 
-def seen_by_a_wall(name: str, direction, step: float = FINE, depth: int = 3, **objects: Any) -> MovingScene:
+def seen_by_a_wall(name: str, direction, **objects: Any) -> MovingScene:
     """A scene in which light comes to the view by way of the wall alone."""
-    return MovingScene(scene(**BELOW, **objects), name, direction, step, depth, ("hybrid",))
+    return MovingScene(scene(**BELOW, **objects), name, direction, FINE, 3, ("hybrid",))
 
 
 IN_A_MIRROR = {"sensor": sensor(SIZE, (0.3, 0.6, 2.2), (0.15, 2.2, 0.95), 24, rfilter="box"), "mirror": {
@@ -177,10 +177,7 @@ INNER_JUMPS = {
                                             rigid(TWIST, (0.3, -2.0, 2.6)), FINE / 4),
     "ribbon through itself": MovingScene(scene(sensor=VIEWED, ribbon=ribbon(), lamp=POINT), "ribbon.vertex_positions",
                                          wave(size=0.3), FINE),
-    "ball in a floor, seen by a wall": seen_by_a_wall("ball.to_world", rigid(TWIST, (0.1, 0.5, -0.3)), COARSE,
-                                                      **DIPPED),
     "ball in a floor, floor, seen by a wall": seen_by_a_wall("floor.to_world", PUSH, **DIPPED),
-    "ball in a floor, floor, four bounces": seen_by_a_wall("floor.to_world", PUSH, COARSE, 4, **DIPPED),
     "cubes of a mesh, seen by a wall": seen_by_a_wall("cubes.vertex_positions", second(rigid(TWIST, (0.1, 0.5, 0.4))),
                                                       cubes=CUBES),
     "cubes of a mesh, in a mirror": MovingScene(
@@ -188,4 +185,6 @@ INNER_JUMPS = {
         second(rigid(TWIST, (0.1, 0.5, 0.4))), FINE, 3, ("hybrid",)),
     **{f"lamp in a ceiling, {name}": MovingScene(scene(sensor=VIEWED, **SUNK_LAMP), f"{name}.to_world",
                                                  rigid(TWIST, ABOVE), FINE, 2, ("hybrid",)) for name in ("lamp", "ceiling")},
+    "lamp in a ceiling, by way of a wall": MovingScene(scene(sensor=VIEWED, wall=WALL, **SUNK_LAMP), "ceiling.to_world",
+                                                       rigid(TWIST, ABOVE), FINE, 3, ("hybrid",)),
 }

@@ -80,15 +80,17 @@ def self_intersections(caster: RayCaster, geometry: Geometry, bodies: BodyEdges,
         return None
     edge, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*found))
     edges, instance, share = rows(bodies, chosen[edge])
-    own = shape_of(ends, torch.div(edges.corner[0], 3, rounding_mode="floor")) == shape_of(ends, other)
+    ones = [torch.div(corner, 3, rounding_mode="floor") for corner in edges.corner]
+    own = shape_of(ends, ones[0]) == shape_of(ends, other)
     if instance is not None:
         own = (instance == shown_by) & (own | (instance > 0))
+    for one in ones:  # rays along a triangle meet it by rounding
+        own = own & (one != other)
+    if not own.any():
+        return None
     each = 2.0 * looked_at.share * (torch.ones_like(a.x[:1]).expand(len(other)) if share is None else share)
-    parts = []
-    for place, corner in enumerate(edges.corner):
-        one = torch.div(corner, 3, rounding_mode="floor")
-        meets = own & (place < edges.count) & (one != other)
-        parts.append(rows((one, instance, each, other, shown_by), meets.nonzero().squeeze(1)))
+    parts = [rows((one, instance, each, other, shown_by), (own & (place < edges.count)).nonzero().squeeze(1))
+             for place, one in enumerate(ones)]
     one, instance, each, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*parts))
     both = Faces(torch.cat([one, other]), None if instance is None else torch.cat([instance, shown_by]),
                  torch.cat([each, each]))
