@@ -82,7 +82,8 @@ def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) 
     stages, geometry = call.stages, geometry_of(detached(call.scene))
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
-        curves = segment_tree(stages, geometry, crossing) if glued and crossing is not None else None
+        seen = glued and crossing is not None and (max_depth > 2 or crossed_surfaces.shines(call.scene, crossing))
+        curves = segment_tree(stages, geometry, crossing) if seen else None
     parts = [Part(partial(border.borders_in_view, lights=lights), border.jumps_in_view)] if on_film else []
     if on_film and settings.nee:
         parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind),
@@ -94,7 +95,7 @@ def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) 
         parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view))
     if glued and max_depth > 2 and settings.nee and any(kind.delta for kind in call.scene.layout.lights):
         parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
-    if curves is not None and (max_depth > 2 or any(kind.on_surface for kind in call.scene.layout.lights)):
+    if curves is not None:
         parts.append(Part(lambda still, number, _, effort: crossed_surfaces.curves_of_view(still, number, curves, effort),
                           lambda attached, number, _, found: crossed_surfaces.jumps_in_view(attached, number, found),
                           is_cast=False))

@@ -46,6 +46,7 @@ from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, surf
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal
@@ -81,6 +82,11 @@ def jumps_in_view(call: RenderCall, number: int, found: CrossedOfView) -> FilmJu
     p = interpolated(place_of(geometry, sheets.triangle, sheets.instance), *sheets.at)
     level = height_above(place_of(geometry, sheets.through, sheets.shown_by), p)
     return FilmJumps(rows(found.points.place, found.viewpoint), found.strength * (level - primal(level)))
+
+
+def shines(scene: SceneTensors, segments: Segments) -> bool:
+    """True if one of the surfaces that pass through each other emits light, which all vertices of paths receive straight."""
+    return any(bool((rows(scene.triangles.emitter, triangle) >= 0).any()) for triangle, _ in surfaces_of(segments))
 
 
 def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree, effort: float) -> CrossedOfView | None:
