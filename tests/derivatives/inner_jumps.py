@@ -133,7 +133,7 @@ BELOW = {"sensor": WALL_VIEWED, "wall": WALL, "lamp": {
 DIPPED = {"floor": floor(diffuse(0.1, 0.2, 0.3)), "ball": {
     "type": "sphere", "to_world": translate((0.1, 0.5, -0.3)) @ scale((0.5, 0.5, 0.5)), "bsdf": diffuse(0.9, 0.8, 0.7)}}
 CEILING = {"type": "rectangle", "to_world": translate((0.3, 0.1, 2.05)) @ rotate((1, 0.3, 0.1), 8) @ scale((0.7, 0.7, 1)),
-           "bsdf": {"type": "twosided", "one": diffuse(0.2)}}
+           "bsdf": {"type": "twosided", "one": diffuse(0.0)}}
 # Of flat sides: light samples just behind a ceiling pass for free, so that of a small ball it hides measurably less.
 SUNK_LAMP = {"floor": floor(diffuse(0.8, 0.4, 0.2)), "ceiling": CEILING, "lamp": LAMPS["ball"] | {
     "type": "cube", "to_world": translate(ABOVE) @ rotate((1, 0.7, 0.4), 15) @ scale((0.2, 0.15, 0.3))}}

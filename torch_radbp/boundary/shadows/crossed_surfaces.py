@@ -52,6 +52,7 @@ from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal
 
 SALT = 0x7F4A7C15  # tells the random numbers of these places from others
+PATHS = 0.5  # of the paths from which edges are looked at, that segments are looked at from
 LOOKS, PLACES = 4, 2  # for segments from each vertex, and places on segments that were found
 
 
@@ -99,7 +100,7 @@ def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree, effort:
     """
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand, number_of_paths(call, view, effort))
+    points = viewpoints(call, number, integrand, number_of_paths(call, view, PATHS * effort))
     if not len(points.depth):
         return None
     at, corners = vertex_at(call, geometry, number, points), corners_of(geometry, points.hit)
