@@ -58,8 +58,9 @@ def bytes_of_shadows(call: RenderCall) -> int:
     ways, places = (max((samples * of_sample, vertices * of_vertex)) for of_sample, of_vertex in (
         (border.LOOKS, hidden_light.LOOKS), (1, hidden_light.PLACES)))
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
-    places += bool(pictures.lines_of_pictures(call)) * samples + 2 * crossed_surfaces.PLACES * vertices
-    return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + places * (BYTES_OF_PLACE + BYTES_OF_JUMP * len(call.views))
+    places += bool(pictures.lines_of_pictures(call)) * samples
+    kept = places + int(2 * crossed_surfaces.PLACES * crossed_surfaces.PATHS * vertices)  # fewer than others while found
+    return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + places * BYTES_OF_PLACE + kept * BYTES_OF_JUMP * len(call.views)
 
 
 def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) -> Tensor:
