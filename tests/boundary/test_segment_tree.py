@@ -6,8 +6,9 @@ import torch
 from tests.boundary.test_edge_tree import eyes_around, of_each
 from tests.boundary.test_intersections import triangles
 from torch_radbp.boundary.intersections import Bodies, intersections
-from torch_radbp.boundary.shadows.seen_edges import angle_of, extent_of, ways_down
+from torch_radbp.boundary.shadows.seen_edges import angle_of, extent_of
 from torch_radbp.boundary.shadows.segment_tree import ends_of, segment_tree
+from torch_radbp.boundary.shadows.ways_down import ways_down
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.vec import rows

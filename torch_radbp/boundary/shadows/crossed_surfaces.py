@@ -28,22 +28,14 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import Corners, Geometry, geometry_of
 from torch_radbp.boundary.segments import Segments, height_above, heights_by, place_of
+from torch_radbp.boundary.shadows.edge_tree import numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry
 from torch_radbp.boundary.shadows.hidden_light import EVEN, FirstVertex, light_beyond, number_of_paths
-from torch_radbp.boundary.shadows.seen_edges import (
-    BESIDE,
-    Passed,
-    corners_of,
-    extent_of,
-    numbers_to,
-    picked_ones,
-    salted,
-    unhidden,
-    ways_down,
-)
+from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, corners_of, extent_of, salted, unhidden
 from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, surfaces_of
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.ways_down import picked_ones, ways_down
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors

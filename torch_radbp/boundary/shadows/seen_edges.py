@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -12,14 +12,14 @@ from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of, picked
-from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to, rounded
+from torch_radbp.boundary.places import NEIGHBOURS, Lot, picked
+from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
+from torch_radbp.boundary.shadows.ways_down import Found, found_among, picked_ones, ways_down
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
 from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
     LaneKey,
@@ -37,8 +37,6 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, angle_between, cross,
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
 FAR = 1e10  # the distance of what is a direction
-# Steps of a sequence that fills a square evenly, in units of 2^-32: the powers of the inverse of the root of x^3 = x + 1.
-STEPS = 0xC13FA9A9 - (1 << 32), 0x91E10DA5 - (1 << 32)
 
 
 class Casting(NamedTuple):
@@ -93,14 +91,6 @@ def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
     return counts * torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
 
 
-class Found(NamedTuple):
-    """What N ways down the tree have found."""
-
-    edge: Tensor  # (N,) int32; -1: no silhouette
-    times: Tensor  # (N,) float64, how many edges it stands for
-    angle: Tensor  # (N,) float64, under which it is seen
-
-
 def edge_found(geometry: Geometry, outline: Outline, tree: EdgeTree, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
     """Silhouettes below the last nodes of the tree, in proportion to their angles.
 
@@ -113,18 +103,6 @@ def edge_found(geometry: Geometry, outline: Outline, tree: EdgeTree, eyes: Eyes,
     own, first = rows(eyes, at.eye), (at.node - tree.leaves) * GROUP
     angles = [angle_seen(geometry, outline, lookup(tree.slots, first + place), own, extent) for place in range(GROUP)]
     return found_among(tree, at, first, angles)
-
-
-def found_among(tree: EdgeTree, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> Found:
-    """What ways down have found below the last nodes, of `GROUP` slots each, from `first` on, with these angles."""
-    place, share, _ = drawn(angles, at.u)
-    angle = torch.zeros_like(share)
-    for number, its in enumerate(angles):
-        angle = torch.where(place == number, its, angle)
-    chance = at.chance * share
-    exists = chance > 0.0
-    times = torch.where(exists, 1.0 / torch.where(exists, chance, 1.0), 0.0)
-    return Found(torch.where(exists, lookup(tree.slots, first + place), -1), times, angle)
 
 
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
@@ -221,36 +199,6 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
         return None
     return stages.edge_passed(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent,
                               numbers_to(count, found.eye))
-
-
-def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each: int, extent: Tensor) -> Descent:
-    """Ways down the tree to the last nodes; args as for `places_seen`, and `extent`: () of the scene."""
-    way = numbers_to(each * len(eyes.w), tree.slots)
-    eye = torch.div(way, each, rounding_mode="floor")
-    u = fine_unit(eye * STEPS[0] + hash32(seed.seed)) + (way - eye * each)  # as many in each part of the edges
-    at = Descent(eye, torch.ones_like(way), u / each, torch.ones_like(u))
-    whole, part = divmod(int(tree.leaves).bit_length() - 1, LEVELS)
-    seen_from, wide = (rounded(part, tree.nodes.bend.dtype) for part in (eyes, extent))
-    for levels in [part] * (part > 0) + [LEVELS] * whole:
-        at = stages.descended(tree.nodes, seen_from, wide, at, levels)
-    return at
-
-
-class PickedOnes(NamedTuple):
-    """What K ways down the tree have found, and what places on it are picked by."""
-
-    found: Found
-    eye: Tensor  # (K,) int32, that sees each
-    lot: Lot
-
-
-def picked_ones(found: Found, eye: Tensor, each: int, count: int) -> PickedOnes | None:
-    """What ways have found, so many from each eye, in order, for so many places; None: nothing."""
-    order = found.edge.argsort(stable=True)  # places on an edge are well spread along it
-    found, eye = rows((found._replace(times=found.times / each), eye), order)
-    weight = found.times * found.angle
-    total = running_sum(weight)
-    return PickedOnes(found, eye, lot_of(weight, count, total)) if float(total[-1]) > 0.0 else None
 
 
 def salted(view: View, salt: int) -> SampleKey:

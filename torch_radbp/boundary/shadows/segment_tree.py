@@ -26,15 +26,8 @@ from torch_radbp.boundary.shadows.edge_tree import (
     tree_over,
 )
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.seen_edges import (
-    Found,
-    Passed,
-    angle_of,
-    found_among,
-    numbers_of_places,
-    passed_at,
-    place_between,
-)
+from torch_radbp.boundary.shadows.seen_edges import Passed, angle_of, numbers_of_places, passed_at, place_between
+from torch_radbp.boundary.shadows.ways_down import Found, found_among
 from torch_radbp.path.integrand import Stages
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup
