@@ -18,14 +18,15 @@ from torch import Tensor
 from torch_radbp.boundary.edge_order import slots_of
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.faces import Faces
-from torch_radbp.boundary.faces import joined as joined_faces
 from torch_radbp.boundary.geometry import geometry_of, in_world
-from torch_radbp.boundary.intersections import Bodies, intersections
+from torch_radbp.boundary.moving import Moving, chosen_instances, faces_of
+from torch_radbp.boundary.passing import Passing
+from torch_radbp.boundary.pierced import BodyEdges
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
+from torch_radbp.boundary.segments import joined as joined_segments
 from torch_radbp.boundary.texture_lines import lines_of_textures, texture_segments
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
@@ -38,7 +39,6 @@ from torch_radbp.tensors.vec import rows
 # How much of a jump an edge may be that is no silhouette. At a fold by the normals of two triangles, of which one may be
 # turned round.
 NONE, WHOLE, FOLD, TURNED = range(4)
-MOST_SHOWN = 1 << 20  # edges of instances of a group that are examined; of more instances some are picked at random
 
 
 class Outline(NamedTuple):
@@ -50,13 +50,6 @@ class Outline(NamedTuple):
     folds: bool  # some are `FOLD` or `TURNED`
     share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
     slots: Tensor | None = None  # (S,) int32, of everything, the edges in the order of a tree, see `edge_order.slots_of`
-
-
-class Moving(NamedTuple):
-    """What moves in the view of a camera."""
-
-    shapes: tuple[bool, ...]  # each shape, those of groups last
-    instances: tuple[bool, ...]  # each instance, as hits count but from 0
 
 
 class Jumps(NamedTuple):
@@ -76,22 +69,13 @@ class OutlinedMesh(NamedTuple):
     outline: Outline  # without instances
 
 
-class Passing(NamedTuple):
-    """Where bodies pass through each other, and what that depends on."""
-
-    bodies: Bodies
-    place: tuple[Tensor, ...]  # of vertices and instances
-    segments: Segments | None
-
-
 class Outlines:
     """Finds outlines, and remembers the edges of meshes whose triangles have not changed."""
 
     def __init__(self) -> None:
         self.known: dict[object, OutlinedMesh] = {}
         self.order: tuple[tuple[Tensor, ...], Tensor] | None = None
-        self.met: tuple[tuple, Bodies | None] | None = None
-        self.passing: Passing | None = None
+        self.passing = Passing()
 
     def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
         """Where each view of a call may jump: at all shapes where the camera moves, at those that move where it does not.
@@ -102,17 +86,23 @@ class Outlines:
             seed: of the choice of instances.
         """
         scene, generator = detached(call.scene), torch.Generator("cpu").manual_seed(seed % (1 << 63))
-        instances = rendering.moving_instances
-        own = Moving(tuple(map(bool, rendering.movers)), instances)
+        own = moving_in(rendering)
         turning, sliding = (own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, more)))
                             for more in (rendering.turners, rendering.sliders))
         everything = Moving(*((True,) * len(part) for part in own))
         wanted = [(everything,) * 3 if rendering.moving(sensor) else (own, turning, sliding) for sensor in rendering.sensors]
         sizes = rendering.sizes
         lines = lines_of_textures(rendering)
-        found = {three: Jumps(self.of(scene, sizes, three[0], generator), faces_of(scene, sizes, three[1], generator),
-                              self.segments(call, sizes, (three[0], three[2]), generator, lines))
-                 for three in dict.fromkeys(wanted)}
+
+        def jumps(moves: Moving, turns: Moving, slides: Moving) -> Jumps:
+            outline = self.of(scene, sizes, moves, generator)
+            faces = faces_of(scene, sizes, turns, generator)
+            patterned = faces_of(scene, sizes, slides, generator) if any(lines) else None
+            segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
+            segments += self.passing.segments(rendering, call, moves, body_edges(outline), generator)
+            return Jumps(outline, faces, joined_segments([part for part in segments if part is not None]))
+
+        found = {three: jumps(*three) for three in dict.fromkeys(wanted)}
         return [found[three] for three in wanted]
 
     def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
@@ -155,54 +145,15 @@ class Outlines:
                       for group in range(len(instances.first_triangle) - 1)]
         return joined([part for part in parts if part is not None])
 
-    def segments(self, call: RenderCall, counts: Sequence[int], moving: tuple[Moving, Moving], generator: torch.Generator,
-                 lines: Sequence[tuple[JumpLines, ...]]) -> Segments | None:
-        """The straight curves inside of triangles of all that moves; None: there are none.
-
-        Args:
-            call: whose scene it is.
-            counts, generator: as for `of`.
-            moving: what does, and of what lines of textures do.
-            lines: for each shape those at which its textures jump.
-        """
-        scene, found = detached(call.scene), []
-        moves, sliding = moving
-        faces = faces_of(scene, counts, sliding, generator) if any(lines) else None
-        if faces is not None:
-            found.append(texture_segments(scene, faces, counts, lines))
-        bodies = self.bodies(scene, counts, moves, generator)
-        if bodies is not None:
-            found.append(self.intersections(call, scene, bodies))
-        found = [own for own in found if own is not None]
-        return joined_records(found) if found else None
-
-    def intersections(self, call: RenderCall, scene: SceneTensors, bodies: Bodies) -> Segments | None:
-        """Where bodies pass through each other, found anew only if something has moved.
-
-        Args:
-            call: whose scene it is.
-            scene: detached.
-            bodies: of the scene.
-        """
-        instances = scene.triangles.instances
-        place = *scene.triangles.vertices.p, *(() if instances is None else leaves_of((instances.linear, instances.origin)))
-        known = self.passing
-        if known is None or known.bodies is not bodies or not all(map(same, known.place, place)):
-            known = self.passing = Passing(bodies, place, intersections(call.stages, geometry_of(scene), bodies))
-        return known.segments
-
-    def bodies(self, scene: SceneTensors, counts: Sequence[int], moving: Moving,
-               generator: torch.Generator) -> Bodies | None:
-        """The bodies that may meet another, found anew only if others are asked for; None: there are less than two."""
-        instances = scene.triangles.casting_instances
-        key = scene.device, tuple(counts), moving, None if instances is None else (
-            *instances.first_triangle.tolist(), *instances.first_instance.tolist())
-        if self.met is None or self.met[0] != key:
-            bodies = bodies_of(scene, counts, moving, generator)
-            if bodies is not None and bodies.faces.share is not None:
-                return bodies  # some instances, others in the next call
-            self.met = key, bodies
-        return self.met[1]
+    def crossing(self, rendering: Rendering, call: RenderCall, seed: int) -> Segments | None:
+        """Where bodies of which one moves pass through each other, or through themselves; None: nowhere. Args as for
+        `of_views`."""
+        moving = moving_in(rendering)
+        if not any(moving.shapes) and not any(moving.instances):
+            return None
+        generator = torch.Generator("cpu").manual_seed(seed % (1 << 63))
+        outline = self.of(detached(call.scene), rendering.sizes, moving, generator)
+        return joined_segments(self.passing.segments(rendering, call, moving, body_edges(outline), generator))
 
     def of_meshes(self, rendering: Rendering, call: RenderCall) -> list[Outline]:
         """The edges of all shapes of the world, and of each group, in the frames of their vertices."""
@@ -269,71 +220,19 @@ class Outlines:
 KNOWN: WeakKeyDictionary[Scene, Outlines] = WeakKeyDictionary()
 
 
+def moving_in(rendering: Rendering) -> Moving:
+    """What moves of itself, whatever cameras do."""
+    return Moving(tuple(map(bool, rendering.movers)), rendering.moving_instances)
+
+
+def body_edges(outline: Outline | None) -> BodyEdges | None:
+    """An outline's edges and what shows them."""
+    return None if outline is None else BodyEdges(outline.edges, outline.instance, outline.share)
+
+
 def outlines_of(scene: Scene) -> Outlines:
     """The outlines of a scene, which all that render it share."""
     return KNOWN.setdefault(scene, Outlines())
-
-
-def faces_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Faces | None:
-    """The triangles of all that moves; None: there are none. Args as for `Outlines.of`."""
-    triangles, firsts = scene.triangles, list(accumulate(counts, initial=0))
-    device = triangles.material.device
-    instances = triangles.casting_instances
-    own = firsts[-1] if instances is None else int(instances.first_triangle[0])
-
-    def of_shapes(first: int, last: int, which: Sequence[bool]) -> Tensor:
-        found = [torch.arange(start, start + count, dtype=torch.int32, device=device)
-                 for start, count, moves in zip(firsts, counts, which) if moves and first <= start < last]
-        return torch.cat(found) if found else torch.zeros(0, dtype=torch.int32, device=device)
-
-    world = of_shapes(0, own, moving.shapes)
-    parts = [Faces(world, None if instances is None else torch.zeros_like(world), None)]
-    for group in range(0 if instances is None else len(instances.first_triangle) - 1):
-        first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
-        members = of_shapes(first, last, (True,) * len(counts))
-        everywhere = len(of_shapes(first, last, moving.shapes)) > 0
-        chosen, part = chosen_instances(instances, group, moving, everywhere, len(members), generator)
-        shows = chosen.to(device, torch.int32) + 1
-        share = None if part == 1.0 else torch.full((len(shows) * len(members),), part, dtype=torch.float64, device=device)
-        parts.append(Faces(members.repeat(len(shows)), shows.repeat_interleave(len(members)), share))
-    return joined_faces([part for part in parts if len(part.triangle)])
-
-
-def bodies_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Bodies | None:
-    """All bodies, and which of them move; None: there are less than two. Args as for `Outlines.of`."""
-    faces = faces_of(scene, counts, Moving(*((True,) * len(part) for part in moving)), generator)
-    if faces is None:
-        return None
-    device, shapes = faces.triangle.device, len(counts)
-    body = rows(torch.repeat_interleave(torch.tensor(counts, device=device)), faces.triangle)
-    moves = torch.tensor(moving.shapes, device=device)[body]
-    if faces.instance is not None:
-        shown = faces.instance > 0
-        moves = moves | torch.tensor([False, *moving.instances], device=device)[faces.instance]
-        body = torch.where(shown, shapes + faces.instance, body)
-    _, sizes = torch.unique_consecutive(body, return_counts=True)
-    moves = torch.segment_reduce(moves.float(), "max", lengths=sizes) > 0
-    return Bodies(faces, sizes, moves) if len(sizes) > 1 else None
-
-
-def chosen_instances(instances: Instances, group: int, moving: Moving, everywhere: bool, size: int,
-                     generator: torch.Generator) -> tuple[Tensor, float]:
-    """The instances of a group that are examined, int64 from 0, and which share they are of those that move.
-
-    Args:
-        instances: of all groups.
-        group: which.
-        moving: what does.
-        everywhere: whether something in the group moves, and so all instances.
-        size: of what each instance shows.
-        generator: picks some where there are too many.
-    """
-    shows = range(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
-    wanted = torch.tensor([number for number in shows if everywhere or moving.instances[number]], dtype=torch.int64)
-    most = max(1, MOST_SHOWN // max(size, 1))
-    if most >= len(wanted):
-        return wanted, 1.0
-    return wanted[torch.randperm(len(wanted), generator=generator)[:most]], most / len(wanted)
 
 
 def unchanged(table: Tensor | None, known: Tensor | None) -> bool:

@@ -27,7 +27,8 @@ from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.in_sight import PathsBeside, Sent
 from torch_radbp.boundary.jump_function import Jumping, image_of_jumps, recorded_jumps
-from torch_radbp.boundary.outline import MOST_SHOWN, Jumps, Outline
+from torch_radbp.boundary.moving import MOST_SHOWN
+from torch_radbp.boundary.outline import Jumps, Outline
 from torch_radbp.boundary.places import (
     FAR,
     FEWEST,

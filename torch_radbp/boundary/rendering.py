@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -116,6 +117,14 @@ class Rendering:
         of_groups = {group: [name for instance in instances for name in self.moving(instance, MOVE_SHAPES)]
                      for group, instances in self.scene.groups.items()}
         return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]
+                for shape, instances in zip(self.shapes, self.scene.shown_by)]
+
+    @cached_property
+    def self_crossing(self) -> list[bool]:
+        """For each shape, whether it may be a part of something that passes through itself: a mesh, or a group that an
+        instance shows."""
+        members = Counter(id(instances[0].shapegroup) for instances in self.scene.shown_by if instances)
+        return [shape.may_cross_itself or bool(instances) and members[id(instances[0].shapegroup)] > 1
                 for shape, instances in zip(self.shapes, self.scene.shown_by)]
 
     @cached_property

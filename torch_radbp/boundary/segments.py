@@ -30,6 +30,7 @@ from torch_radbp.boundary.places import (
     velocities_on_film,
 )
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows
 
 
@@ -50,6 +51,13 @@ class Segments(NamedTuple):
     def corners(self, geometry: Geometry) -> Corners:
         """The vertices of the triangles, world, float64."""
         return positions(geometry, Between(*lookup(geometry.triangles.corners, self.triangle)), self.instance)
+
+
+def joined(parts: list[Segments]) -> Segments | None:
+    """All of several segments; None: there are none."""
+    if len(parts) > 1 and any(part.share is not None for part in parts):
+        parts = [part if part.share is not None else part._replace(share=torch.ones_like(part.start.x)) for part in parts]
+    return joined_records(parts) if parts else None
 
 
 def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tensor:

@@ -18,6 +18,7 @@ from torch_radbp.boundary.reflections import (
 )
 from torch_radbp.boundary.reflections.surfaces import line_table
 from torch_radbp.boundary.rendering import Rendering
+from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move
 from torch_radbp.boundary.texture_lines import lines_of_textures
 from torch_radbp.call.render_call import RenderCall
@@ -29,6 +30,7 @@ class EdgesOfCall(NamedTuple):
 
     in_view: list[Jumps] | None  # of each view
     casting: Outline | None  # the edges of all that casts shadows
+    crossing: Segments | None  # where surfaces pass through each other, as surfaces see it
     reflected: Reflected | None  # what is seen by way of mirrors and glass
 
     def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
@@ -36,7 +38,7 @@ class EdgesOfCall(NamedTuple):
         if self.in_view is not None:
             images = images + image_jumps(call, self.in_view)
         if self.casting is not None:
-            images = images + shadow_jumps(call, self.casting)
+            images = images + shadow_jumps(call, self.casting, self.crossing)
         if self.reflected is not None:
             images = images + reflected_jumps(call, self.reflected)
         return images
@@ -68,10 +70,12 @@ def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: in
         seed: of the choice of instances.
     """
     outlines = outlines_of(scene)
-    in_view = outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
     casts = rendering.shadows and rendering.max_depth > 1 and shadows_move(call)
     casting = outlines.of_everything(rendering, call, seed) if casts else None
-    return EdgesOfCall(in_view, casting, reflected_of(rendering, outlines, call))
+    # What casts rays comes last: the tree of a large mesh may still be built.
+    in_view = outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
+    crossing = outlines.crossing(rendering, call, seed) if casts else None
+    return EdgesOfCall(in_view, casting, crossing, reflected_of(rendering, outlines, call))
 
 
 def reflected_of(rendering: Rendering, outlines: Outlines, call: RenderCall) -> Reflected | None:

@@ -153,8 +153,7 @@ def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> t
         step = "If the error shrinks with a smaller step, the step was too large"
         if asked.moves:
             return BIASED, (f"{where}; {held}. The renderer does not know of anything that it leaves out; without a warning "
-                            f"it leaves out edges that surfaces see by reflection, what vertices of paths see of "
-                            f"surfaces that pass through each other, and shadows of a mask's holes. {step}")
+                            f"it leaves out edges that surfaces see by reflection, and shadows of a mask's holes. {step}")
         return BIASED, f"{where}; {held}. {step}"
     detectable = hidden(surest)
     if math.isinf(detectable):

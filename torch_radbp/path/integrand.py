@@ -65,6 +65,10 @@ class Stages(NamedTuple):
     descended: Callable
     edge_found: Callable
     edge_passed: Callable
+    segment_bounds: Callable
+    segment_found: Callable
+    segment_passed: Callable
+    sheets_seen: Callable
     border_course: Callable
     cut_course: Callable
     light_eyes: Callable

@@ -28,6 +28,8 @@ class Mesh(Surface):
             rendering (`angle_weighted_normals`), with derivatives. Mitsuba does so whenever positions change.
     """
 
+    may_cross_itself = True
+
     def hold(self, positions: Tensor, faces: Tensor, normals: Tensor | None, texcoords: Tensor | None,
              to_world: Tensor | None, smooth: bool = False, recompute_normals: bool = False) -> None:
         """Checks and stores the mesh, positions and normals before `to_world`; `smooth`: makes normals if none are given.

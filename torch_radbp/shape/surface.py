@@ -38,6 +38,7 @@ class Surface(Shape):
     """
 
     faces: Tensor  # (F, 3) int64: `triangles()` has as many, in the same order
+    may_cross_itself = False  # its vertices may move so that it passes through itself
 
     def __init__(self, *, bsdf: BSDF | None = None, emitter: Emitter | None = None, flip_normals: bool = False):
         super().__init__()

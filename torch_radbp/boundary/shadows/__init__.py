@@ -4,7 +4,7 @@ Four integrals are cut off at edges. Direct light on surfaces that the camera se
 light without extent on surfaces that paths meet later (`bounced.py`); all other light that vertices of paths receive
 (`hidden_light.py`); and what they receive through surfaces that let light pass straight (`seen_through.py`). In each, places
 are sampled on edges that are silhouettes, from a light or from a vertex of a path; what the border sweeps follows from the
-points that move.
+points that move. A fifth is cut off where surfaces pass through each other (`crossed_surfaces.py`).
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
-from torch_radbp.boundary.shadows import border, bounced, hidden_light, pictures, seen_through, split
+from torch_radbp.boundary.segments import Segments
+from torch_radbp.boundary.shadows import border, bounced, crossed_surfaces, hidden_light, pictures, seen_through, split
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.boundary.shadows.seen_edges import Casting
+from torch_radbp.boundary.shadows.segment_tree import segment_tree
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 
@@ -57,10 +59,11 @@ def bytes_of_shadows(call: RenderCall) -> int:
         (border.LOOKS, hidden_light.LOOKS), (1, hidden_light.PLACES)))
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
     places += bool(pictures.lines_of_pictures(call)) * samples
-    return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + places * (BYTES_OF_PLACE + BYTES_OF_JUMP * len(call.views))
+    kept = places + int(2 * crossed_surfaces.PLACES * crossed_surfaces.PATHS * vertices)  # fewer than others while found
+    return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + places * BYTES_OF_PLACE + kept * BYTES_OF_JUMP * len(call.views)
 
 
-def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
+def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) -> Tensor:
     """(B, 3, H, W) zeros whose derivative is what borders of shadows contribute to the image.
 
     Where directions follow parameters (`sampling` "attached"), points that they lead to are not glued to surfaces: then it
@@ -71,6 +74,7 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
     Args:
         call: of which something moves.
         casting: the edges of all that casts shadows.
+        crossing: where surfaces pass through each other, of which something moves; None: nowhere.
     """
     settings, max_depth = call.integrand.settings, call.integrand.max_depth
     on_film = all(view.camera.kind.has_area for view in call.views)  # along a ray there is no border to be seen
@@ -79,6 +83,8 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
     stages, geometry = call.stages, geometry_of(detached(call.scene))
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
+        seen = glued and crossing is not None and (max_depth > 2 or crossed_surfaces.shines(call.scene, crossing))
+        curves = segment_tree(stages, geometry, crossing) if seen else None
     parts = [Part(partial(border.borders_in_view, lights=lights), border.jumps_in_view)] if on_film else []
     if on_film and settings.nee:
         parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind),
@@ -90,6 +96,10 @@ def shadow_jumps(call: RenderCall, casting: Outline) -> Tensor:
         parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view))
     if glued and max_depth > 2 and settings.nee and any(kind.delta for kind in call.scene.layout.lights):
         parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
+    if curves is not None:
+        parts.append(Part(lambda still, number, _, effort: crossed_surfaces.curves_of_view(still, number, curves, effort),
+                          lambda attached, number, _, found: crossed_surfaces.jumps_in_view(attached, number, found),
+                          is_cast=False))
     still, jumps = call.still(), []
     for number in range(len(call.views)):
         with torch.no_grad():

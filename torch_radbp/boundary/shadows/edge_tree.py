@@ -77,7 +77,12 @@ class Descent(NamedTuple):
 def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
     """The tree over the edges of an outline, of what is detached."""
     slots = outline.slots
-    levels = [stages.edge_bounds(geometry, outline, slots, numbers_to(len(slots), slots))]
+    return tree_over(stages, stages.edge_bounds(geometry, outline, slots, numbers_to(len(slots), slots)), slots)
+
+
+def tree_over(stages: Stages, bounds: EdgeNodes, slots: Tensor) -> EdgeTree:
+    """The tree over what has bounds, (S,), one for each of its slots."""
+    levels = [bounds]
     while len(levels[-1].bend) > 1:
         levels.append(stages.merged_bounds(levels[-1], numbers_to(len(levels[-1].bend) // 2, slots)))
     above = levels[GROUP.bit_length() - 1:]
@@ -113,14 +118,19 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
     between = angle_between(*(rounded(normal, own) for normal in (one, other)))
     angle = torch.where(edges.count == 2, 0.5 * between + LEEWAY, STRAIGHT).clamp_max(STRAIGHT)
     bend = torch.where(exists, torch.sqrt(dot(along, along)) * 2.0 * angle, 0.0)
-    none = torch.full_like(along.x, torch.inf)
-    low, high = (Vec3(*(extreme(p, q) for p, q in zip(a, b))) for extreme in (torch.minimum, torch.maximum))
-    wider = ROUNDED * torch.maximum(max_component(a.map(torch.abs)), max_component(b.map(torch.abs)))
-    low, high = low.map(lambda c: c - wider), high.map(lambda c: c + wider)
-    low, high = where(exists, low, Vec3(none, none, none)), where(exists, high, Vec3(-none, -none, -none))
+    low, high = box_around(a, b, exists)
     bounds = EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle, angle, bend, dot(axis, a + b) * 0.5,
                        dot(axis, along).abs() * 0.5)
     return rounded(bounds, own)
+
+
+def box_around(a: Vec3, b: Vec3, exists: Tensor) -> tuple[Vec3, Vec3]:
+    """The corners of boxes around lines from a to b, (N,) each; of those that do not exist, (N,) bool, empty ones."""
+    none = torch.full_like(a.x, torch.inf)
+    low, high = (Vec3(*(extreme(p, q) for p, q in zip(a, b))) for extreme in (torch.minimum, torch.maximum))
+    wider = ROUNDED * torch.maximum(max_component(a.map(torch.abs)), max_component(b.map(torch.abs)))
+    low, high = low.map(lambda c: c - wider), high.map(lambda c: c + wider)
+    return where(exists, low, Vec3(none, none, none)), where(exists, high, Vec3(-none, -none, -none))
 
 
 def normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Vec3:

@@ -177,7 +177,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
     if not len(passed.edge):
         return None
     return cuts_that_matter(call.stages, geometry, casting, points, at, passed, hit,
-                            lambda cuts: light_beyond(call, integrand, points, cuts, passed, at, first))
+                            lambda cuts: light_beyond(call, integrand, points, cuts.hit, passed, at, first))
 
 
 def number_of_paths(call: RenderCall, view: View, effort: float) -> int:
@@ -226,17 +226,24 @@ def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, h
     return CutCourse(cuts.basis, normal, (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y)
 
 
-def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, cuts: Cuts, passed: Passed, at: Vec3,
+def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Hit, passed: Passed, at: Vec3,
                  first: FirstVertex) -> Tensor:
-    """(3, N) float64 what the view sees of the light that passes edges, for each unit of `cut_at`'s coordinates."""
+    """(3, N) float64 what the view sees of the light that passes edges, for each unit of `cut_at`'s coordinates.
+
+    Args:
+        points, at: the viewpoints, and where they are.
+        beyond: (N,) what the light comes from, seen from the edges.
+        passed: (N,) these, as the viewpoints `passed.eye` see them.
+        first: what counts of the light that the first vertices of paths receive straight.
+    """
     scene = integrand.proposal
-    own, start = rows((points, at), cuts.viewpoint)
+    own, start = rows((points, at), passed.eye)
     d, key = passed.onwards.d, passed.key
     beta = scattered_light(integrand, path_of(call, own.ray, own.key), own.hit, d)
     reach = passed.p - start
     ray = Ray(start.map(lambda c: c.to(scene.dtype)), d)
-    hit = cuts.hit._replace(t=cuts.hit.t + torch.sqrt(dot(reach, reach)).to(scene.dtype))
-    L = torch.zeros(3, len(cuts.edge), dtype=torch.float64, device=scene.device)
+    hit = beyond._replace(t=beyond.t + torch.sqrt(dot(reach, reach)).to(scene.dtype))
+    L = torch.zeros(3, len(passed.edge), dtype=torch.float64, device=scene.device)
     for depth in own.depth.unique().tolist():
         lanes = (own.depth == depth).nonzero().squeeze(1)
         state, met = path_of(call, *rows((ray, key), lanes)), rows(hit, lanes)

@@ -12,14 +12,14 @@ from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of, picked
-from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to, rounded
+from torch_radbp.boundary.places import NEIGHBOURS, Lot, picked
+from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
+from torch_radbp.boundary.shadows.ways_down import Found, found_among, picked_ones, ways_down
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
 from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
     LaneKey,
@@ -37,8 +37,6 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, angle_between, cross,
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
 FAR = 1e10  # the distance of what is a direction
-# Steps of a sequence that fills a square evenly, in units of 2^-32: the powers of the inverse of the root of x^3 = x + 1.
-STEPS = 0xC13FA9A9 - (1 << 32), 0x91E10DA5 - (1 << 32)
 
 
 class Casting(NamedTuple):
@@ -77,6 +75,12 @@ def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, ex
     """
     edges, instance = rows((outline.edges, outline.instance), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
+    silhouette = is_silhouette(a, b, opposite, a * eye.w - eye.place)
+    return torch.where((edge >= 0) & silhouette, angle_of(a, b, eye, extent), 0.0)
+
+
+def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
+    """The angles under which lines from a to b, (N,) each, are seen, as of `angle_seen`."""
     from_a, from_b = (end * eye.w - eye.place for end in (a, b))
     to_a, to_b, across = normalize(from_a), normalize(from_b), cross(b - a, eye.place)
     apart = to_a - to_b
@@ -84,16 +88,7 @@ def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, ex
     counts = torch.maximum(how_much_counts(eye, to_a), how_much_counts(eye, to_b))
     if eye.lobes:
         counts = counts * how_much_lobes_count(eye, normalize(to_a + to_b), 0.25 * dot(apart, apart))
-    seen = torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
-    return torch.where((edge >= 0) & is_silhouette(a, b, opposite, from_a), seen * counts, 0.0)
-
-
-class Found(NamedTuple):
-    """What N ways down the tree have found."""
-
-    edge: Tensor  # (N,) int32; -1: no silhouette
-    times: Tensor  # (N,) float64, how many edges it stands for
-    angle: Tensor  # (N,) float64, under which it is seen
+    return counts * torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
 
 
 def edge_found(geometry: Geometry, outline: Outline, tree: EdgeTree, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
@@ -107,14 +102,7 @@ def edge_found(geometry: Geometry, outline: Outline, tree: EdgeTree, eyes: Eyes,
     """
     own, first = rows(eyes, at.eye), (at.node - tree.leaves) * GROUP
     angles = [angle_seen(geometry, outline, lookup(tree.slots, first + place), own, extent) for place in range(GROUP)]
-    place, share, _ = drawn(angles, at.u)
-    angle = torch.zeros_like(share)
-    for number, its in enumerate(angles):
-        angle = torch.where(place == number, its, angle)
-    chance = at.chance * share
-    exists = chance > 0.0
-    times = torch.where(exists, 1.0 / torch.where(exists, chance, 1.0), 0.0)
-    return Found(torch.where(exists, lookup(tree.slots, first + place), -1), times, angle)
+    return found_among(tree, at, first, angles)
 
 
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
@@ -129,30 +117,46 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
         seed: of the random numbers.
         place: (N,) int32, numbers of the places.
     """
-    key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
-    numbers = bounce_key(key, CAMERA_COUNTER)
-    aim, turn = (fine_unit(random_bits(numbers, dimension)) for dimension in (1, 0))
+    key, aim, turn = numbers_of_places(seed, place)
     number, _, times = picked(lot, place, aim)
     (edge, repeated, _), eye = rows((found, eye), number)
     times, own = times * repeated, rows(eyes, eye)
     edges, instance, share = rows((outline.edges, outline.instance, outline.share), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
-    along, density = evenly_seen(a * own.w - own.place, b * own.w - own.place, turn)
-    along, times = torch.where(own.w > 0.0, along, turn), torch.where(own.w > 0.0, times / density, times)
-    p = a + (b - a) * along
+    along, times, p = place_between(a, b, own, turn, times)
     sight = normalize(p * own.w - own.place)
     across = normalize(cross(b - a, sight))
     inside = [dot(tip - a, across) for tip in opposite[:2]]
     deeper = torch.where(inside[0].abs() > inside[-1].abs(), inside[0], inside[-1])
     outwards = across * torch.where(deeper > 0.0, -1.0, 1.0)
-    start = p + outwards * (BESIDE * extent)
+    times = times if share is None else times / share
+    return passed_at(own, Passed(edge, eye, along, times, p, outwards, None, None, None, key), extent,
+                     geometry.triangles.n.x.dtype)
+
+
+def numbers_of_places(seed: SampleKey, place: Tensor) -> tuple[LaneKey, Tensor, Tensor]:
+    """The random numbers of places, (N,) int32: their keys, what they are picked by, and where on it they lie."""
+    key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    numbers = bounce_key(key, CAMERA_COUNTER)
+    return key, fine_unit(random_bits(numbers, 1)), fine_unit(random_bits(numbers, 0))
+
+
+def place_between(a: Vec3, b: Vec3, eye: Eyes, turn: Tensor, times: Tensor) -> tuple[Tensor, Tensor, Vec3]:
+    """Places of lines from a to b that eyes see after so many turns: shares of the way, for how many lines they stand, and
+    the places; (N,) each. Args as for `evenly_seen`, and `times`: what was picked stands for so many."""
+    along, density = evenly_seen(a * eye.w - eye.place, b * eye.w - eye.place, turn)
+    along, times = torch.where(eye.w > 0.0, along, turn), torch.where(eye.w > 0.0, times / density, times)
+    return along, times, a + (b - a) * along
+
+
+def passed_at(own: Eyes, place: Passed, extent: Tensor, dtype: torch.dtype) -> Passed:
+    """Places with the rays that pass there; `own`: (N,) the eye of each, `dtype`: of rays."""
+    start = place.p + place.outwards * (BESIDE * extent)
     away = start * own.w - own.place
     length = torch.sqrt(dot(away, away)).clamp_min(TINY)
-    d, dtype = away * (1.0 / length), geometry.triangles.n.x.dtype
-    o, d = (part.map(lambda c: c.to(dtype)) for part in (start, d))
+    o, d = (part.map(lambda c: c.to(dtype)) for part in (start, away * (1.0 / length)))
     distance = torch.where(own.w > 0.0, length * (1.0 - BEFORE), FAR).to(dtype)
-    return Passed(edge, eye, along, times if share is None else times / share, p, outwards, Ray(o, -d), Ray(o, d),
-                  distance, key)
+    return place._replace(back=Ray(o, -d), onwards=Ray(o, d), distance=distance)
 
 
 def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
@@ -188,23 +192,13 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
         count: how many places there are to be on edges that were found.
     """
     outline, tree = casting
-    way, extent = numbers_to(each * len(eyes.w), tree.slots), extent_of(geometry)
-    eye = torch.div(way, each, rounding_mode="floor")
-    u = fine_unit(eye * STEPS[0] + hash32(seed.seed)) + (way - eye * each)  # as many in each part of the edges
-    at = Descent(eye, torch.ones_like(way), u / each, torch.ones_like(u))
-    whole, part = divmod(int(tree.leaves).bit_length() - 1, LEVELS)
-    seen_from, wide = (rounded(part, tree.nodes.bend.dtype) for part in (eyes, extent))
-    for levels in [part] * (part > 0) + [LEVELS] * whole:
-        at = stages.descended(tree.nodes, seen_from, wide, at, levels)
-    found = stages.edge_found(geometry, outline, tree, eyes, at, extent)
-    order = found.edge.argsort(stable=True)  # places on an edge are well spread along it
-    found, eye = rows((found._replace(times=found.times / each), eye), order)
-    weight = found.times * found.angle
-    total = running_sum(weight)
-    if not float(total[-1]) > 0.0:
+    extent = extent_of(geometry)
+    at = ways_down(stages, tree, eyes, seed, each, extent)
+    found = picked_ones(stages.edge_found(geometry, outline, tree, eyes, at, extent), at.eye, each, count)
+    if found is None:
         return None
-    return stages.edge_passed(geometry, outline, eyes, lot_of(weight, count, total), found, eye, seed, extent,
-                              numbers_to(count, eye))
+    return stages.edge_passed(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent,
+                              numbers_to(count, found.eye))
 
 
 def salted(view: View, salt: int) -> SampleKey:

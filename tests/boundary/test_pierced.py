@@ -1,0 +1,126 @@
+"""Where bodies pass through themselves, against closed forms and against all pairs of triangles."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from tests.boundary.test_intersections import triangles
+from tests.boundary.test_primary import DARK, JUMP, SIZE, assert_close, derivative, parallel, unwarned_renderer
+from tests.scenes import load
+from torch_radbp.boundary import pierced as module
+from torch_radbp.boundary.edges import edges_of
+from torch_radbp.boundary.faces import Faces
+from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.intersections import Pairs, segments_between
+from torch_radbp.boundary.pierced import BodyEdges, Probes, probes, self_intersections
+from torch_radbp.boundary.segments import Segments
+from torch_radbp.io.transform import rotate
+from torch_radbp.raycast.brute import Brute
+
+RADIANCE = {"type": "bitmap", "raw": True, "filter_type": "nearest", "bitmap": torch.tensor([[[3, 2, 1], [0.25] * 3]])}
+CELL = 2.0 / SIZE
+
+
+def grid(size: int, u: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A level sheet from -3 to 3 of so many squares a side: vertices, triangles, surface coordinates that are all alike."""
+    side = torch.linspace(-3, 3, size + 1, dtype=torch.float64)
+    x, y = torch.meshgrid(side, side, indexing="xy")
+    first = (torch.arange(size)[:, None] * (size + 1) + torch.arange(size)).flatten()
+    right, up = first + 1, first + size + 1
+    faces = torch.cat([torch.stack([first, right, up + 1], 1), torch.stack([first, up + 1, up], 1)])
+    return torch.stack([x, y, torch.zeros_like(x)], -1).view(-1, 3), faces, torch.tensor([[u, 0.5]]).repeat(len(x) ** 2, 1)
+
+
+def crossing_sheets(size: int) -> tuple[dict, torch.Tensor]:
+    """A mesh of a level sheet and a steep one, 45 degrees, higher on the right; and which vertices are those of that."""
+    (level, faces, left), (steep, others, right) = grid(size, 0.25), grid(size, 0.75)
+    turn = torch.as_tensor(rotate((0, 1, 0), -45))[:3, :3].double()
+    places = torch.cat([level + torch.tensor([0.0137, 0.0071, 0.05]), steep @ turn.T])
+    mesh = {"type": "mesh", "vertex_positions": places, "faces": torch.cat([faces, others + len(level)]),
+            "vertex_texcoords": torch.cat([left, right]).double(), "emitter": {"type": "area", "radiance": RADIANCE}}
+    return mesh, torch.arange(len(places)) >= len(level)
+
+
+def meeting(geometry: Geometry, faces: Faces) -> set[tuple[int, int]]:
+    """All pairs of triangles that meet, the lesser number first."""
+    pairs = torch.triu_indices(len(faces.triangle), len(faces.triangle), 1)
+    return set(pairs_of(segments_between(geometry, faces, Pairs(*pairs))))
+
+
+def pairs_of(segments: Segments) -> list[tuple[int, int]]:
+    return [tuple(sorted(pair)) for pair in zip(segments.triangle.tolist(), segments.through.tolist())]
+
+
+def of_edges(geometry: Geometry, looked_at: Callable[[int], Probes], sizes: torch.Tensor) -> Segments:
+    p, corners = geometry.triangles.vertices.p.stack(), torch.stack(geometry.triangles.corners, 1)
+    edges = edges_of(p, corners)
+    return self_intersections(Brute(p, corners), geometry, BodyEdges(edges, None, None), looked_at(len(edges.a)),
+                              sizes.cumsum(0))
+
+
+def test_all_triangles_that_meet_are_found_once():
+    geometry, faces, sizes = triangles(60, 1)
+    found = of_edges(geometry, lambda count: probes(count, 1000, torch.Generator()), sizes)
+    expected = meeting(geometry, faces)
+    assert len(expected) > 60 and sorted(pairs_of(found)) == sorted(expected) and found.share is None
+
+
+def test_each_edge_finds_the_triangles_that_it_pierces():
+    """Edges that are looked at one after the other find every pair twice, from either end of its segment."""
+    geometry, faces, sizes = triangles(60, 1)
+    counts, expected = Counter(), meeting(geometry, faces)
+    for edge in range(180):
+        found = of_edges(geometry, lambda count, edge=edge: Probes(torch.tensor([edge]), 1 / count), sizes)
+        if found is not None:
+            assert ((found.share * 180 - 2).abs() < 1e-9).all()
+            counts.update(pairs_of(found))
+    assert counts == Counter(dict.fromkeys(expected, 2))
+
+
+def test_other_shapes_are_left_to_pairs_of_bodies():
+    geometry, _, sizes = triangles(120, 2)
+    found = of_edges(geometry, lambda count: probes(count, 1000, torch.Generator()), sizes)
+    assert len(found.triangle) > 20 and ((found.triangle < 60) == (found.through < 60)).all()
+
+
+def test_edges_are_looked_at_as_often_as_their_share_says():
+    generator = torch.Generator().manual_seed(0)
+    counts = torch.zeros(100, dtype=torch.int64)
+    for _ in range(4000):
+        some = probes(100, 7, generator)
+        counts += some.edge.bincount(minlength=100)
+    assert some.share == 0.07
+    assert (counts - 280).abs().max() < 5 * 280 ** 0.5
+
+
+@pytest.mark.parametrize("size", [1, 16])
+@pytest.mark.parametrize("part, sign", [("level", 1), ("steep", -1)])
+def test_the_line_where_two_sheets_of_a_mesh_cross_moves_with_either(part, sign, size):
+    """The steep sheet hides the level one on the right: raised by d, it hides d more of that."""
+    mesh, steep = crossing_sheets(size)
+    scene = load(torch.float64, camera=parallel(), sky=DARK, sheets=mesh)
+    found = derivative(scene, "sheets.vertex_positions", raised(steep == (part == "steep")), spp=64)
+    assert_close(found, sign * JUMP * SIZE / CELL, 0.02)
+
+
+def test_where_few_edges_are_looked_at_they_count_for_all(monkeypatch):
+    monkeypatch.setattr(module, "FEWEST", 600)
+    monkeypatch.setattr(module, "MOST", 600)
+    mesh, steep = crossing_sheets(24)
+    scene = load(torch.float64, camera=parallel(), sky=DARK, sheets=mesh)
+    parameter, direction = scene.get_parameter("sheets.vertex_positions").requires_grad_(), raised(steep)
+    renderer = unwarned_renderer(scene, spp=16, max_depth=1)
+    found = torch.stack([(torch.autograd.grad(renderer(seed=seed)[0, 0].sum(), parameter)[0] * direction).sum()
+                         for seed in range(24)])
+    expected, error = -JUMP[0] * SIZE / CELL, found.std() / 24 ** 0.5
+    assert 0.02 * expected.abs() < error < 0.15 * expected.abs()
+    assert (found.mean() - expected).abs() < 3.5 * error, (found.mean(), expected, error)
+
+
+def raised(which: torch.Tensor) -> torch.Tensor:
+    """(V, 3) the direction in which some vertices rise."""
+    return torch.stack([torch.zeros_like(which), torch.zeros_like(which), which], 1).double()

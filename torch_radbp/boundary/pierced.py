@@ -1,0 +1,140 @@
+"""Where bodies pass through themselves: the segments along which their triangles meet, found by rays along their edges.
+
+A segment along which two triangles meet ends where an edge of one of them pierces the other one. So rays along all edges of
+a body find each segment twice, once from either end. Of many edges some are looked at, in each rendering others, which count
+for the rest, and each time that a segment is found by half: what that costs does not grow with the mesh, and in the mean of
+several renderings nothing is left out. A long curve in a fine mesh is pierced by thousands of edges, of which some are
+always found.
+
+A body is a shape, or what one instance shows; how bodies pass through each other is found in `intersections.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.edges import Edges
+from torch_radbp.boundary.faces import Faces
+from torch_radbp.boundary.geometry import Geometry, in_world
+from torch_radbp.boundary.intersections import Pairs, segments_between
+from torch_radbp.boundary.segments import Segments
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.raycast.protocol import RayCaster
+from torch_radbp.tensors.vec import Ray, rows
+
+SHARE, FEWEST, MOST = 64, 1 << 11, 1 << 14  # edges that are looked at: one for so many paths, at least, at most
+ENDS = 1e-4  # share of its length at either end of an edge that is not looked at: there its triangles meet others
+MOST_PIERCED = 64  # triangles that are looked for along one edge
+
+
+class BodyEdges(NamedTuple):
+    """The E edges of all bodies that are asked about, in the world."""
+
+    edges: Edges
+    instance: Tensor | None  # (E,) int32 that shows each, as hits count; None: the scene has none
+    share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
+
+
+class Probes(NamedTuple):
+    """N edges that are looked at."""
+
+    edge: Tensor  # (N,) int64, which
+    share: float  # how often one edge is among them, in the mean
+
+
+def edges_looked_at(call: RenderCall) -> int:
+    """How many edges are looked at in one rendering, if there are so many."""
+    paths = call.spp * max(view.width * view.height for view in call.views)
+    return max(FEWEST, min(MOST, paths // SHARE))
+
+
+def probes(count: int, most: int, generator: torch.Generator) -> Probes:
+    """Some of so many edges, spread evenly; `generator`: picks them where there are more than `most`; on the CPU."""
+    if count <= most:
+        return Probes(torch.arange(count), 1.0)
+    place = torch.arange(most) + torch.rand(most, dtype=torch.float64, generator=generator)
+    return Probes((place * (count / most)).long().clamp_max(count - 1), most / count)
+
+
+def self_intersections(caster: RayCaster, geometry: Geometry, bodies: BodyEdges, looked_at: Probes,
+                       ends: Tensor) -> Segments | None:
+    """The segments along which bodies meet themselves; None: none was found.
+
+    Args:
+        caster: of the scene.
+        geometry: of the scene, detached.
+        bodies: their edges.
+        looked_at: some of them.
+        ends: (S,) int64, how many triangles there are up to the end of each shape.
+    """
+    chosen = looked_at.edge.to(ends.device)
+    a, b = in_world(geometry, *rows(((bodies.edges.a, bodies.edges.b), bodies.instance), chosen))
+    dtype = geometry.triangles.vertices.p.x.dtype
+    ray = Ray(*(part.map(lambda c: c.to(dtype).contiguous()) for part in (a + (b - a) * ENDS, (b - a) * (1.0 - 2.0 * ENDS))))
+    found = list(pierced(caster, ray))
+    if not found:
+        return None
+    edge, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*found))
+    edges, instance, share = rows(bodies, chosen[edge])
+    ones = [torch.div(corner, 3, rounding_mode="floor") for corner in edges.corner]
+    own = shape_of(ends, ones[0]) == shape_of(ends, other)
+    if instance is not None:
+        own = (instance == shown_by) & (own | (instance > 0))
+    for one in ones:  # rays along a triangle meet it by rounding
+        own = own & (one != other)
+    if not own.any():
+        return None
+    each = 2.0 * looked_at.share * (torch.ones_like(a.x[:1]).expand(len(other)) if share is None else share)
+    parts = [rows((one, instance, each, other, shown_by), (own & (place < edges.count)).nonzero().squeeze(1))
+             for place, one in enumerate(ones)]
+    one, instance, each, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*parts))
+    both = Faces(torch.cat([one, other]), None if instance is None else torch.cat([instance, shown_by]),
+                 torch.cat([each, each]))
+    first = torch.arange(len(one), device=one.device)
+    segments = segments_between(geometry, both, Pairs(first, first + len(one)))
+    if looked_at.share == 1.0:
+        segments = once_each(segments, share is None)
+    return segments if len(segments.triangle) else None
+
+
+def once_each(segments: Segments, surely: bool) -> Segments:
+    """Segments of which one may be there several times, or once where an edge pierces another edge; each once.
+
+    Args:
+        segments: (S,).
+        surely: nothing else decides whether a segment is among these.
+    """
+    low, high = torch.minimum(segments.triangle, segments.through), torch.maximum(segments.triangle, segments.through)
+    pairs = torch.stack([low, high, *(() if segments.instance is None else [segments.instance])])
+    found, which = torch.unique(pairs, dim=1, return_inverse=True)
+    place = torch.arange(len(which), device=which.device)
+    first = torch.full_like(found[0], len(which), dtype=torch.int64).scatter_reduce(0, which, place, "amin")
+    segments = rows(segments, first)
+    return segments._replace(share=None if surely else 0.5 * segments.share)
+
+
+def shape_of(ends: Tensor, triangle: Tensor) -> Tensor:
+    """The shapes that triangles, (N,) int32, belong to; `ends`: of `self_intersections`."""
+    return torch.bucketize(triangle, ends.to(triangle.dtype), right=True)
+
+
+def pierced(caster: RayCaster, ray: Ray) -> Iterator[tuple[Tensor, Tensor, Tensor | None]]:
+    """The triangles that rays, (N,), meet up to t = 1: numbers of rays, int64, triangles, int32, and what shows these."""
+    lane = caster.occluded(ray, torch.ones_like(ray.o.x)).nonzero().squeeze(1)
+    passed, last = torch.zeros_like(ray.o.x[lane]), torch.full_like(lane, -1)
+    for _ in range(MOST_PIERCED):
+        if not len(lane):
+            return
+        own = rows(ray, lane)
+        hit = caster.intersect(Ray((own.o + own.d * passed).map(Tensor.contiguous), own.d))
+        t = passed + hit.t
+        meets = (hit.prim >= 0) & (t < 1.0)
+        fresh = (meets & (hit.prim != last)).nonzero().squeeze(1)
+        if len(fresh):
+            yield lane[fresh], hit.prim[fresh], None if hit.instance is None else hit.instance[fresh]
+        kept = meets.nonzero().squeeze(1)
+        lane, passed, last = lane[kept], t[kept] + ENDS, hit.prim[kept]

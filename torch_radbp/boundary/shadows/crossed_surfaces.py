@@ -1,0 +1,159 @@
+"""What vertices of paths see of curves along which surfaces pass through each other.
+
+At a vertex x of a path, of two surfaces that pass through each other along a curve a part of each is seen, up to the curve:
+the part on the same side of the other surface as x. Paths that are scattered at x go on to points z that are glued to
+surfaces; as an integral over these,
+
+    L(x) = integral of f |cos x| |cos z| / r^2  L(z, x) dA
+
+is cut off at the curve, once on either surface. Where the level of a surface, its height above the plane of the triangle
+that passes through it, changes by dh at a fixed place, the curve moves over it by -dh / |grad h|, and
+
+    dL = sum over both surfaces, integral of f |cos x| |cos z| / r^2  L(z, x)  s dh / |grad h| dl
+
+with s the sign of the level at x. Where both surfaces move together nothing changes, whatever x does. So it is for all
+light, that of a lamp which passes through something included: no light sample tells what of its own lamp is hidden. From
+lights without extent nothing is looked for: what they light ends at the curve, and what is seen from elsewhere ends there,
+too.
+
+References: as of `hidden_light.py`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import Corners, Geometry, geometry_of
+from torch_radbp.boundary.segments import Segments, height_above, heights_by, place_of
+from torch_radbp.boundary.shadows.edge_tree import numbers_to
+from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry
+from torch_radbp.boundary.shadows.hidden_light import EVEN, FirstVertex, light_beyond, number_of_paths
+from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, corners_of, extent_of, salted, unhidden
+from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, surfaces_of
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.ways_down import picked_ones, ways_down
+from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import primal
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal
+
+SALT = 0x7F4A7C15  # tells the random numbers of these places from others
+PATHS = 0.5  # of the paths from which edges are looked at, that segments are looked at from
+LOOKS, PLACES = 4, 2  # for segments from each vertex, and places on segments that were found
+
+
+class Sheets(NamedTuple):
+    """N surfaces at places where others pass through them; detached, float64 but for integers."""
+
+    triangle: Tensor  # (N,) int32
+    instance: Tensor | None  # (N,) int32, that shows it
+    at: Vec2  # barycentric
+    through: Tensor  # (N,) int32, the triangle that passes through
+    shown_by: Tensor | None  # (N,) int32, what shows that
+    beside: Vec2  # a little into the part that is seen, barycentric
+    growth: Tensor  # how much of that is gained where the level rises by one, barycentric coordinates squared
+
+
+class CrossedOfView(NamedTuple):
+    """K surfaces that vertices of paths of a view see up to where others pass through them; detached."""
+
+    points: Viewpoints
+    viewpoint: Tensor  # (K,) int32, which
+    sheets: Sheets
+    strength: Tensor  # (3, K) float64, what is gained where the level rises by one
+
+
+def jumps_in_view(call: RenderCall, number: int, found: CrossedOfView) -> FilmJumps:
+    """What such curves add to the derivative of view `number`; `call`: of which something moves."""
+    geometry, sheets = attached_geometry(call.scene), found.sheets
+    p = interpolated(place_of(geometry, sheets.triangle, sheets.instance), *sheets.at)
+    level = height_above(place_of(geometry, sheets.through, sheets.shown_by), p)
+    return FilmJumps(rows(found.points.place, found.viewpoint), found.strength * (level - primal(level)))
+
+
+def shines(scene: SceneTensors, segments: Segments) -> bool:
+    """True if one of the surfaces that pass through each other emits light, which all vertices of paths receive straight."""
+    return any(bool((rows(scene.triangles.emitter, triangle) >= 0).any()) for triangle, _ in surfaces_of(segments))
+
+
+def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree, effort: float) -> CrossedOfView | None:
+    """What vertices of paths of view `number` see of such curves; None: nothing.
+
+    Args:
+        call: without derivatives.
+        crossing: the curves.
+        effort: share of the samples that are taken.
+    """
+    view, geometry = call.views[number], geometry_of(call.scene)
+    integrand = integrand_of(call, call.integrand, number)
+    points = viewpoints(call, number, integrand, number_of_paths(call, view, PATHS * effort))
+    if not len(points.depth):
+        return None
+    at, corners = vertex_at(call, geometry, number, points), corners_of(geometry, points.hit)
+    one, extent = torch.ones_like(at.x), extent_of(geometry)
+    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
+    seed, count, (segments, tree) = salted(view, SALT), PLACES * len(points.depth), crossing
+    ways = ways_down(call.stages, tree, eyes, seed, LOOKS, extent)
+    found = picked_ones(call.stages.segment_found(geometry, segments, tree, eyes, ways, extent), ways.eye, LOOKS, count)
+    if found is None:
+        return None
+    passed = call.stages.segment_passed(geometry, segments, eyes, found.lot, found.found, found.eye, seed, extent,
+                                        numbers_to(count, found.eye))
+    passed = rows(passed, unhidden(call.integrand, passed))
+    if not len(passed.edge):
+        return None
+    sheets = joined(list(call.stages.sheets_seen(geometry, segments, at, passed, extent)))
+    passed = joined([passed, passed])
+    hit = hit_beside(sheets, integrand.proposal.dtype)
+    light = light_beyond(call, integrand, points, hit, passed, at, FirstVertex(True, True)) * sheets.growth
+    kept = ((light != 0) & torch.isfinite(light)).any(0).nonzero().squeeze(1)
+    if not len(kept):
+        return None
+    return CrossedOfView(points, passed.eye[kept], rows(sheets, kept), light[:, kept])
+
+
+def hit_beside(sheets: Sheets, dtype: torch.dtype) -> Hit:
+    """What is hit of surfaces right beside where others pass through them, a distance of 0 away."""
+    u, v = (part.to(dtype) for part in sheets.beside)
+    return Hit(sheets.triangle, u, v, torch.zeros_like(u), sheets.instance)
+
+
+def sheets_seen(geometry: Geometry, segments: Segments, at: Vec3, passed: Passed,
+                extent: Tensor) -> tuple[Sheets, Sheets]:
+    """Both surfaces at places on segments.
+
+    Args:
+        geometry: of the scene, detached.
+        segments: (S,).
+        at: (M,) eyes, world.
+        passed: (N,) the places as these see them.
+        extent: () of the scene.
+    """
+    own, eye = rows(segments, passed.edge), rows(at, passed.eye)
+    surfaces, (start, end) = surfaces_of(own), ends_of(geometry, own)
+    corners, found = [place_of(geometry, *surface) for surface in surfaces], []
+    for (surface, other), (mine, passing) in zip((surfaces, surfaces[::-1]), (corners, corners[::-1])):
+        rise, run = heights_by(passing, mine), direction_on(mine, end - start)
+        steep = rise.x * rise.x + rise.y * rise.y
+        side = torch.sign(height_above(passing, eye))
+        growth = side * torch.sqrt((run.x * run.x + run.y * run.y) / steep.clamp_min(TINY)) * passed.times
+        n = cross(mine[1] - mine[0], mine[2] - mine[0])
+        across = normalize(cross(n, end - start))
+        upwards = torch.sign(dot(across, cross(passing[1] - passing[0], passing[2] - passing[0])))
+        here, step = direction_on(mine, passed.p - mine[0]), direction_on(mine, across * (side * upwards * BESIDE * extent))
+        found.append(Sheets(*surface, here, *other, here + step, growth))
+    return tuple(found)
+
+
+def direction_on(corners: Corners, d: Vec3) -> Vec2:
+    """The barycentric coordinates of directions in the planes of triangles; (N,)."""
+    one, two = corners[1] - corners[0], corners[2] - corners[0]
+    n = cross(one, two)
+    squared = dot(n, n).clamp_min(TINY)
+    return Vec2(dot(cross(d, two), n) / squared, dot(cross(one, d), n) / squared)

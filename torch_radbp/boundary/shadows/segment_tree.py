@@ -1,0 +1,125 @@
+"""A tree over the segments along which surfaces pass through each other, and places on them that points in the scene see.
+
+It is one of edges (`edge_tree.py`) of which no direction across is left out: on either side of a segment another surface is
+seen, from wherever it is seen.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.edge_order import GROUP, slots_of
+from torch_radbp.boundary.geometry import Corners, Geometry
+from torch_radbp.boundary.places import Lot, picked
+from torch_radbp.boundary.segments import Segments, height_above, place_of
+from torch_radbp.boundary.shadows.edge_tree import (
+    STRAIGHT,
+    Descent,
+    EdgeNodes,
+    EdgeTree,
+    box_around,
+    numbers_to,
+    rounded,
+    tree_over,
+)
+from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.boundary.shadows.seen_edges import Passed, angle_of, numbers_of_places, passed_at, place_between
+from torch_radbp.boundary.shadows.ways_down import Found, found_among
+from torch_radbp.path.integrand import Stages
+from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import Vec3, dot, interpolated, normalize, rows, unit_normal
+
+
+class SegmentTree(NamedTuple):
+    """Segments, and a tree over them; detached."""
+
+    segments: Segments
+    tree: EdgeTree
+
+
+def segment_tree(stages: Stages, geometry: Geometry, segments: Segments) -> SegmentTree:
+    """The tree over some segments; `geometry`: of the scene, detached."""
+    start, _ = ends_of(geometry, segments)
+    slots = slots_of(torch.zeros_like(segments.triangle), start.stack())
+    bounds = stages.segment_bounds(geometry, segments, slots, numbers_to(len(slots), slots))
+    return SegmentTree(segments, tree_over(stages, bounds, slots))
+
+
+def ends_of(geometry: Geometry, segments: Segments) -> tuple[Vec3, Vec3]:
+    """Where segments begin and end, (S,) world."""
+    corners = segments.corners(geometry)
+    return tuple(interpolated(corners, end.x, end.y) for end in (segments.start, segments.end))
+
+
+def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: Tensor) -> EdgeNodes:
+    """The bounds of single segments.
+
+    Args:
+        geometry: of the scene, detached.
+        segments: (S,).
+        slots: of their tree.
+        slot: (N,) int32, which.
+    """
+    number = lookup(slots, slot)
+    exists = number >= 0
+    a, b = ends_of(geometry, rows(segments, number.clamp_min(0)))
+    along, none = b - a, torch.zeros_like(a.x)
+    low, high = box_around(a, b, exists)
+    bend = torch.where(exists, torch.sqrt(dot(along, along)) * 2.0 * STRAIGHT, 0.0)
+    straight = none + STRAIGHT
+    bounds = EdgeNodes(low, high, Vec3(none, none, none + 1.0), none, none + 1.0, straight, straight, bend, none,
+                       none + torch.inf)
+    return rounded(bounds, geometry.triangles.vertices.p.x.dtype)
+
+
+def segment_found(geometry: Geometry, segments: Segments, tree: EdgeTree, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
+    """Segments below the last nodes of the tree, in proportion to the angles under which they are seen.
+
+    Args:
+        geometry: of the scene, detached.
+        segments: (S,).
+        tree: over these.
+        eyes: look for them.
+        at: (N,) at the last nodes.
+        extent: () of the scene.
+    """
+    own, first = rows(eyes, at.eye), (at.node - tree.leaves) * GROUP
+    angles = []
+    for place in range(GROUP):
+        number = lookup(tree.slots, first + place)
+        a, b = ends_of(geometry, rows(segments, number.clamp_min(0)))
+        angles.append(torch.where(number >= 0, angle_of(a, b, own, extent), 0.0))
+    return found_among(tree, at, first, angles)
+
+
+def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
+                   extent: Tensor, place: Tensor) -> Passed:
+    """Places on some of the segments that were found, `outwards` to between the surfaces that eyes see there.
+
+    Args:
+        geometry, segments, eyes, extent: as for `segment_found`.
+        lot, found, eye, seed, place: as for `edge_passed`.
+    """
+    key, aim, turn = numbers_of_places(seed, place)
+    number, _, times = picked(lot, place, aim)
+    (segment, repeated, _), eye = rows((found, eye), number)
+    own, segments = rows(eyes, eye), rows(segments, segment.clamp_min(0))
+    along, times, p = place_between(*ends_of(geometry, segments), own, turn, times * repeated)
+    times = times if segments.share is None else times / segments.share
+    towards = [facing(place_of(geometry, *surface), own.place) for surface in surfaces_of(segments)]
+    return passed_at(own, Passed(segment, eye, along, times, p, normalize(towards[0] + towards[1]), None, None, None, key),
+                     extent, geometry.triangles.n.x.dtype)
+
+
+def surfaces_of(segments: Segments) -> list[tuple[Tensor, Tensor | None]]:
+    """The triangles that meet along segments, and what shows them."""
+    return [(segments.triangle, segments.instance), (segments.through, segments.shown_by)]
+
+
+def facing(corners: Corners, eye: Vec3) -> Vec3:
+    """Unit normals of triangles, (N,), on the side from which they are seen; 0 in their planes."""
+    return unit_normal(corners[1] - corners[0], corners[2] - corners[0]) * torch.sign(height_above(corners, eye))

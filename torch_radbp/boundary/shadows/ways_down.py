@@ -1,0 +1,72 @@
+"""Ways down a tree over edges, or over segments, and what they find."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.places import Lot, lot_of
+from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to, rounded
+from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.path.integrand import Stages
+from torch_radbp.sampling.running_sum import running_sum
+from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import rows
+
+# Steps of a sequence that fills a square evenly, in units of 2^-32: the powers of the inverse of the root of x^3 = x + 1.
+STEPS = 0xC13FA9A9 - (1 << 32), 0x91E10DA5 - (1 << 32)
+
+
+def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each: int, extent: Tensor) -> Descent:
+    """Ways down the tree to the last nodes; args as for `places_seen` of
+    `seen_edges.py`, and `extent`: () of the scene."""
+    way = numbers_to(each * len(eyes.w), tree.slots)
+    eye = torch.div(way, each, rounding_mode="floor")
+    u = fine_unit(eye * STEPS[0] + hash32(seed.seed)) + (way - eye * each)  # as many in each part of the edges
+    at = Descent(eye, torch.ones_like(way), u / each, torch.ones_like(u))
+    whole, part = divmod(int(tree.leaves).bit_length() - 1, LEVELS)
+    seen_from, wide = (rounded(part, tree.nodes.bend.dtype) for part in (eyes, extent))
+    for levels in [part] * (part > 0) + [LEVELS] * whole:
+        at = stages.descended(tree.nodes, seen_from, wide, at, levels)
+    return at
+
+
+class PickedOnes(NamedTuple):
+    """What K ways down the tree have found, and what places on it are picked by."""
+
+    found: Found
+    eye: Tensor  # (K,) int32, that sees each
+    lot: Lot
+
+
+def picked_ones(found: Found, eye: Tensor, each: int, count: int) -> PickedOnes | None:
+    """What ways have found, so many from each eye, in order, for so many places; None: nothing."""
+    order = found.edge.argsort(stable=True)  # places on an edge are well spread along it
+    found, eye = rows((found._replace(times=found.times / each), eye), order)
+    weight = found.times * found.angle
+    total = running_sum(weight)
+    return PickedOnes(found, eye, lot_of(weight, count, total)) if float(total[-1]) > 0.0 else None
+
+
+class Found(NamedTuple):
+    """What N ways down the tree have found."""
+
+    edge: Tensor  # (N,) int32; -1: no silhouette
+    times: Tensor  # (N,) float64, how many edges it stands for
+    angle: Tensor  # (N,) float64, under which it is seen
+
+
+def found_among(tree: EdgeTree, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> Found:
+    """What ways down have found below the last nodes, of `GROUP` slots each, from `first` on, with these angles."""
+    place, share, _ = drawn(angles, at.u)
+    angle = torch.zeros_like(share)
+    for number, its in enumerate(angles):
+        angle = torch.where(place == number, its, angle)
+    chance = at.chance * share
+    exists = chance > 0.0
+    times = torch.where(exists, 1.0 / torch.where(exists, chance, 1.0), 0.0)
+    return Found(torch.where(exists, lookup(tree.slots, first + place), -1), times, angle)
