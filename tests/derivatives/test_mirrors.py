@@ -30,17 +30,18 @@ SHOWN = {
     (0.3, 512): ("vertices in a mirror",),
     (0.4, 512): ("cube through a lens",),
     (0.5, 512): ("lens before a cube",),
+    # At the outlines of these balls, meshes with interpolated normals, there is a black strip much narrower than a pixel.
+    (0.3, 1024): ("camera before a ball",),
+    (0.6, 1024): ("ball before a cube",),
 }
-# At the outlines of these balls, meshes with interpolated normals, there is a black strip, of which the inner border is
-# missed where the strip is narrower than what steps of scans are divided into. The shadow is off by 1 %, beyond four
-# standard errors.
-OFF = {"camera before a ball", "ball before a cube", "mirror before a shadow"}
+# The shadow is off by 1 %, beyond four standard errors.
+OFF = {"mirror before a shadow"}
 ROWS = [Row(name, bias, spp) for (bias, spp), names in SHOWN.items() for name in names]
 QUICK = ("camera before a mirror", "camera before a block", "mirror before squares", "camera, a shadow in a mirror")
 
 
 def test_every_scene_is_examined():
-    assert {row.name for row in ROWS} == set(MIRRORED) - OFF and len(ROWS) == len(MIRRORED) - 3 >= 21
+    assert {row.name for row in ROWS} == set(MIRRORED) - OFF and len(ROWS) == len(MIRRORED) - 1 >= 23
 
 
 @pytest.mark.parametrize("row", deep_but([row for row in ROWS if row.name in QUICK], ROWS), ids=str)
