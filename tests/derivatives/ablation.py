@@ -29,8 +29,8 @@ def without(*parts: str) -> Iterator[None]:
     """Within it, derivatives lack `parts`: "Jacobian", "directions"."""
     glued_direction, aim_at_area = outgoing_ray.glued_direction, AreaKind.aim
 
-    def poorer_direction(there, o, d, hit, glued):
-        direction, change = glued_direction(there, o, d, hit, glued)
+    def poorer_direction(there, o, d, hit, glued, slide):
+        direction, change = glued_direction(there, o, d, hit, glued, slide)
         return (direction.map(torch.Tensor.detach) if "directions" in parts else direction,
                 change.detach() if "Jacobian" in parts else change)
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, point_at
-from torch_radbp.boundary.outline import FOLD, NONE, TURNED, WHOLE, Outline
+from torch_radbp.boundary.outline import FOLD, SHADED, TURNED, WHOLE, Outline
 from torch_radbp.boundary.places import (
     CREASE,
     SILHOUETTE,
@@ -48,7 +48,7 @@ def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
     silhouette = is_silhouette(a, b, opposite, sight.eye.towards(a), sight.eye.radius)
     jump = torch.where(silhouette, 1.0, jump_of_creases(outline, a, b, opposite))
     if sight.lamps:
-        ends = (outline.crease == NONE) & light_may_end(sight.lamps, a, b, opposite)
+        ends = (outline.crease == SHADED) & light_may_end(sight.lamps, a, b, opposite)
         jump = torch.where(ends & ~silhouette, torch.minimum(*folds(a, b, opposite)), jump)
     return torch.where(jump > 0.0, length_in_view(sight, a, b) * jump, 0.0)
 
@@ -102,7 +102,8 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
     else:
         silhouette = is_silhouette(a, b, opposite, -camera.kind.towards(camera.lens, a, aperture))
         crease = rows(outline.crease, edge)
-        scale = scale * (silhouette | (crease > 0) | light_may_end(sight.lamps, a, b, opposite))
+        ends = (crease == SHADED) & light_may_end(sight.lamps, a, b, opposite)
+        scale = scale * (silhouette | (crease > 0) | ends)
     normal = Vec2(-pace.y * scale, pace.x * scale)
     nothing = torch.zeros_like(along)
     sheets = [sheet_at(geometry, sight, (a, b, tip), corner, instance, p, at, normal, aperture)
