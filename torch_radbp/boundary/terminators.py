@@ -5,8 +5,9 @@ other faces away: the latter lies in the shade of the mesh itself. The cosine of
 so that the image jumps, the more the larger triangles are: on a ball of 320 triangles that a lamp lights from the side that
 makes 5 % of the derivative (`tests/boundary/test_terminators.py`).
 
-Lamps that surround the scene are left out: what a triangle hides of them is as small as the square of the angle between
-triangles.
+Where a mesh turns, or a lamp moves about it, whole triangles turn from the lamp as well: a derivative at one moment misses
+that. Lamps that surround the scene are left out, too: what a triangle hides of them is as small as the square of the angle
+between triangles.
 """
 
 from __future__ import annotations
