@@ -24,9 +24,9 @@ import torch_radbp as rb
 from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
-from torch_radbp.call.chunks import Chunk
 from torch_radbp.call.pixels import deposit, developed
 from torch_radbp.call.render_call import film_places, start_paths
+from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.wavefront import add_at, survivors, take_step
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec3, masked, rows
@@ -51,7 +51,7 @@ STRATEGIES = {
 def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
     """The image by plain autograd that keeps the path state at every bounce and computes the rest again."""
     call = renderer.prepare(seed, None, renderer.spp, None)
-    integrand, view = call.make_integrand(call.scene), call.views[0]
+    integrand = call.make_integrand(call.scene)
 
     def one_bounce(state, depth):
         vertex, light, step = take_step(integrand, state, depth)
@@ -59,14 +59,14 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
         found = found if light is None else joined([found, light])
         return rows(state.lane, step.order), rows(state.beta, step.order) * found, survivors(integrand, vertex.next, step)
 
-    def deposited(chunk: Chunk) -> tuple[torch.Tensor, None]:
-        state, depth = start_paths(call, chunk, view.sample_keys[0]), 0
+    def deposited(wavefront: Wavefront) -> tuple[list[torch.Tensor], None]:
+        state, depth = start_paths(call, wavefront, 0), 0
         L = Vec3.buffer(state.beta.x)
         while depth < integrand.max_depth and len(state.lane):
             lane, found, state = checkpoint(one_bounce, state, depth, use_reentrant=False)
             add_at(L, lane, found)
             depth += 1
-        return deposit(call, chunk, L, film_places(call, chunk, view.sample_keys[0])), None
+        return deposit(call, wavefront, L, film_places(call, wavefront, 0)), None
 
     return developed(call._replace(workers=1), deposited).pixels
 

@@ -22,7 +22,7 @@ def first_bounces():
     """The integrand of a Cornell box with roulette from the first bounce on, and the bounces of its paths."""
     call = rb.Renderer(cornell(), **SETTINGS).prepare(0, None, SETTINGS["spp"], None)
     integrand = call.make_integrand(tree_map_only(Tensor, Tensor.detach, call.scene))
-    return integrand, list(bounces(integrand, start_paths(call, call.chunks[0], call.views[0].sample_keys[0])))
+    return integrand, list(bounces(integrand, start_paths(call, call.wavefronts[0], 0)))
 
 
 def test_a_bounce_taken_again_keeps_the_survivors_although_rounding_differs():
@@ -55,10 +55,10 @@ def test_nothing_of_a_chunk_is_held_once_it_is_added_to_the_image(monkeypatch):
     alive, most = weakref.WeakSet(), []
     deposit = record.deposit
 
-    def watched(call, chunk, values, place):
+    def watched(call, wavefront, values, place):
         alive.add(values[0])
         most.append(len(alive))
-        return deposit(call, chunk, values, place)
+        return deposit(call, wavefront, values, place)
 
     monkeypatch.setattr(record, "deposit", watched)
     scene = cornell()

@@ -15,7 +15,7 @@ from tests.derivatives.everything import build_everything
 from tests.gradients import image_and_gradients, relative_error, z_score
 from tests.scenes import CASES, cornell, furnace, parameters
 from torch_radbp.adjoint import function, images
-from torch_radbp.adjoint.record import record_chunk, trace_both
+from torch_radbp.adjoint.record import record_wavefront, trace_both
 from torch_radbp.rendering import cost
 from torch_radbp.rendering.cost import traced_together
 from torch_radbp.rendering.jvp import rendering_with_tangent
@@ -89,7 +89,8 @@ def test_records_that_would_take_too_much_memory_are_traced_again(adjoint, monke
     wanted = parameters(scene, ["white.reflectance.value"])
     renderer = rb.Renderer(scene, adjoint=adjoint, share_samples=True, chunk=CHUNK, **SETTINGS)
     traced = []
-    monkeypatch.setattr(function, "record_chunk", lambda *arguments: (traced.append(1), record_chunk(*arguments))[1])
+    monkeypatch.setattr(function, "record_wavefront",
+                        lambda *arguments: (traced.append(1), record_wavefront(*arguments))[1])
 
     def gradient():
         traced.clear()
@@ -98,11 +99,11 @@ def test_records_that_would_take_too_much_memory_are_traced_again(adjoint, monke
     kept = gradient()
     assert not traced
     call = renderer.prepare(5, None, None, None)
-    record = record_chunk(call, call.make_integrand(detached(call.scene)), call.chunks[0], call.views[0].sample_keys[1])
+    record = record_wavefront(call, call.make_integrand(detached(call.scene)), call.wavefronts[0])
     size = sum(leaf.nbytes for leaf in leaves_of(record) if isinstance(leaf, torch.Tensor))
     monkeypatch.setattr(cost, "SHARE_OF_RECORDS", 1.5 * size / cost.memory_of(scene.device))
     assert torch.equal(kept, gradient())
-    assert 0 < len(traced) < len(call.chunks)
+    assert 0 < len(traced) < len(call.wavefronts)
 
 
 def squared_loss_gradients(runs, **settings):

@@ -1,9 +1,10 @@
-"""How lanes are cut into chunks, and chunks dealt out."""
+"""How lanes are cut into chunks, which of these are traced as one, and how they are dealt out."""
 
 import pytest
 import torch
 
 from torch_radbp.call.chunks import BAND, LEAST_LANES, fair_chunk, plan_chunks
+from torch_radbp.call.wavefronts import plan_wavefronts
 from torch_radbp.film.splat import TOGETHER
 
 CPU = torch.device("cpu")
@@ -52,3 +53,27 @@ def test_chunks_of_a_small_image_are_not_too_small():
     assert len(plan_chunks([(64, 64)], 4, lanes, 16)) == 1
     lanes = fair_chunk([(256, 256)], 4, 16, 1 << 18)
     assert all(chunk.lanes >= LEAST_LANES for chunk in plan_chunks([(256, 256)], 4, lanes, 16))
+
+
+@pytest.mark.parametrize("sensors, side, spp, workers, expected", [
+    (1, 64, 4, 2, 1), (2, 64, 4, 2, 1), (8, 64, 8, 2, 2), (8, 64, 4, 1, 1), (9, 64, 16, 2, 4), (3, 8, 1, 16, 1)])
+def test_small_images_are_traced_as_one_as_long_as_no_worker_is_idle(sensors, side, spp, workers, expected):
+    grids = [(side, side)] * sensors
+    chunks = plan_chunks(grids, spp, fair_chunk(grids, spp, workers, 1 << 18), workers)
+    wavefronts = plan_wavefronts(chunks, lambda chunk: "alike", 1 << 18, workers)
+    assert [chunk for wavefront in wavefronts for chunk in wavefront.chunks] == chunks
+    assert all(wavefront.lanes <= 1 << 18 for wavefront in wavefronts)
+    assert len(wavefronts) == min(expected, len(chunks))
+    for wavefront in wavefronts:
+        parts = list(wavefront.parts())
+        assert parts[0][1] == 0 and parts[-1][2] == wavefront.lanes
+        assert all(last - first == chunk.lanes for chunk, first, last in parts)
+
+
+def test_only_chunks_that_are_alike_are_traced_as_one():
+    chunks = plan_chunks([(8, 8)] * 5, 1, 64, 1)
+    kinds = ["a", "a", None, "b", "b"]
+    found = plan_wavefronts(chunks, lambda chunk: kinds[chunk.sensor], 1 << 18, 1)
+    assert [[chunk.sensor for chunk in wavefront.chunks] for wavefront in found] == [[0, 1], [2], [3, 4]]
+    apart = plan_wavefronts(chunks, lambda chunk: None, 1 << 18, 1)
+    assert [len(wavefront.chunks) for wavefront in apart] == [1] * 5

@@ -91,7 +91,7 @@ def test_after_an_error_no_other_chunk_is_begun():
                          ids=repr)
 def test_image_and_gradients_do_not_depend_on_the_number_of_threads(name, adjoint, monkeypatch):
     """Both passes run on workers too; sums in another order differ by rounding."""
-    case, seen, torch_threads = CASES[name], {"trace_chunk": set(), "lane_adjoint": set()}, [1]
+    case, seen, torch_threads = CASES[name], {"trace_wavefront": set(), "lane_adjoint": set()}, [1]
 
     def watch(module: ModuleType, called: str) -> None:
         original = getattr(module, called)
@@ -104,7 +104,7 @@ def test_image_and_gradients_do_not_depend_on_the_number_of_threads(name, adjoin
 
         monkeypatch.setattr(module, called, watched)
 
-    watch(images, "trace_chunk")
+    watch(images, "trace_wavefront")
     watch(function, "lane_adjoint")
 
     def results():
@@ -126,5 +126,5 @@ def test_image_and_gradients_do_not_depend_on_the_number_of_threads(name, adjoin
 def test_a_small_image_is_not_dealt_out():
     """A second thread would spend more on its share of Python than it takes over."""
     renderer = rb.Renderer(CASES["cornell"].scene(), spp=1, max_depth=2)
-    assert len(with_threads(4, lambda: renderer.prepare(0, None, None, None)).chunks) == 1
-    assert len(with_threads(4, lambda: renderer.prepare(0, None, 5000, None)).chunks) >= 4
+    assert len(with_threads(4, lambda: renderer.prepare(0, None, None, None)).wavefronts) == 1
+    assert len(with_threads(4, lambda: renderer.prepare(0, None, 10_000, None)).wavefronts) >= 4

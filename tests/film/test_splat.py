@@ -36,8 +36,9 @@ def the_call(filter, spp: int, compile: bool, **film):
 def samples(call) -> tuple[np.ndarray, np.ndarray]:
     """Where the samples lie, pixels from the upper left corner of the window, (N, 2); and two values of each, (N, 2)."""
     places = []
-    for chunk in call.chunks:
-        grid, place = call.views[0].grid, film_places(call, chunk, call.views[0].sample_keys[0])
+    for wavefront in call.wavefronts:
+        chunk, = wavefront.chunks
+        grid, place = call.views[0].grid, film_places(call, wavefront, 0)
         pixel = chunk.rows.numbers(place.x.device).repeat_interleave(chunk.samples)
         row, column = torch.div(pixel, grid.columns, rounding_mode="floor"), pixel % grid.columns
         places.append(torch.stack([column + place.x, row + place.y], 1) - grid.window.rows.before)
@@ -70,12 +71,11 @@ def test_images_are_the_sums_of_samples_over_the_sums_of_the_filter(name, border
     expected, sums = written_out(FILTERS[name], places, values)
     first = 0
 
-    def work(chunk):
+    def work(wavefront):
         nonlocal first
-        own = torch.from_numpy(values[first:first + chunk.lanes]).unbind(1)
-        first += chunk.lanes
-        return deposit(call, chunk, [value.contiguous() for value in own],
-                       film_places(call, chunk, call.views[0].sample_keys[0])), None
+        own = torch.from_numpy(values[first:first + wavefront.lanes]).unbind(1)
+        first += wavefront.lanes
+        return deposit(call, wavefront, [value.contiguous() for value in own], film_places(call, wavefront, 0)), None
 
     found = developed(call._replace(workers=1), work)
     assert np.abs(sums).max() > 0.5 and np.abs(expected).max() > 1
@@ -94,7 +94,7 @@ def test_images_have_the_same_bits_in_bands_and_chunks_of_any_size(name, border,
             "type": "hdrfilm", "width": 9, "height": 7, "sample_border": border})})
         scene.sensors[0].film.rfilter = FILTERS[name]
         renderer = rb.Renderer(scene, max_depth=3, compile=compile, **settings)
-        groups = {chunk.group for chunk in renderer.prepare(3, None, None, None).chunks}
+        groups = {wavefront.group for wavefront in renderer.prepare(3, None, None, None).wavefronts}
         return len(groups), renderer(seed=3)
 
     for spp in (3, 20):
@@ -113,9 +113,8 @@ def test_what_lanes_are_asked_for_is_the_transpose(name):
     wanted = cotangent(torch.zeros(1, 3, 7, 9, dtype=torch.float64))
     filters = filters_of(call, 0)
     pixels = asked_of_pixels(call, wanted, filters)
-    key = call.views[0].sample_keys[0]
-    asked = torch.cat([torch.stack(lane_adjoint(call, chunk, film_places(call, chunk, key), pixels[0]))
-                       for chunk in call.chunks], 1)
+    asked = torch.cat([torch.stack(lane_adjoint(call, wavefront, film_places(call, wavefront, 0), pixels))
+                       for wavefront in call.wavefronts], 1)
     expected, _ = written_out(FILTERS[name], places, values)
     product = float((wanted[0, 0] * torch.from_numpy(expected[0])).sum())
     assert abs(product) > 1e-3

@@ -4,6 +4,7 @@ import copy
 import gc
 import math
 import pickle
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -11,7 +12,7 @@ import torch
 
 from tests.raycast.meshes import mesh, random_rays, single_ray, soup
 from tests.raycast.test_hits import CASTERS, WARP
-from torch_radbp.raycast import FEW_TESTS, Ray, library, make_caster
+from torch_radbp.raycast import FEW_TESTS, Ray, library, make_caster, tree
 from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
@@ -158,6 +159,37 @@ def test_embree_says_what_to_install(monkeypatch):
     monkeypatch.setattr(library.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(RuntimeError, match="pip install 'embreex>=4.4'"):
         library.library_path()
+
+
+def test_a_large_tree_is_built_beside_its_maker(monkeypatch):
+    vertices, faces = soup(2000)
+    ray, expected = random_rays(500, torch.float32), Embree(vertices, faces)
+    monkeypatch.setattr(tree, "LARGE", 1)
+    begun, building = threading.Event(), tree.Tree.build
+    monkeypatch.setattr(tree.Tree, "build", lambda self: (begun.wait(5), building(self)))
+    if torch.get_num_threads() == 1:
+        begun.set()  # nobody builds it beside
+    found = Embree(vertices, faces)
+    begun.set()
+    hit, same = found.intersect(ray), expected.intersect(ray)
+    assert (same.prim >= 0).any() and all(map(torch.equal, hit[:4], same[:4]))
+
+
+def test_an_error_of_a_large_tree_is_raised_whenever_rays_are_cast(monkeypatch):
+    def refuse(device, doing):
+        if doing.startswith("building"):
+            raise RuntimeError(f"Embree failed {doing}")
+
+    monkeypatch.setattr(tree, "LARGE", 1)
+    monkeypatch.setattr(library, "check", refuse)
+    if torch.get_num_threads() == 1:
+        with pytest.raises(RuntimeError, match="building a scene of 1 triangles"):
+            Embree(TRIANGLE, FACE)
+        return
+    caster = Embree(TRIANGLE, FACE)
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="building a scene of 1 triangles"):
+            caster.intersect(DOWN)
 
 
 def test_an_error_of_embree_is_raised_with_its_name():

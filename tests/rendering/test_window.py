@@ -190,7 +190,7 @@ def test_a_window_costs_its_own_pixels_and_those_that_the_filter_reaches(rfilter
     renderer = rb.Renderer(room(rfilter=rfilter), spp=6)
 
     def lanes(window: tuple[int, int, int, int] | None) -> int:
-        return sum(chunk.lanes for chunk in renderer.prepare(0, None, None, None, window=window).chunks)
+        return sum(wavefront.lanes for wavefront in renderer.prepare(0, None, None, None, window=window).wavefronts)
 
     assert lanes(None) == 12 * 12 * 6
     assert lanes((4, 5, 3, 2)) == (3 + 2 * beside) * (2 + 2 * beside) * 6

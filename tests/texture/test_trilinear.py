@@ -186,7 +186,7 @@ def test_paths_carry_cones_only_where_a_material_reads_a_pyramid():
         scene = load(sensor=sensor(2), plane=plane(bsdf=printed),
                      lamp=lamp(emitter={"type": "area", "radiance": image(texels(3, 3), lamps)}))
         call = rb.Renderer(scene).prepare(0, None, 1, None)
-        return start_paths(call, call.chunks[0], call.views[0].sample_keys[0])
+        return start_paths(call, call.wavefronts[0], 0)
 
     assert state("bilinear").cone is None and state("bilinear", "trilinear").cone is None
     assert state("trilinear").cone is not None

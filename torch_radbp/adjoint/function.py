@@ -8,10 +8,10 @@ from functools import partial, wraps
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import Memo, vector_jacobian_product, zeros_unless
+from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
-from torch_radbp.adjoint.record import record_chunk
+from torch_radbp.adjoint.record import record_wavefront
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.call.chunks import Chunk
@@ -22,13 +22,15 @@ from torch_radbp.call.render_call import (
     integrand_of,
     start_paths,
 )
+from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
 from torch_radbp.public_call import public_call
-from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene.cone import Cone
 from torch_radbp.tensors.differentiated import detached, differentiable
 from torch_radbp.tensors.lookup import summed
-from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.record import leaves_of, rows_between, with_leaves
 from torch_radbp.tensors.torch_internals import batched
+from torch_radbp.tensors.vec import Ray
 
 SAVED = object()  # stands for a tensor that autograd keeps
 
@@ -96,33 +98,33 @@ class RenderFunction(torch.autograd.Function):
         first = [len(leaves) + sum(map(sum, wanted_of_cameras[:sensor])) for sensor in range(len(call.views))]
 
         def swept(index: int, gradients: Gradients, make_sweep: Callable = Sweep) -> Sweep:
-            chunk = call.chunks[index]
-            key, record = call.views[chunk.sensor].sample_keys[1], records[index]
+            wavefront, record = call.wavefronts[index], records[index]
             if record is None:
-                record = record_chunk(call, integrand, chunk, key)
-            adj_L = weighted(lane_adjoint(call, chunk, record.place, pixels[chunk.sensor]), record.weight)
-            sweep = make_sweep(integrand_of(call, integrand, chunk), record, adj_L, numbered, gradients)
+                record = record_wavefront(call, integrand, wavefront)
+            adj_L = weighted(lane_adjoint(call, wavefront, record.place, pixels), record.weight)
+            seen = integrand_of(call, integrand, wavefront.chunks[0].sensor)
+            sweep = make_sweep(seen, record, adj_L, numbered, gradients)
             call.adjoint.backward(sweep)
             return sweep
 
         def sweep_again(finding: Finding) -> None:
-            for index in range(len(call.chunks)):
+            for index in range(len(call.wavefronts)):
                 if finding.depth is None:
                     swept(index, Gradients(leaves), partial(CheckedSweep, finding))
 
         def differentiate_share(share: Iterable[int]) -> Gradients:
             gradients = Gradients((*leaves, *cameras), call.memory)
             for index in share:
-                chunk = call.chunks[index]
-                key = call.views[chunk.sensor].sample_keys[1]
-                sweep = swept(index, gradients)
-                wants = wanted_of_cameras[chunk.sensor]
-                if any(wants):
-                    for k, adjoint in enumerate(camera_adjoint(call, chunk, key, wants, sweep.memo)):
-                        gradients.add_whole(first[chunk.sensor] + k, adjoint)
+                memo = swept(index, gradients).memo
+                for chunk, *lanes in call.wavefronts[index].parts():
+                    wants = wanted_of_cameras[chunk.sensor]
+                    if any(wants):
+                        adj_start = rows_between((memo.adj_ray, memo.adj_cone), *lanes)
+                        for k, adjoint in enumerate(camera_adjoint(call, chunk, wants, *adj_start)):
+                            gradients.add_whole(first[chunk.sensor] + k, adjoint)
             return gradients
 
-        shares = in_turns(len(call.chunks), call.workers, differentiate_share)
+        shares = in_turns(len(call.wavefronts), call.workers, differentiate_share)
         results, are_finite = gradients_of(shares)
         call.memory.give_back(rows for share in shares for rows in share.rows)
         if not are_finite:
@@ -166,8 +168,9 @@ def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 
-def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple[bool, ...], memo: Memo) -> list[Tensor]:
-    """The gradients of the wanted leaves of a camera from what the memo holds of the rays of one chunk; where each ray reads
+def camera_adjoint(call: RenderCall, chunk: Chunk, wanted: tuple[bool, ...], adj_ray: Ray,
+                   adj_cone: Cone | None) -> list[Tensor]:
+    """The gradients of the wanted leaves of a camera from those of the rays, and cones, of one chunk; where each ray reads
     entries of its own, they are summed in float64."""
     view = call.views[chunk.sensor]
     leaves = leaves_of(view.camera)
@@ -175,10 +178,9 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, key: SampleKey, wanted: tuple
     sensors = [view._replace(camera=summed(with_leaves(view.camera, leaves))) if number == chunk.sensor else other
                for number, other in enumerate(call.views)]
     with torch.enable_grad():
-        start = start_paths(call._replace(views=sensors, stages=call.stages.eager()), chunk, key)
+        start = start_paths(call._replace(views=sensors, stages=call.stages.eager()), Wavefront((chunk,)), 1)
         inputs = [leaf for leaf, want in zip(leaves, wanted) if want]
-        outputs, adjoints = (leaves_of((ray, cone or ())) for ray, cone in ((start.ray, start.cone),
-                                                                            (memo.adj_ray, memo.adj_cone)))
+        outputs, adjoints = (leaves_of((ray, cone or ())) for ray, cone in ((start.ray, start.cone), (adj_ray, adj_cone)))
         adjoints = vector_jacobian_product(outputs, inputs, adjoints)
     return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]
 

@@ -1,4 +1,4 @@
-"""The images of a call, chunk by chunk."""
+"""The images of a call, wavefront by wavefront."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.record import Allowance, trace_both, trace_chunk
+from torch_radbp.adjoint.record import Allowance, trace_both, trace_wavefront
 from torch_radbp.adjoint.sweep import PathRecord
-from torch_radbp.call.chunks import Chunk
 from torch_radbp.call.finite import Finding, checked_stages, finite, image_error
 from torch_radbp.call.pixels import Images, developed
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
 
 
 def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> Images:
-    """Linear RGB and the quantities of the call, and records of those chunks of which one is wanted and kept; else None."""
+    """Linear RGB and the quantities of the call, and records of those wavefronts of which one is wanted and kept."""
     allowance = Allowance(call.record_bytes if record else 0)
 
-    def trace_one(chunk: Chunk) -> tuple[Tensor, PathRecord | None]:
+    def trace_one(wavefront: Wavefront) -> tuple[list[Tensor], PathRecord | None]:
         if record and call.together:
-            return trace_both(call, integrand, chunk)
+            return trace_both(call, integrand, wavefront)
         keeping = allowance.left > 0
-        sums, path_record = trace_chunk(call, integrand, chunk, call.views[chunk.sensor].sample_keys[0], keeping, tracer)
+        sums, path_record = trace_wavefront(call, integrand, wavefront, 0, keeping, tracer)
         return sums, path_record if keeping and allowance.covers(path_record) else None
 
     images = developed(call, trace_one)
@@ -39,10 +39,10 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
         return
 
     def trace_again(integrand: Integrand, finding: Finding) -> None:
-        for chunk in call.chunks:
+        for wavefront in call.wavefronts:
             if finding.depth is None:
-                trace_chunk(call, integrand.with_stages(checked_stages(integrand.stages, finding)), chunk,
-                            call.views[chunk.sensor].sample_keys[0], record=False)
+                trace_wavefront(call, integrand.with_stages(checked_stages(integrand.stages, finding)), wavefront, 0,
+                                record=False)
 
     with torch.no_grad():
         call = call.still()

@@ -1,4 +1,4 @@
-"""Traces chunks, and keeps of their paths what the backward pass will need."""
+"""Traces wavefronts, and keeps of their paths what the backward pass will need."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import PathRecord
-from torch_radbp.call.chunks import Chunk
 from torch_radbp.call.pixels import deposit, weighted
 from torch_radbp.call.render_call import (
     RenderCall,
@@ -19,39 +18,44 @@ from torch_radbp.call.render_call import (
     start_paths,
     started,
 )
+from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step, trace, walk
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
 from torch_radbp.tensors.vec import Vec3
 
 
-def trace_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey, record: bool,
-                tracer: Callable = trace) -> tuple[Tensor, PathRecord]:
-    """What the lanes count in pixels, as of `deposit`, and what the backward pass will need of them."""
-    samples, recorder = camera_samples(call, chunk, key), Recorder(call.adjoint, integrand.max_depth, record)
-    integrand = integrand_of(call, integrand, chunk)
+def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront, which: int, record: bool,
+                    tracer: Callable = trace) -> tuple[list[Tensor], PathRecord]:
+    """What the lanes count in pixels, as of `deposit`, and what the backward pass will need of them.
+
+    Args:
+        which: samples of the image, 0, or of its derivative, 1.
+        record: whether anything is kept for the backward pass.
+        tracer: `trace`, or what does the same.
+    """
+    samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
+    integrand = integrand_of(call, integrand, wavefront.chunks[0].sensor)
     L = tracer(integrand, started(call, samples), recorder.visit)
     radiance = L if record and call.adjoint.keep_radiance else None
-    return (deposit(call, chunk, shown(call, integrand, samples, recorder.hit, L), samples.place),
-            recorder.record(partial(start_paths, call, chunk, key), radiance, samples))
+    return (deposit(call, wavefront, shown(call, integrand, samples, recorder.hit, L), samples.place),
+            recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))
 
 
-def trace_both(call: RenderCall, integrand: Integrand, chunk: Chunk) -> tuple[Tensor, PathRecord]:
-    """What `trace_chunk` gives for the samples of the image and `record_chunk` for those of the derivative, traced as one
-    wavefront."""
-    of_image, of_derivative = call.views[chunk.sensor].sample_keys
-    image, derivative = (camera_samples(call, chunk, key) for key in (of_image, of_derivative))
-    recorder = Recorder(call.adjoint, integrand.max_depth)
-    integrand = integrand_of(call, integrand, chunk)
-    L = trace(integrand._replace(differentiated=chunk.lanes), started(call, joined([derivative, image])), recorder.visit)
-    hit, L = (rows_between(part, chunk.lanes, 2 * chunk.lanes) for part in (recorder.hit, L))
-    return (deposit(call, chunk, shown(call, integrand, image, hit, L), image.place),
-            recorder.record(partial(start_paths, call, chunk, of_derivative), None, derivative))
+def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:
+    """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative, traced
+    as one."""
+    image, derivative = (camera_samples(call, wavefront, which) for which in (0, 1))
+    recorder, lanes = Recorder(call.adjoint, integrand.max_depth), wavefront.lanes
+    integrand = integrand_of(call, integrand, wavefront.chunks[0].sensor)
+    L = trace(integrand._replace(differentiated=lanes), started(call, joined([derivative, image])), recorder.visit)
+    hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
+    return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
+            recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))
 
 
 def shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hit | None, L: Vec3) -> list[Tensor]:
@@ -70,13 +74,13 @@ def shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hi
     return [value if samples.weight is None else value * samples.weight for value in (*L, *found)]
 
 
-def record_chunk(call: RenderCall, integrand: Integrand, chunk: Chunk, key: SampleKey) -> PathRecord:
-    """What the backward pass needs of a chunk's paths, without their radiance unless the strategy asks for it."""
+def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> PathRecord:
+    """What the backward pass needs of a wavefront's paths, without their radiance unless the strategy asks for it."""
     if call.adjoint.keep_radiance:
-        return trace_chunk(call, integrand, chunk, key, record=True)[1]
-    samples, recorder = camera_samples(call, chunk, key), Recorder(call.adjoint, integrand.max_depth)
-    walk(integrand_of(call, integrand, chunk), started(call, samples), recorder.visit)
-    return recorder.record(partial(start_paths, call, chunk, key), None, samples)
+        return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
+    samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.max_depth)
+    walk(integrand_of(call, integrand, wavefront.chunks[0].sensor), started(call, samples), recorder.visit)
+    return recorder.record(partial(start_paths, call, wavefront, 1), None, samples)
 
 
 class Recorder:
@@ -110,7 +114,7 @@ class Recorder:
 
 
 class Allowance:
-    """The bytes of records that are still to be kept, of chunks that are traced side by side."""
+    """The bytes of records that are still to be kept, of wavefronts that are traced side by side."""
 
     def __init__(self, count: float):
         self.left, self.lock = count, Lock()

@@ -11,9 +11,9 @@ from torch.utils.checkpoint import checkpoint
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, UNDIFFERENTIATED, plain
-from torch_radbp.call.chunks import Chunk
 from torch_radbp.call.pixels import deposit, developed
 from torch_radbp.call.render_call import RenderCall, camera_samples, integrand_of, started
+from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import first_hit
@@ -54,8 +54,8 @@ def render_aovs(call: RenderCall, names: tuple[str, ...], channels: Tensor | Non
 def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = False) -> dict[str, Tensor]:
     """The images of quantities by the samples of a call.
 
-    Of a chunk only its sums are kept. Where they are attached, quantities are computed again in the backward pass, so that
-    the chunk bounds the memory.
+    Of a wavefront only its sums are kept. Where they are attached, quantities are computed again in the backward pass, so
+    that a wavefront bounds the memory.
     """
     if attached:
         call = call._replace(stages=call.stages.eager())
@@ -63,15 +63,15 @@ def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = Fal
     quantities = tuple(dict.fromkeys(map(plain, names)))
 
     @public_call
-    def sums(chunk: Chunk) -> tuple[Tensor, None]:
-        samples = camera_samples(call, chunk, call.views[chunk.sensor].sample_keys[0])
+    def sums(wavefront: Wavefront) -> tuple[list[Tensor], None]:
+        samples, seen = camera_samples(call, wavefront, 0), integrand_of(call, integrand, wavefront.chunks[0].sensor)
         start, weight = started(call, samples), samples.weight
-        channels = channels_of(names, lane_values(integrand_of(call, integrand, chunk), start, quantities))
-        return deposit(call, chunk, channels if weight is None else [channel * weight for channel in channels],
+        channels = channels_of(names, lane_values(seen, start, quantities))
+        return deposit(call, wavefront, channels if weight is None else [channel * weight for channel in channels],
                        samples.place), None
 
-    def sums_kept(chunk: Chunk) -> tuple[Tensor, None]:
-        return checkpoint(sums, chunk, use_reentrant=False, preserve_rng_state=False) if attached else sums(chunk)
+    def sums_kept(wavefront: Wavefront) -> tuple[list[Tensor], None]:
+        return checkpoint(sums, wavefront, use_reentrant=False, preserve_rng_state=False) if attached else sums(wavefront)
 
     return by_name(names, developed(call, sums_kept).pixels)
 

@@ -134,7 +134,7 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
                                               sight=sight_of(seen_by, lamps_of(still))), seen_by.camera)
         places = [] if jumps is None else places_of(still, number, viewed, jumps, any(seen.turns))
         if places:
-            integrand = integrand_of(still, still.integrand, still.chunks[0]._replace(sensor=number))
+            integrand = integrand_of(still, still.integrand, number)
             found = strengths(still, integrand, viewed, joined(places), seen)
     if found is None:
         return torch.zeros(len(seen.turns), view.height, view.width, dtype=call.scene.dtype, device=call.scene.device)
@@ -225,7 +225,7 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Pl
     counted = chosen(places.counts)
     if not len(counted):
         return None
-    most = max(part.lanes for part in call.chunks) // 2  # two paths each
+    most = max(wavefront.lanes for wavefront in call.wavefronts) // 2  # two paths each
     blocks = counted.split(max(FEWEST, min(most, max(LEAST_BLOCK, -(-len(counted) // call.workers)))))
 
     def work(share: Iterable[int]) -> list[tuple[Tensor, Tensor]]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torch_radbp.film.splat import TOGETHER
 
-LEAST_LANES = 1 << 16  # of a chunk if the user does not say: below, a second one costs more in Python than it gains
+LEAST_LANES = 1 << 17  # of a chunk if the user does not say: below, a second one costs more in Python than it gains
 BAND = 1 << 18  # pixels of a band, about
 
 

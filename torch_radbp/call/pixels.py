@@ -10,9 +10,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.call.chunks import Chunk
-from torch_radbp.call.render_call import RenderCall, film_places, of_chunks
+from torch_radbp.call.render_call import RenderCall, film_places, of_wavefronts
+from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.film.develop import Development, Grid, across, row_sums
 from torch_radbp.film.splat import Block, asked_of, offset_sums, sums_in_pairs
+from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
 Result = TypeVar("Result")
@@ -23,34 +25,40 @@ class Images(NamedTuple):
 
     pixels: Tensor  # (B, C, H, W)
     filters: Tensor  # (B, H, W) the sums of the reconstruction filter over the samples around pixels
-    results: list  # what else was found of each chunk
+    results: list  # what else was found of each wavefront
 
 
-def deposit(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], place: Vec2) -> Tensor:
-    """What the lanes of a chunk count in the pixels around them; `developed` takes it.
+def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], place: Vec2) -> list[Tensor]:
+    """What the lanes of a wavefront count in the pixels around them, for each of its chunks; `developed` takes it.
 
     Args:
         values: C of (N,), of the lanes.
         place: (N,) of the lanes in their pixels.
     """
+    return [deposit_of_chunk(call, chunk, [value[first:last] for value in values], rows_between(place, first, last))
+            for chunk, first, last in wavefront.parts()]
+
+
+def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], place: Vec2) -> Tensor:
+    """As `deposit`, of one chunk and its lanes."""
     grid, block, stage = call.views[chunk.sensor].grid, Block(place, chunk.samples, call.spp), call.stages.deposited
     if chunk.samples == call.spp:
         return row_sums(stage, grid, tuple(values), block)
     return offset_sums(stage, grid.kernel, tuple(values), block)  # moved once all samples of the row are there
 
 
-def developed(call: RenderCall, work: Callable[[Chunk], tuple[Tensor, Result]]) -> Images:
+def developed(call: RenderCall, work: Callable[[Wavefront], tuple[list[Tensor], Result]]) -> Images:
     """The images of C values of lanes: means of the samples around each pixel, weighted by the reconstruction filter.
 
     Args:
-        work: gives of each chunk what `deposit` does, and anything else.
+        work: gives of each wavefront what `deposit` does, and anything else.
     """
     developments, results = [Development(view.grid) for view in call.views], []
-    for _, members in groupby(call.chunks, lambda chunk: chunk.group):
-        chunks = list(members)
-        found = of_chunks(call, chunks, work)
+    for _, members in groupby(call.wavefronts, lambda wavefront: wavefront.group):
+        wavefronts = list(members)
+        found = of_wavefronts(call, wavefronts, work)
         results += [result for _, result in found]
-        sums = zip(chunks, (own for own, _ in found))
+        sums = [pair for wavefront, (own, _) in zip(wavefronts, found) for pair in zip(wavefront.chunks, own)]
         for (sensor, band), parts in groupby(sums, lambda part: (part[0].sensor, part[0].band)):
             developments[sensor].add(put_together(call.views[sensor].grid, band, list(parts)))
     pixels, filters = zip(*(development.image() for development in developments))
@@ -79,8 +87,8 @@ def filters_of(call: RenderCall, which: int) -> Tensor:
         return torch.full((len(call.views), view.height, view.width), float(call.spp), dtype=call.scene.dtype,
                           device=call.scene.device)
 
-    def work(chunk: Chunk) -> tuple[Tensor, None]:
-        return deposit(call, chunk, (), film_places(call, chunk, call.views[chunk.sensor].sample_keys[which])), None
+    def work(wavefront: Wavefront) -> tuple[list[Tensor], None]:
+        return deposit(call, wavefront, (), film_places(call, wavefront, which)), None
 
     return developed(call, work).filters
 
@@ -91,13 +99,19 @@ def asked_of_pixels(call: RenderCall, grad_images: Tensor, filters: Tensor) -> l
             for view, own, sums in zip(call.views, grad_images, filters)]
 
 
-def lane_adjoint(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
+def lane_adjoint(call: RenderCall, wavefront: Wavefront, place: Vec2, pixels: Sequence[Vec3]) -> Vec3:
     """Derivative of the loss with respect to what counts of L_1 of each lane.
 
     Args:
         place: (N,) of the lanes in their pixels.
-        pixels: of the chunk's view, as `asked_of_pixels` has them.
+        pixels: of each view, as `asked_of_pixels` has them.
     """
+    return joined([adjoint_of_chunk(call, chunk, rows_between(place, first, last), pixels[chunk.sensor])
+                   for chunk, first, last in wavefront.parts()])
+
+
+def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
+    """As `lane_adjoint`, of one chunk and its lanes, with what its view's pixels ask for."""
     grid = call.views[chunk.sensor].grid
     width = grid.columns + 2 * grid.kernel.reach
     entry = chunk.rows.numbers(call.scene.device, width)

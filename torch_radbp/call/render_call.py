@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torch_radbp.call.chunks import Chunk
 from torch_radbp.call.view import View
+from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
 from torch_radbp.call.zeroed_memory import ZeroedMemory
 from torch_radbp.path.bounce import CameraSample
@@ -17,10 +18,10 @@ from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, Vec3
 
 Result = TypeVar("Result")
@@ -36,12 +37,12 @@ class RenderCall(NamedTuple):
     stages: Stages
     adjoint: object  # the strategy
     views: list[View]
-    chunks: list[Chunk]
+    wavefronts: list[Wavefront]
     spp: int
     shares_samples: bool  # the backward pass differentiates the very samples of the image
     record_bytes: float  # of these that are kept for it at most; it traces the others again
     together: bool  # samples of its own are traced beside those of the image, which takes half as many calls
-    workers: int  # chunks that are traced side by side
+    workers: int  # wavefronts that are traced side by side
     memory: ZeroedMemory  # for the totals of gradients
     following: bool = False  # see `Settings.following`
     module: Scene | None = None  # whose tensors these are; gives names to errors
@@ -64,21 +65,28 @@ def started(call: RenderCall, sample: CameraSample) -> PathState:
     return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone)
 
 
-def start_paths(call: RenderCall, chunk: Chunk, key: SampleKey) -> PathState:
-    """The camera paths of a chunk, pixel by pixel."""
-    return started(call, camera_samples(call, chunk, key))
+def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState:
+    """The camera paths of a wavefront, pixel by pixel; `which`: those of the image, 0, or of its derivative, 1."""
+    return started(call, camera_samples(call, wavefront, which))
 
 
-def camera_samples(call: RenderCall, chunk: Chunk, key: SampleKey) -> CameraSample:
-    """The rays of a chunk's lanes; see `sample_camera`."""
-    view = call.views[chunk.sensor]
-    return call.stages.sample_camera(view.camera, view.numbered, *numbers_of(call, chunk), key,
-                                     call.scene.layout.traces_cones)
+def camera_samples(call: RenderCall, wavefront: Wavefront, which: int) -> CameraSample:
+    """The rays of a wavefront's lanes; see `sample_camera`. `which` as for `start_paths`."""
+    def of_chunk(chunk: Chunk) -> CameraSample:
+        view = call.views[chunk.sensor]
+        return call.stages.sample_camera(view.camera, view.numbered, *numbers_of(call, chunk), view.sample_keys[which],
+                                         call.scene.layout.traces_cones)
+
+    return joined([of_chunk(chunk) for chunk in wavefront.chunks])
 
 
-def film_places(call: RenderCall, chunk: Chunk, key: SampleKey) -> Vec2:
-    """Where in their pixels a chunk's lanes lie, (N,) in [0, 1)."""
-    return call.stages.film_place(call.views[chunk.sensor].camera.film.size_x, *numbers_of(call, chunk), key)
+def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
+    """Where in their pixels a wavefront's lanes lie, (N,) in [0, 1). `which` as for `start_paths`."""
+    def of_chunk(chunk: Chunk) -> Vec2:
+        view = call.views[chunk.sensor]
+        return call.stages.film_place(view.camera.film.size_x, *numbers_of(call, chunk), view.sample_keys[which])
+
+    return joined([of_chunk(chunk) for chunk in wavefront.chunks])
 
 
 def numbers_of(call: RenderCall, chunk: Chunk) -> tuple[Tensor, Tensor]:
@@ -99,13 +107,13 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
                                                    call.scene.layout.traces_cones))
 
 
-def integrand_of(call: RenderCall, integrand: Integrand, chunk: Chunk) -> Integrand:
-    """The integrand as the camera of a chunk sees it."""
-    view = call.views[chunk.sensor]
+def integrand_of(call: RenderCall, integrand: Integrand, number: int) -> Integrand:
+    """The integrand as the camera of a view, of this number, sees it."""
+    view = call.views[number]
     return integrand._replace(clipping=view.camera if view.clips else None)
 
 
-def of_chunks(call: RenderCall, chunks: list[Chunk], work: Callable[[Chunk], Result]) -> list[Result]:
-    """`work` on some chunks, side by side; the results in their order."""
-    shares = in_turns(len(chunks), call.workers, lambda share: [work(chunks[index]) for index in share])
-    return [shares[index % len(shares)][index // len(shares)] for index in range(len(chunks))]
+def of_wavefronts(call: RenderCall, wavefronts: list[Wavefront], work: Callable[[Wavefront], Result]) -> list[Result]:
+    """`work` on some wavefronts, side by side; the results in their order."""
+    shares = in_turns(len(wavefronts), call.workers, lambda share: [work(wavefronts[index]) for index in share])
+    return [shares[index % len(shares)][index // len(shares)] for index in range(len(wavefronts))]

@@ -41,7 +41,7 @@ class AnyDevice:
         """Waits for the device, which has to tell how many there are."""
         return flags.nonzero().squeeze(1).to(torch.int32)
 
-    def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
+    def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
         """Waits for the device once, which has to tell how many there are."""
         dtype = torch.uint8 if queues <= 256 else torch.int32  # a radix sort takes a turn for each byte
         numbers, order = number.to(dtype).sort(stable=True)

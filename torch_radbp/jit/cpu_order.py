@@ -95,6 +95,7 @@ PUT_ALL = """\
   call void @put_{scalar}(ptr %places, ptr %from, ptr %to, i64 %lanes)"""
 BITS = (8, 32, 64)  # of an element
 ABREAST = 4  # runs of lanes
+ZERO = array("q", [0])
 COUNTERS = "ptr %places, i64 %queues, i64 %first"
 
 
@@ -151,20 +152,20 @@ def chosen(flags: Tensor) -> Tensor:
     return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
 
 
-def partition(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
+def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     """See `order.partition`."""
     number, lanes, size = number.contiguous(), number.numel(), number.element_size()
     order = number.new_empty(lanes, dtype=torch.int32)
-    counts = array("q", bytes(8 * queues * ABREAST))  # of all queues for each run; what is left over goes on with the last
+    counts = ZERO * (queues * ABREAST)  # of all queues for each run; what is left over goes on with the last
     numbers, counters, run = number.data_ptr(), counts.buffer_info()[0], lanes // ABREAST
     last, first, rest = counters + 8 * queues * (ABREAST - 1), ABREAST * run, lanes % ABREAST
     code().count[size](numbers, counters, queues, 0, run)
     code().count_rest[size](numbers, last, queues, first, rest)
-    found = array("q", bytes(8 * queues))
+    found = ZERO * queues
     code().begin(counters, found.buffer_info()[0], queues)
     code().partition[size](order.data_ptr(), numbers, counters, queues, 0, run)
     code().partition_rest[size](order.data_ptr(), numbers, last, queues, first, rest)
-    return order, found.tolist()
+    return order, found
 
 
 def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:

@@ -18,7 +18,7 @@ def chosen(flags: Tensor) -> Tensor:
     return target_of(flags.device).chosen(flags)
 
 
-def partition(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
+def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     """Lanes queue by queue.
 
     Args:

@@ -61,7 +61,7 @@ class Target(Protocol):
     def chosen(self, flags: Tensor) -> Tensor:
         """See `order.chosen`."""
 
-    def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
+    def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
         """See `order.partition`."""
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:

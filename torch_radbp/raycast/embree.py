@@ -83,7 +83,7 @@ class Embree:
             shown = torch.arange(0 if instances is None else int(instances.first_triangle[0]), len(self.faces))
             numbers = numbers if instances is None else torch.cat([numbers, shown.to(torch.int32)])
             self._tables += [*tables(balls, torch.float32), numbers]
-        self.device, self._scene = device, Tree(device, geometries)
+        self.device, self._scene = device, Tree(device, geometries, len(own))
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, CPU)

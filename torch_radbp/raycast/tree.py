@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import weakref
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,8 +10,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.team import threads
 from torch_radbp.raycast import library
 from torch_radbp.shape.placement import Instances
+
+LARGE = 100_000  # triangles, which take some ten milliseconds
 
 
 class Device:
@@ -68,21 +72,59 @@ class Geometry:
 class Tree:
     """A hierarchy over geometries, which rays can be cast against: a scene of Embree's.
 
+    A large one is built on a thread of its own: whoever makes it has other work until rays are cast, of which little is
+    shared by threads.
+
+    Args:
+        device: that makes it.
+        geometries: what it holds.
+        triangles: about how many these are.
+
     Raises:
-        RuntimeError: Embree reports an error.
+        RuntimeError: Embree reports an error; of a large one when `handle` is asked for.
     """
 
-    def __init__(self, device: Device, geometries: Sequence[Geometry]):
+    def __init__(self, device: Device, geometries: Sequence[Geometry], triangles: int):
+        self.device, self.geometries = device, geometries
+        self.scene = library.load().rtcNewScene(device.handle)
+        weakref.finalize(self, library.load().rtcReleaseScene, self.scene)
+        self.error: BaseException | None = None
+        self.building: threading.Thread | None = None
+        if triangles < LARGE or threads() == 1:
+            self.build()
+            self.wait()
+        else:
+            self.building = threading.Thread(target=self.build, name="torch_radbp_tree")
+            self.building.start()
+
+    def build(self) -> None:
+        """Builds it on this thread, whose errors Embree tells to this thread alone."""
         embree = library.load()
-        self.geometries = geometries
-        self.handle = embree.rtcNewScene(device.handle)
-        weakref.finalize(self, embree.rtcReleaseScene, self.handle)
-        embree.rtcSetSceneFlags(self.handle, library.SCENE_FLAG_ROBUST)  # no ray slips between two triangles with one edge
-        for geometry in geometries:
-            embree.rtcCommitGeometry(geometry.handle)
-            embree.rtcAttachGeometry(self.handle, geometry.handle)
-        embree.rtcCommitScene(self.handle)
-        library.check(device.handle, f"building a scene of {' and '.join(geometry.about for geometry in geometries)}")
+        try:
+            embree.rtcSetSceneFlags(self.scene, library.SCENE_FLAG_ROBUST)  # no ray slips between two triangles
+            for geometry in self.geometries:
+                embree.rtcCommitGeometry(geometry.handle)
+                embree.rtcAttachGeometry(self.scene, geometry.handle)
+            embree.rtcCommitScene(self.scene)
+            about = " and ".join(geometry.about for geometry in self.geometries)
+            library.check(self.device.handle, f"building a scene of {about}")
+        except BaseException as error:
+            self.error = error
+
+    @property
+    def handle(self) -> int:
+        """Of the scene, once it is built."""
+        self.wait()
+        return self.scene
+
+    def wait(self) -> None:
+        """Until it is built; raises the error that this met."""
+        building = self.building
+        if building is not None:
+            building.join()
+            self.building = None
+        if self.error is not None:
+            raise self.error
 
 
 class Group(NamedTuple):
@@ -109,6 +151,6 @@ def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instan
         own, corners = vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]
         same = next((group for group in known
                      if torch.equal(group.vertices, own) and torch.equal(group.faces, corners)), None)
-        groups.append(same or Group(Tree(device, [Geometry.of_triangles(device, own, corners)]), own, corners))
+        groups.append(same or Group(Tree(device, [Geometry.of_triangles(device, own, corners)], len(corners)), own, corners))
         start = end
     return groups

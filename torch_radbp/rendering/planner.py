@@ -42,7 +42,7 @@ class MemoryPlanner:
         """
         work = self.workload(call)
         work = work._replace(jumps=bytes_of_edges(call, PRIMARY in terms, SHADOW in terms))
-        chunk = max(part.lanes for part in call.chunks)
+        chunk = max(wavefront.lanes for wavefront in call.wavefronts)
         if budget is None:
             if call.together:  # lanes of image and derivative, and all that is recorded
                 work = work._replace(lanes=2 * work.lanes)

@@ -17,7 +17,6 @@ from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.aov.images import beside_image
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
 from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, rendering_of
-from torch_radbp.call.chunks import plan_chunks
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
 from torch_radbp.call.zeroed_memory import ZeroedMemory
@@ -29,7 +28,7 @@ from torch_radbp.raycast import RayCaster
 from torch_radbp.raycast.caster_cache import CastTriangles
 from torch_radbp.raycast.kept_caster import KeptCaster
 from torch_radbp.rendering.cost import Request, bytes_of_records
-from torch_radbp.rendering.lanes import plan_lanes
+from torch_radbp.rendering.lanes import plan_lanes, wavefronts_of
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
@@ -315,8 +314,9 @@ class Renderer(nn.Module):
         """The edges at which the images of a call jump. Warns of what derivatives and the image lack."""
         rendering = rendering_of(call, self.scene, self.sampling, PackCache(self.cache), PRIMARY in self.terms,
                                  SHADOW in self.terms, self.depth_limit)
-        self.jump_watch.look(rendering)
-        return edges_of_call(rendering, self.scene, call, seed)
+        edges = edges_of_call(rendering, self.scene, call, seed)
+        self.jump_watch.look(rendering)  # casts rays, for which the tree of a large mesh may still be built
+        return edges
 
     def prepare(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                 aovs: bool = False, window: WindowChoice = None) -> RenderCall:
@@ -336,15 +336,14 @@ class Renderer(nn.Module):
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
-        max_depth = self.depth_limit
         fused = self.runs_compiled()
         parameters = {name: value for name, value in (*own, *beside.items()) if value.requires_grad}
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         windows = [shot.window for shot in shots]
-        grids, lanes, together = plan_lanes(windows, self.rr_depth, Request(
-            len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, max_depth, self.scene.dtype, device,
-            workers, self.adjoint if differentiating else None, record_bytes, fused))
+        plan = plan_lanes(windows, self.rr_depth, Request(
+            len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, self.depth_limit, self.scene.dtype,
+            device, workers, self.adjoint if differentiating else None, record_bytes, fused))
         cache = PackCache(self.cache_for_aovs if aovs else self.cache)
         scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
         caster = self.caster_of(scene)
@@ -357,18 +356,18 @@ class Renderer(nn.Module):
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
-            return Integrand(tensors, proposal_of(tensors), caster, settings, max_depth, self.rr_depth, stages, {})
+            return Integrand(tensors, proposal_of(tensors), caster, settings, self.depth_limit, self.rr_depth, stages, {})
 
-        chunks = plan_chunks(grids, spp, lanes, workers)
+        wavefronts = wavefronts_of(views, plan, spp, workers)
         integrand = make_integrand(detached(scene))
-        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views, chunks, spp,
-                          seeds[0] == seeds[1], record_bytes, together, workers, self.memory, settings.following,
+        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views, wavefronts, spp,
+                          seeds[0] == seeds[1], record_bytes, plan.together, workers, self.memory, settings.following,
                           self.scene, parameters)
         if self.memory_budget is None:
             return call
-        plan = self.plan(call)
-        chunks = plan_chunks(grids, spp, plan.chunk, workers)
-        return call._replace(adjoint=plan.adjoint, chunks=chunks, record_bytes=0.0 if plan.retrace else inf)
+        within = self.plan(call)
+        wavefronts = wavefronts_of(views, plan.bounded(within.chunk), spp, workers)
+        return call._replace(adjoint=within.adjoint, wavefronts=wavefronts, record_bytes=0.0 if within.retrace else inf)
 
     @property
     def depth_limit(self) -> int:

@@ -263,6 +263,8 @@ def of_each(values: Sequence[int | bool], counts: Sequence[int], dtype: torch.dt
 
 def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.device) -> Tensor:
     """The number of each triangle among those that belong to an emitter, (T,) int32; -1: it belongs to none."""
+    if not any(emitting):
+        return torch.full((sum(counts),), -1, dtype=torch.int32, device=device)
     emitting = of_each(emitting, counts, torch.bool, device)
     return torch.where(emitting, emitting.cumsum(0) - 1, -1).to(torch.int32)
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 WELDED = 1e-5  # vertices nearer than about this share of the mesh's extent count as one
+AT_ONCE = 1 << 16  # vertices, so that little memory is touched for the first time
 
 
 def weld_size(vertices: Tensor) -> float:
@@ -23,12 +24,14 @@ def cells_of(vertices: Tensor, size: float) -> tuple[Tensor, Tensor]:
     One grid is shifted by half a cell against the other, so that vertices at the same place, up to rounding, share a cell
     of at least one of them.
     """
-    places = (vertices.double() - vertices.amin(0).double()) / size
-    cells = []
-    for shift in (0.5, 1.0):
-        x, y, z = torch.floor(places + shift).long().unbind(1)
-        cells.append((x << 42) | (y << 21) | z)
-    return tuple(cells)
+    first = vertices.amin(0).double()
+    cells = torch.empty(2, len(vertices), dtype=torch.int64, device=vertices.device)
+    for some, found in zip(vertices.split(AT_ONCE), cells.split(AT_ONCE, 1)):
+        places = (some.double() - first) / size
+        for shift, cell in zip((0.5, 1.0), found):
+            x, y, z = torch.floor(places + shift).long().unbind(1)
+            cell.copy_((x << 42) | (y << 21) | z)
+    return cells[0], cells[1]
 
 
 def welded(cells: tuple[Tensor, Tensor]) -> Tensor | None:

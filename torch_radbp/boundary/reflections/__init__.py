@@ -115,7 +115,7 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
         surfaces = surfaces_of(still, reflected.meshes, reflected.lines)
         tables, = taken(call.stages.parted, surfaces=surfaces)
     for number, view in enumerate(call.views):
-        integrand = integrand_of(still, still.integrand, still.chunks[0]._replace(sensor=number))
+        integrand = integrand_of(still, still.integrand, number)
         searched = Searched(still, number, only_ideal(integrand), surfaces, tables, reflected.shadows)
         found = jumps_in_view(call, searched, integrand, reflected.surfaces)
         images.append(image_of(view, [] if found is None else [found], call.scene.dtype))
@@ -154,7 +154,7 @@ def moved(call: RenderCall, searched: Searched, found: Jumping) -> Tensor:
     view, lines, draw = call.views[searched.number], searched.surfaces.lines, draw_of(crossed)
     sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
     if call.adjoint.taped or has_tangents((call.scene, view.camera)):
-        integrand = integrand_of(call, call.make_integrand(call.scene), call.chunks[0]._replace(sensor=searched.number))
+        integrand = integrand_of(call, call.make_integrand(call.scene), searched.number)
         ray = rays_reaching(follows_chains(integrand), started(call, sample), crossed.depth)
         seen = level(call.scene, lines, curves, ray, draw)
         return seen - primal(seen)

@@ -211,7 +211,7 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: flo
     if found is None:
         return None
     borders, passed, inwards, times = found
-    integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
+    integrand = integrand_of(call, call.integrand, number)
     geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
     course = integrand.part(Ends.SURROUNDINGS).call(call.stages.border_course, geometry, casting.outline, camera, borders,
                                                     inwards, times, aperture)

@@ -69,7 +69,7 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: fl
     borders, passed, inwards, times = rows(found, unhidden(call.integrand, found.passed))
     if not len(times):
         return None
-    integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
+    integrand = integrand_of(call, call.integrand, number)
     points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), len(times))
     if not len(points.depth):
         return None

@@ -155,7 +155,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
         first: what the first vertices of paths receive straight from lights.
     """
     view, geometry = call.views[number], geometry_of(call.scene)
-    integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
+    integrand = integrand_of(call, call.integrand, number)
     points = viewpoints(call, number, integrand, number_of_paths(call, view, effort))
     if not len(points.depth):
         return None

@@ -177,7 +177,7 @@ def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, ti
                  key: LaneKey) -> PictureBorders | None:
     """Places on curves that a view sees; args as for `borders_in_view` and of `curves_lit`."""
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
-    integrand, camera = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number)), view.camera
+    integrand, camera = integrand_of(call, call.integrand, number), view.camera
     aperture, one = aperture_of(view, key), torch.ones_like(curves.receiver.t)
     film, along = pace(lambda step: on_film(camera, lit_at(scene, geometry, kind, curves, step), aperture), times)
     normal = Vec2(-along.y * times, along.x * times)

@@ -70,7 +70,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float)
     """Places where lines to edges pass straight through surfaces that paths of a view meet, of which they are cuts; None:
     there are none. Args as for `border.borders_in_view`."""
     view, geometry = call.views[number], geometry_of(call.scene)
-    integrand = integrand_of(call, call.integrand, call.chunks[0]._replace(sensor=number))
+    integrand = integrand_of(call, call.integrand, number)
     points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1),
                         number_of_paths(call, view, effort))
     if not len(points.depth):

@@ -1,0 +1,62 @@
+"""Wavefronts: chunks that are traced as one.
+
+A wavefront of some thousand lanes takes about as long as one of twice as many, most of it in Python. So small images of
+several sensors, such as all views of a step of an optimisation, are traced together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+from torch_radbp.call.chunks import LEAST_LANES, Chunk
+
+
+class Wavefront(NamedTuple):
+    """Chunks that are traced as one, and their lanes one after the other."""
+
+    chunks: tuple[Chunk, ...]
+
+    @property
+    def lanes(self) -> int:
+        return sum(chunk.lanes for chunk in self.chunks)
+
+    @property
+    def group(self) -> int:
+        """Of bands that are rendered side by side."""
+        return self.chunks[0].group
+
+    def parts(self) -> Iterator[tuple[Chunk, int, int]]:
+        """Each chunk with its first lane, and the one after its last."""
+        first = 0
+        for chunk in self.chunks:
+            yield chunk, first, first + chunk.lanes
+            first += chunk.lanes
+
+
+def plan_wavefronts(chunks: Sequence[Chunk], alike: Callable[[Chunk], Hashable], lanes: int,
+                    workers: int) -> list[Wavefront]:
+    """Wavefronts of chunks that follow each other: as few as there may be, but one for each worker that is worth it.
+
+    Args:
+        chunks: of a call.
+        alike: the same for chunks that may be traced together; None: this one may not.
+        lanes: the most of a wavefront, but for a single chunk.
+        workers: that the wavefronts are dealt out to in turn.
+    """
+    found = []
+    for (_, joins), members in groupby(chunks, lambda chunk: (chunk.group, alike(chunk))):
+        own = list(members)
+        count = len(own) if joins is None else number_of([chunk.lanes for chunk in own], lanes, workers)
+        borders = [len(own) * number // count for number in range(count + 1)]
+        found += [Wavefront(tuple(own[slice(*pair)])) for pair in zip(borders, borders[1:])]
+    return found
+
+
+def number_of(sizes: Sequence[int], lanes: int, workers: int) -> int:
+    """How many wavefronts chunks of these sizes make; the rest as for `plan_wavefronts`."""
+    most = max(1, lanes // max(sizes))  # chunks of one
+    count = max(1, -(-len(sizes) // most), min(workers, sum(sizes) // LEAST_LANES))
+    fair = -(-count // workers) * workers if count > workers else count
+    return min(len(sizes), fair)
