@@ -17,7 +17,7 @@ from torch_radbp.io.transform import rotate, scale, translate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
-SIZE, SPP, STEP = 16, 256, 0.01
+SIZE, SPP, STEP = 16, 256, 0.005  # with twice the step the difference bends by 1 %
 SKY = {"type": "constant", "radiance": rgb(1, 0.8, 0.6)}
 POINT = {"type": "point", "position": [1.5, 0.3, 1.2], "intensity": rgb(3, 4, 5)}
 
@@ -64,7 +64,7 @@ SCENES = {"stands on the floor": (0.0, SKY, {}), "passes through the floor": (-0
 def test_light_from_a_wall_that_moves_along_a_floor_is_that_of_differences(name):
     bottom, lamp, objects = SCENES[name]
     scene = corner(bottom, lamp, **objects)
-    expected = difference(scene, 4 * SPP).double()
+    expected = difference(scene, 16 * SPP).double()
     assert expected.isfinite().all() and expected.abs().max() > 0
     found = torch.stack([derivative(scene, seed) for seed in range(4)]).double()
     weights = expected.sign()
@@ -72,7 +72,7 @@ def test_light_from_a_wall_that_moves_along_a_floor_is_that_of_differences(name)
     noise = float(sums.std()) / len(sums)**0.5
     whole = float(expected.abs().sum())
     assert noise < 0.05 * whole
-    assert abs(float(sums.mean()) - whole) < 4 * noise
+    assert abs(float(sums.mean()) - whole) < 4 * noise + 0.01 * whole
 
 
 @pytest.mark.parametrize("name", ["stands on the floor", "passes through the floor"])
