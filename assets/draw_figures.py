@@ -23,7 +23,8 @@ FIGURES = {"sky": (["front", "back"], "sky.data", 3), "normal_map": (["sensor"],
            "neural_painting": (["sensor"], "painting.bsdf.reflectance.data", 1)}
 # name -> sensors shown, each in a row of its own
 VIEWS = {"figurine_shape": ["view_0", "view_3", "view_7"], "three_shadows": ["on_floor", "on_back", "on_left"],
-         "figurine_pose": ["sensor"], "lamp_place": ["sensor"], "room_camera": ["sensor"]}
+         "figurine_pose": ["sensor"], "lamp_place": ["sensor"], "room_camera": ["sensor"],
+         "mirror_pose": ["sensor"]}
 ROLES = ("before", "target", "after")
 
 

@@ -27,6 +27,7 @@ TARGETS = {
     "lit_balls/back.exr": ("lit_balls/scene.xml", 64, 4096, 1),
     "relief/target.exr": ("relief/scene.xml", 64, 1024),
     "figurine/on_floor.exr": ("figurine/on_floor.xml", 64, 4096),
+    "mirror/target.exr": ("mirror/scene.xml", 64, 8192),
     "lamp_place/target.exr": ("lamp_place/scene.xml", 64, 1024),
     "three_shadows/on_floor.exr": ("three_shadows/scene.xml", 48, 1024, 0),
     "three_shadows/on_back.exr": ("three_shadows/scene.xml", 48, 1024, 1),

@@ -61,6 +61,7 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=16)
     parser.add_argument("--rounds", type=int, default=12, help="passes of each")
     parser.add_argument("--references", type=int, default=8, help="passes with more samples, for the reference")
+    parser.add_argument("--finer", type=int, default=16, help="how many times as many samples these have")
     parser.add_argument("--differences", type=int, default=0, help="of finite differences beside the reference")
     parser.add_argument("--minutes", type=float, default=8.0, help="for each scene, after which no pass begins")
     parser.add_argument("--only", action="store_true", help=argparse.SUPPRESS)
@@ -84,7 +85,7 @@ def main() -> None:
 def in_own_process(name: str, options: argparse.Namespace) -> dict | None:
     """What is measured of a scene; None: it failed."""
     command = [sys.executable, "-m", "benchmarks.boundary", "--only", "--scene", name, *["--cost"] * options.cost]
-    for number in ("resolution", "spp", "rounds", "references", "differences", "minutes"):
+    for number in ("resolution", "spp", "rounds", "references", "finer", "differences", "minutes"):
         command += [f"--{number}", str(getattr(options, number))]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
     return None if done.returncode else json.loads(done.stdout.splitlines()[-1])

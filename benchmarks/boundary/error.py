@@ -17,7 +17,6 @@ from benchmarks.boundary.scenes import SCENES
 from benchmarks.scenes.description import Setting
 
 WARM_UP = 2
-FINER = 16  # times as many samples have passes from which the reference follows
 AGREES = 3.5  # standard errors
 SLOW, TIMES_LESS = (DEFAULT, MANY), 3  # guided passes take seconds: there are so many times less of them
 FEWEST, FEWEST_SLOW = 4, 3  # passes, however long they take: for the reference, and of a slow renderer
@@ -29,6 +28,7 @@ class Effort(NamedTuple):
 
     rounds: int  # of each renderer, in turns; fewer of the slow ones
     references: int  # passes with more samples, of both
+    finer: int  # how many times as many samples these have
     differences: int  # of finite differences in each direction
     minutes: float  # after which no pass begins, but for the fewest that tell anything
 
@@ -61,7 +61,7 @@ def measure(name: str, setting: Setting, effort: Effort) -> dict:
     due = start + 60.0 * effort.minutes * OF_REFERENCES, start + 60.0 * effort.minutes
     with tempfile.TemporaryDirectory() as home:
         folder = Path(home)
-        fine = make(folder, setting._replace(spp=FINER * setting.spp))
+        fine = make(folder, setting._replace(spp=effort.finer * setting.spp))
         passes = {OURS: ours(fine, folder), DEFAULT: mitsubas(fine, GUIDED)}
         fine_passes = {who: [] for who in passes}
         for seed in while_due(track(range(effort.references), "references", transient=True), FEWEST, due[0]):

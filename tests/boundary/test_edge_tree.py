@@ -6,7 +6,7 @@ import torch
 import torch_radbp as rb
 from tests.scenes import diffuse, load, sensor
 from torch_radbp.boundary.edge_order import GROUP
-from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.edge_tree import angle_of_node, rounded
 from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
@@ -14,7 +14,7 @@ from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.tensors.vec import Vec3, normalize, rows
+from torch_radbp.tensors.vec import Vec3, dot, normalize, rows
 
 FLOOR = {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)), "bsdf": diffuse(0.5, 0.5, 0.5)}
 CUBE = {"type": "cube", "to_world": translate((0.1, 0.1, 0.5)) @ rotate((1, 0.7, 0.4), 35) @ scale((0.25, 0.2, 0.15)),
@@ -98,6 +98,23 @@ def test_no_silhouette_is_ruled_out(casting):
         estimate = angle_of_node(rows(tree.nodes, node.repeat(len(eyes.w))), own, extent)
         assert (estimate.view(-1, first)[below] > 0).all(), first
         below, first = below.view(len(eyes.w), -1, 2).any(2) if first > 1 else below, first // 2
+
+
+def test_slabs_hold_all_edges_below_and_are_no_thicker_than_boxes(casting):
+    geometry, (outline, tree) = casting
+    ends = in_world(geometry, rows((outline.edges.a, outline.edges.b), tree.slots.clamp_min(0)), outline.instance)
+    exists, first = (tree.slots >= 0).view(1, -1), int(tree.leaves)
+    while first:
+        node = rows(tree.nodes, torch.arange(first, 2 * first))
+        each = [part.view(first, 1).double() for part in (*node.axis, node.plane, node.thickness)]
+        for p in ends:
+            along = sum(axis * part.view(first, -1) for axis, part in zip(each, p))
+            assert ((along - each[3]).abs() <= each[4] + 1e-5)[exists.view(first, -1)].all(), first
+        filled = exists.view(first, -1).any(1)
+        assert filled.any()
+        most = dot(node.axis.map(torch.abs), (node.high - node.low) * 0.5)
+        assert (node.thickness <= most + 1e-5)[filled].all(), first
+        first //= 2
 
 
 @pytest.mark.parametrize("stages", [EAGER, compiled()], ids=["eager", "compiled"])

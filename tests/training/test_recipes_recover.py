@@ -13,6 +13,7 @@ BOUNDS = {
                        "sky.data": {"rmse": 0.25}, "gains": {"rmse": 0.07}},
     "figurine_pose": {"figurine.to_world": {"angle": 0.25, "distance": 0.007}},
     "lamp_place": {"lamp.position": {"largest_error": 0.002}},
+    "mirror_pose": {"figurine.to_world": {"angle": 1.0, "distance": 0.0035}},
     "room_camera": {"sensor.to_world": {"angle": 0.2, "distance": 0.008}},
     "three_shadows": {"body.vertex_positions": {"chamfer": 0.018}},
 }

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.reflections.differences import BENT, CHANCE, HORIZON, SHADOW, SURFACE, Difference, Pairing
+from torch_radbp.boundary.reflections.differences import BENT, CHANCE, HORIZON, RIM, SHADOW, SURFACE, Difference, Pairing
 from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, Reached, along, begins, extended, some_of
 from torch_radbp.boundary.reflections.scans import (
     SALT,
@@ -29,7 +29,7 @@ from torch_radbp.tensors.vec import Vec2, rows
 PARTS, TURNS = 6, 2  # into which steps are divided, again and again, as often
 # And again at outlines of curved mirrors and glass that the camera sees. There a mesh with interpolated normals leads
 # reflected rays into itself, and is black, in a strip as wide as its triangles lie off the surface that they stand for.
-TURNS_AT_OUTLINES = 2
+TURNS_AT_OUTLINES = 3
 MOST_TURNS = 16
 
 
@@ -85,19 +85,22 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
         return None
     first, second, times, kind, depth = rows((first, second, times, found.kind, found.depth.long()), own)
     met = depth - (kind == HORIZON).long()
+    below, above = along(path, first, met), along(path, second, met)
+    # Inside of a smooth mesh rays do not turn at edges, but the triangles do that they leave: they may pass behind there.
+    at_edge = (kind == HORIZON) & (below.hit.prim != above.hit.prim)
+    kind, depth = torch.where(at_edge, SURFACE, kind), torch.where(at_edge, met, depth)
     aperture, key, looks = rows(points[1:], first)
     if looks is not None:
         times = times / torch.where(kind == SHADOW, looks.draw.picked.pmf.double(), 1.0)
-    return Crossings(rows(points.film, first), rows(points.film, second), aperture, key, looks, times, kind, depth,
-                     along(path, first, met), along(path, second, met))
-
+    return Crossings(rows(points.film, first), rows(points.film, second), aperture, key, looks, times, kind, depth, below,
+                     above)
 
 def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pairs,
                         turn: int) -> tuple[FilmPoints, IdealPath, Pairs]:
-    """As `divided`, of those steps alone that cross a horizon, or an outline of what scatters ideally."""
+    """As `divided`, of those steps alone that cross a horizon, or an outline, or a rim, of what scatters ideally."""
     (first, second), _, found = pairs
     begin = begins(path)
-    outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[first] | begin[second])
+    outline = ((found.kind == SURFACE) | (found.kind == RIM)) & (found.depth == 0) & (begin[first] | begin[second])
     closer = outline | (found.kind == HORIZON)
     own, others = (chosen.nonzero().squeeze(1) for chosen in (closer, ~closer))
     if not len(own):

@@ -1,8 +1,9 @@
 """A tree over edges, by which those are found that are silhouettes from a point.
 
-Each node has a box around its edges, the sum of their lengths, and a cone around the normals of the triangles that meet
-there. An edge between two triangles is a silhouette from a point if a direction from there to it lies across a normal that
-turns from one to the other; so a node may have one if a direction to its box lies across a normal of its cone. From the root
+Each node has a box around its edges, the sum of their lengths, a cone around the normals of the triangles that meet there,
+and a slab across the cone's axis that holds the edges, on surfaces that are nearly flat much thinner than the box. An edge
+between two triangles is a silhouette from a point if a direction from there to it lies across a normal that turns from one
+to the other; so a node may have one if directions to its box and to its slab lie across normals of its cone. From the root
 down, one of the nodes some levels below is picked in proportion to an estimate of the angle under which its edges are seen,
 0 where none may be a silhouette. Below the last nodes the angles of a few edges are computed.
 
@@ -36,6 +37,8 @@ LEVELS = 3  # that places go down at once
 LEAST = 0.02  # how much nodes count in which directions across are just possible
 LEEWAY = 1e-6  # radians, by which rounding must not make cones too narrow
 ROUNDED = 4 * 2.0**-24  # share of their coordinates by which it must not make boxes too small
+SLACK = 1e-5  # share of the coordinates by which it must not make slabs too thin
+PARALLEL = 32 * LEEWAY  # radians, by which cones around parallel axes may be wider than the widest of these
 STRAIGHT = 0.5 * torch.pi
 
 
@@ -50,8 +53,8 @@ class EdgeNodes(NamedTuple):
     angle: Tensor  # (M,) the half angle
     sharpest: Tensor  # (M,) that of the edge whose triangles meet at the sharpest angle
     bend: Tensor  # (M,) lengths times the angles between the triangles at the edges, summed; 0: none can be a silhouette
-    plane: Tensor  # (M,) how far along the axis the edges lie,
-    thickness: Tensor  # (M,) and by how much not so; infinite if that is not known
+    plane: Tensor  # (M,) how far along the axis the edges lie in the middle,
+    thickness: Tensor  # (M,) and by how much more or less at most
 
 
 class EdgeTree(NamedTuple):
@@ -115,8 +118,8 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
     wider = ROUNDED * torch.maximum(max_component(a.map(torch.abs)), max_component(b.map(torch.abs)))
     low, high = low.map(lambda c: c - wider), high.map(lambda c: c + wider)
     low, high = where(exists, low, Vec3(none, none, none)), where(exists, high, Vec3(-none, -none, -none))
-    bounds = EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle, angle, bend, dot(axis, a),
-                       dot(axis, along).abs())
+    bounds = EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle, angle, bend, dot(axis, a + b) * 0.5,
+                       dot(axis, along).abs() * 0.5)
     return rounded(bounds, own)
 
 
@@ -137,15 +140,24 @@ def merged_bounds(below: EdgeNodes, node: Tensor) -> EdgeNodes:
     axis = where(both, normalize(one.axis + other.axis), alone)
     angle = torch.maximum(*(torch.where(part.bend > 0.0, angle_between(axis, part.axis) + part.angle + LEEWAY, 0.0)
                             for part in (one, other))).clamp_max(STRAIGHT)
-    first = one.bend > 0.0
-    thickness = torch.where(first, one.thickness, other.thickness)
-    together = torch.maximum(one.thickness, other.thickness) + (one.plane - other.plane).abs()
-    apart = one.axis - other.axis
-    parallel = dot(apart, apart) < LEEWAY * LEEWAY
-    thickness = torch.where(both, torch.where(parallel, together, torch.inf), thickness)
+    slabs = [slab_along(axis, part) for part in (one, other)]
+    lowest, highest = (torch.where(both, extreme(slabs[0][end], slabs[1][end]),
+                                   torch.where(one.bend > 0.0, slabs[0][end], slabs[1][end]))
+                       for end, extreme in enumerate((torch.minimum, torch.maximum)))
     return EdgeNodes(low, high, axis, torch.cos(angle), torch.sin(angle), angle,
                      torch.maximum(*(torch.where(part.bend > 0.0, part.sharpest, 0.0) for part in (one, other))),
-                     one.bend + other.bend, torch.where(first, one.plane, other.plane), thickness)
+                     one.bend + other.bend, 0.5 * (lowest + highest), 0.5 * (highest - lowest))
+
+
+def slab_along(axis: Vec3, node: EdgeNodes) -> tuple[Tensor, Tensor]:
+    """How far along another axis the edges of nodes lie at least and at most, (N,) each."""
+    middle, half = (node.low + node.high) * 0.5, (node.high - node.low) * 0.5
+    straight, across, at = dot(axis, node.axis), cross(axis, node.axis), dot(axis, middle)
+    # Both the slab of the node and its box hold what lies off the middle.
+    off = straight * (node.plane - dot(node.axis, middle))
+    reach = straight.abs() * node.thickness + torch.sqrt(dot(across, across) * dot(half, half))
+    most = dot(axis.map(torch.abs), half)
+    return at + torch.maximum(off - reach, -most), at + torch.minimum(off + reach, most)
 
 
 def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
@@ -165,17 +177,22 @@ def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
     tilt = dot(node.axis, d).abs()
     straight = node.cosine * cosine - node.sine * sine <= LEEWAY  # all directions across may be met
     most = torch.where(straight, 1.0, node.sine * cosine + node.cosine * sine + LEEWAY)
-    possible = tilt <= most
-    # Normals in a cone are fewer towards its border, unless they are those of few edges.
+    # Nor is there any silhouette where the eye lies off the slab by more than directions across can lead to.
+    lifted, coordinates = (dot(node.axis, eye.place) - node.plane).abs(), max_component(eye.place.map(torch.abs)) + extent
+    most_lifted = node.thickness + node.sine * (torch.sqrt(squared) + torch.sqrt(size)) + SLACK * coordinates
+    possible = (tilt <= most) & (~away | (lifted <= most_lifted))
+    # Normals in a cone are fewer towards its border, and edges towards where the slab ends, unless they are few.
     few = node.sharpest / node.angle.clamp_min(TINY)
-    near = torch.where(straight, 1.0, torch.maximum(((1.0 - (tilt / most)**2)**2).clamp_min(LEAST), few))
+    across = torch.where(straight, 1.0, (1.0 - (tilt / most)**2)**2)
+    aside = torch.where(away, 1.0 - (lifted / most_lifted)**2, 1.0)
+    near = torch.maximum(torch.minimum(across, aside).clamp_min(LEAST), few)
     counts = how_much_counts(eye, d, cosine, sine)
     if eye.lobes:
         counts = counts * how_much_lobes_count(eye, d, sine_squared)
     # Of normals that are spread evenly over the cone, so many have a direction across.
     share = near * node.bend / (2.0 * (node.angle + sine).clamp_min(TINY))
-    lifted = (dot(node.axis, eye.place) - node.plane).abs() + node.thickness
-    own = away & (lifted < COPLANAR * extent) & (dot(node.axis, eye.n).abs() > 1.0 - COPLANAR)
+    flat = (node.angle - node.sharpest < PARALLEL) & (lifted + node.thickness < COPLANAR * extent)
+    own = away & flat & (dot(node.axis, eye.n).abs() > 1.0 - COPLANAR)
     return torch.where(possible & (node.bend > 0.0) & ~own, share * torch.rsqrt(limit) * counts, 0.0)
 
 
