@@ -15,7 +15,8 @@ import torch
 
 from torch_radbp.emitter.area import AreaKind
 from torch_radbp.rendering.stages import EAGER
-from torch_radbp.scene import outgoing_ray
+from torch_radbp.scene import interaction, outgoing_ray
+from torch_radbp.scene.nearby import slides_from
 from torch_radbp.tensors.vec import Vec3
 
 WITHOUT = {"nothing": (), "the area Jacobian": ("Jacobian",), "re-attached directions": ("directions",),
@@ -29,17 +30,22 @@ def without(*parts: str) -> Iterator[None]:
     """Within it, derivatives lack `parts`: "Jacobian", "directions"."""
     glued_direction, aim_at_area = outgoing_ray.glued_direction, AreaKind.aim
 
-    def poorer_direction(there, o, d, hit, glued):
-        direction, change = glued_direction(there, o, d, hit, glued)
+    def poorer_direction(there, o, d, hit, glued, slide):
+        direction, change = glued_direction(there, o, d, hit, glued, None if parts else slide)
         return (direction.map(torch.Tensor.detach) if "directions" in parts else direction,
                 change.detach() if "Jacobian" in parts else change)
+
+    # What is left out is a part of how vertices are glued, so that all are.
+    def slides(corners, distance, plain):
+        return torch.zeros_like(plain) if parts else slides_from(corners, distance, plain)
 
     def poorer_aim(*arguments):
         aim = aim_at_area(*arguments)
         return aim._replace(d=Vec3(*aim.d).detach() if "directions" in parts else aim.d,
                             pdf=aim.pdf.detach() if "Jacobian" in parts else aim.pdf)
 
-    with (patch.object(outgoing_ray, "glued_direction", poorer_direction), patch.object(AreaKind, "aim", poorer_aim),
+    with (patch.object(outgoing_ray, "glued_direction", poorer_direction), patch.object(interaction, "slides_from", slides),
+          patch.object(AreaKind, "aim", poorer_aim),
           patch.object(import_module("torch_radbp.rendering.renderer"), "compiled",
                         lambda: EAGER)):  # compiled code knows only itself
         yield

@@ -18,10 +18,11 @@ pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
 STEP, SPP = 0.003, 1024  # of a difference
 PASSES = {"ball over a glossy floor": 4}  # of each half of the reference, if not two
-# Of which single pixels are not judged. Where surfaces that move meet in a corner, the derivative of what a path brings from
-# one to the other goes with the inverse of their distance, so that single samples are as large as one likes; of the
-# occluder's soft shadow differences are noisier than the bounds.
-UNBOUNDED = ("self shadowing", "occluder")
+# Of the occluder's soft shadow differences are noisier than the bounds.
+UNBOUNDED = ("occluder",)
+# Of which the largest error of a pixel is not judged: at both ends of a wall that stands on a floor, edges come as near to
+# vertices of paths as one likes, and of one pixel or two there half of the difference is noise.
+ENDS = ("self shadowing",)
 QUICK = ("camera",)
 
 
@@ -50,7 +51,7 @@ def test_derivatives_are_as_close_to_differences_as_mitsuba_asks(name):
     scene = set_up.build()
     image = rb.jvp(scene, set_up.tangents(scene), spp=set_up.spp, seed=0, max_depth=set_up.max_depth)
     errors = Errors.of(image, (one + other) / 2)
-    assert errors.mean <= set_up.bounds.mean and errors.most <= set_up.bounds.most, errors
+    assert errors.mean <= set_up.bounds.mean and (name in ENDS or errors.most <= set_up.bounds.most), errors
     expected = float((one.double() * other.double()).sum())
     found = derivative_of_loss(set_up, one)
     assert expected > 0 and abs(found - expected) <= set_up.bounds.backward * expected, (found, expected)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import pytest
 import torch
 
+from torch_radbp.jit.dual import with_tangents
 from torch_radbp.jit.fingerprint import Opaque, fingerprint
 
 MODULE = """
@@ -151,3 +152,15 @@ def test_closures_count():
 def test_what_cannot_be_told_is_refused_by_name():
     with pytest.raises(Opaque, match="_thread.lock"):
         fingerprint(threading.Lock())
+
+
+def scaled_by(factor):
+    def scaled(x):
+        return x * factor
+
+    return scaled
+
+
+def test_a_function_with_tangents_is_told_by_what_the_function_depends_on():
+    assert fingerprint(with_tangents(scaled_by(2.0))) == fingerprint(with_tangents(scaled_by(2.0)))
+    assert fingerprint(with_tangents(scaled_by(2.0))) != fingerprint(with_tangents(scaled_by(3.0)))

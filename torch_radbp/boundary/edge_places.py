@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, point_at
-from torch_radbp.boundary.outline import FOLD, TURNED, WHOLE, Outline
+from torch_radbp.boundary.outline import FOLD, SHADED, TURNED, WHOLE, Outline
 from torch_radbp.boundary.places import (
     CREASE,
     SILHOUETTE,
@@ -26,6 +26,7 @@ from torch_radbp.boundary.places import (
     velocities_on_film,
 )
 from torch_radbp.boundary.silhouette import is_silhouette
+from torch_radbp.boundary.terminators import light_may_end
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec2, Vec3, dot, rows, unit_normal
 
@@ -46,6 +47,9 @@ def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), outline.instance)
     silhouette = is_silhouette(a, b, opposite, sight.eye.towards(a), sight.eye.radius)
     jump = torch.where(silhouette, 1.0, jump_of_creases(outline, a, b, opposite))
+    if sight.lamps:
+        ends = (outline.crease == SHADED) & light_may_end(sight.lamps, a, b, opposite)
+        jump = torch.where(ends & ~silhouette, torch.minimum(*folds(a, b, opposite)), jump)
     return torch.where(jump > 0.0, length_in_view(sight, a, b) * jump, 0.0)
 
 
@@ -60,10 +64,16 @@ def jump_of_creases(outline: Outline, a: Vec3, b: Vec3, opposite: Sequence[Vec3]
     jump = (outline.crease == WHOLE).double()
     if not outline.folds:
         return jump
+    facing, turned = folds(a, b, opposite)
+    return torch.where(outline.crease >= FOLD, torch.where(outline.crease == TURNED, turned, facing), jump)
+
+
+def folds(a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> tuple[Tensor, Tensor]:
+    """Half of the difference of the normals of the two triangles at edges, (E,) float64, 0 where they lie in a plane; then
+    the same with one of them turned round."""
     here, there = (unit_normal(b - a, tip - a) for tip in opposite[:2])  # of two that are alike on opposite sides
-    difference = here + there * torch.where(outline.crease == TURNED, -1.0, 1.0)
-    apart = 0.5 * torch.sqrt(dot(difference, difference))
-    return torch.where((outline.crease >= FOLD) & (apart > COPLANAR), apart, jump)
+    apart = [0.5 * torch.sqrt(dot(difference, difference)) for difference in (here + there, here - there)]
+    return tuple(torch.where(half > COPLANAR, half, 0.0) for half in apart)
 
 
 def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, place: Tensor) -> Places:
@@ -91,7 +101,9 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
         silhouette = is_silhouette(a, b, opposite, sight.eye.towards(a))
     else:
         silhouette = is_silhouette(a, b, opposite, -camera.kind.towards(camera.lens, a, aperture))
-        scale = scale * (silhouette | (rows(outline.crease, edge) > 0))
+        crease = rows(outline.crease, edge)
+        ends = (crease == SHADED) & light_may_end(sight.lamps, a, b, opposite)
+        scale = scale * (silhouette | (crease > 0) | ends)
     normal = Vec2(-pace.y * scale, pace.x * scale)
     nothing = torch.zeros_like(along)
     sheets = [sheet_at(geometry, sight, (a, b, tip), corner, instance, p, at, normal, aperture)

@@ -39,6 +39,7 @@ from torch_radbp.tensors.vec import rows
 # How much of a jump an edge may be that is no silhouette. At a fold by the normals of two triangles, of which one may be
 # turned round.
 NONE, WHOLE, FOLD, TURNED = range(4)
+SHADED = -1  # none, but that the light of a lamp may end there: inside of smooth surfaces that are no lamps themselves
 
 
 class Outline(NamedTuple):
@@ -46,7 +47,7 @@ class Outline(NamedTuple):
 
     edges: Edges  # between the scene's vertices
     instance: Tensor | None  # (E,) int32 that shows each, as hits count; None: the scene has none
-    crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, `TURNED`
+    crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, ...
     folds: bool  # some are `FOLD` or `TURNED`
     share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
     slots: Tensor | None = None  # (S,) int32, of everything, the edges in the order of a tree, see `edge_order.slots_of`
@@ -278,4 +279,6 @@ def creases(edges: Edges, triangles: TriangleTable, shape: Tensor | None) -> Ten
         reads = triangles.vertices.uv is not None or bool(triangles.vertices.attributes)
         known &= ~edges.seam if reads else ~(edges.seam & smooth)
     fold = FOLD + edges.alike.int() * (TURNED - FOLD)
-    return torch.where(known, fold.masked_fill(smooth, NONE), WHOLE)
+    emits = (rows(triangles.emitter, here) >= 0) & (rows(triangles.emitter, there) >= 0)
+    inside = torch.where(emits, NONE, SHADED).to(fold.dtype)
+    return torch.where(known, torch.where(smooth, inside, fold), WHOLE)

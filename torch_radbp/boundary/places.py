@@ -86,16 +86,17 @@ class Sight(NamedTuple):
     eye: Eye
     frustum: Frustum  # around what counts, in the view or beyond it by what the filter reaches
     seed: SampleKey  # of the random numbers of places
+    lamps: tuple[Eye, ...]  # see `terminators.lamps_of`
 
 
-def sight_of(view: View) -> Sight:
-    """What a detached view shows."""
+def sight_of(view: View, lamps: tuple[Eye, ...]) -> Sight:
+    """What a detached view shows of a scene with these lamps."""
     camera, film = view.camera, view.camera.film
     reach = film.kernel.radius
     x, y = (torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
             for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
     eye = Eye.of(camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
-    return Sight(camera, eye, camera.kind.frustum(camera.lens, x, y), view.sample_keys[1])
+    return Sight(camera, eye, camera.kind.frustum(camera.lens, x, y), view.sample_keys[1], lamps)
 
 
 class Numbers(NamedTuple):

@@ -44,6 +44,7 @@ from torch_radbp.boundary.places import (
     sight_of,
 )
 from torch_radbp.boundary.segments import Segments
+from torch_radbp.boundary.terminators import lamps_of
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
 from torch_radbp.jit.order import chosen
@@ -130,8 +131,8 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
     view, found = call.views[number], None
     with torch.no_grad():
         stages, seen_by = still.stages, still.views[number]
-        viewed = Viewed(stages, *taken(stages.edge_weight, geometry=geometry_of(still.scene), sight=sight_of(seen_by)),
-                        seen_by.camera)
+        viewed = Viewed(stages, *taken(stages.edge_weight, geometry=geometry_of(still.scene),
+                                              sight=sight_of(seen_by, lamps_of(still))), seen_by.camera)
         places = [] if jumps is None else places_of(still, number, viewed, jumps, any(seen.turns))
         if places:
             integrand = integrand_of(still, still.integrand, number)

@@ -47,6 +47,7 @@ def with_tangents(function: Callable) -> Callable:
             return parted(function(*map(joined, parts[::2], parts[1::2])))
 
     of_parts.__name__ = function.__name__
+    of_parts.__module__ = function.__module__  # its meaning is that function's, see `fingerprint`
     of_parts.__signature__ = inspect.Signature([inspect.Parameter(part, kind) for name in names
                                                 for part in (name, tangents_of(name))])
     return of_parts

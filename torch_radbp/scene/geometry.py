@@ -52,6 +52,7 @@ class Columns(NamedTuple):
     tangents: bool  # along u
     material: tuple[int, ...]  # of each shape, row of `MaterialTable`
     emitting: tuple[bool, ...]  # whether each shape belongs to an emitter
+    plain: tuple[bool, ...]  # of each shape, see `TriangleTable`
     numbers: tuple[Numbers, ...] | None = None  # of each shape, for AOVs
 
 
@@ -120,6 +121,7 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
                          dtype, device)
     smooth = tuple(shape.surface.normals is not None for shape in shapes)
     smooth = None if all(smooth) or not columns.normals else cache(of_each, smooth, counts, torch.bool, device)
+    plain = tuple(wanted and shape.surface.normals is None for wanted, shape in zip(columns.plain, shapes))
     along = cache(tangents, vertices, corners) if columns.tangents else None
     if not columns.uv:
         vertices = cache(VertexTable, vertices.p, vertices.n, None, vertices.attributes)
@@ -127,7 +129,8 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
                          balls=cache(balls_among, tuple(shape.ball for shape in shapes), counts, device),
                          attributes=cache(face_table, surfaces, counts, columns.face_attributes, dtype, device),
                          numbers=None if columns.numbers is None else cache(numbers, columns.numbers, counts, device),
-                         instances=instances)
+                         instances=instances,
+                         plain=cache(of_each, plain, counts, torch.bool, device) if any(plain) else None)
 
 
 def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,

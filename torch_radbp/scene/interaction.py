@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.scene.cone import Cone, footprint
+from torch_radbp.scene.nearby import slides_from
 from torch_radbp.scene.placement import (
     largest_coordinate,
     power_of_two_above,
@@ -71,8 +72,8 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         ray: (N,) rays.
         hit: a `raycast.Hit`: triangle (-1: none), barycentric coordinates of its second and third vertex, distance.
         slides: (N,) bool: how the point follows when ray and scene are attached. True: it stays on the ray and slides over
-            the triangle. False: it is glued to the triangle, at fixed barycentric coordinates, whatever the ray does.
-            None: it does not follow, because nothing moves.
+            the triangle. False: it is glued to the triangle, at fixed barycentric coordinates, whatever the ray does, unless
+            the ray begins close by (`scene.nearby`). None: it does not follow, because nothing moves.
         here: the corners of the triangle, where it is an instance's in the frame of the group; None: as the scene has them.
         front: (N,) bool: the viewer is on the side of the shading normal, which was decided before where the sides of a
             material differ in appearance; None: nowhere.
@@ -86,6 +87,8 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     corners = shown(scene, hit, at_corners(vertices.p, rows) if here is None else here)
     p0, e1, e2 = edges(*corners)
     n = triangle_normal(scene, hit, e1, e2)
+    if slides is not None and triangles.plain is not None:
+        slides = slides | slides_from(corners, hit.t, lookup(triangles.plain, prim))
     if slides is not None:
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
     p = p0 + e1 * hit.u + e2 * hit.v  # not o + t d, which for a long ray lies off the surface by rounding

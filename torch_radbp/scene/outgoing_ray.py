@@ -7,7 +7,8 @@ becomes one over surfaces, whose element of solid angle
 
     G = |n' . d| A' / |x' - x|^2
 
-changes, too: the weight is multiplied by G over its own value. A direction in which the ray meets nothing is fixed.
+changes, too: the weight is multiplied by G over its own value. A direction in which the ray meets nothing is fixed. Where
+the next vertex is close by, it does a part of either (`nearby.py`).
 
 Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4; Worchel et al. 2025, arXiv 2504.05750.
 """
@@ -17,10 +18,19 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.interaction import Corners, SurfaceInteraction, at_corners, corner_rows, edges
+from torch_radbp.scene.interaction import (
+    Corners,
+    SurfaceInteraction,
+    at_corners,
+    corner_rows,
+    edges,
+    where_the_ray_goes,
+)
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, sampling_at
+from torch_radbp.scene.nearby import Floor, Nearby, Slide, slide_at
 from torch_radbp.scene.placement import shown
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
 
 
@@ -54,7 +64,8 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
     if there is None:
         there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
     there = shown(scene, following, there)
-    d, change = glued_direction(there, o, fixed, following, chance & (sample.pdf > 0) & (following.prim >= 0))
+    glued = chance & (sample.pdf > 0) & (following.prim >= 0)
+    d, change = glued_direction(there, o, fixed, following, glued, slide_of(scene, si, there, fixed, following))
     specular = ray if sampling == "hybrid" else Ray(o, fixed)
     if not material.kind.smooth:
         return sample.weight, specular
@@ -66,7 +77,16 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
     return where(chance, weight, sample.weight), Ray(where(chance, o, specular.o), where(chance, d, specular.d))
 
 
-def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor) -> tuple[Vec3, Tensor]:
+def slide_of(scene: SceneTensors, si: SurfaceInteraction, there: Corners, d: Vec3, following) -> Slide | None:
+    """How much the next vertices slide; None: none does. Args as for `attached_outgoing_ray` and `glued_direction`."""
+    plain = scene.triangles.plain
+    if plain is None:
+        return None
+    near = Nearby(there, following.u, following.v, d, following.t, lookup(plain, following.prim.clamp_min(0)))
+    return slide_at(near, Floor(si.p.detach(), si.n.detach(), lookup(plain, si.prim), si.clearance))
+
+
+def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor, slide: Slide | None = None) -> tuple[Vec3, Tensor]:
     """The direction from `o` to the point of a triangle that `d` met, and the change of its solid angle, of value 1.
 
     Args:
@@ -75,6 +95,7 @@ def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor) -> tup
         d: (N,) detached.
         hit: a `raycast.Hit`.
         glued: (N,) bool: where there is a triangle; elsewhere the direction is fixed.
+        slide: how much the point slides over the triangle; None: not at all.
     """
     p0, e1, e2 = edges(*there)
     reach = p0 + e1 * hit.u + e2 * hit.v - o
@@ -85,4 +106,10 @@ def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor) -> tup
     element = dot(cross(e1, e2), aim).abs() / squared
     size = element.detach()
     known = glued & (size > TINY)  # else the triangle is seen edge-on
-    return moved, 1.0 + (element - size) / torch.where(known, size, 1.0) * known.to(size.dtype)
+    change = (element - size) / torch.where(known, size, 1.0) * known.to(size.dtype)
+    if slide is None:
+        return moved, 1.0 + change
+    fixed = where_the_ray_goes(Ray(o, d), p0, e1, e2, hit, glued)
+    apart = slide.by_u * (fixed.u - hit.u.detach()) + slide.by_v * (fixed.v - hit.v.detach())
+    stays = 1.0 - slide.share
+    return attached(moved, d + (moved - d) * stays), 1.0 + change * stays + apart

@@ -12,7 +12,7 @@ from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.emitter.kind import Light
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.appearance import Appearance
-from torch_radbp.scene.attributes import any_differentiated, check_attributes
+from torch_radbp.scene.attributes import any_differentiated, check_attributes, textures_of
 from torch_radbp.scene.geometry import Columns, Numbers, placed_shape, shown_instances, triangle_table
 from torch_radbp.scene.light_table import Emission, kinds_of, light_table
 from torch_radbp.scene.network_check import check_networks
@@ -103,7 +103,7 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
     columns = Columns(layout.shading_normals, layout.radiance_bitmaps or aovs or any(look.needs_uv for look in appearances),
                       layout.vertex_attributes, layout.face_attributes, any(look.kind.oriented for look in appearances),
                       tuple(row[id(shape.bsdf)] for shape in shapes),
-                      tuple(shape.emitter is not None for shape in shapes),
+                      tuple(shape.emitter is not None for shape in shapes), plain_shapes(cache, shapes, emitters),
                       numbers_of(scene, shapes) if aovs else None)
     instances = shown_instances(cache, groups, placed, layout.shading_normals,
                                 instance_numbers(scene, groups) if aovs else (0,) * sum(map(len, groups)), dtype, device)
@@ -139,6 +139,21 @@ def lit_outside(textures: dict[int, Texture], dtype: torch.dtype, device: torch.
     rows = {name: tuple(own[reader].index(texture) if texture in own[reader] else -1 for reader in readers)
             for name, texture in textures.items()}
     return readers, tuple(reader.bank(own[reader], dtype, device) for reader in readers), rows
+
+
+def plain_shapes(cache: PackCache, shapes: list[Surface], emitters: list[Light]) -> tuple[bool, ...]:
+    """For each shape, whether the light that it sends back jumps at borders of shadows alone; see `scene.nearby`."""
+    if any(emitter.picture_jumps() or emitter.picture_ends() for emitter in emitters):
+        return (False,) * len(shapes)
+    known = {id(bsdf): is_plain(bsdf) for bsdf in {id(shape.bsdf): shape.bsdf for shape in shapes}.values()}
+    return tuple(shape.emitter is None and known[id(shape.bsdf)] for shape in shapes)
+
+
+def is_plain(bsdf: BSDF) -> bool:
+    """True if a material scatters light smoothly, and equally in all of its places or by textures that do not jump."""
+    kinds = [side.kind() for side in one_sided([bsdf])]
+    return all(kind.smooth and not (kind.delta or kind.follows or kind.straight or kind.turns_normals)
+               for kind in kinds) and not any(texture.jumps() for _, texture in textures_of(bsdf))
 
 
 def numbers_of(scene: Scene, shapes: list[Surface]) -> tuple[Numbers, ...]:

@@ -102,6 +102,7 @@ class TriangleTable(NamedTuple):
     attributes: tuple[Vec3, ...]  # (T,) each, as those of vertices; attached
     numbers: tuple[Tensor, Tensor] | None = None  # (T,) int32: of the triangle in its shape, of the shape from 1; for AOVs
     instances: InstanceTable | None = None  # of groups; None: there are none
+    plain: Tensor | None = None  # (T,) bool: light jumps inside of it at borders of shadows alone; None: of no triangle
 
     @property
     def casting_instances(self) -> Instances | None:

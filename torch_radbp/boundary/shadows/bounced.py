@@ -6,7 +6,8 @@ to its surface, what vertex x_k receives from there is
 
     integral of f |cos x_k| |cos x_{k+1}| / r^2  L(x_{k+1}) dA
 
-and L jumps at the border, which moves over the surface as it does over the film there. Each place on a border is connected
+and L jumps at the border, which moves over the surface as it does over the film there; the points of a surface close to x_k
+slide (`slid.py`). Each place on a border is connected
 to one vertex of a path.
 """
 
@@ -22,6 +23,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, light_through, seen_at
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace, unhidden
+from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
@@ -37,7 +39,8 @@ SALT = 0x2B3E6C1F  # tells the random numbers that connect borders with paths fr
 class ConnectedBorders(NamedTuple):
     """K places on borders, each connected to a vertex of a path; detached."""
 
-    place: Vec2  # of the path on the film
+    points: Viewpoints  # these
+    start: Vec3  # where they are, world
     borders: Borders
     normal: Vec2  # in the coordinates of `on_receiver`, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
@@ -45,8 +48,10 @@ class ConnectedBorders(NamedTuple):
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
     """What such borders add to the derivative of view `number`; args as of `border.jumps_in_view`."""
-    seen = on_receiver(call.scene, attached_geometry(call.scene), casting.outline, found.borders)
-    return FilmJumps(found.place, found.strength * swept(seen, found.normal))
+    geometry = attached_geometry(call.scene)
+    seen = on_receiver(call.scene, geometry, casting.outline, found.borders)
+    seen = less_what_slides(call, number, geometry, found.points, found.start, found.borders.receiver, seen)
+    return FilmJumps(found.points.place, found.strength * swept(seen, found.normal))
 
 
 def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
@@ -77,14 +82,14 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: fl
     place = torch.arange(len(times), dtype=torch.int32, device=scene.device)
     connected = (numbers(view.sample_keys[1], place, SALT, torch.float64) * len(points.depth)).long()
     own = rows(points, connected)
-    light = light_received(call, integrand, own, rows(vertex_at(call, geometry, number, points), connected), borders, here,
-                           passed.key)
+    start = rows(vertex_at(call, geometry, number, points), connected)
+    light = light_received(call, integrand, own, start, borders, here, passed.key)
     light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
     kept = (light != 0).any(0).nonzero().squeeze(1)
     if not len(kept):
         return None
     light, ahead = light[:, kept], ahead[kept]
-    return ConnectedBorders(*rows((own.place, borders, normal), kept), torch.where(ahead, light, -light))
+    return ConnectedBorders(*rows((own, start, borders, normal), kept), torch.where(ahead, light, -light))
 
 
 def light_received(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, borders: Borders, here: Vec2,

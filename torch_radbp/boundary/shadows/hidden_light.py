@@ -10,7 +10,8 @@ meets the surface of z. It moves over the points that are glued there, and chang
 
     dL = - integral of f |cos x| |cos z| / r^2  L(z, x)  v . n dl
 
-with n into what is hidden no longer and v its velocity. What hides z has no part in this: its own points move with its edge.
+with n into what is hidden no longer and v its velocity over these points; close to x they slide (`slid.py`). What hides z
+has no part in this: its own points move with its edge.
 Where nothing lies behind, directions take the place of the points.
 
 Light that the first surface receives straight from lamps is counted in `border.py`; but what no light sample finds, and
@@ -48,6 +49,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     salted,
     unhidden,
 )
+from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View
@@ -57,6 +59,7 @@ from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
@@ -111,7 +114,9 @@ class CutsOfView(NamedTuple):
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
     """What edges hide from paths adds to the derivative of view `number`; args as of `border.jumps_in_view`."""
     geometry = attached_geometry(call.scene)
-    seen = cut_at(geometry, casting.outline, vertex_at(call, geometry, number, found.points), found.cuts)
+    at, viewpoint = vertex_at(call, geometry, number, found.points), found.cuts.viewpoint
+    seen, start = cut_at(geometry, casting.outline, at, found.cuts), rows(at.map(primal), viewpoint)
+    seen = less_what_slides(call, number, geometry, rows(found.points, viewpoint), start, found.cuts.hit, seen)
     return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept(seen, found.normal))
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.attached import rays_reaching
-from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.shadows.eyes import Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import corners_of, numbers, salted
 from torch_radbp.call.render_call import RenderCall, started
@@ -20,7 +20,9 @@ from torch_radbp.path.wavefront import bounces
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.cone import Cone
+from torch_radbp.scene.nearby import slides_from
 from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others
@@ -35,7 +37,7 @@ class Viewpoints(NamedTuple):
     depth: Tensor  # (M,) int64, from 0; -1: the path has none
     ray: Ray  # that meets it
     hit: Hit
-    slides: Tensor  # (M,) bool: the ray's direction is not left to chance, or is followed, so that the vertex slides
+    slides: Tensor  # (M,) bool: not all of the ray's direction is left to chance, so that the vertex slides
     beta: Vec3  # throughput before it, over the probability of this vertex
     key: LaneKey
     lobe: Lobe  # around a direction in which light is scattered
@@ -94,7 +96,17 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) 
         beta = beta * camera.weight
     found = Viewpoints(pixel, sample, place, depth, ray, hit, slides, beta, camera.key,
                        lobe_around(onwards, density))
-    return rows(found, (depth >= 0).nonzero().squeeze(1))
+    found = rows(found, (depth >= 0).nonzero().squeeze(1))
+    if call.scene.triangles.plain is None:
+        return found
+    geometry = geometry_of(call.scene)
+    near = slides_from(corners_of(geometry, found.hit), found.hit.t.double(), is_plain(geometry, found.hit))
+    return found._replace(slides=found.slides | (near & (found.depth > 0)))
+
+
+def is_plain(geometry: Geometry, hit: Hit) -> Tensor:
+    """True where a triangle is hit that is plain, (N,) bool; see `scene.nearby`."""
+    return (hit.prim >= 0) & lookup(geometry.triangles.plain, hit.prim.clamp_min(0))
 
 
 def glues(integrand: Integrand, event: Scatters) -> bool:

@@ -1,0 +1,82 @@
+"""Where surfaces meet that move apart, samples of derivatives are bounded, and right.
+
+A floor and a wall that stands on it, or passes through it, or is held a little above it, under a sky: seen from above, light
+that the wall sends to the floor next to it. The wall slides along, or the camera's points slide over both.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.scenes import diffuse, load, look_at, rgb
+from torch_radbp.io.transform import rotate, scale, translate
+
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+
+SIZE, SPP, STEP = 16, 256, 0.005  # with twice the step the difference bends by 1 %
+SKY = {"type": "constant", "radiance": rgb(1, 0.8, 0.6)}
+POINT = {"type": "point", "position": [1.5, 0.3, 1.2], "intensity": rgb(3, 4, 5)}
+
+
+def corner(bottom: float, lamp: dict[str, Any] = SKY, **objects: Any) -> rb.Scene:
+    """A wall along x = 0 whose lower edge is at this height, and a floor, from above."""
+    view = {"type": "perspective", "fov": 20, "to_world": look_at((0.6, -0.4, 3), (0.25, 0.1, 0), (0, 1, 0)),
+            "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}}
+    square = torch.tensor([[0.0, -2, bottom], [0, 2, bottom], [0, 2, 1], [0, -2, 1]])
+    wall = {"type": "mesh", "vertex_positions": square, "faces": torch.tensor([[0, 1, 2], [0, 2, 3]]),
+            "bsdf": {"type": "twosided", "one": diffuse(0.9, 0.7, 0.8)}}
+    floor = {"type": "rectangle", "to_world": rotate((0, 0, 1), 10) @ scale((3, 3, 1)), "bsdf": diffuse(0.6, 0.8, 0.7)}
+    return load(torch.float32, sensor=view, lamp=lamp, floor=floor, wall=wall, **objects)
+
+
+def aside(vertices: torch.Tensor) -> torch.Tensor:
+    return torch.tensor([1.0, 0.0, 0.0]).expand_as(vertices).contiguous()
+
+
+def difference(scene: rb.Scene, spp: int) -> torch.Tensor:
+    """(1, 3, H, W) central difference of images with the same samples."""
+    vertices, images = scene.wall.vertex_positions, []
+    home = vertices.detach().clone()
+    for side in (1, -1):
+        vertices.data = home + side * STEP * aside(home)
+        images.append(rb.render(scene, spp=spp, seed=5, max_depth=3).detach())
+    vertices.data = home
+    return (images[0] - images[1]) / (2 * STEP)
+
+
+def derivative(scene: rb.Scene, seed: int, spp: int = SPP, **settings: Any) -> torch.Tensor:
+    tangent = aside(scene.wall.vertex_positions.detach())
+    return rb.jvp(scene, {"wall.vertex_positions": tangent}, spp=spp, seed=seed, max_depth=3, **settings)
+
+
+BLOCKER = {"type": "rectangle", "to_world": translate((0.1, 0.1, 0.3)) @ rotate((0.1, 1, 0), 70) @ scale((0.06, 0.12, 1)),
+           "bsdf": {"type": "twosided", "one": diffuse(0.2, 0.3, 0.4)}}
+SCENES = {"stands on the floor": (0.0, SKY, {}), "passes through the floor": (-0.7, SKY, {}),
+          "above the floor": (0.05, SKY, {}), "before it a plate": (-0.7, SKY, {"plate": BLOCKER}),
+          "a sharp shadow on it": (-0.7, POINT, {"plate": BLOCKER})}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_light_from_a_wall_that_moves_along_a_floor_is_that_of_differences(name):
+    bottom, lamp, objects = SCENES[name]
+    scene = corner(bottom, lamp, **objects)
+    expected = difference(scene, 16 * SPP).double()
+    assert expected.isfinite().all() and expected.abs().max() > 0
+    found = torch.stack([derivative(scene, seed) for seed in range(4)]).double()
+    weights = expected.sign()
+    sums = (found * weights).sum((1, 2, 3, 4))
+    noise = float(sums.std()) / len(sums)**0.5
+    whole = float(expected.abs().sum())
+    assert noise < 0.05 * whole
+    assert abs(float(sums.mean()) - whole) < 4 * noise + 0.01 * whole
+
+
+@pytest.mark.parametrize("name", ["stands on the floor", "passes through the floor"])
+def test_no_sample_is_large_next_to_the_line_where_surfaces_meet(name):
+    scene = corner(*SCENES[name][:2])
+    found = derivative(scene, 1, terms={"interior"}).abs()
+    assert found.isfinite().all() and 0 < found.max() < 40 * found.mean()

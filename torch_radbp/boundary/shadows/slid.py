@@ -1,0 +1,58 @@
+"""How points slide over triangles that lie close to the vertices of paths from which they are seen; see `scene.nearby`.
+
+The borders at which light on such a triangle ends move over its points by what they move over the triangle, less what the
+points do. In barycentric coordinates the latter is a share of the way of a point that stays in a fixed direction from the
+vertex.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import Geometry, geometry_of
+from torch_radbp.boundary.shadows.seen_edges import corners_of, crossed_at
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints, is_plain, vertex_at
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.interaction import clearance
+from torch_radbp.scene.nearby import Floor, Nearby, slide_at
+from torch_radbp.tensors.differentiated import detached, primal
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
+
+
+def less_what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewpoints, start: Vec3, met: Hit,
+                     seen: Vec2) -> Vec2:
+    """Places on borders, less what the points of the triangles slide that lie there; (N,) barycentric coordinates, attached.
+
+    Args:
+        call, number: of the view.
+        geometry: of the call's scene, attached.
+        points, start: (N,) the vertices that see the places, and where they are, detached.
+        met: (N,) the triangles on which the places lie.
+        seen: (N,) the places, attached.
+    """
+    if geometry.triangles.plain is None:
+        return seen
+    share, d = share_of_slide(geometry_of(detached(call.scene)), points.hit, start, met, seen.map(primal))
+    near = (share > 0.0).nonzero().squeeze(1)
+    if not len(near):
+        return seen
+    points, met, share, d = rows((points, met, share, d), near)
+    fixed = crossed_at(corners_of(geometry, met), Ray(vertex_at(call, geometry, number, points), d))
+    return Vec2(*(place.index_add(0, near, share * (primal(way) - way)) for place, way in zip(seen, fixed)))
+
+
+def share_of_slide(geometry: Geometry, standing: Hit, start: Vec3, met: Hit, place: Vec2) -> tuple[Tensor, Vec3]:
+    """The share by which points slide, (N,), and the unit directions in which they are seen; all detached.
+
+    Args:
+        standing: the triangles of the vertices, which lie at `start`.
+        met, place: the triangles of the points, and where on them these are.
+    """
+    corners, own = corners_of(geometry, met), corners_of(geometry, standing)
+    reach = interpolated(corners, place.x, place.y) - start
+    distance = torch.sqrt(dot(reach, reach)).clamp_min(TINY)
+    d = reach / distance
+    floor = Floor(start, unit_normal(own[1] - own[0], own[2] - own[0]), is_plain(geometry, standing), clearance(own))
+    return slide_at(Nearby(corners, place.x, place.y, d, distance, is_plain(geometry, met)), floor).share, d
