@@ -70,7 +70,7 @@ OF_SHADOWS = {"descended", "edge_found", "edge_passed", "direct_light", "scatter
 OF_MIRRORS = {"goes_on", "ideal_vertex", "parted", "drawn_by_steps"}
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS},
-          "networks": {"ending", "shines", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS},
+          "networks": {"ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS},
           "shining networks": {"shines", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SEGMENTS, *OF_MIRRORS}}
 
 
