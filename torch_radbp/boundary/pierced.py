@@ -55,8 +55,9 @@ def edges_looked_at(call: RenderCall) -> int:
 def probes(count: int, most: int, generator: torch.Generator) -> Probes:
     """Some of so many edges, spread evenly; `generator`: picks them where there are more than `most`; on the CPU."""
     if count <= most:
-        return Probes(torch.arange(count), 1.0)
-    place = torch.arange(most) + torch.rand(most, dtype=torch.float64, generator=generator)
+        return Probes(torch.arange(count, device="cpu"), 1.0)
+    steps = torch.arange(most, dtype=torch.float64, device="cpu")
+    place = steps + torch.rand(most, dtype=torch.float64, generator=generator, device="cpu")
     return Probes((place * (count / most)).long().clamp_max(count - 1), most / count)
 
 
