@@ -62,6 +62,7 @@ from torch_radbp.tensors.vec import rows
 LEAST_BLOCK = 1 << 13  # places that are traced together: below, a second block costs more in Python than it gains
 BYTES_OF_TRIANGLE = 48  # weights of its edges and their sums
 BYTES_OF_PLACE = 640  # what is known of it, three rays and what they meet, two paths, and how it moves
+COMPILED = 0.5  # of that, where loops are fused
 LONG = 16  # times as long as the image is wide and high: curves of a cluttered view
 LEAST = 0.1  # of the mean length of curves in a triangle, that triangles count where no line meets a curve
 LEAST_OF_LENS = 1.0  # the same where each point of a lens sees other curves, of which the lines meet few
@@ -103,7 +104,8 @@ def bytes_of_jumps(call: RenderCall) -> int:
     long = LONG * max(view.width + view.height for view in call.views)
     kinds = 3 + (call.scene.triangles.vertices.n is not None) + any(view.clips for view in call.views)
     places = min(paths // LARGEST_SHARE, long * call.spp) + kinds * FEWEST
-    return triangles * BYTES_OF_TRIANGLE + places * BYTES_OF_PLACE * (1 + len(call.views))
+    share = COMPILED if hasattr(call.stages.edge_place, "into") else 1.0
+    return triangles * BYTES_OF_TRIANGLE + int(share * places * BYTES_OF_PLACE * (1 + len(call.views)))
 
 
 def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
