@@ -102,7 +102,7 @@ class RenderFunction(torch.autograd.Function):
             if record is None:
                 record = record_wavefront(call, integrand, wavefront)
             adj_L = weighted(lane_adjoint(call, wavefront, record.place, pixels), record.weight)
-            seen = integrand_of(call, integrand, wavefront.chunks[0].sensor)
+            seen = integrand_of(call, integrand, wavefront.sensor)
             sweep = make_sweep(seen, record, adj_L, numbered, gradients)
             call.adjoint.backward(sweep)
             return sweep

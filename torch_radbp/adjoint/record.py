@@ -39,7 +39,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
         tracer: `trace`, or what does the same.
     """
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
-    integrand = integrand_of(call, integrand, wavefront.chunks[0].sensor)
+    integrand = integrand_of(call, integrand, wavefront.sensor)
     L = tracer(integrand, started(call, samples), recorder.visit)
     radiance = L if record and call.adjoint.keep_radiance else None
     return (deposit(call, wavefront, shown(call, integrand, samples, recorder.hit, L), samples.place),
@@ -51,7 +51,7 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
     as one."""
     image, derivative = (camera_samples(call, wavefront, which) for which in (0, 1))
     recorder, lanes = Recorder(call.adjoint, integrand.max_depth), wavefront.lanes
-    integrand = integrand_of(call, integrand, wavefront.chunks[0].sensor)
+    integrand = integrand_of(call, integrand, wavefront.sensor)
     L = trace(integrand._replace(differentiated=lanes), started(call, joined([derivative, image])), recorder.visit)
     hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
     return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
@@ -79,7 +79,7 @@ def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefron
     if call.adjoint.keep_radiance:
         return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
     samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.max_depth)
-    walk(integrand_of(call, integrand, wavefront.chunks[0].sensor), started(call, samples), recorder.visit)
+    walk(integrand_of(call, integrand, wavefront.sensor), started(call, samples), recorder.visit)
     return recorder.record(partial(start_paths, call, wavefront, 1), None, samples)
 
 

@@ -64,7 +64,7 @@ def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = Fal
 
     @public_call
     def sums(wavefront: Wavefront) -> tuple[list[Tensor], None]:
-        samples, seen = camera_samples(call, wavefront, 0), integrand_of(call, integrand, wavefront.chunks[0].sensor)
+        samples, seen = camera_samples(call, wavefront, 0), integrand_of(call, integrand, wavefront.sensor)
         start, weight = started(call, samples), samples.weight
         channels = channels_of(names, lane_values(seen, start, quantities))
         return deposit(call, wavefront, channels if weight is None else [channel * weight for channel in channels],

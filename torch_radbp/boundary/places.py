@@ -14,6 +14,7 @@ from torch_radbp.boundary.silhouette import Eye
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
+from torch_radbp.path.integrand import Stages
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
     LaneKey,
@@ -34,6 +35,7 @@ ROUNDED = 8 * 2.0**-24  # the same as a share of the coordinates, by whose round
 NEIGHBOURS = 64  # successive places that share a sequence of low discrepancy
 FEWEST, LARGEST_SHARE = 256, 4  # places on the curves of a kind; of all kinds, one for so many paths of the image at most
 SALT = 0x2545F491  # tells the random numbers of places from those of images
+FUSED = 0.5  # share of the memory that places take in plain torch, where loops are fused
 ALONG = 0  # the random number of a place beside those of the aperture
 APERTURE_COUNTER = 0x1B873593
 
@@ -97,6 +99,11 @@ def sight_of(view: View, lamps: tuple[Eye, ...]) -> Sight:
             for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
     eye = Eye.of(camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
     return Sight(camera, eye, camera.kind.frustum(camera.lens, x, y), view.sample_keys[1], lamps)
+
+
+def taken_by(stages: Stages, size: int) -> int:
+    """The bytes that places take by such stages, if they take `size` in plain torch."""
+    return int(size * (FUSED if hasattr(stages.edge_place, "into") else 1.0))
 
 
 class Numbers(NamedTuple):

@@ -42,8 +42,10 @@ from torch_radbp.boundary.places import (
     lot_of,
     numbers_of_places,
     sight_of,
+    taken_by,
 )
 from torch_radbp.boundary.segments import Segments
+from torch_radbp.boundary.silhouette import Eye
 from torch_radbp.boundary.terminators import lamps_of
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
@@ -62,7 +64,6 @@ from torch_radbp.tensors.vec import rows
 LEAST_BLOCK = 1 << 13  # places that are traced together: below, a second block costs more in Python than it gains
 BYTES_OF_TRIANGLE = 48  # weights of its edges and their sums
 BYTES_OF_PLACE = 640  # what is known of it, three rays and what they meet, two paths, and how it moves
-COMPILED = 0.5  # of that, where loops are fused
 LONG = 16  # times as long as the image is wide and high: curves of a cluttered view
 LEAST = 0.1  # of the mean length of curves in a triangle, that triangles count where no line meets a curve
 LEAST_OF_LENS = 1.0  # the same where each point of a lens sees other curves, of which the lines meet few
@@ -104,8 +105,7 @@ def bytes_of_jumps(call: RenderCall) -> int:
     long = LONG * max(view.width + view.height for view in call.views)
     kinds = 3 + (call.scene.triangles.vertices.n is not None) + any(view.clips for view in call.views)
     places = min(paths // LARGEST_SHARE, long * call.spp) + kinds * FEWEST
-    share = COMPILED if hasattr(call.stages.edge_place, "into") else 1.0
-    return triangles * BYTES_OF_TRIANGLE + int(share * places * BYTES_OF_PLACE * (1 + len(call.views)))
+    return triangles * BYTES_OF_TRIANGLE + taken_by(call.stages, places * BYTES_OF_PLACE * (1 + len(call.views)))
 
 
 def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
@@ -119,22 +119,24 @@ def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
 def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: Seen) -> Tensor:
     """(B, C, H, W) zeros with the derivative of jumps in C channels."""
     still = call.still()
-    return torch.stack([jumps_of_view(call, still, number, own, seen) for number, own in enumerate(jumps)])
+    lamps = lamps_of(still)
+    return torch.stack([jumps_of_view(call, still, number, own, seen, lamps) for number, own in enumerate(jumps)])
 
 
-def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps | None, seen: Seen) -> Tensor:
+def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps | None, seen: Seen,
+                  lamps: tuple[Eye, ...]) -> Tensor:
     """(C, H, W) of view `number`.
 
     Args:
         call, seen: as for `jumps_of_views`.
         still: the call without derivatives.
         jumps: of the view.
+        lamps: of the scene.
     """
     view, found = call.views[number], None
     with torch.no_grad():
-        stages, seen_by = still.stages, still.views[number]
-        viewed = Viewed(stages, *taken(stages.edge_weight, geometry=geometry_of(still.scene),
-                                              sight=sight_of(seen_by, lamps_of(still))), seen_by.camera)
+        stages, sight = still.stages, sight_of(still.views[number], lamps)
+        viewed = Viewed(stages, *taken(stages.edge_weight, geometry=geometry_of(still.scene), sight=sight), sight.camera)
         places = [] if jumps is None else places_of(still, number, viewed, jumps, any(seen.turns))
         if places:
             integrand = integrand_of(still, still.integrand, number)

@@ -23,6 +23,11 @@ class Wavefront(NamedTuple):
         return sum(chunk.lanes for chunk in self.chunks)
 
     @property
+    def sensor(self) -> int:
+        """That of the first chunk; a far plane that cuts the scene is its own, for then there is no other."""
+        return self.chunks[0].sensor
+
+    @property
     def group(self) -> int:
         """Of bands that are rendered side by side."""
         return self.chunks[0].group

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import FEWEST
+from torch_radbp.boundary.places import FEWEST, taken_by
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.shadows import border, bounced, crossed_surfaces, hidden_light, pictures, seen_through, split
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
@@ -32,7 +32,6 @@ BYTES_OF_EDGE = 400  # nodes of the tree, and what they are made of
 BYTES_OF_WAY = 120  # down the tree: where it is, and what it has found
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
 BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
-COMPILED = 0.5  # of both, where loops are fused
 
 
 class Part(NamedTuple):
@@ -62,8 +61,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
     places += bool(pictures.lines_of_pictures(call)) * samples
     kept = places + int(2 * crossed_surfaces.PLACES * crossed_surfaces.PATHS * vertices)  # fewer than others while found
     of_places = places * BYTES_OF_PLACE + kept * BYTES_OF_JUMP * len(call.views)
-    share = COMPILED if hasattr(call.stages.bounce, "into") else 1.0
-    return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + int(share * of_places)
+    return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + taken_by(call.stages, of_places)
 
 
 def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) -> Tensor:

@@ -7,8 +7,7 @@ to its surface, what vertex x_k receives from there is
     integral of f |cos x_k| |cos x_{k+1}| / r^2  L(x_{k+1}) dA
 
 and L jumps at the border, which moves over the surface as it does over the film there; the points of a surface close to x_k
-slide (`slid.py`). Each place on a border is connected
-to one vertex of a path.
+slide (`slid.py`). Each place on a border is connected to one vertex of a path.
 """
 
 from __future__ import annotations

@@ -22,8 +22,7 @@ STEPS = 0xC13FA9A9 - (1 << 32), 0x91E10DA5 - (1 << 32)
 
 
 def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each: int, extent: Tensor) -> Descent:
-    """Ways down the tree to the last nodes; args as for `places_seen` of
-    `seen_edges.py`, and `extent`: () of the scene."""
+    """Ways down the tree to the last nodes; args as for `seen_edges.places_seen`, and `extent`: () of the scene."""
     way = numbers_to(each * len(eyes.w), tree.slots)
     eye = torch.div(way, each, rounding_mode="floor")
     u = fine_unit(eye * STEPS[0] + hash32(seed.seed)) + (way - eye * each)  # as many in each part of the edges
