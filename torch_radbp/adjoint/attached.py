@@ -10,7 +10,8 @@ from torch_radbp.path.bounce import places_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import texture_values_at
-from torch_radbp.path.wavefront import Step, add_at, first_hit, surviving, take_step, trace
+from torch_radbp.path.trace import trace
+from torch_radbp.path.wavefront import Step, add_at, first_hit, surviving, take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, rows_between

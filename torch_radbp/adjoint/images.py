@@ -14,7 +14,7 @@ from torch_radbp.call.pixels import Images, developed
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.wavefront import trace
+from torch_radbp.path.trace import trace
 
 
 def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> Images:

@@ -22,7 +22,8 @@ from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Step, trace, walk
+from torch_radbp.path.trace import trace
+from torch_radbp.path.wavefront import Step, walk
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
@@ -52,7 +53,8 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
     image, derivative = (camera_samples(call, wavefront, which) for which in (0, 1))
     recorder, lanes = Recorder(call.adjoint, integrand.max_depth), wavefront.lanes
     integrand = integrand_of(call, integrand, wavefront.sensor)
-    L = trace(integrand._replace(differentiated=lanes), started(call, joined([derivative, image])), recorder.visit)
+    integrand = integrand._replace(differentiated=derivative.ray.d.x.new_full((), lanes, dtype=torch.int32))
+    L = trace(integrand, started(call, joined([derivative, image])), recorder.visit)
     hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
     return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
             recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))

@@ -8,7 +8,8 @@ from torch import Tensor
 from torch_radbp.aov.surface import Values
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Bounce, bounces, trace
+from torch_radbp.path.trace import trace
+from torch_radbp.path.wavefront import Bounce, bounces
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.vec import Vec3, rows
 

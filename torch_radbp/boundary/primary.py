@@ -52,7 +52,8 @@ from torch_radbp.call.workers import in_turns
 from torch_radbp.jit.order import chosen
 from torch_radbp.path.integrand import Integrand, Stages, taken
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import first_hit, trace
+from torch_radbp.path.trace import trace
+from torch_radbp.path.wavefront import first_hit
 from torch_radbp.plugin import Texture
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum

@@ -41,6 +41,12 @@ class AnyDevice:
         """Waits for the device, which has to tell how many there are."""
         return flags.nonzero().squeeze(1).to(torch.int32)
 
+    def inverted(self, flags: Tensor) -> Tensor:
+        return ~flags
+
+    def nothing(self, flags: Tensor) -> Tensor:
+        return torch.zeros_like(flags)
+
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
         """Waits for the device once, which has to tell how many there are."""
         dtype = torch.uint8 if queues <= 256 else torch.int32  # a radix sort takes a turn for each byte

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import operator
 import pickle
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,8 +18,10 @@ from torch import Tensor
 from torch_radbp.jit import code_cache
 from torch_radbp.jit.arguments import Arguments, Column
 from torch_radbp.jit.fingerprint import Opaque, fingerprint
+from torch_radbp.jit.recording import NotRecordable, Recording
 from torch_radbp.jit.structure import assembler
 from torch_radbp.jit.target import Loop, Target
+from torch_radbp.jit.team import PART
 from torch_radbp.tensors import torch_internals
 
 UNREADABLE = (pickle.UnpicklingError, AttributeError, ImportError, EOFError, IndexError, TypeError, ValueError)
@@ -56,6 +59,16 @@ class Compiled:
         if given.lanes and self.code is not None:
             self.code.run(given.lanes, [given.pointers[place] for place in self.inputs],
                           [given.sizes[place] for place in self.inputs], outputs)
+
+
+    def recorded(self, listener: Recording, given: Arguments, outputs: Sequence[Tensor], first: int = 0) -> None:
+        """Has it recorded that all lanes are computed; the results go to `outputs`, from the entry `first` on."""
+        if self.code is None or not given.lanes:
+            return
+        if given.read is not given.leaves and any(map(operator.is_not, given.read, given.leaves)):
+            raise NotRecordable("a tensor is copied before it is read")
+        listener.loop(self.code.code.address, given.lanes, PART, [given.leaves[place] for place in self.inputs], outputs,
+                      first, lengths=True)
 
 
 def name_of(function: Callable, tables: tuple[str, ...], given: Arguments, target: Target) -> str | None:

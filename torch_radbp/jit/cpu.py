@@ -63,6 +63,8 @@ class Cpu:
 
     chosen = staticmethod(cpu_order.chosen)
     partition = staticmethod(cpu_order.partition)
+    inverted = staticmethod(cpu_order.inverted)
+    nothing = staticmethod(cpu_order.nothing)
     put = staticmethod(cpu_order.put)
     scatter_add = staticmethod(cpu_scatter.scatter_add)
 

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.machine import cached_code, made_once
+from torch_radbp.jit.recording import recording
 
 # The body may begin with values that are carried from turn to turn.
 LOOP = """\
@@ -145,8 +146,32 @@ class Code:
 code = made_once(Code)
 
 
+@made_once
+def addresses() -> dict[str, int]:
+    """Where the functions of `text` lie, by their names."""
+    names = ["choose", "begin", *(f"{name}_i{bits}" for bits in BITS for name in (
+        "count_abreast", "count_rest", "partition_abreast", "partition_rest", "put_all"))]
+    return {name: code().module.address_of(name) for name in names}
+
+
+def inverted(flags: Tensor) -> Tensor:
+    """See `order.inverted`."""
+    if (listener := recording()) is not None:
+        return listener.inverted(flags, True)
+    return ~flags
+
+
+def nothing(flags: Tensor) -> Tensor:
+    """See `order.nothing`."""
+    if (listener := recording()) is not None:
+        return listener.inverted(flags, False)
+    return torch.zeros_like(flags)
+
+
 def chosen(flags: Tensor) -> Tensor:
     """See `order.chosen`."""
+    if (listener := recording()) is not None:
+        return listener.chosen(flags)
     flags = flags.contiguous()
     order = flags.new_empty(flags.numel(), dtype=torch.int32)
     return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
@@ -154,6 +179,8 @@ def chosen(flags: Tensor) -> Tensor:
 
 def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     """See `order.partition`."""
+    if (listener := recording()) is not None:
+        return listener.partition(number, queues)
     number, lanes, size = number.contiguous(), number.numel(), number.element_size()
     order = number.new_empty(lanes, dtype=torch.int32)
     counts = ZERO * (queues * ABREAST)  # of all queues for each run; what is left over goes on with the last
@@ -170,6 +197,9 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
 
 def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
     """See `order.put`; all is contiguous."""
+    if (listener := recording()) is not None:
+        listener.put(targets, place, entries)
+        return
     for size in {target.element_size() for target in targets}:
         jobs = array("q")
         for target, entry in zip(targets, entries):

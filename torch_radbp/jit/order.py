@@ -18,6 +18,16 @@ def chosen(flags: Tensor) -> Tensor:
     return target_of(flags.device).chosen(flags)
 
 
+def inverted(flags: Tensor) -> Tensor:
+    """(N,) bool, true where `flags`, (N,) bool, are not; of flags that carry no derivative, as none does."""
+    return target_of(flags.device).inverted(flags)
+
+
+def nothing(flags: Tensor) -> Tensor:
+    """As many flags, all false."""
+    return target_of(flags.device).nothing(flags)
+
+
 def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     """Lanes queue by queue.
 

@@ -14,6 +14,7 @@ from torch_radbp.jit import compiled as compiled_functions
 from torch_radbp.jit.arguments import Arguments, Parameter, Taken
 from torch_radbp.jit.compiled import Compiled, Interface
 from torch_radbp.jit.graph import LANES, Program
+from torch_radbp.jit.recording import recording
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.structure import Leaf, difference, flatten, of_lanes, replaced
 from torch_radbp.jit.target import Target, target_of
@@ -83,7 +84,10 @@ class LaneFunction:
         compiled, given = self.prepared(arguments)
         new_empty, lanes = given.leaves[0].new_empty, given.lanes
         outputs = [new_empty(lanes, dtype=dtype) for dtype in compiled.dtypes]
-        compiled.run(given, [tensor.data_ptr() for tensor in outputs])
+        if (listener := recording()) is not None:
+            compiled.recorded(listener, given, outputs)
+        else:
+            compiled.run(given, [tensor.data_ptr() for tensor in outputs])
         return compiled.assemble([outputs[k] if k >= 0 else given.leaves[~k] for k in compiled.results])
 
     def into(self, results, first: int, *arguments):
@@ -103,13 +107,19 @@ class LaneFunction:
         room = results if type(results) is Taken else Taken(self.results, results)
         self.check_room(room, compiled, given, first + given.lanes)
         tensors, sizes = room.leaves, compiled.sizes
-        compiled.run(given, [room.pointers[place] + first * size for place, size in zip(compiled.firsts, sizes)])
+        if (listener := recording()) is not None:
+            compiled.recorded(listener, given, [tensors[place] for place in compiled.firsts], first)
+        else:
+            compiled.run(given, [room.pointers[place] + first * size for place, size in zip(compiled.firsts, sizes)])
 
         def others() -> None:
             for place in compiled.others:
                 k = compiled.results[place]
                 source = tensors[compiled.firsts[k]].narrow(0, first, given.lanes) if k >= 0 else given.leaves[~k]
-                tensors[place].narrow(0, first, given.lanes).copy_(source)
+                if listener is not None:
+                    listener.copy(tensors[place], source, first)
+                else:
+                    tensors[place].narrow(0, first, given.lanes).copy_(source)
 
         after_loops(others)  # which also keeps what was given until then
         return room.argument

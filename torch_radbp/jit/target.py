@@ -61,6 +61,12 @@ class Target(Protocol):
     def chosen(self, flags: Tensor) -> Tensor:
         """See `order.chosen`."""
 
+    def inverted(self, flags: Tensor) -> Tensor:
+        """See `order.inverted`."""
+
+    def nothing(self, flags: Tensor) -> Tensor:
+        """See `order.nothing`."""
+
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
         """See `order.partition`."""
 

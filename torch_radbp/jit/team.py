@@ -184,6 +184,21 @@ def together(work: Callable[[Task], None], threads: int) -> None:
         del error  # whose traceback holds this frame
 
 
+@contextmanager
+def assisted(work: Callable[[Task], None], finish: Callable[[], None]) -> Iterator[None]:
+    """The helpers of this thread do `work`, as they awake, until `finish`, which is called in the end, lets them return."""
+    task, number = Task(work), threads()
+    try:
+        if number > 1:
+            TEAM.call(task, number - 1)
+        yield
+    finally:
+        finish()
+        task.close()
+    if task.error is not None:
+        raise task.error
+
+
 def each(work: Callable[[Item], Result], items: Sequence[Item], threads: int) -> list[Result]:
     """`work` on each item, by at most so many threads; the results in the order of the items."""
     recorded, left, results = torch.is_grad_enabled(), deque(enumerate(items)), {}

@@ -122,7 +122,7 @@ class Integrand(NamedTuple):
     stages: Stages
     parts: dict[Event, Part]  # filled when one first happens
     clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
-    differentiated: int | None = None  # so many lanes of the chunk, the first, are of the derivative; None: all may be
+    differentiated: Tensor | None = None  # () int32, so many lanes of the chunk, the first, are of the derivative; None: all
 
     def with_stages(self, stages: Stages) -> Integrand:
         """The same integrand, evaluated by other functions."""
@@ -161,7 +161,12 @@ class Integrand(NamedTuple):
         """The paths that are not differentiated; None: all may be."""
         if self.differentiated is None:
             return None
-        return ImageLanes(state.lane, state.lane.new_full((), self.differentiated))
+        return ImageLanes(state.lane, self.differentiated)
+
+    @property
+    def no_appearance(self) -> Tensor:
+        """() int32, the number of the queue of lanes that meet no surface: that after the appearances."""
+        return number(len(self.proposal.layout.appearances), self.proposal.lights.choice.pmf.device)
 
     def is_last(self, depth: int) -> bool:
         """True if paths end at this bounce: nothing is scattered any more."""
@@ -170,6 +175,12 @@ class Integrand(NamedTuple):
     def scatterer(self, event: Event) -> Appearance | None:
         """What light is scattered by; None: the path ends."""
         return event.scatterer(self.scene.layout)
+
+
+@functools.cache
+def number(value: int, device: torch.device) -> Tensor:
+    """An int32."""
+    return torch.full((), value, dtype=torch.int32, device=device)
 
 
 @functools.lru_cache(maxsize=4096)

@@ -2,7 +2,7 @@
 
     cast rays -> lanes in queues by the appearance of what they meet -> `bounce` for each queue -> shadow rays -> survivors
 
-The loop is the same forwards, where `trace` sums the image, and wherever a backward pass replays it.
+The loop is the same forwards, where `trace.py` sums the image, and wherever a backward pass replays it.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.order import chosen, put
+from torch_radbp.jit.order import chosen, inverted, nothing, put
 from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import Vertex, gathered
-from torch_radbp.path.event import Ends, Scatters
+from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand, taken
 from torch_radbp.path.queues import ImageLanes, Queue, one_queue, queues_by
 from torch_radbp.path.state import Arrival, PathState
@@ -78,8 +78,8 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
             if with_light or queue.event.scatters else None for queue in step.queues))
         vertex, light = bounce_queues(integrand, state, depth, step, with_light)
         connects = integrand.settings.nee and not integrand.is_last(depth)
-        visible = ~integrand.caster.occluded(vertex.shadow, vertex.shadow_distance) if connects else (
-            torch.zeros_like(vertex.survives))
+        visible = inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)) if connects else (
+            nothing(vertex.survives))
         return vertex, light, step._replace(visible=visible, survives=vertex.survives)
     return *bounce_queues(integrand, state, depth, step, with_light), step
 
@@ -163,15 +163,11 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
     layout, part, stages = integrand.proposal.layout, integrand.part(Ends.SURROUNDINGS), integrand.stages
     if last:
         return None, *one_queue(Ends.LAST_BOUNCE, part.call(stages.shines, hit, image_lanes))
-    appearances = len(layout.appearances)
-    if appearances == 1 and not layout.surround and image_lanes is None:
-        return None, *one_queue(Scatters(0), hit.prim >= 0)
-    nothing = hit.prim.new_full((), appearances)
-    number, differs = part.call(stages.appearance_met, hit, nothing, image_lanes)
-    front = None if differs is None else torch.zeros_like(differs)
+    number, differs = part.call(stages.appearance_met, hit, integrand.no_appearance, image_lanes)
+    front = None if differs is None else nothing(differs)
     if differs is not None and len(lanes := chosen(differs)):
         put_rows((number, front), lanes, part.call(stages.side_met, ray, hit, lanes, image_lanes))
-    return front, *queues_by(number, appearances, layout.surround is not None, image_lanes is not None)
+    return front, *queues_by(number, len(layout.appearances), layout.surround is not None, image_lanes is not None)
 
 
 def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
@@ -228,35 +224,24 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         state, depth, hit = survivors(integrand, vertex.next, step), depth + 1, None
 
 
-def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None] | None = None,
-          hit: Hit | None = None, depth: int = 0) -> Vec3:
-    """The radiance L_1 along each lane's camera ray: the sum of beta_k E_k over bounces.
-
-    Args:
-        integrand: the scene and how to step.
-        start: from `start_path`.
-        visit: called at every depth with the state that reached it and what was decided there.
-        hit: of the camera rays, if it is known.
-        depth: of the first bounce to take; later ones begin in the middle of a path.
+def bounced(integrand: Integrand, state: PathState, depth: int, hit: Hit | None, L: Vec3) -> tuple[Step, PathState]:
+    """One bounce of every lane, which adds what it brings to the radiance `L` of all lanes: L += beta_k E_k.
 
     Returns:
-        (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
+        What was decided, and the paths that go on.
     """
-    L = Vec3.buffer(start.beta.x)
-    brightened = integrand.stages.brightened
-    for bounce in bounces(integrand, start, depth, hit=hit):
-        (depth, state, vertex, light, step), count = bounce, bounce.step.scattered
-        if visit is not None:
-            visit(depth, state, step)
-        lane = vertex.next.lane
-        put_rows(L, lane, brightened(L, state.beta, step.order[:count], lane, vertex.Le, vertex.Ld, step.visible))
-        if light is not None:
-            put_rows(L, bounce.ended, brightened(L, state.beta, step.order[count:], bounce.ended, light, None, None))
-    return L
+    vertex, light, step = take_step(integrand, state, depth, hit=hit)
+    stages, count, lane = integrand.stages, step.scattered, vertex.next.lane
+    put_rows(L, lane, stages.brightened(L, state.beta, step.order[:count], lane, vertex.Le, vertex.Ld, step.visible))
+    if light is not None:
+        order = step.order[count:]
+        ended = stages.rows(state.lane, order)
+        put_rows(L, ended, stages.brightened(L, state.beta, order, ended, light, None, None))
+    return step, survivors(integrand, vertex.next, step)
 
 
 def walk(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None]) -> None:
-    """Shows `visit` what `trace` does, whose sum is not wanted."""
+    """Shows `visit` what `trace.trace` does, whose sum is not wanted."""
     for bounce in bounces(integrand, start, with_light=False):
         visit(bounce.depth, bounce.state, bounce.step)
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from threading import Lock
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.machine import MachineCode, cached_code, host_width, made_once
-from torch_radbp.jit.team import run_lanes
+from torch_radbp.jit.recording import recording
+from torch_radbp.jit.team import PART, run_lanes
 from torch_radbp.raycast import ball, batches, runs
 from torch_radbp.raycast.ball import other_triangles
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
@@ -74,9 +75,17 @@ class Direct:
         """Runs a loop of `batches` over all lanes."""
         dtype, lanes = columns[0].dtype, columns[0].numel()
         inputs = [*columns_of(columns, dtype), *self.tables(dtype)]
-        run_lanes(machine_code(loop, dtype, self.balls is not None).address, lanes, addresses(inputs), addresses(answers))
+        body = machine_code(loop, dtype, self.balls is not None).address
+        if (listener := recording()) is not None:
+            listener.loop(body, lanes, PART, inputs, list(answers))
+            return
+        run_lanes(body, lanes, addresses(inputs), addresses(answers))
         with self._counting:
             self.rays_cast += lanes
+
+    def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
+        """What the loops read beside rays of a dtype, as a `Recording` is given it."""
+        return self.tables(dtype)
 
     def tables(self, dtype: torch.dtype) -> tuple[Tensor, ...]:
         """What the loops read of the mesh, for rays of a dtype."""

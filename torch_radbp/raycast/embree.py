@@ -7,13 +7,14 @@ the packets of `packets.py`, on the threads of `jit/team.py`.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from threading import Lock
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
+from torch_radbp.jit.recording import recording
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import every_ball, library, packets, queries
 from torch_radbp.raycast.ball import other_triangles, tables
@@ -99,14 +100,22 @@ class Embree:
         self._run(queries.any_hit, self._occluded, [*ray.o, *ray.d, tmax], [hidden])
         return hidden
 
+    def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
+        """What the loops read beside rays of a dtype, as a `Recording` is given it."""
+        return [self._intersect, self._occluded, self._scene.handle, self._near.data_ptr(),
+                *(table.data_ptr() for table in self._tables)]
+
     def _run(self, loop: Callable, query: int, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
         """Runs a loop of `queries` over all lanes."""
         lanes = columns[0].numel()
         columns = columns_of(columns, torch.float32)
-        inputs = array("q", [*(column.data_ptr() for column in columns), query, self._scene.handle, self._near.data_ptr(),
-                             *(table.data_ptr() for table in self._tables)])
-        outputs = array("q", [answer.data_ptr() for answer in answers])
+        read = [query, self._scene.handle, self._near.data_ptr(), *(table.data_ptr() for table in self._tables)]
         code = machine_code(loop, self.balls is not None, self.instances is not None)
+        if (listener := recording()) is not None:
+            listener.loop(code.address, lanes, PART, [*columns, *read], list(answers))
+            return
+        inputs = array("q", [*(column.data_ptr() for column in columns), *read])
+        outputs = array("q", [answer.data_ptr() for answer in answers])
         run_lanes(code.address, lanes, inputs, outputs, PART)
         with self._counting:
             self.rays_cast += lanes

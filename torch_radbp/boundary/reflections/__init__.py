@@ -50,7 +50,7 @@ from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.path.integrand import Integrand, taken
-from torch_radbp.path.wavefront import trace
+from torch_radbp.path.trace import trace
 from torch_radbp.tensors.differentiated import any_differentiated, primal
 from torch_radbp.tensors.record import joined, leaves_of
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, rows

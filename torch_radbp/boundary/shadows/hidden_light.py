@@ -56,7 +56,7 @@ from torch_radbp.call.view import View
 from torch_radbp.path.direct_light import scattered_light
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand, Stages
-from torch_radbp.path.wavefront import trace
+from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import primal

@@ -52,7 +52,8 @@ from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import scattered_light
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.wavefront import queued, trace
+from torch_radbp.path.trace import trace
+from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, rows, unit_normal

@@ -1,0 +1,125 @@
+"""Loops that are run from machine code: on the thread that runs it, and on helpers that look for them on a board.
+
+A thread that has no loop to take part in gives its core to others before it looks again, so that it is in nobody's way.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from torch_radbp.jit.machine import MachineCode, cached_code, made_once
+from torch_radbp.jit.team import assisted
+
+# Words of a board: whether a loop is open to helpers, how many are inside, whether all is done, the address of a function
+# that gives the core to others, the address of the loop's body; and then the `team.Job` that the body takes parts of.
+OPEN, INSIDE, DONE, YIELD, BODY, JOB, WORDS = 0, 1, 2, 3, 4, 5, 16
+TEXT = """\
+define void @run_loop(ptr %board, ptr %body, i64 %lanes, i64 %part, ptr %inputs, ptr %outputs) {
+  %some = icmp sgt i64 %lanes, 0
+  br i1 %some, label %begin, label %done
+begin:
+  %body_at = getelementptr i64, ptr %board, i64 4
+  store ptr %body, ptr %body_at, align 8
+  %job = getelementptr i64, ptr %board, i64 5
+  store i64 %lanes, ptr %job, align 8
+  %part_at = getelementptr i64, ptr %job, i64 1
+  store i64 %part, ptr %part_at, align 8
+  %next_at = getelementptr i64, ptr %job, i64 2
+  store i64 0, ptr %next_at, align 8
+  %inputs_at = getelementptr i64, ptr %job, i64 3
+  store ptr %inputs, ptr %inputs_at, align 8
+  %outputs_at = getelementptr i64, ptr %job, i64 4
+  store ptr %outputs, ptr %outputs_at, align 8
+  %several = icmp sgt i64 %lanes, %part
+  br i1 %several, label %share, label %alone
+alone:
+  call void %body(ptr %job)
+  br label %done
+share:
+  store atomic i64 1, ptr %board seq_cst, align 8
+  call void %body(ptr %job)
+  store atomic i64 0, ptr %board seq_cst, align 8
+  %inside_at = getelementptr i64, ptr %board, i64 1
+  br label %wait
+wait:
+  %inside = load atomic i64, ptr %inside_at seq_cst, align 8
+  %busy = icmp sgt i64 %inside, 0
+  br i1 %busy, label %wait, label %done
+done:
+  ret void
+}
+
+define void @help(ptr %board) {
+entry:
+  %inside_at = getelementptr i64, ptr %board, i64 1
+  %done_at = getelementptr i64, ptr %board, i64 2
+  %yield_at = getelementptr i64, ptr %board, i64 3
+  %yield = load ptr, ptr %yield_at, align 8
+  %body_at = getelementptr i64, ptr %board, i64 4
+  %job = getelementptr i64, ptr %board, i64 5
+  br label %look
+look:
+  %over = load atomic i64, ptr %done_at seq_cst, align 8
+  %finished = icmp ne i64 %over, 0
+  br i1 %finished, label %leave, label %ask
+ask:
+  %open = load atomic i64, ptr %board seq_cst, align 8
+  %some = icmp ne i64 %open, 0
+  br i1 %some, label %enter, label %rest
+enter:
+  %before = atomicrmw add ptr %inside_at, i64 1 seq_cst
+  %still = load atomic i64, ptr %board seq_cst, align 8
+  %in_time = icmp ne i64 %still, 0
+  br i1 %in_time, label %work, label %exit
+work:
+  %body = load ptr, ptr %body_at, align 8
+  call void %body(ptr %job)
+  br label %exit
+exit:
+  %after = atomicrmw sub ptr %inside_at, i64 1 seq_cst
+  br label %rest
+rest:
+  call i32 %yield()
+  br label %look
+leave:
+  ret void
+}
+"""
+
+
+@made_once
+def functions() -> tuple[MachineCode, int, Callable[[int], None]]:
+    """The code of the board, the address of `run_loop`, and `help`."""
+    code = cached_code(TEXT, entry="run_loop")
+    return code, code.address, ctypes.CFUNCTYPE(None, ctypes.c_void_p)(code.address_of("help"))
+
+
+def run_loop() -> int:
+    """The address of the function that runs a loop: board, body, lanes, lanes of a part, inputs and outputs."""
+    return functions()[1]
+
+
+@made_once
+def yielding() -> tuple[object, int]:
+    """The library with the function that gives the core to others, and the function's address."""
+    library = ctypes.CDLL(None) if os.name == "posix" else ctypes.WinDLL("kernel32")
+    function = library.sched_yield if os.name == "posix" else library.SwitchToThread
+    return library, ctypes.cast(function, ctypes.c_void_p).value
+
+
+@contextmanager
+def board() -> Iterator[int]:
+    """The address of a board that the helpers of this thread look at, as long as the context is open."""
+    words = array("q", [0] * WORDS)
+    words[YIELD] = yielding()[1]
+    address, help = words.buffer_info()[0], functions()[2]
+
+    def finish() -> None:
+        words[DONE] = 1
+
+    with assisted(lambda task: help(address), finish):
+        yield address

@@ -1,0 +1,291 @@
+"""A recording of what is done with lanes: loops, in which order and of what, whatever the numbers of lanes turn out to be.
+
+A function that calls lane functions, casts rays and moves lanes about is called once while a `Recording` listens. Nothing is
+computed then: its tensors have no contents, and where it is told how many lanes there are, it is told a number that stands
+for the count that will be found. From such numbers the recording reads off what each loop runs over.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.torch_internals import TorchDispatchMode
+
+ALL = 1_048_583  # stands for all lanes
+TRIES = 1000
+HARMLESS = ("empty", "new_empty", "empty_like", "empty_strided", "new_empty_strided", "slice", "narrow", "detach", "alias",
+            "view", "unbind", "select", "as_strided")
+
+
+class NotRecordable(Exception):
+    """What is done cannot be recorded; the message says why."""
+
+
+class Span(NamedTuple):
+    """Lanes between two counts, by their numbers; count 0 is zero, count 1 all lanes."""
+
+    first: int
+    last: int
+
+
+class Place(NamedTuple):
+    """Where a loop reads or writes."""
+
+    made: bool  # a tensor that was made while recording; else one that is given
+    tensor: int  # its number
+    first: int = 0  # the number of the count of entries that come before
+    size: int = 4  # bytes of an entry
+
+
+class Loop(NamedTuple):
+    """A loop over lanes."""
+
+    body: int  # address, see `team.LaneLoop`
+    lanes: Span
+    part: int
+    inputs: tuple[Place, ...]
+    lengths: tuple[Span, ...] | None  # of those that were made; None: lengths are not read
+    outputs: tuple[Place, ...]
+
+
+class Partition(NamedTuple):
+    """`order.partition`."""
+
+    number: Place
+    lanes: Span
+    queues: int
+    order: Place
+    first: int  # the number of the first count that it finds: where the queue 1 begins
+
+
+class Chosen(NamedTuple):
+    """`order.chosen`."""
+
+    flags: Place
+    lanes: Span
+    order: Place
+    count: int  # the number of the count that it finds
+
+
+class Put(NamedTuple):
+    """`order.put`, of entries of one size."""
+
+    place: Place
+    lanes: Span
+    pairs: tuple[tuple[Place, Place], ...]  # entry and target
+
+
+class Inverted(NamedTuple):
+    """`order.inverted`, or `order.nothing` where there are no flags."""
+
+    flags: Place | None
+    lanes: Span
+    result: Place
+
+
+class Copy(NamedTuple):
+    """`Target.copy`."""
+
+    source: Place
+    target: Place
+    lanes: Span
+
+
+class Made(NamedTuple):
+    """A tensor that was made while recording."""
+
+    dtype: torch.dtype
+    lanes: Span
+
+
+Operation = Loop | Partition | Chosen | Put | Inverted | Copy
+
+
+class Recording:
+    """Listens to what is done with lanes.
+
+    Args:
+        given: the tensors that the function is given, those of the lanes without contents and `ALL` long, and addresses of
+            what else loops read.
+    """
+
+    def __init__(self, given: Sequence[Tensor | int]):
+        self.given: dict[int, int] = {}  # numbers of what is given, by address
+        for number, item in enumerate(given):
+            self.given.setdefault(address_of(item), number)
+        self.operations: list[Operation] = []
+        self.made: list[Made] = []
+        self.memory: dict[int, int] = {}  # numbers of tensors that were made, by address
+        self.alive: list = [given]  # so that addresses remain theirs
+        self.counts = 2
+        self.points = {0: 0, ALL: 1}  # numbers of counts by what stands for them
+        self.spans = {0: Span(0, 0), ALL: Span(0, 1)}
+        self.drawn = random.Random(0)
+
+    # -- Where things lie -----------------------------------------------------------------------------------------------
+
+    def span(self, lanes: int) -> Span:
+        """The lanes that a number of lanes stands for."""
+        if lanes not in self.spans:
+            raise NotRecordable(f"{lanes} lanes are no number that was found")
+        return self.spans[lanes]
+
+    def place(self, item: Tensor | int) -> Place:
+        """Where a tensor lies, or what is at an address."""
+        known = self.given.get(address_of(item))
+        if known is not None:
+            return Place(False, known)
+        if not isinstance(item, Tensor):
+            raise NotRecordable("a loop reads what is not given")
+        return self.place_made(item)
+
+    def place_made(self, tensor: Tensor) -> Place:
+        """Where a tensor lies that was made while recording."""
+        made = self.memory.get(tensor.untyped_storage().data_ptr())
+        offset = tensor.storage_offset()
+        if made is None or offset not in self.points or not tensor.is_contiguous():
+            raise NotRecordable(f"a tensor {tuple(tensor.shape)} is neither given nor made by a loop")
+        return Place(True, made, self.points[offset], tensor.element_size())
+
+    def written(self, tensor: Tensor, first: int = 0) -> Place:
+        """Where a tensor lies that is written into, from an entry on; it is made if it is not known."""
+        address = tensor.untyped_storage().data_ptr()
+        if tensor.data_ptr() not in self.given and address not in self.memory:
+            self.memory[address] = len(self.made)
+            self.made.append(Made(tensor.dtype, self.span(tensor.numel())))
+            self.alive.append(tensor)
+        place = self.place(tensor)
+        if first not in self.points or (first and place.first):
+            raise NotRecordable(f"entry {first} is no number that was found")
+        return place._replace(first=self.points[first] or place.first)
+
+    # -- What is done ---------------------------------------------------------------------------------------------------
+
+    def loop(self, body: int, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
+             first: int = 0, lengths: bool = False) -> None:
+        """A loop of `team.run_lanes`.
+
+        Args:
+            body, lanes, part: of the loop.
+            inputs: tensors, or addresses of what lies at the same place in every call.
+            outputs: written into from the entry `first` on.
+            lengths: whether the lengths of the inputs are read, too.
+        """
+        places = tuple(map(self.place, inputs))
+        spans = tuple(self.span(item.numel()) if place.made else Span(0, 0) for item, place in zip(inputs, places))
+        self.operations.append(Loop(body, self.span(lanes), part, places, spans if lengths else None,
+                                    tuple(self.written(output, first) for output in outputs)))
+
+    def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
+        """As `order.partition`, with numbers that stand for the counts."""
+        lanes = self.span(number.numel())
+        if number.element_size() != 4 or lanes.first != 0:
+            raise NotRecordable("lanes are partitioned by int32")
+        order = number.new_empty(number.numel(), dtype=torch.int32)
+        borders = self.borders(queues, number.numel())
+        self.operations.append(Partition(self.place(number), lanes, queues, self.written(order), self.counts))
+        numbers = [0, *range(self.counts, self.counts + queues - 1), lanes.last]
+        self.counts += queues - 1
+        for place, border in enumerate(borders):
+            self.points[border] = numbers[place]
+            for before in range(place):
+                self.spans[border - borders[before]] = Span(numbers[before], numbers[place])
+        return order, [last - first for first, last in zip(borders, borders[1:])]
+
+    def borders(self, queues: int, lanes: int) -> list[int]:
+        """Numbers that stand for where queues begin, and for where the last ends, all differences of which are new."""
+        for _ in range(TRIES):
+            borders = [0, *sorted(self.drawn.sample(range(1, lanes), queues - 1)), lanes]
+            found = [last - first for place, last in enumerate(borders) for first in borders[:place]]
+            found.remove(lanes)
+            if len(set(found)) == len(found) and self.spans.keys().isdisjoint(found):
+                return borders
+        raise NotRecordable(f"{queues} queues are too many")
+
+    def chosen(self, flags: Tensor) -> Tensor:
+        """As `order.chosen`, of a number of lanes that stands for the count."""
+        order = flags.new_empty(flags.numel(), dtype=torch.int32)
+        if not len(order):
+            return order
+        _, count, _ = self.borders(2, flags.numel())
+        self.operations.append(Chosen(self.place(flags), self.span(flags.numel()), self.written(order), self.counts))
+        self.points[count], self.spans[count] = self.counts, Span(0, self.counts)
+        self.counts += 1
+        return order[:count]
+
+    def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
+        """As `order.put`."""
+        for size in {target.element_size() for target in targets}:
+            pairs = tuple((self.place(entry), self.place(target)) for target, entry in zip(targets, entries)
+                          if target.element_size() == size)
+            self.operations.append(Put(self.place(place), self.span(place.numel()), pairs))
+
+    def inverted(self, like: Tensor, of_flags: bool) -> Tensor:
+        """As `order.inverted`, or `order.nothing`."""
+        result = torch.empty_like(like)
+        if not len(result):
+            return result
+        self.operations.append(Inverted(self.place(like) if of_flags else None, self.span(like.numel()),
+                                        self.written(result)))
+        return result
+
+    def copy(self, target: Tensor, source: Tensor, first: int) -> None:
+        """As `Target.copy`."""
+        self.operations.append(Copy(self.place(source), self.written(target, first), self.span(source.numel())))
+
+
+def address_of(item: Tensor | int) -> int:
+    """Where a tensor lies; an address is one."""
+    return item.data_ptr() if isinstance(item, Tensor) else item
+
+
+class Guard(TorchDispatchMode):
+    """Lets no operation of torch's pass that would look at tensors without contents."""
+
+    def __init__(self, recording: Recording):
+        super().__init__()
+        self.recording = recording
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        name = func.overloadpacket.__name__
+        if name not in HARMLESS and any(map(self.has_no_contents, leaves_of((args, kwargs or {})))):
+            raise NotRecordable(f"torch.{name} is called")
+        return func(*args, **(kwargs or {}))
+
+    def has_no_contents(self, item) -> bool:
+        """True of a tensor that holds lanes."""
+        return isinstance(item, Tensor) and item.device.type != "meta" and item.numel() > 1 and (
+            item.numel() in self.recording.spans)
+
+
+class Here(threading.local):
+    """What belongs to a thread."""
+
+    recording: Recording | None = None
+
+
+HERE = Here()
+
+
+def recording() -> Recording | None:
+    """What listens to this thread."""
+    return HERE.recording
+
+
+@contextmanager
+def listening(recording: Recording) -> Iterator[None]:
+    """What this thread does with lanes is recorded, and not done."""
+    HERE.recording = recording
+    try:
+        with Guard(recording):
+            yield
+    finally:
+        HERE.recording = None

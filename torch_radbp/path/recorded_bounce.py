@@ -1,0 +1,168 @@
+"""Bounces as machine code: what a bounce does with lanes is recorded once for scenes of one kind, and then done again.
+
+Between the loops of a bounce Python would decide which comes next, with what. It does so once, in `wavefront.bounced`, while
+a `jit.Recording` listens. What differs from call to call and from depth to depth, tables and numbers, is given to what was
+recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from threading import Lock
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.board import board
+from torch_radbp.jit.recorded import Recorded, pattern
+from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening
+from torch_radbp.jit.structure import flatten
+from torch_radbp.path.event import Event
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.queues import EMPTY, Queue
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import Step, bounced
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.torch_internals import inside_dual_level
+from torch_radbp.tensors.vec import Vec3
+
+Bounce = Callable[[PathState, int, Hit | None, Vec3], tuple[Step, PathState]]
+MOST = 256  # recordings that are kept
+
+
+class QueueOfCounts(NamedTuple):
+    """A `Queue`, of which is known which counts of the recording tell its lanes."""
+
+    event: Event
+    first: int
+    last: int
+    differentiated: int
+
+    def among(self, counts: Sequence[int]) -> Queue:
+        """The queue for counts that were found."""
+        return Queue(self.event, counts[self.first], counts[self.last], counts[self.differentiated])
+
+
+class RecordedBounce(NamedTuple):
+    """A bounce that was recorded."""
+
+    recorded: Recorded  # hit, front, order, visible, survives, the paths that go on
+    queues: tuple[QueueOfCounts, ...]
+
+
+class Recordings:
+    """The bounces that were recorded, by all that they depend on; None: such bounces cannot be."""
+
+    def __init__(self) -> None:
+        self.known: dict[tuple, RecordedBounce | None] = {}
+        self.making = Lock()
+
+    def of(self, key: tuple, make: Callable[[], RecordedBounce | None]) -> RecordedBounce | None:
+        """The bounce of a key, recorded now if it is not known."""
+        if key not in self.known:
+            with self.making:
+                if key not in self.known:
+                    if len(self.known) >= MOST:
+                        self.known.pop(next(iter(self.known)))
+                    self.known[key] = make()
+        return self.known[key]
+
+
+RECORDINGS = Recordings()
+
+
+class Recorder:
+    """Takes the bounces of one trace, by machine code where they can be recorded.
+
+    Args:
+        integrand: the scene and how to step.
+        board: of the helpers.
+    """
+
+    def __init__(self, integrand: Integrand, board: int):
+        self.integrand, self.board = integrand, board
+        scene = [leaf for leaf in leaves_of(integrand.proposal) if isinstance(leaf, Tensor)]
+        numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
+        dtype = integrand.proposal.lights.choice.pmf.dtype
+        self.fixed = [*numbers, *scene, *integrand.caster.reads(dtype)]
+        caster = integrand.caster
+        self.kind = (integrand.proposal.layout, integrand.differentiated is None, type(caster), caster.balls is None,
+                     getattr(caster, "instances", None) is None, pattern(self.fixed), lying(scene))
+
+    def __call__(self, state: PathState, depth: int, hit: Hit | None, L: Vec3) -> tuple[Step, PathState | None]:
+        """As `bounced`."""
+        integrand = self.integrand
+        varying = [leaf for leaf in leaves_of((state, hit, L, integrand.at(depth))) if leaf is not None]
+        settings = integrand.settings_at(depth)
+        structure: list = []
+        flatten((state, hit, L), [], structure)
+        key = self.kind, tuple(structure), settings, integrand.is_last(depth), depth == 0
+        made = None
+        if all([leaf.is_contiguous() for leaf in varying]) and len({leaf.data_ptr() for leaf in varying}) == len(varying):
+            made = RECORDINGS.of(key, partial(self.record, state, depth, hit, L))
+        if made is None:
+            return bounced(integrand, state, depth, hit, L)
+        (hit, front, order, visible, survives, beyond), counts = made.recorded(
+            [*varying, *self.fixed], len(state.lane), self.board)
+        queues = tuple([queue for queue in [queue.among(counts) for queue in made.queues] if queue.last > queue.first])
+        step = Step(hit, front, order, queues or (EMPTY,), visible, survives, None, ((),) * max(1, len(queues)))
+        return step, beyond
+
+    def record(self, state: PathState, depth: int, hit: Hit | None, L: Vec3) -> RecordedBounce | None:
+        """Records a bounce like this one; None if that is not possible."""
+        integrand = self.integrand
+
+        def without_contents(record):
+            return with_leaves(record, [None if leaf is None else leaf.new_empty(ALL) for leaf in leaves_of(record)])
+
+        state, hit, L = map(without_contents, (state, hit, L))
+        given = [*[leaf for leaf in leaves_of((state, hit, L, integrand.at(depth))) if leaf is not None], *self.fixed]
+        listener = Recording(given)
+        try:
+            with torch.no_grad(), listening(listener):
+                step, beyond = bounced(integrand, state, depth, hit, L)
+            results = step.hit, step.front, step.order, step.visible, step.survives, beyond
+            queues = tuple(QueueOfCounts(queue.event, *(listener.points[place] for place in queue[1:]))
+                           for queue in step.queues)
+            return RecordedBounce(Recorded(listener, given, results, listener.alive), queues)
+        except NotRecordable as e:
+            import traceback; traceback.print_exc()
+            return None
+
+
+def lying(tables: Sequence[Tensor]) -> tuple:
+    """How tables lie in memory, as far as code depends on that."""
+    blocks: dict[tuple, int] = {}  # of rows that several are columns of
+    found = []
+    for table in tables:
+        if table.is_contiguous():
+            found.append((table.dtype, table.dim()))
+        else:
+            width, offset = table.stride(0), table.storage_offset()
+            block = table.untyped_storage().data_ptr(), offset // width, width
+            found.append((table.dtype, width, offset % width, blocks.setdefault(block, len(blocks))))
+    return tuple(found)
+
+
+@contextmanager
+def bounces_taken(integrand: Integrand) -> Iterator[Bounce]:
+    """What takes one bounce after the other: `bounced`, or machine code that does the same."""
+    if not recordable(integrand):
+        yield partial(bounced, integrand)
+        return
+    with board() as address:
+        yield Recorder(integrand, address)
+
+
+def recordable(integrand: Integrand) -> bool:
+    """True if bounces may be recorded: those of compiled stages, on the CPU, that ask nobody outside."""
+    layout = integrand.proposal.layout
+    return (hasattr(integrand.stages.rows, "into") and integrand.scene is integrand.proposal
+            and hasattr(integrand.caster, "reads") and not inside_dual_level() and not layout.lit
+            and not any(appearance.outside for appearance in layout.appearances)
+            and not (integrand.settings.nee and integrand.proposal.lights.by_place)
+            and integrand.proposal.lights.choice.pmf.device.type == "cpu")

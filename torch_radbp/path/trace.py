@@ -1,0 +1,36 @@
+"""The radiance along camera rays: the sum over bounces, forwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.recorded_bounce import bounces_taken
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import Step
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.tensors.vec import Vec3
+
+
+def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None] | None = None,
+          hit: Hit | None = None, depth: int = 0) -> Vec3:
+    """The radiance L_1 along each lane's camera ray: the sum of beta_k E_k over bounces.
+
+    Args:
+        integrand: the scene and how to step.
+        start: from `start_path`.
+        visit: called at every depth with the state that reached it and what was decided there.
+        hit: of the camera rays, if it is known.
+        depth: of the first bounce to take; later ones begin in the middle of a path.
+
+    Returns:
+        (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
+    """
+    L, state = Vec3.buffer(start.beta.x), start
+    with bounces_taken(integrand) as bounce:
+        while depth < integrand.max_depth and len(state.lane):
+            step, beyond = bounce(state, depth, hit, L)
+            if visit is not None:
+                visit(depth, state, step)
+            state, depth, hit = beyond, depth + 1, None
+    return L
