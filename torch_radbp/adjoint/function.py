@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import partial, wraps
+from contextlib import nullcontext
+from functools import wraps
 
 import torch
 from torch import Tensor
@@ -12,6 +13,7 @@ from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.record import record_wavefront
+from torch_radbp.adjoint.recorded_sweep import sweep_of
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.call.chunks import Chunk
@@ -97,20 +99,20 @@ class RenderFunction(torch.autograd.Function):
         pixels = asked_of_pixels(call, grad_images, filters)
         first = [len(leaves) + sum(map(sum, wanted_of_cameras[:sensor])) for sensor in range(len(call.views))]
 
-        def swept(index: int, gradients: Gradients, make_sweep: Callable = Sweep) -> Sweep:
+        def swept(index: int, gradients: Gradients, sweep_of: Callable = sweep_of) -> Sweep:
             wavefront, record = call.wavefronts[index], records[index]
             if record is None:
                 record = record_wavefront(call, integrand, wavefront)
             adj_L = weighted(lane_adjoint(call, wavefront, record.place, pixels), record.weight)
             seen = integrand_of(call, integrand, wavefront.sensor)
-            sweep = make_sweep(seen, record, adj_L, numbered, gradients)
-            call.adjoint.backward(sweep)
+            with sweep_of(seen, record, adj_L, numbered, gradients) as sweep:
+                call.adjoint.backward(sweep)
             return sweep
 
         def sweep_again(finding: Finding) -> None:
             for index in range(len(call.wavefronts)):
                 if finding.depth is None:
-                    swept(index, Gradients(leaves), partial(CheckedSweep, finding))
+                    swept(index, Gradients(leaves), lambda *arguments: nullcontext(CheckedSweep(finding, *arguments)))
 
         def differentiate_share(share: Iterable[int]) -> Gradients:
             gradients = Gradients((*leaves, *cameras), call.memory)

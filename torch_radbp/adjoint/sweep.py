@@ -26,16 +26,15 @@ from torch_radbp.adjoint.bounce import empty_memo
 from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.adjoint.outside import add_adjoint, values_that_move
 from torch_radbp.adjoint.scatter import Contribution, Gradients
-from torch_radbp.path.event import Event
+from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.integrand import Integrand, knowing, taken
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
-from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import rows_between, with_leaves
-from torch_radbp.tensors.vec import Vec2, Vec3, rows
+from torch_radbp.tensors.vec import Vec2, Vec3
 
 
 class PathRecord(NamedTuple):
@@ -121,6 +120,10 @@ class Sweep:
         step = self.record.steps.get(depth)
         if step is None:
             step = take_step(self.integrand, state, depth, with_light=False)[-1]
+        self.differentiate(state, step, depth)
+
+    def differentiate(self, state: PathState, step: Step, depth: int) -> None:
+        """As `adjoint`, of a bounce whose decisions are known."""
         integrand, arrival = self.integrand, step.arrival(state)
         same = taken(integrand.stages.bounce_adjoint, arrival=arrival, adj_L=self.adj_L, memo=self.memo,
                      at=integrand.at(depth), settings=integrand.settings_at(depth))
@@ -143,8 +146,8 @@ class Sweep:
             add_adjoint(integrand, self.numbered, queue.event, places, adj_values, self.gradients)
             found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
             if depth == 0 and above.adj_corners is not None:  # no bounce aims at what the camera sees
-                corners = corner_rows(integrand.scene, above.hit)
+                corners = integrand.part(Ends.SURROUNDINGS).call(integrand.stages.corner_rows, above.hit)
                 found += [Contribution(leaf, row, part) for row, adj_p in zip(corners, above.adj_corners)
                           for leaf, part in zip(self.of_positions, adj_p)]
             self.gradients.add(found)
-            put_rows(self.memo, rows(state.lane, lanes), above)
+            put_rows(self.memo, integrand.stages.rows(state.lane, lanes), above)

@@ -1,6 +1,6 @@
 """`order.py` on the processor: loops that move data and compute nothing, as machine code.
 
-They run on the calling thread, and their order is that of the lanes.
+Those that count run on the calling thread, and their order is that of the lanes; the others are shared by threads.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import cached_code, made_once
+from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
+from torch_radbp.jit.machine import MachineCode, cached_code, made_once
 from torch_radbp.jit.recording import recording
+from torch_radbp.jit.team import run_lanes
 
 # The body may begin with values that are carried from turn to turn.
 LOOP = """\
@@ -78,22 +80,62 @@ CHOOSE = """\
 CHOSEN = """\
   %number = phi i64 [ 0, %entry ], [ %after, %turn ]
   ret i64 %number"""
+# Loops of `team.run_lanes`. The inputs of the first are places, the number of tensors, and their entries.
 PUT = """\
+define internal void @lanes(i64 %first, i64 %last, ptr %inputs, ptr %outputs) {{
+entry:
+  %places = load ptr, ptr %inputs, align 8
+  %count_at = getelementptr i64, ptr %inputs, i64 1
+  %count = load i64, ptr %count_at, align 8
+  br label %tensor
+tensor:
+  %number = phi i64 [ 0, %entry ], [ %number.next, %tensor.end ]
+  %from_number = add i64 %number, 2
+  %from_at = getelementptr ptr, ptr %inputs, i64 %from_number
+  %from = load ptr, ptr %from_at, align 8
+  %to_at = getelementptr ptr, ptr %outputs, i64 %number
+  %to = load ptr, ptr %to_at, align 8
+  br label %lane
+lane:
+  %i = phi i64 [ %first, %tensor ], [ %next, %lane ]
   %place_at = getelementptr i32, ptr %places, i64 %i
   %place32 = load i32, ptr %place_at, align 4
   %place = sext i32 %place32 to i64
   %entry_at = getelementptr {scalar}, ptr %from, i64 %i
   %entry_value = load {scalar}, ptr %entry_at
   %target = getelementptr {scalar}, ptr %to, i64 %place
-  store {scalar} %entry_value, ptr %target"""
-# Words of a job: where the entries lie, and where they go.
-PUT_ALL = """\
-  %words = shl i64 %i, 1
-  %from_at = getelementptr ptr, ptr %jobs, i64 %words
-  %from = load ptr, ptr %from_at, align 8
-  %to_at = getelementptr ptr, ptr %from_at, i64 1
-  %to = load ptr, ptr %to_at, align 8
-  call void @put_{scalar}(ptr %places, ptr %from, ptr %to, i64 %lanes)"""
+  store {scalar} %entry_value, ptr %target
+  %next = add i64 %i, 1
+  %more = icmp slt i64 %next, %last
+  br i1 %more, label %lane, label %tensor.end
+tensor.end:
+  %number.next = add i64 %number, 1
+  %others = icmp slt i64 %number.next, %count
+  br i1 %others, label %tensor, label %done
+done:
+  ret void
+}}
+"""
+INVERT = """\
+define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {
+entry:
+  %flags = load ptr, ptr %inputs, align 8
+  %result = load ptr, ptr %outputs, align 8
+  br label %lane
+lane:
+  %i = phi i64 [ %first, %entry ], [ %next, %lane ]
+  %from = getelementptr i8, ptr %flags, i64 %i
+  %flag = load i8, ptr %from
+  %other = xor i8 %flag, 1
+  %to = getelementptr i8, ptr %result, i64 %i
+  store i8 %other, ptr %to
+  %next = add i64 %i, 1
+  %more = icmp slt i64 %next, %last
+  br i1 %more, label %lane, label %done
+done:
+  ret void
+}
+"""
 BITS = (8, 32, 64)  # of an element
 ABREAST = 4  # runs of lanes
 ZERO = array("q", [0])
@@ -119,10 +161,6 @@ def text() -> str:
             functions += [
                 loop(f"count_{name}_{scalar}", f"ptr %numbers, {COUNTERS}", "\n".join(counts)),
                 loop(f"partition_{name}_{scalar}", f"ptr %order, ptr %numbers, {COUNTERS}", "\n".join([*counts, *stores]))]
-        functions += [
-            loop(f"put_{scalar}", "ptr %places, ptr %from, ptr %to", PUT.format(scalar=scalar)),
-            loop(f"put_all_{scalar}", "ptr %places, i64 %lanes, ptr %jobs", PUT_ALL.format(scalar=scalar)),
-        ]
     return "\n".join(functions)
 
 
@@ -132,10 +170,10 @@ class Code:
     def __init__(self) -> None:
         self.module = cached_code(text(), entry="choose")
         self.choose, self.begin = self.function("choose", "ppn", ctypes.c_int64), self.function("begin", "ppn")
-        self.count, self.count_rest, self.partition, self.partition_rest, self.put_all = (
+        self.count, self.count_rest, self.partition, self.partition_rest = (
             {bits // 8: self.function(f"{name}_i{bits}", arguments) for bits in BITS}
             for name, arguments in (("count_abreast", "ppnnn"), ("count_rest", "ppnnn"), ("partition_abreast", "pppnnn"),
-                                    ("partition_rest", "pppnnn"), ("put_all", "pnpn")))
+                                    ("partition_rest", "pppnnn")))
 
     def function(self, name: str, arguments: str, result: type | None = None) -> Callable:
         """A function of the module; of each of its arguments whether it is a pointer (p) or a number (n)."""
@@ -147,10 +185,22 @@ code = made_once(Code)
 
 
 @made_once
+def putting(size: int) -> MachineCode:
+    """The loop that puts entries of a size into their places."""
+    return cached_code(TAKE_PARTS.format(width=1) + FEW_LANES + PUT.format(scalar=f"i{8 * size}"))
+
+
+@made_once
+def inverting() -> MachineCode:
+    """The loop that inverts flags."""
+    return cached_code(TAKE_PARTS.format(width=1) + FEW_LANES + INVERT)
+
+
+@made_once
 def addresses() -> dict[str, int]:
     """Where the functions of `text` lie, by their names."""
     names = ["choose", "begin", *(f"{name}_i{bits}" for bits in BITS for name in (
-        "count_abreast", "count_rest", "partition_abreast", "partition_rest", "put_all"))]
+        "count_abreast", "count_rest", "partition_abreast", "partition_rest"))]
     return {name: code().module.address_of(name) for name in names}
 
 
@@ -201,8 +251,6 @@ def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> 
         listener.put(targets, place, entries)
         return
     for size in {target.element_size() for target in targets}:
-        jobs = array("q")
-        for target, entry in zip(targets, entries):
-            if target.element_size() == size:
-                jobs.extend((entry.data_ptr(), target.data_ptr()))
-        code().put_all[size](place.data_ptr(), place.numel(), jobs.buffer_info()[0], len(jobs) // 2)
+        pairs = [(target, entry) for target, entry in zip(targets, entries) if target.element_size() == size]
+        inputs = array("q", [place.data_ptr(), len(pairs), *[entry.data_ptr() for _, entry in pairs]])
+        run_lanes(putting(size).address, place.numel(), inputs, array("q", [target.data_ptr() for target, _ in pairs]))

@@ -14,6 +14,7 @@ import torch
 
 from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition
 from torch_radbp.jit.machine import cached_code, made_once
+from torch_radbp.jit.recording import recording
 
 BLOCK = 2048  # lanes
 
@@ -129,6 +130,9 @@ code = made_once(Code)
 def scatter_add(additions: Sequence[Addition], lanes: int) -> None:
     """See `scatter.scatter_add`; all is contiguous."""
     loops, words = code().loops, array("q")
+    if (listener := recording()) is not None:
+        listener.scatter_add(additions, lanes, [loops[numbers[0].dtype, len(numbers)] for _, numbers, _ in additions])
+        return
     for index, numbers, sums in additions:
         spare = [0] * (MOST_TABLES - len(numbers))
         words.extend([loops[numbers[0].dtype, len(numbers)], index.data_ptr(), *sums.words,

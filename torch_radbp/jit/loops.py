@@ -34,6 +34,14 @@ done:
 }}
 """
 
+# For loops to which fewer lanes than a block has are no special case.
+FEW_LANES = """\
+define internal void @few_lanes(i64 %lanes, ptr %inputs, ptr %outputs) {
+  call void @lanes(i64 0, i64 %lanes, ptr %inputs, ptr %outputs)
+  ret void
+}
+"""
+
 # Copies `lanes` elements to a block of `width`, and repeats the last until it is full.
 FILL = """\
 define internal void @fill(ptr %block, ptr %elements, i64 %lanes, i64 %size, i64 %width) {

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit import cpu_order
+from torch_radbp.jit import cpu_order, cpu_scatter
+from torch_radbp.jit.addition import MOST_TABLES
 from torch_radbp.jit.board import run_loop
 from torch_radbp.jit.machine import MachineCode, cached_code
 from torch_radbp.jit.recording import (
@@ -30,10 +31,12 @@ from torch_radbp.jit.recording import (
     Place,
     Put,
     Recording,
+    Scattered,
     Span,
     address_of,
 )
 from torch_radbp.jit.structure import Leaf, assembler, flatten, replaced
+from torch_radbp.jit.team import PART
 
 HEAD = """\
 define void @recorded(ptr %given, ptr %kept, ptr %room, ptr %counts, ptr %functions, ptr %board, i64 %lanes, i64 %row) {"""
@@ -55,23 +58,6 @@ define internal void @partition(ptr %functions, ptr %order, ptr %numbers, i64 %l
   call void %begin(ptr %counters, ptr %found, i64 %queues)
   call void %put(ptr %order, ptr %numbers, ptr %counters, i64 %queues, i64 0, i64 %run)
   call void %put_rest(ptr %order, ptr %numbers, ptr %last, i64 %queues, i64 %first, i64 %rest)
-  ret void
-}}
-define internal void @invert(ptr %flags, ptr %result, i64 %lanes) {{
-entry:
-  %some = icmp sgt i64 %lanes, 0
-  br i1 %some, label %turn, label %done
-turn:
-  %i = phi i64 [ 0, %entry ], [ %next, %turn ]
-  %from = getelementptr i8, ptr %flags, i64 %i
-  %flag = load i8, ptr %from
-  %other = xor i8 %flag, 1
-  %to = getelementptr i8, ptr %result, i64 %i
-  store i8 %other, ptr %to
-  %next = add i64 %i, 1
-  %more = icmp slt i64 %next, %lanes
-  br i1 %more, label %turn, label %done
-done:
   ret void
 }}
 declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
@@ -143,6 +129,9 @@ class Writer:
         self.functions: list[int] = []
         self.lines: list[str] = []
         self.counts = {0: "0", 1: "%lanes"}
+        for number in range(2, 2 + recording.given_counts):
+            at = self.line(f"getelementptr i64, ptr %counts, i64 {number}")
+            self.counts[number] = self.line(f"load i64, ptr {at}, align 8")
 
     def line(self, text: str) -> str:
         """Adds an instruction and returns the name of its result."""
@@ -165,17 +154,21 @@ class Writer:
         """The pointer to where something lies."""
         if not place.made:
             at = self.line(f"getelementptr ptr, ptr %given, i64 {place.tensor}")
-            return self.line(f"load ptr, ptr {at}, align 8")
+            return self.moved(self.line(f"load ptr, ptr {at}, align 8"), place)
         if place.tensor in self.layout.rows:
             group, row = self.layout.rows[place.tensor]
             at = self.line(f"getelementptr ptr, ptr %kept, i64 {group}")
             base, before = self.line(f"load ptr, ptr {at}, align 8"), row * place.size
         else:
             base, before = "%room", self.layout.at[place.tensor]
-        base = self.line(f"getelementptr i8, ptr {base}, i64 {self.line(f'mul i64 %row, {before}')}")
+        return self.moved(self.line(f"getelementptr i8, ptr {base}, i64 {self.line(f'mul i64 %row, {before}')}"), place)
+
+    def moved(self, base: str, place: Place) -> str:
+        """The pointer behind the entries that come before."""
         if not place.first:
             return base
-        return self.line(f"getelementptr i8, ptr {base}, i64 {self.line(f'mul i64 {self.counts[place.first]}, {place.size}')}")
+        before = self.line(f"mul i64 {self.counts[place.first]}, {place.size}")
+        return self.line(f"getelementptr i8, ptr {base}, i64 {before}")
 
     def list_of(self, items: Sequence[str], kind: str = "ptr") -> str:
         """The address of an array of these."""
@@ -193,10 +186,14 @@ class Writer:
             else:
                 at = self.line(f"getelementptr ptr, ptr %given, i64 {self.given + place.tensor}")
                 inputs.append(self.line(f"load ptr, ptr {at}, align 8"))
-        outputs = self.list_of([self.address(place) for place in operation.outputs])
-        run, body, lanes = self.function(run_loop()), self.function(operation.body), self.number_of(operation.lanes)
-        self.lines.append(f"call void {run}(ptr %board, ptr {body}, i64 {lanes}, i64 {operation.part}, "
-                          f"ptr {self.list_of(inputs)}, ptr {outputs})")
+        self.call(operation.body, operation.lanes, operation.part, inputs,
+                  [self.address(place) for place in operation.outputs])
+
+    def call(self, body: int, lanes: Span, part: int, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+        """Runs a loop."""
+        run, function, number = self.function(run_loop()), self.function(body), self.number_of(lanes)
+        self.lines.append(f"call void {run}(ptr %board, ptr {function}, i64 {number}, i64 {part}, "
+                          f"ptr {self.list_of(inputs)}, ptr {self.list_of(outputs)})")
 
     def partition(self, operation: Partition) -> None:
         found = self.line(f"alloca i64, i64 {operation.queues}, align 8")
@@ -216,26 +213,35 @@ class Writer:
             f"call i64 {choose}(ptr {flags}, ptr {order}, i64 {self.number_of(operation.lanes)})")
 
     def put(self, operation: Put) -> None:
-        jobs = self.list_of([self.address(place) for pair in operation.pairs for place in pair])
-        put = self.function(cpu_order.addresses()[f"put_all_i{8 * self.size(operation)}"])
-        self.lines.append(f"call void {put}(ptr {self.address(operation.place)}, i64 {self.number_of(operation.lanes)}, "
-                          f"ptr {jobs}, i64 {len(operation.pairs)})")
-
-    def size(self, operation: Put) -> int:
-        """Bytes of the entries."""
-        return operation.pairs[0][0].size
+        size, pairs = operation.pairs[0][0].size, operation.pairs
+        inputs = [self.address(operation.place), f"inttoptr (i64 {len(pairs)} to ptr)",
+                  *[self.address(entry) for entry, _ in pairs]]
+        self.call(cpu_order.putting(size).address, operation.lanes, PART, inputs,
+                  [self.address(target) for _, target in pairs])
 
     def inverted(self, operation: Inverted) -> None:
-        result, lanes = self.address(operation.result), self.number_of(operation.lanes)
+        result = self.address(operation.result)
         if operation.flags is None:
+            lanes = self.number_of(operation.lanes)
             self.lines.append(f"call void @llvm.memset.p0.i64(ptr {result}, i8 0, i64 {lanes}, i1 false)")
         else:
-            self.lines.append(f"call void @invert(ptr {self.address(operation.flags)}, ptr {result}, i64 {lanes})")
+            self.call(cpu_order.inverting().address, operation.lanes, PART, [self.address(operation.flags)], [result])
 
     def copy(self, operation: Copy) -> None:
         source, target = self.address(operation.source), self.address(operation.target)
         size = self.line(f"mul i64 {self.number_of(operation.lanes)}, {operation.target.size}")
         self.lines.append(f"call void @llvm.memcpy.p0.p0.i64(ptr {target}, ptr {source}, i64 {size}, i1 false)")
+
+    def scattered(self, operation: Scattered) -> None:
+        words = []
+        for loop, index, touched, step, mask, numbers, totals in operation.additions:
+            places = [*map(self.address, numbers)], [*map(self.address, totals)]
+            words += [self.function(loop), self.address(index), self.address(touched), f"inttoptr (i64 {step} to ptr)",
+                      f"inttoptr (i64 {mask} to ptr)",
+                      *[item for found in places for item in [*found, *["null"] * (MOST_TABLES - len(found))]]]
+        scatter = self.function(cpu_scatter.code().module.address)
+        self.lines.append(f"call void {scatter}(ptr {self.list_of(words)}, i64 {len(operation.additions)}, "
+                          f"i64 {self.number_of(operation.lanes)})")
 
     def text(self) -> str:
         """The module."""
@@ -246,10 +252,10 @@ class Writer:
             loads += [f"%{name}_at = getelementptr ptr, ptr %functions, i64 {len(self.functions) - 1}",
                       f"%{name} = load ptr, ptr %{name}_at, align 8"]
         write = {Loop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put, Inverted: self.inverted,
-                 Copy: self.copy}
+                 Copy: self.copy, Scattered: self.scattered}
         for operation in self.recording.operations:
             write[type(operation)](operation)
-        for number, name in self.counts.items():
+        for number, name in list(self.counts.items())[2 + self.recording.given_counts:]:
             at = self.line(f"getelementptr i64, ptr %counts, i64 {number}")
             self.lines.append(f"store i64 {name}, ptr {at}, align 8")
         abreast = cpu_order.ABREAST
@@ -285,14 +291,17 @@ class Recorded:
         self.run = RECORDED(self.code.address)
         self.functions, self.counts, self.alive = array("q", writer.functions), recording.counts, alive
 
-    def __call__(self, given: Sequence[Tensor | int], lanes: int, board: int) -> tuple[Any, array]:
-        """The results for so many lanes, at least 1, and the counts that were found; args as for the constructor."""
+    def __call__(self, given: Sequence[Tensor | int], lanes: int, board: int,
+                 known: Sequence[int] = ()) -> tuple[Any, array]:
+        """The results for so many lanes, at least 1, and the counts that were found, `known` ones among them; the rest as for
+        the constructor."""
         row = -(-lanes // 64) * 64
         addresses = array("q", [item.data_ptr() if isinstance(item, Tensor) else item for item in given])
         addresses.extend([item.numel() if isinstance(item, Tensor) else 0 for item in given])
         kept = [torch.empty((len(group.tensors), row), dtype=group.dtype, device="cpu") for group in self.layout.groups]
         room = torch.empty(max(1, self.layout.bytes * row), dtype=torch.uint8, device="cpu")
-        places, counts = array("q", [block.data_ptr() for block in kept]), array("q", bytes(8 * self.counts))
+        places, counts = array("q", [block.data_ptr() for block in kept]), array("q", [0, lanes, *known])
+        counts.extend([0] * (self.counts - len(counts)))
         self.run(addresses.buffer_info()[0], places.buffer_info()[0], room.data_ptr(), counts.buffer_info()[0],
                  self.functions.buffer_info()[0], board, lanes, row)
         rows = [block.narrow(1, 0, counts[group.last]).unbind(0) for block, group in zip(kept, self.layout.groups)]

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.addition import Addition
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import TorchDispatchMode
 
@@ -99,6 +100,25 @@ class Copy(NamedTuple):
     lanes: Span
 
 
+class Added(NamedTuple):
+    """An `Addition` of `scatter.scatter_add`."""
+
+    loop: int  # address of the function
+    index: Place
+    touched: Place
+    step: int  # from entry to entry of the totals
+    mask: int  # the number of copies less 1
+    numbers: tuple[Place, ...]
+    totals: tuple[Place, ...]
+
+
+class Scattered(NamedTuple):
+    """`scatter.scatter_add`."""
+
+    additions: tuple[Added, ...]
+    lanes: Span
+
+
 class Made(NamedTuple):
     """A tensor that was made while recording."""
 
@@ -106,18 +126,20 @@ class Made(NamedTuple):
     lanes: Span
 
 
-Operation = Loop | Partition | Chosen | Put | Inverted | Copy
+Operation = Loop | Partition | Chosen | Put | Inverted | Copy | Scattered
 
 
 class Recording:
     """Listens to what is done with lanes.
 
     Args:
-        given: the tensors that the function is given, those of the lanes without contents and `ALL` long, and addresses of
-            what else loops read.
+        given: the tensors that the function is given, those of the lanes without contents, and addresses of what else loops
+            read.
+        counts: numbers of lanes that the function is told, in ascending order; as `borders` draws them. `ALL` lanes are
+            always known.
     """
 
-    def __init__(self, given: Sequence[Tensor | int]):
+    def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = ()):
         self.given: dict[int, int] = {}  # numbers of what is given, by address
         for number, item in enumerate(given):
             self.given.setdefault(address_of(item), number)
@@ -125,10 +147,11 @@ class Recording:
         self.made: list[Made] = []
         self.memory: dict[int, int] = {}  # numbers of tensors that were made, by address
         self.alive: list = [given]  # so that addresses remain theirs
-        self.counts = 2
+        self.given_counts, self.counts = len(counts), 2 + len(counts)
         self.points = {0: 0, ALL: 1}  # numbers of counts by what stands for them
         self.spans = {0: Span(0, 0), ALL: Span(0, 1)}
         self.drawn = random.Random(0)
+        self.know([0, *counts], [0, *range(2, self.counts)])
 
     # -- Where things lie -----------------------------------------------------------------------------------------------
 
@@ -148,12 +171,12 @@ class Recording:
         return self.place_made(item)
 
     def place_made(self, tensor: Tensor) -> Place:
-        """Where a tensor lies that was made while recording."""
-        made = self.memory.get(tensor.untyped_storage().data_ptr())
-        offset = tensor.storage_offset()
-        if made is None or offset not in self.points or not tensor.is_contiguous():
+        """Where a tensor lies that was made while recording, or a part of one that is given."""
+        start, offset = tensor.untyped_storage().data_ptr(), tensor.storage_offset()
+        number = self.memory.get(start, self.given.get(start))
+        if number is None or offset not in self.points or not tensor.is_contiguous():
             raise NotRecordable(f"a tensor {tuple(tensor.shape)} is neither given nor made by a loop")
-        return Place(True, made, self.points[offset], tensor.element_size())
+        return Place(start in self.memory, number, self.points[offset], tensor.element_size())
 
     def written(self, tensor: Tensor, first: int = 0) -> Place:
         """Where a tensor lies that is written into, from an entry on; it is made if it is not known."""
@@ -194,11 +217,15 @@ class Recording:
         self.operations.append(Partition(self.place(number), lanes, queues, self.written(order), self.counts))
         numbers = [0, *range(self.counts, self.counts + queues - 1), lanes.last]
         self.counts += queues - 1
+        self.know(borders, numbers)
+        return order, [last - first for first, last in zip(borders, borders[1:])]
+
+    def know(self, borders: Sequence[int], numbers: Sequence[int]) -> None:
+        """Learns what stands for counts, in ascending order, with these numbers, and for lanes between them."""
         for place, border in enumerate(borders):
             self.points[border] = numbers[place]
             for before in range(place):
                 self.spans[border - borders[before]] = Span(numbers[before], numbers[place])
-        return order, [last - first for first, last in zip(borders, borders[1:])]
 
     def borders(self, queues: int, lanes: int) -> list[int]:
         """Numbers that stand for where queues begin, and for where the last ends, all differences of which are new."""
@@ -236,6 +263,13 @@ class Recording:
         self.operations.append(Inverted(self.place(like) if of_flags else None, self.span(like.numel()),
                                         self.written(result)))
         return result
+
+    def scatter_add(self, additions: Sequence[Addition], lanes: int, loops: Sequence[int]) -> None:
+        """As `scatter.scatter_add`; `loops`: of each addition the function on the processor."""
+        self.operations.append(Scattered(tuple(
+            Added(loop, self.place(index), self.place(sums.words[0]), *sums.words[1:], tuple(map(self.place, numbers)),
+                  tuple(map(self.place, sums.addresses)))
+            for loop, (index, numbers, sums) in zip(loops, additions)), self.span(lanes)))
 
     def copy(self, target: Tensor, source: Tensor, first: int) -> None:
         """As `Target.copy`."""

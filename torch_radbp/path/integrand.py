@@ -39,6 +39,7 @@ class Stages(NamedTuple):
     chance_of_light: Callable
     appearance_met: Callable
     side_met: Callable
+    corner_rows: Callable
     shines: Callable
     rows: Callable
     brightened: Callable

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from threading import Lock
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -55,14 +55,14 @@ class RecordedBounce(NamedTuple):
 
 
 class Recordings:
-    """The bounces that were recorded, by all that they depend on; None: such bounces cannot be."""
+    """What was recorded, by all that it depends on; None: such things cannot be."""
 
     def __init__(self) -> None:
-        self.known: dict[tuple, RecordedBounce | None] = {}
+        self.known: dict[tuple, Any] = {}
         self.making = Lock()
 
-    def of(self, key: tuple, make: Callable[[], RecordedBounce | None]) -> RecordedBounce | None:
-        """The bounce of a key, recorded now if it is not known."""
+    def of(self, key: tuple, make: Callable[[], Any]) -> Any:
+        """What a key stands for, recorded now if it is not known."""
         if key not in self.known:
             with self.making:
                 if key not in self.known:
@@ -75,23 +75,35 @@ class Recordings:
 RECORDINGS = Recordings()
 
 
+class Tables:
+    """What recorded bounces of one integrand read beside paths.
+
+    Args:
+        integrand: the scene and how to step.
+        dtype: of the rays.
+    """
+
+    def __init__(self, integrand: Integrand, dtype: torch.dtype):
+        caster = integrand.caster
+        scene = [leaf for leaf in leaves_of(integrand.proposal) if isinstance(leaf, Tensor)]
+        numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
+        self.given: list[Tensor | int] = [*numbers, *scene, *(() if caster is None else caster.reads(dtype))]
+        optional = [getattr(caster, name, None) is None for name in ("balls", "instances")]
+        self.kind = (integrand.proposal.layout, integrand.differentiated is None, type(caster), *optional,
+                     pattern(self.given), lying(scene))
+
+
 class Recorder:
     """Takes the bounces of one trace, by machine code where they can be recorded.
 
     Args:
         integrand: the scene and how to step.
         board: of the helpers.
+        dtype: of the rays.
     """
 
-    def __init__(self, integrand: Integrand, board: int):
-        self.integrand, self.board = integrand, board
-        scene = [leaf for leaf in leaves_of(integrand.proposal) if isinstance(leaf, Tensor)]
-        numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
-        dtype = integrand.proposal.lights.choice.pmf.dtype
-        self.fixed = [*numbers, *scene, *integrand.caster.reads(dtype)]
-        caster = integrand.caster
-        self.kind = (integrand.proposal.layout, integrand.differentiated is None, type(caster), caster.balls is None,
-                     getattr(caster, "instances", None) is None, pattern(self.fixed), lying(scene))
+    def __init__(self, integrand: Integrand, board: int, dtype: torch.dtype):
+        self.integrand, self.board, self.tables = integrand, board, Tables(integrand, dtype)
 
     def __call__(self, state: PathState, depth: int, hit: Hit | None, L: Vec3) -> tuple[Step, PathState | None]:
         """As `bounced`."""
@@ -100,14 +112,14 @@ class Recorder:
         settings = integrand.settings_at(depth)
         structure: list = []
         flatten((state, hit, L), [], structure)
-        key = self.kind, tuple(structure), settings, integrand.is_last(depth), depth == 0
+        key = self.tables.kind, tuple(structure), settings, integrand.is_last(depth), depth == 0
         made = None
         if all([leaf.is_contiguous() for leaf in varying]) and len({leaf.data_ptr() for leaf in varying}) == len(varying):
             made = RECORDINGS.of(key, partial(self.record, state, depth, hit, L))
         if made is None:
             return bounced(integrand, state, depth, hit, L)
         (hit, front, order, visible, survives, beyond), counts = made.recorded(
-            [*varying, *self.fixed], len(state.lane), self.board)
+            [*varying, *self.tables.given], len(state.lane), self.board)
         queues = tuple([queue for queue in [queue.among(counts) for queue in made.queues] if queue.last > queue.first])
         step = Step(hit, front, order, queues or (EMPTY,), visible, survives, None, ((),) * max(1, len(queues)))
         return step, beyond
@@ -116,11 +128,8 @@ class Recorder:
         """Records a bounce like this one; None if that is not possible."""
         integrand = self.integrand
 
-        def without_contents(record):
-            return with_leaves(record, [None if leaf is None else leaf.new_empty(ALL) for leaf in leaves_of(record)])
-
         state, hit, L = map(without_contents, (state, hit, L))
-        given = [*[leaf for leaf in leaves_of((state, hit, L, integrand.at(depth))) if leaf is not None], *self.fixed]
+        given = [*[leaf for leaf in leaves_of((state, hit, L, integrand.at(depth))) if leaf is not None], *self.tables.given]
         listener = Recording(given)
         try:
             with torch.no_grad(), listening(listener):
@@ -129,9 +138,13 @@ class Recorder:
             queues = tuple(QueueOfCounts(queue.event, *(listener.points[place] for place in queue[1:]))
                            for queue in step.queues)
             return RecordedBounce(Recorded(listener, given, results, listener.alive), queues)
-        except NotRecordable as e:
-            import traceback; traceback.print_exc()
+        except NotRecordable:
             return None
+
+
+def without_contents(record):
+    """A record of lanes like another one, as recordings have them."""
+    return with_leaves(record, [None if leaf is None else leaf.new_empty(ALL) for leaf in leaves_of(record)])
 
 
 def lying(tables: Sequence[Tensor]) -> tuple:
@@ -149,20 +162,20 @@ def lying(tables: Sequence[Tensor]) -> tuple:
 
 
 @contextmanager
-def bounces_taken(integrand: Integrand) -> Iterator[Bounce]:
+def bounces_taken(integrand: Integrand, start: PathState) -> Iterator[Bounce]:
     """What takes one bounce after the other: `bounced`, or machine code that does the same."""
     if not recordable(integrand):
         yield partial(bounced, integrand)
         return
     with board() as address:
-        yield Recorder(integrand, address)
+        yield Recorder(integrand, address, start.pdf.dtype)
 
 
 def recordable(integrand: Integrand) -> bool:
     """True if bounces may be recorded: those of compiled stages, on the CPU, that ask nobody outside."""
     layout = integrand.proposal.layout
     return (hasattr(integrand.stages.rows, "into") and integrand.scene is integrand.proposal
-            and hasattr(integrand.caster, "reads") and not inside_dual_level() and not layout.lit
+            and (integrand.caster is None or hasattr(integrand.caster, "reads")) and not inside_dual_level() and not layout.lit
             and not any(appearance.outside for appearance in layout.appearances)
             and not (integrand.settings.nee and integrand.proposal.lights.by_place)
             and integrand.proposal.lights.choice.pmf.device.type == "cpu")

@@ -27,7 +27,7 @@ def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathStat
         (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
     """
     L, state = Vec3.buffer(start.beta.x), start
-    with bounces_taken(integrand) as bounce:
+    with bounces_taken(integrand, start) as bounce:
         while depth < integrand.max_depth and len(state.lane):
             step, beyond = bounce(state, depth, hit, L)
             if visit is not None:

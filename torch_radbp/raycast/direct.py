@@ -93,7 +93,8 @@ class Direct:
             p = self.vertices.to(dtype)[self._others.long()]
             placements, of_balls = (None, ()) if self.balls is None else (self.balls.placement, (
                 *ball.tables(self.balls, dtype), self._numbers))
-            self._meshes[dtype] = *runs.tables(p, self._runs, unit_of(p.flatten(0, 1)), placements), *of_balls
+            made = *runs.tables(p, self._runs, unit_of(p.flatten(0, 1)), placements), *of_balls
+            self._meshes.setdefault(dtype, made)  # those of the first thread serve all
         return self._meshes[dtype]
 
     def __reduce__(self):

@@ -4,18 +4,11 @@ from __future__ import annotations
 
 import struct
 
-from torch_radbp.jit.loops import TAKE_PARTS
+from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
 
 ZERO = "zeroinitializer"
 SIZES = {"i8": 1, "i32": 4, "float": 4, "double": 8}
 SUFFIXES = {"float": "f32", "double": "f64"}
-
-# Masks take care of a vector that is not full, so fewer lanes than a vector has are no special case.
-FEW_LANES = """\
-define internal void @few_lanes(i64 %lanes, ptr %inputs, ptr %outputs) {
-  call void @lanes(i64 0, i64 %lanes, ptr %inputs, ptr %outputs)
-  ret void
-}"""
 
 
 class Vectors:

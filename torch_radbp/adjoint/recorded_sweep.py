@@ -1,0 +1,105 @@
+"""The backward pass of bounces as machine code; see `path/recorded_bounce.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import copy
+from functools import partial
+
+import torch
+
+from torch_radbp.adjoint.scatter import Gradients
+from torch_radbp.adjoint.sweep import PathRecord, Sweep
+from torch_radbp.jit.board import board
+from torch_radbp.jit.recorded import Recorded
+from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening
+from torch_radbp.jit.structure import flatten
+from torch_radbp.path.event import Ends, Event, Scatters
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.queues import Queue
+from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, recordable, without_contents
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import Step
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.vec import Vec3
+
+
+class RecordedSweep(Sweep):
+    """A sweep that differentiates bounces by machine code where they can be recorded.
+
+    Args:
+        board: of the helpers; the rest is a `Sweep`'s.
+    """
+
+    def __init__(self, board: int, integrand: Integrand, record: PathRecord, adj_L: Vec3, numbered: SceneTensors,
+                 gradients: Gradients):
+        super().__init__(integrand, record, adj_L, numbered, gradients)
+        self.board, self.tables = board, Tables(integrand, adj_L.x.dtype)
+        wanted = tuple([number is not None for number in leaves_of(numbered) if number is None or isinstance(number, int)])
+        totals = gradients.totals
+        self.sums = [*[total.data_ptr() for total in totals], *[flags.data_ptr() for flags in gradients.touched.values()]]
+        self.kind = self.tables.kind, wanted, tuple([(total.shape, total.stride()) for total in totals])
+
+    def differentiate(self, state: PathState, step: Step, depth: int) -> None:
+        events, integrand = self.events(depth), self.integrand
+        lanes = [leaf for leaf in leaves_of((state, step.hit, step.front, step.order, step.visible, step.survives))
+                 if leaf is not None]
+        others = [leaf for leaf in leaves_of((self.memo, self.adj_L, integrand.at(depth))) if leaf is not None]
+        structure: list = []
+        flatten((state, step.hit, step.front, self.memo, self.adj_L), [], structure)
+        key = self.kind, tuple(structure), integrand.settings_at(depth), integrand.is_last(depth), depth == 0
+        made = None
+        if all([leaf.is_contiguous() for leaf in lanes]):
+            made = RECORDINGS.of(key, partial(self.record_bounce, state, step, depth, events))
+        if made is None:
+            super().differentiate(state, step, depth)
+            return
+        queues, borders, last = {queue.event: queue for queue in step.queues}, [], 0
+        for event in events:
+            queue = queues.get(event)
+            borders += [last, last] if queue is None else [queue.differentiated, last := queue.last]
+        made([*lanes, *others, *self.tables.given, *self.sums], len(state.lane), self.board, borders)
+
+    def events(self, depth: int) -> list[Event]:
+        """What may happen at a bounce."""
+        layout = self.integrand.proposal.layout
+        if self.integrand.is_last(depth):
+            return [Ends.LAST_BOUNCE]
+        return [*map(Scatters, range(len(layout.appearances))), *([] if layout.surround is None else [Ends.SURROUNDINGS])]
+
+    def record_bounce(self, state: PathState, step: Step, depth: int, events: list[Event]) -> Recorded | None:
+        """Records the derivatives of such a bounce; None if that is not possible."""
+        borders = Recording([]).borders(2 * len(events) + 1, ALL)[1:-1]
+        queues, first = [], 0
+        for event, differentiated, last in zip(events, borders[::2], borders[1::2]):
+            queues.append(Queue(event, first, last, differentiated))
+            first = last
+        scattered = queues[-1].last if queues[-1].event.scatters else queues[-1].first
+        state, hit, front = map(without_contents, (state, step.hit, step.front))
+        step = step._replace(hit=hit, front=front, order=step.order.new_empty(first), queues=tuple(queues),
+                             visible=step.visible.new_empty(scattered), survives=step.survives.new_empty(scattered),
+                             texture_values=((),) * len(queues))
+        other = copy(self)
+        other.memo, other.adj_L = without_contents(self.memo), without_contents(self.adj_L)
+        lanes = [leaf for leaf in leaves_of((state, hit, front, step.order, step.visible, step.survives)) if leaf is not None]
+        others = [leaf for leaf in leaves_of((other.memo, other.adj_L, self.integrand.at(depth))) if leaf is not None]
+        given = [*lanes, *others, *self.tables.given, *self.sums]
+        listener = Recording(given, borders)
+        try:
+            with torch.no_grad(), listening(listener):
+                Sweep.differentiate(other, state, step, depth)
+            return Recorded(listener, given, (), listener.alive)
+        except NotRecordable:
+            return None
+
+
+@contextmanager
+def sweep_of(integrand: Integrand, *arguments) -> Iterator[Sweep]:
+    """The `Sweep` with these arguments, whose bounces are differentiated by machine code where that is possible."""
+    if not recordable(integrand):
+        yield Sweep(integrand, *arguments)
+        return
+    with board() as address:
+        yield RecordedSweep(address, integrand, *arguments)
