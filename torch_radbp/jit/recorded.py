@@ -60,6 +60,15 @@ define internal void @partition(ptr %functions, ptr %order, ptr %numbers, i64 %l
   call void %put_rest(ptr %order, ptr %numbers, ptr %last, i64 %queues, i64 %first, i64 %rest)
   ret void
 }}
+define internal void @scatter(ptr %scatter, ptr %words, i64 %additions, i64 %lanes) {{
+  %some = icmp sgt i64 %lanes, 0
+  br i1 %some, label %add, label %done
+add:
+  call void %scatter(ptr %words, i64 %additions, i64 %lanes)
+  br label %done
+done:
+  ret void
+}}
 declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
 declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 """
@@ -240,7 +249,7 @@ class Writer:
                       f"inttoptr (i64 {mask} to ptr)",
                       *[item for found in places for item in [*found, *["null"] * (MOST_TABLES - len(found))]]]
         scatter = self.function(cpu_scatter.code().module.address)
-        self.lines.append(f"call void {scatter}(ptr {self.list_of(words)}, i64 {len(operation.additions)}, "
+        self.lines.append(f"call void @scatter(ptr {scatter}, ptr {self.list_of(words)}, i64 {len(operation.additions)}, "
                           f"i64 {self.number_of(operation.lanes)})")
 
     def text(self) -> str:
