@@ -40,16 +40,19 @@ class RecordedSweep(Sweep):
         wanted = tuple([number is not None for number in leaves_of(numbered) if number is None or isinstance(number, int)])
         totals = gradients.totals
         self.sums = [*[total.data_ptr() for total in totals], *[flags.data_ptr() for flags in gradients.touched.values()]]
-        self.kind = self.tables.kind, wanted, tuple([(total.shape, total.stride()) for total in totals])
+        self.sizes = wanted, tuple([(total.shape, total.stride()) for total in totals])
+        self.kind: int | None = None  # of bounces
 
     def differentiate(self, state: PathState, step: Step, depth: int) -> None:
         events, integrand = self.events(depth), self.integrand
         lanes = [leaf for leaf in leaves_of((state, step.hit, step.front, step.order, step.visible, step.survives))
                  if leaf is not None]
         others = [leaf for leaf in leaves_of((self.memo, self.adj_L, integrand.at(depth))) if leaf is not None]
-        structure: list = []
-        flatten((state, step.hit, step.front, self.memo, self.adj_L), [], structure)
-        key = self.kind, tuple(structure), integrand.settings_at(depth), integrand.is_last(depth), depth == 0
+        if self.kind is None:
+            structure: list = []
+            flatten((state, step.hit, self.memo, self.adj_L), [], structure)
+            self.kind = RECORDINGS.kind(self.tables.kind, self.sizes, *structure)
+        key = self.kind, step.front is None, integrand.settings_at(depth), integrand.is_last(depth), depth == 0
         made = None
         if all([leaf.is_contiguous() for leaf in lanes]):
             made = RECORDINGS.of(key, partial(self.record_bounce, state, step, depth, events))
@@ -83,7 +86,8 @@ class RecordedSweep(Sweep):
                              texture_values=((),) * len(queues))
         other = copy(self)
         other.memo, other.adj_L = without_contents(self.memo), without_contents(self.adj_L)
-        lanes = [leaf for leaf in leaves_of((state, hit, front, step.order, step.visible, step.survives)) if leaf is not None]
+        lanes = [leaf for leaf in leaves_of((state, hit, front, step.order, step.visible, step.survives))
+                 if leaf is not None]
         others = [leaf for leaf in leaves_of((other.memo, other.adj_L, self.integrand.at(depth))) if leaf is not None]
         given = [*lanes, *others, *self.tables.given, *self.sums]
         listener = Recording(given, borders)

@@ -1,6 +1,7 @@
 """Loops that are run from machine code: on the thread that runs it, and on helpers that look for them on a board.
 
-A thread that has no loop to take part in gives its core to others before it looks again, so that it is in nobody's way.
+A helper that finds no loop gives its core to others before it looks again, and sleeps a little once it has found none for
+long, so that it is in nobody's way.
 """
 
 from __future__ import annotations
@@ -15,8 +16,11 @@ from torch_radbp.jit.machine import MachineCode, cached_code, made_once
 from torch_radbp.jit.team import assisted
 
 # Words of a board: whether a loop is open to helpers, how many are inside, whether all is done, the address of a function
-# that gives the core to others, the address of the loop's body; and then the `team.Job` that the body takes parts of.
-OPEN, INSIDE, DONE, YIELD, BODY, JOB, WORDS = 0, 1, 2, 3, 4, 5, 16
+# that gives the core to others, the address of the loop's body; then the `team.Job` that the body takes parts of; and the
+# address of a function that sleeps, with how long.
+DONE, YIELD, SLEEP, TIME, WORDS = 2, 3, 10, 11, 16
+LOOKS = 1000000000  # before a helper sleeps
+MICROSECONDS = 20
 TEXT = """\
 define void @run_loop(ptr %board, ptr %body, i64 %lanes, i64 %part, ptr %inputs, ptr %outputs) {
   %some = icmp sgt i64 %lanes, 0
@@ -61,8 +65,13 @@ entry:
   %yield = load ptr, ptr %yield_at, align 8
   %body_at = getelementptr i64, ptr %board, i64 4
   %job = getelementptr i64, ptr %board, i64 5
+  %sleep_at = getelementptr i64, ptr %board, i64 10
+  %sleep = load ptr, ptr %sleep_at, align 8
+  %time_at = getelementptr i64, ptr %board, i64 11
+  %time = load i32, ptr %time_at, align 8
   br label %look
 look:
+  %looks = phi i64 [ 0, %entry ], [ %more, %rest ], [ %more, %wait ]
   %over = load atomic i64, ptr %done_at seq_cst, align 8
   %finished = icmp ne i64 %over, 0
   br i1 %finished, label %leave, label %ask
@@ -83,7 +92,13 @@ exit:
   %after = atomicrmw sub ptr %inside_at, i64 1 seq_cst
   br label %rest
 rest:
+  %before_rest = phi i64 [ %looks, %ask ], [ 0, %exit ]
   call i32 %yield()
+  %more = add i64 %before_rest, 1
+  %long = icmp sgt i64 %more, {looks}
+  br i1 %long, label %wait, label %look
+wait:
+  call i32 %sleep(i32 %time)
   br label %look
 leave:
   ret void
@@ -94,7 +109,7 @@ leave:
 @made_once
 def functions() -> tuple[MachineCode, int, Callable[[int], None]]:
     """The code of the board, the address of `run_loop`, and `help`."""
-    code = cached_code(TEXT, entry="run_loop")
+    code = cached_code(TEXT.replace("{looks}", str(LOOKS)), entry="run_loop")
     return code, code.address, ctypes.CFUNCTYPE(None, ctypes.c_void_p)(code.address_of("help"))
 
 
@@ -104,18 +119,19 @@ def run_loop() -> int:
 
 
 @made_once
-def yielding() -> tuple[object, int]:
-    """The library with the function that gives the core to others, and the function's address."""
-    library = ctypes.CDLL(None) if os.name == "posix" else ctypes.WinDLL("kernel32")
-    function = library.sched_yield if os.name == "posix" else library.SwitchToThread
-    return library, ctypes.cast(function, ctypes.c_void_p).value
+def resting() -> tuple[object, int, int, int]:
+    """The system's library, the addresses of its functions that give the core to others and that sleep, and how long."""
+    posix = os.name == "posix"
+    library = ctypes.CDLL(None) if posix else ctypes.WinDLL("kernel32")
+    functions = (library.sched_yield, library.usleep) if posix else (library.SwitchToThread, library.Sleep)
+    return library, *[ctypes.cast(function, ctypes.c_void_p).value for function in functions], MICROSECONDS if posix else 0
 
 
 @contextmanager
 def board() -> Iterator[int]:
     """The address of a board that the helpers of this thread look at, as long as the context is open."""
     words = array("q", [0] * WORDS)
-    words[YIELD] = yielding()[1]
+    _, words[YIELD], words[SLEEP], words[TIME] = resting()
     address, help = words.buffer_info()[0], functions()[2]
 
     def finish() -> None:

@@ -2,9 +2,9 @@
 
     void recorded(ptr given, ptr kept, ptr room, ptr counts, ptr functions, ptr board, i64 lanes, i64 row)
 
-`given` holds addresses and, behind them, lengths; `kept` and `room` the memory of what is made, in rows of `row` entries, that
-of results and that of what nobody asks for afterwards. The counts are written into `counts`. `functions` holds the addresses
-of whatever is called.
+`given` holds addresses and, behind them, lengths; `kept` and `room` the memory of what is made, in rows of `row` entries:
+that of results, and that of what nobody asks for afterwards. Counts are read from `counts` and written there. `functions`
+holds the addresses of whatever is called.
 """
 
 from __future__ import annotations
@@ -302,8 +302,14 @@ class Recorded:
 
     def __call__(self, given: Sequence[Tensor | int], lanes: int, board: int,
                  known: Sequence[int] = ()) -> tuple[Any, array]:
-        """The results for so many lanes, at least 1, and the counts that were found, `known` ones among them; the rest as for
-        the constructor."""
+        """The results, and all counts.
+
+        Args:
+            given: as for the constructor.
+            lanes: how many, at least 1.
+            board: of the helpers.
+            known: the counts that the function is told.
+        """
         row = -(-lanes // 64) * 64
         addresses = array("q", [item.data_ptr() if isinstance(item, Tensor) else item for item in given])
         addresses.extend([item.numel() if isinstance(item, Tensor) else 0 for item in given])

@@ -7,6 +7,7 @@ recorded.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -24,13 +25,13 @@ from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY, Queue
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Step, bounced
+from torch_radbp.path.wavefront import Onward, Step, bounced
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec3
 
-Bounce = Callable[[PathState, int, Hit | None, Vec3], tuple[Step, PathState]]
+Bounce = Callable[[Onward, int, Hit | None, Vec3], tuple[PathState, Step, Onward]]
 MOST = 256  # recordings that are kept
 
 
@@ -50,7 +51,7 @@ class QueueOfCounts(NamedTuple):
 class RecordedBounce(NamedTuple):
     """A bounce that was recorded."""
 
-    recorded: Recorded  # hit, front, order, visible, survives, the paths that go on
+    recorded: Recorded  # the paths that reach it, hit, front, order, visible, survives, the paths that go on
     queues: tuple[QueueOfCounts, ...]
 
 
@@ -59,7 +60,12 @@ class Recordings:
 
     def __init__(self) -> None:
         self.known: dict[tuple, Any] = {}
-        self.making = Lock()
+        self.kinds: dict[tuple, int] = {}
+        self.making, self.numbers = Lock(), itertools.count()
+
+    def kind(self, *parts) -> int:
+        """A number that stands for these parts of a key, which take their time to compare."""
+        return self.kinds.setdefault(parts, next(self.numbers))
 
     def of(self, key: tuple, make: Callable[[], Any]) -> Any:
         """What a key stands for, recorded now if it is not known."""
@@ -89,8 +95,8 @@ class Tables:
         numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
         self.given: list[Tensor | int] = [*numbers, *scene, *(() if caster is None else caster.reads(dtype))]
         optional = [getattr(caster, name, None) is None for name in ("balls", "instances")]
-        self.kind = (integrand.proposal.layout, integrand.differentiated is None, type(caster), *optional,
-                     pattern(self.given), lying(scene))
+        self.kind = RECORDINGS.kind(integrand.proposal.layout, integrand.differentiated is None, type(caster), *optional,
+                                    pattern(self.given), lying(scene))
 
 
 class Recorder:
@@ -104,37 +110,44 @@ class Recorder:
 
     def __init__(self, integrand: Integrand, board: int, dtype: torch.dtype):
         self.integrand, self.board, self.tables = integrand, board, Tables(integrand, dtype)
+        self.kind: int | None = None  # of the bounces after the first
 
-    def __call__(self, state: PathState, depth: int, hit: Hit | None, L: Vec3) -> tuple[Step, PathState | None]:
+    def __call__(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> tuple[PathState, Step, Onward]:
         """As `bounced`."""
         integrand = self.integrand
-        varying = [leaf for leaf in leaves_of((state, hit, L, integrand.at(depth))) if leaf is not None]
-        settings = integrand.settings_at(depth)
-        structure: list = []
-        flatten((state, hit, L), [], structure)
-        key = self.tables.kind, tuple(structure), settings, integrand.is_last(depth), depth == 0
+        varying = [leaf for leaf in leaves_of((onward, hit, L, integrand.at(depth))) if leaf is not None]
+        kind = self.kind if hit is None and onward.alive is not None else None
+        if kind is None:
+            structure: list = []
+            flatten((onward, hit, L), [], structure)
+            kind = RECORDINGS.kind(self.tables.kind, *structure)
+            self.kind = kind if hit is None and onward.alive is not None else None
+        key = kind, integrand.settings_at(depth), integrand.is_last(depth), depth == 0
         made = None
         if all([leaf.is_contiguous() for leaf in varying]) and len({leaf.data_ptr() for leaf in varying}) == len(varying):
-            made = RECORDINGS.of(key, partial(self.record, state, depth, hit, L))
+            made = RECORDINGS.of(key, partial(self.record, onward, depth, hit, L))
         if made is None:
-            return bounced(integrand, state, depth, hit, L)
-        (hit, front, order, visible, survives, beyond), counts = made.recorded(
-            [*varying, *self.tables.given], len(state.lane), self.board)
+            return bounced(integrand, onward, depth, hit, L)
+        (state, hit, front, order, visible, survives, onward), counts = made.recorded(
+            [*varying, *self.tables.given], onward.count, self.board)
         queues = tuple([queue for queue in [queue.among(counts) for queue in made.queues] if queue.last > queue.first])
         step = Step(hit, front, order, queues or (EMPTY,), visible, survives, None, ((),) * max(1, len(queues)))
-        return step, beyond
+        return state, step, onward
 
-    def record(self, state: PathState, depth: int, hit: Hit | None, L: Vec3) -> RecordedBounce | None:
+    def record(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> RecordedBounce | None:
         """Records a bounce like this one; None if that is not possible."""
         integrand = self.integrand
-
-        state, hit, L = map(without_contents, (state, hit, L))
-        given = [*[leaf for leaf in leaves_of((state, hit, L, integrand.at(depth))) if leaf is not None], *self.tables.given]
+        all_go_on = onward.alive is None
+        onward, hit, L = map(without_contents, (onward, hit, L))
+        if not all_go_on:
+            onward = onward._replace(paths=without_contents(onward.paths, ALL + 1))  # some end
+        given = [*[leaf for leaf in leaves_of((onward, hit, L, integrand.at(depth))) if leaf is not None],
+                 *self.tables.given]
         listener = Recording(given)
         try:
             with torch.no_grad(), listening(listener):
-                step, beyond = bounced(integrand, state, depth, hit, L)
-            results = step.hit, step.front, step.order, step.visible, step.survives, beyond
+                state, step, onward = bounced(integrand, onward, depth, hit, L)
+            results = state, step.hit, step.front, step.order, step.visible, step.survives, onward
             queues = tuple(QueueOfCounts(queue.event, *(listener.points[place] for place in queue[1:]))
                            for queue in step.queues)
             return RecordedBounce(Recorded(listener, given, results, listener.alive), queues)
@@ -142,9 +155,9 @@ class Recorder:
             return None
 
 
-def without_contents(record):
+def without_contents(record, lanes: int = ALL):
     """A record of lanes like another one, as recordings have them."""
-    return with_leaves(record, [None if leaf is None else leaf.new_empty(ALL) for leaf in leaves_of(record)])
+    return with_leaves(record, [None if leaf is None else leaf.new_empty(lanes) for leaf in leaves_of(record)])
 
 
 def lying(tables: Sequence[Tensor]) -> tuple:
@@ -175,7 +188,7 @@ def recordable(integrand: Integrand) -> bool:
     """True if bounces may be recorded: those of compiled stages, on the CPU, that ask nobody outside."""
     layout = integrand.proposal.layout
     return (hasattr(integrand.stages.rows, "into") and integrand.scene is integrand.proposal
-            and (integrand.caster is None or hasattr(integrand.caster, "reads")) and not inside_dual_level() and not layout.lit
-            and not any(appearance.outside for appearance in layout.appearances)
+            and (integrand.caster is None or hasattr(integrand.caster, "reads"))
+            and not inside_dual_level() and not layout.reads_outside
             and not (integrand.settings.nee and integrand.proposal.lights.by_place)
             and integrand.proposal.lights.choice.pmf.device.type == "cpu")

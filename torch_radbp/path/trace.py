@@ -7,7 +7,7 @@ from collections.abc import Callable
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.recorded_bounce import bounces_taken
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Step
+from torch_radbp.path.wavefront import Onward, Step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.vec import Vec3
 
@@ -26,11 +26,11 @@ def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathStat
     Returns:
         (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
     """
-    L, state = Vec3.buffer(start.beta.x), start
+    L, onward = Vec3.buffer(start.beta.x), Onward(start, None)
     with bounces_taken(integrand, start) as bounce:
-        while depth < integrand.max_depth and len(state.lane):
-            step, beyond = bounce(state, depth, hit, L)
+        while depth < integrand.max_depth and onward.count:
+            state, step, onward = bounce(onward, depth, hit, L)
             if visit is not None:
                 visit(depth, state, step)
-            state, depth, hit = beyond, depth + 1, None
+            depth, hit = depth + 1, None
     return L

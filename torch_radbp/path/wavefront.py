@@ -172,8 +172,7 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
 
 def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
     """The lanes of the next bounce's `state` that go on, packed together."""
-    alive = surviving(step)
-    return state if len(alive) == len(state.lane) else integrand.stages.rows(state, alive)
+    return Onward(state, surviving(step)).packed(integrand)
 
 
 def surviving(step: Step) -> Tensor:
@@ -224,12 +223,38 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         state, depth, hit = survivors(integrand, vertex.next, step), depth + 1, None
 
 
-def bounced(integrand: Integrand, state: PathState, depth: int, hit: Hit | None, L: Vec3) -> tuple[Step, PathState]:
+class Onward(NamedTuple):
+    """Paths that go on from a bounce."""
+
+    paths: PathState  # (K,) of the vertices, those that end there among them
+    alive: Tensor | None  # (M,) int32, the places of those that go on; None: all do
+
+    @property
+    def count(self) -> int:
+        """M."""
+        return len(self.paths.lane if self.alive is None else self.alive)
+
+    def packed(self, integrand: Integrand) -> PathState:
+        """(M,) those that go on, packed together."""
+        if self.alive is None or len(self.alive) == len(self.paths.lane):
+            return self.paths
+        return integrand.stages.rows(self.paths, self.alive)
+
+
+def bounced(integrand: Integrand, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> tuple[PathState, Step, Onward]:
     """One bounce of every lane, which adds what it brings to the radiance `L` of all lanes: L += beta_k E_k.
 
+    Args:
+        integrand: the scene and how to step.
+        onward: the paths that take it.
+        depth: of the bounce.
+        hit: of their rays, if it is known.
+        L: (N,) of all lanes, written into.
+
     Returns:
-        What was decided, and the paths that go on.
+        The paths that reached the bounce, what was decided there, and those that go on.
     """
+    state = onward.packed(integrand)
     vertex, light, step = take_step(integrand, state, depth, hit=hit)
     stages, count, lane = integrand.stages, step.scattered, vertex.next.lane
     put_rows(L, lane, stages.brightened(L, state.beta, step.order[:count], lane, vertex.Le, vertex.Ld, step.visible))
@@ -237,7 +262,7 @@ def bounced(integrand: Integrand, state: PathState, depth: int, hit: Hit | None,
         order = step.order[count:]
         ended = stages.rows(state.lane, order)
         put_rows(L, ended, stages.brightened(L, state.beta, order, ended, light, None, None))
-    return step, survivors(integrand, vertex.next, step)
+    return state, step, Onward(vertex.next, surviving(step))
 
 
 def walk(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None]) -> None:

@@ -50,7 +50,8 @@ from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import rows
 
 EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, local_map, bounce_adjoint, places, pick_light,
-               chance_of_light, appearance_met, side_met, corner_rows, shines, rows, brightened, direct_light, scattered, surface_values,
+               chance_of_light, appearance_met, side_met, corner_rows, shines, rows, brightened, direct_light, scattered,
+               surface_values,
                material_value, edge_weight, edge_place, crosses, contour_length, contour_place, segment_weight,
                segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, boxes_around,
                edge_bounds, merged_bounds, descended, edge_found, edge_passed, segment_bounds, segment_found,
@@ -64,7 +65,8 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels", "place"), bounce=PATH,
     ending=PATH, local_map=("scene", "proposal"), bounce_adjoint=("scene", "arrival", "adj_L", "memo"),
     places=("scene", "arrival"), pick_light=("scene", "choice"), chance_of_light=("scene", "choice", "arrival"),
-    appearance_met=("scene",), side_met=("scene", "ray", "hit", "image_lanes"), corner_rows=("scene",), shines=("scene",), rows=("record",),
+    appearance_met=("scene",), side_met=("scene", "ray", "hit", "image_lanes"), corner_rows=("scene",), shines=("scene",),
+    rows=("record",),
     brightened=("L", "beta"), direct_light=("scene", "arrival", "draw"), scattered=("scene", "arrival", "d"),
     surface_values=("scene",), material_value=("scene",), edge_weight=CURVES, edge_place=(*CURVES, "outline", "lot"),
     crosses=CURVES, contour_length=CURVES, contour_place=(*CURVES, "faces", "lot"),
