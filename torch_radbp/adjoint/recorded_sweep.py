@@ -12,8 +12,8 @@ import torch
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.jit.board import board
-from torch_radbp.jit.recorded import Recorded
-from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening
+from torch_radbp.jit.recorded import Recorded, pattern
+from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.event import Ends, Event, Scatters
 from torch_radbp.path.integrand import Integrand
@@ -52,7 +52,8 @@ class RecordedSweep(Sweep):
             structure: list = []
             flatten((state, step.hit, self.memo, self.adj_L), [], structure)
             self.kind = RECORDINGS.kind(self.tables.kind, self.sizes, *structure)
-        key = self.kind, step.front is None, integrand.settings_at(depth), integrand.is_last(depth), depth == 0
+        key = (self.kind, pattern([*lanes, *others]), step.front is None, integrand.settings_at(depth),
+               integrand.is_last(depth), depth == 0)
         made = None
         if all([leaf.is_contiguous() for leaf in lanes]):
             made = RECORDINGS.of(key, partial(self.record_bounce, state, step, depth, events))
@@ -80,21 +81,21 @@ class RecordedSweep(Sweep):
             queues.append(Queue(event, first, last, differentiated))
             first = last
         scattered = queues[-1].last if queues[-1].event.scatters else queues[-1].first
-        state, hit, front = map(without_contents, (state, step.hit, step.front))
-        step = step._replace(hit=hit, front=front, order=step.order.new_empty(first), queues=tuple(queues),
-                             visible=step.visible.new_empty(scattered), survives=step.survives.new_empty(scattered),
+        reserve, other = Reserve(), copy(self)
+        state, hit, front = without_contents((state, step.hit, step.front), reserve)
+        step = step._replace(hit=hit, front=front, order=reserve.tensor(torch.int32, first), queues=tuple(queues),
+                             visible=reserve.tensor(torch.bool, scattered), survives=reserve.tensor(torch.bool, scattered),
                              texture_values=((),) * len(queues))
-        other = copy(self)
-        other.memo, other.adj_L = without_contents(self.memo), without_contents(self.adj_L)
+        other.memo, other.adj_L = without_contents((self.memo, self.adj_L), reserve)
         lanes = [leaf for leaf in leaves_of((state, hit, front, step.order, step.visible, step.survives))
                  if leaf is not None]
         others = [leaf for leaf in leaves_of((other.memo, other.adj_L, self.integrand.at(depth))) if leaf is not None]
         given = [*lanes, *others, *self.tables.given, *self.sums]
-        listener = Recording(given, borders)
+        listener = Recording(given, borders, reserve)
         try:
             with torch.no_grad(), listening(listener):
                 Sweep.differentiate(other, state, step, depth)
-            return Recorded(listener, given, (), listener.alive)
+            return Recorded(listener, given, ())
         except NotRecordable:
             return None
 

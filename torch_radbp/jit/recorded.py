@@ -282,15 +282,14 @@ class Recorded:
     Args:
         recording: of a function.
         given: what it was given.
-        results: what it returned: tensors in nested tuples, and whatever else, which may be numbers of lanes.
-        alive: what the addresses in the recording belong to.
+        results: what it returned: tensors in nested tuples.
     """
 
-    def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any, alive: Any = None):
+    def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any):
         leaves: list[Tensor] = []
         flatten(results, leaves, [])
         self.places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
-        self.none = [leaf.new_empty(0) for leaf in leaves]  # what is in the place of results without lanes
+        self.none = [torch.empty(0, dtype=leaf.dtype, device="cpu") for leaf in leaves]  # in the place of no lanes
         self.lengths = [recording.span(leaf.numel()) for leaf in leaves]
         self.assemble: Callable[[list[Tensor]], Any] = assembler(replaced(results, Leaf))
         self.layout = Layout(recording, [place.tensor for place in self.places if place and place.made])
@@ -298,7 +297,8 @@ class Recorded:
         text = writer.text()
         self.code: MachineCode = cached_code(text, entry="recorded")
         self.run = RECORDED(self.code.address)
-        self.functions, self.counts, self.alive = array("q", writer.functions), recording.counts, alive
+        self.rays = recording.rays
+        self.functions, self.counts = array("q", writer.functions), recording.counts
 
     def __call__(self, given: Sequence[Tensor | int], lanes: int, board: int,
                  known: Sequence[int] = ()) -> tuple[Any, array]:

@@ -7,6 +7,7 @@ for the count that will be found. From such numbers the recording reads off what
 
 from __future__ import annotations
 
+import mmap
 import random
 import threading
 from collections.abc import Iterator, Sequence
@@ -17,13 +18,13 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.addition import Addition
-from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import TorchDispatchMode
 
-ALL = 1_048_583  # stands for all lanes
-TRIES = 1000
-HARMLESS = ("empty", "new_empty", "empty_like", "empty_strided", "new_empty_strided", "slice", "narrow", "detach", "alias",
-            "view", "unbind", "select", "as_strided")
+ALL = 262_147  # stands for all lanes
+TRIES = 100_000
+BLOCK = 1 << 26  # bytes of addresses that are reserved at a time
+MAKES = ("empty", "new_empty", "empty_like", "empty_strided", "new_empty_strided")
+HARMLESS = (*MAKES, "slice", "narrow", "detach", "alias", "view", "unbind", "select", "as_strided")
 
 
 class NotRecordable(Exception):
@@ -129,6 +130,23 @@ class Made(NamedTuple):
 Operation = Loop | Partition | Chosen | Put | Inverted | Copy | Scattered
 
 
+class Reserve:
+    """Addresses for tensors without contents, which take no memory as nothing is written there."""
+
+    def __init__(self) -> None:
+        self.left: memoryview = memoryview(b"")
+
+    def tensor(self, dtype: torch.dtype, entries: int) -> Tensor:
+        """(entries,) that nothing else has the address of."""
+        if not entries:
+            return torch.empty(0, dtype=dtype, device="cpu")
+        size = -(-entries * dtype.itemsize // 64) * 64
+        if size > len(self.left):
+            self.left = memoryview(mmap.mmap(-1, max(BLOCK, size)))
+        part, self.left = self.left[:size], self.left[size:]
+        return torch.frombuffer(part, dtype=dtype, count=entries)
+
+
 class Recording:
     """Listens to what is done with lanes.
 
@@ -137,13 +155,16 @@ class Recording:
             read.
         counts: numbers of lanes that the function is told, in ascending order; as `borders` draws them. `ALL` lanes are
             always known.
+        reserve: that the tensors without contents are from.
     """
 
-    def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = ()):
+    def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = (), reserve: Reserve | None = None):
+        self.reserve = reserve or Reserve()
         self.given: dict[int, int] = {}  # numbers of what is given, by address
         for number, item in enumerate(given):
             self.given.setdefault(address_of(item), number)
         self.operations: list[Operation] = []
+        self.rays: list[Span] = []  # that are cast
         self.made: list[Made] = []
         self.memory: dict[int, int] = {}  # numbers of tensors that were made, by address
         self.alive: list = [given]  # so that addresses remain theirs
@@ -207,6 +228,11 @@ class Recording:
         self.operations.append(Loop(body, self.span(lanes), part, places, spans if lengths else None,
                                     tuple(self.written(output, first) for output in outputs)))
 
+    def cast(self, *loop) -> None:
+        """A loop, as of `loop`, that casts a ray for each lane."""
+        self.loop(*loop)
+        self.rays.append(self.operations[-1].lanes)
+
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
         """As `order.partition`, with numbers that stand for the counts."""
         lanes = self.span(number.numel())
@@ -229,12 +255,15 @@ class Recording:
 
     def borders(self, queues: int, lanes: int) -> list[int]:
         """Numbers that stand for where queues begin, and for where the last ends, all differences of which are new."""
+        borders, known = [0, lanes], set(self.spans)
         for _ in range(TRIES):
-            borders = [0, *sorted(self.drawn.sample(range(1, lanes), queues - 1)), lanes]
-            found = [last - first for place, last in enumerate(borders) for first in borders[:place]]
-            found.remove(lanes)
-            if len(set(found)) == len(found) and self.spans.keys().isdisjoint(found):
-                return borders
+            if len(borders) == queues + 1:
+                return sorted(borders)
+            border = self.drawn.randrange(1, lanes)
+            found = {abs(border - other) for other in borders}
+            if len(found) == len(borders) and known.isdisjoint(found):
+                borders.append(border)
+                known |= found
         raise NotRecordable(f"{queues} queues are too many")
 
     def chosen(self, flags: Tensor) -> Tensor:
@@ -290,12 +319,18 @@ class Guard(TorchDispatchMode):
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         name = func.overloadpacket.__name__
-        if name not in HARMLESS and any(map(self.has_no_contents, leaves_of((args, kwargs or {})))):
+        if name not in HARMLESS and any(map(self.has_no_contents, args)):
             raise NotRecordable(f"torch.{name} is called")
+        if name in MAKES:
+            shape = func(*args, **{**(kwargs or {}), "device": "meta"})
+            if shape.dim() == 1 and shape.numel() > 1 and shape.numel() in self.recording.spans:
+                return self.recording.reserve.tensor(shape.dtype, shape.numel())
         return func(*args, **(kwargs or {}))
 
     def has_no_contents(self, item) -> bool:
-        """True of a tensor that holds lanes."""
+        """True of a tensor that holds lanes, or several of which one does."""
+        if isinstance(item, (list, tuple)):
+            return any(map(self.has_no_contents, item))
         return isinstance(item, Tensor) and item.device.type != "meta" and item.numel() > 1 and (
             item.numel() in self.recording.spans)
 

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torch_radbp.jit.board import board
 from torch_radbp.jit.recorded import Recorded, pattern
-from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening
+from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand
@@ -122,14 +122,15 @@ class Recorder:
             flatten((onward, hit, L), [], structure)
             kind = RECORDINGS.kind(self.tables.kind, *structure)
             self.kind = kind if hit is None and onward.alive is not None else None
-        key = kind, integrand.settings_at(depth), integrand.is_last(depth), depth == 0
+        key = kind, pattern(varying), integrand.settings_at(depth), integrand.is_last(depth), depth == 0
         made = None
-        if all([leaf.is_contiguous() for leaf in varying]) and len({leaf.data_ptr() for leaf in varying}) == len(varying):
+        if all([leaf.is_contiguous() for leaf in varying]):
             made = RECORDINGS.of(key, partial(self.record, onward, depth, hit, L))
         if made is None:
             return bounced(integrand, onward, depth, hit, L)
         (state, hit, front, order, visible, survives, onward), counts = made.recorded(
             [*varying, *self.tables.given], onward.count, self.board)
+        integrand.caster.count(sum([counts[last] - counts[first] for first, last in made.recorded.rays]))
         queues = tuple([queue for queue in [queue.among(counts) for queue in made.queues] if queue.last > queue.first])
         step = Step(hit, front, order, queues or (EMPTY,), visible, survives, None, ((),) * max(1, len(queues)))
         return state, step, onward
@@ -137,27 +138,29 @@ class Recorder:
     def record(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> RecordedBounce | None:
         """Records a bounce like this one; None if that is not possible."""
         integrand = self.integrand
-        all_go_on = onward.alive is None
-        onward, hit, L = map(without_contents, (onward, hit, L))
-        if not all_go_on:
-            onward = onward._replace(paths=without_contents(onward.paths, ALL + 1))  # some end
+        reserve = Reserve()
+        paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
+        onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
+        hit, L = without_contents((hit, L), reserve)
         given = [*[leaf for leaf in leaves_of((onward, hit, L, integrand.at(depth))) if leaf is not None],
                  *self.tables.given]
-        listener = Recording(given)
+        listener = Recording(given, reserve=reserve)
         try:
             with torch.no_grad(), listening(listener):
                 state, step, onward = bounced(integrand, onward, depth, hit, L)
             results = state, step.hit, step.front, step.order, step.visible, step.survives, onward
             queues = tuple(QueueOfCounts(queue.event, *(listener.points[place] for place in queue[1:]))
                            for queue in step.queues)
-            return RecordedBounce(Recorded(listener, given, results, listener.alive), queues)
+            return RecordedBounce(Recorded(listener, given, results), queues)
         except NotRecordable:
             return None
 
 
-def without_contents(record, lanes: int = ALL):
-    """A record of lanes like another one, as recordings have them."""
-    return with_leaves(record, [None if leaf is None else leaf.new_empty(lanes) for leaf in leaves_of(record)])
+def without_contents(record, reserve: Reserve, lanes: int = ALL):
+    """A record of lanes like another one, as recordings have them; what is the same there is so here."""
+    made: dict[int, Tensor] = {}
+    return with_leaves(record, [None if leaf is None else made.setdefault(
+        leaf.data_ptr(), reserve.tensor(leaf.dtype, lanes)) for leaf in leaves_of(record)])
 
 
 def lying(tables: Sequence[Tensor]) -> tuple:

@@ -77,11 +77,15 @@ class Direct:
         inputs = [*columns_of(columns, dtype), *self.tables(dtype)]
         body = machine_code(loop, dtype, self.balls is not None).address
         if (listener := recording()) is not None:
-            listener.loop(body, lanes, PART, inputs, list(answers))
+            listener.cast(body, lanes, PART, inputs, list(answers))
             return
         run_lanes(body, lanes, addresses(inputs), addresses(answers))
+        self.count(lanes)
+
+    def count(self, rays: int) -> None:
+        """Counts rays that are cast."""
         with self._counting:
-            self.rays_cast += lanes
+            self.rays_cast += rays
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
         """What the loops read beside rays of a dtype, as a `Recording` is given it."""

@@ -112,13 +112,17 @@ class Embree:
         read = [query, self._scene.handle, self._near.data_ptr(), *(table.data_ptr() for table in self._tables)]
         code = machine_code(loop, self.balls is not None, self.instances is not None)
         if (listener := recording()) is not None:
-            listener.loop(code.address, lanes, PART, [*columns, *read], list(answers))
+            listener.cast(code.address, lanes, PART, [*columns, *read], list(answers))
             return
         inputs = array("q", [*(column.data_ptr() for column in columns), *read])
         outputs = array("q", [answer.data_ptr() for answer in answers])
         run_lanes(code.address, lanes, inputs, outputs, PART)
+        self.count(lanes)
+
+    def count(self, rays: int) -> None:
+        """Counts rays that are cast."""
         with self._counting:
-            self.rays_cast += lanes
+            self.rays_cast += rays
 
     def __reduce__(self):
         return Embree, (self.vertices, self.faces, self.balls, self.instances)

@@ -1,0 +1,171 @@
+"""What is recorded with lanes does the same again, whatever the numbers of lanes turn out to be."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from torch_radbp.jit import LaneFunction
+from torch_radbp.jit.addition import Addition, Sums
+from torch_radbp.jit.board import board
+from torch_radbp.jit.order import chosen, inverted, nothing, partition, put
+from torch_radbp.jit.recorded import Recorded, pattern
+from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening
+from torch_radbp.jit.scatter import scatter_add
+from torch_radbp.jit.team import alone_in_torch
+
+QUEUES = 5
+LANES = (1, 3, 17, 1000, 10_001, 70_000)
+
+
+def recorded(function, *tensors: Tensor, tables: tuple[Tensor | int, ...] = ()) -> Recorded:
+    """A function of lanes like these, recorded."""
+    given = [torch.empty(ALL, dtype=tensor.dtype) for tensor in tensors]
+    listener = Recording([*given, *tables])
+    with torch.no_grad(), listening(listener):
+        results = function(*given)
+    return Recorded(listener, [*given, *tables], results)
+
+
+def again(made: Recorded, *tensors: Tensor, tables: tuple[Tensor | int, ...] = (), threads: int = 2):
+    """What was recorded, done for these lanes."""
+    with alone_in_torch(threads=threads), board() as address:
+        return made([*tensors, *tables], len(tensors[0]), address)[0]
+
+
+TWICE = LaneFunction(lambda x, y: (x + y, x - y, y))
+SQUARE = LaneFunction(lambda x, table, index: (x * x, torch.index_select(table, 0, index)), ("table",))
+
+
+def looped(x: Tensor, y: Tensor):
+    """Two loops, of which the second reads what the first writes."""
+    a, b, _ = TWICE(x, y)
+    return TWICE(a, b)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+@pytest.mark.parametrize("lanes", LANES)
+def test_loops_read_what_others_write(lanes, threads):
+    made = recorded(looped, torch.empty(1), torch.empty(1))
+    x, y = torch.rand(2, lanes).unbind()
+    found = again(made, x, y, threads=threads)
+    expected = looped(x, y)
+    assert expected[0].abs().max() > 0
+    assert all(map(torch.equal, found, expected))
+
+
+def sorted_by(number: Tensor, x: Tensor, targets: Tensor):
+    """Lanes queue by queue, each queue through a loop of its own, and those whose number is high."""
+    order, counts = partition(number, QUEUES)
+    room, first = (x.new_empty(len(x)), x.new_empty(len(x)), x.new_empty(len(x))), 0
+    for count in counts:
+        if count:
+            own = GATHERED(x, order[first:first + count])
+            TWICE.into(room, first, own, own)
+        first += count
+    flags = LARGE(room[0])
+    alive = chosen(flags)
+    put((targets,), order, (room[0],))
+    return order, room, inverted(flags), nothing(flags), alive, GATHERED(room[0], alive)
+
+
+GATHERED = LaneFunction(lambda table, index: torch.index_select(table, 0, index), ("table",))
+LARGE = LaneFunction(lambda x: x > 1.0)
+
+
+@pytest.mark.parametrize("most", [1, 2, QUEUES])
+@pytest.mark.parametrize("lanes", LANES)
+def test_queues_and_those_that_go_on_are_counted_each_time(lanes, most):
+    made = recorded(sorted_by, torch.empty(1, dtype=torch.int32), torch.empty(1), torch.empty(1))
+    generator = torch.Generator().manual_seed(lanes)
+    number = torch.randint(most, (lanes,), generator=generator, dtype=torch.int32)  # some queues are empty
+    x, mine, own = torch.rand(lanes, generator=generator), torch.zeros(lanes), torch.zeros(lanes)
+    found, expected = again(made, number, x, mine), sorted_by(number, x, own)
+    for one, other in zip((found[0], *found[1], *found[2:]), (expected[0], *expected[1], *expected[2:])):
+        assert one.dtype == other.dtype and torch.equal(one, other)
+    assert torch.equal(mine, own) and torch.equal(own, 2 * x)
+
+
+def test_tables_are_those_of_the_call():
+    table, index = torch.arange(7.0), torch.arange(7, dtype=torch.int32).repeat(9)
+
+    def read(x: Tensor, index: Tensor):
+        return SQUARE(x, table, index)
+
+    made = recorded(read, torch.empty(1), index, tables=(table,))
+    x = torch.rand(63)
+    for other in (table, table * 3.0, torch.arange(11.0)):
+        assert torch.equal(again(made, x, index, tables=(other,))[1], other[index])
+
+
+def sums(entries: int) -> tuple[Tensor, Tensor, Sums]:
+    total, touched = torch.zeros(entries, 4, dtype=torch.float64), torch.zeros(-(-entries // 16), dtype=torch.bool)
+    return total, touched, Sums([total], touched)
+
+
+@pytest.mark.parametrize("lanes", [0, 5, 3000])
+def test_what_is_scattered_goes_to_the_totals_of_the_call(lanes):
+    total, touched, own = sums(40)
+
+    def scattered(index: Tensor, x: Tensor, flags: Tensor):
+        some = chosen(flags)
+        scatter_add([Addition(AS_INDEX(index, some), [GATHERED(x, some)], own)])
+        return ()
+
+    tables = total.data_ptr(), touched.data_ptr()
+    made = recorded(scattered, torch.empty(1, dtype=torch.int32), torch.empty(1), torch.empty(1, dtype=torch.bool),
+                    tables=tables)
+    index, x = torch.randint(40, (4000,), dtype=torch.int32), torch.rand(4000)
+    flags = torch.arange(4000) < lanes
+    mine, mine_touched, _ = sums(40)
+    again(made, index, x, flags, tables=(mine.data_ptr(), mine_touched.data_ptr()))
+    scattered(index, x, flags)
+    assert bool(mine.any()) == (lanes > 0) and torch.equal(mine, total) and torch.equal(mine_touched, touched)
+
+
+AS_INDEX = LaneFunction(lambda table, index: torch.index_select(table, 0, index), ("table",))
+
+
+def test_counts_that_the_function_is_told_may_differ():
+    def ended(x: Tensor):
+        return looped(x[:300], x[:300])
+
+    given = torch.empty(ALL)
+    listener = Recording([given], [300])
+    with torch.no_grad(), listening(listener):
+        made = Recorded(listener, [given], ended(given))
+    x = torch.rand(5000)
+    for count in (0, 1, 300, 5000):
+        with board() as address:
+            found, counts = made([x], len(x), address, [count])
+        assert counts[2] == count
+        assert all(map(torch.equal, found, looped(x[:count], x[:count]) if count else (x[:0],) * 3))
+
+
+@pytest.mark.parametrize("function, why", [
+    (lambda x: TWICE(x + 1.0, x), "torch.add"),
+    (lambda x: TWICE(torch.ones(ALL), x), "neither given nor made"),
+    (lambda x: TWICE(x[:12], x[:12]), "neither given|no number"),
+    (lambda x: bool(x.any()), "torch.any")])
+def test_what_would_be_lost_is_refused(function, why):
+    with pytest.raises(NotRecordable, match=why):
+        recorded(function, torch.empty(1))
+
+
+def test_nothing_listens_afterwards():
+    with pytest.raises(NotRecordable):
+        recorded(lambda x: x + 1.0, torch.empty(1))
+    x = torch.rand(5)
+    assert torch.equal(TWICE(x, x)[0], 2 * x)
+
+
+def test_what_is_given_twice_is_told():
+    x, y = torch.rand(3), torch.rand(3)
+    assert pattern([x, y, x, 5, 5]) == (0, 1, 0, 3, 3) != pattern([x, y, x.clone(), 5, 5])
+
+
+def test_an_error_lets_the_helpers_go():
+    for _ in range(50):
+        with pytest.raises(KeyError), alone_in_torch(threads=3), board():
+            raise KeyError
+    made, x = recorded(looped, torch.empty(1), torch.empty(1)), torch.rand(20_000)
+    assert torch.equal(again(made, x, x, threads=3)[0], 2 * x)

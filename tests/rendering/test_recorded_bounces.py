@@ -1,0 +1,146 @@
+"""Bounces that are recorded and run as machine code: images and gradients have the bits that single operations give."""
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.deep import deep_but
+from tests.derivatives.everything import build_everything
+from tests.gradients import cotangent, unwarned_renderer
+from tests.scenes import cornell, diffuse, load, parameters, rectangle, rgb, sensor, sky_and_points, textured, two_sided
+from torch_radbp.adjoint import recorded_sweep
+from torch_radbp.io.transform import translate
+from torch_radbp.jit.recorded import Recorded
+from torch_radbp.path import recorded_bounce
+
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
+SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 2, "compile": True, "terms": ("interior",)}
+
+
+def crossing(dtype: torch.dtype) -> rb.Scene:
+    """An instance, a ball and a mirror under a sky."""
+    ball = {"type": "sphere", "radius": 0.3, "to_world": translate((0.5, 0.2, 0)), "bsdf": {"type": "conductor"}}
+    group = {"type": "shapegroup", "own": rectangle((0, 0, 0), 0.3, bsdf=diffuse(0.2, 0.5, 0.7))}
+    shown = {"type": "instance", "own": {"type": "ref", "id": "group"}, "to_world": translate((-0.3, 0, 0.2))}
+    floor = rectangle((0, -0.6, 0), 2.0, (1, 0, 0), -90, bsdf=diffuse(0.6, 0.5, 0.4))
+    sky = {"type": "constant", "radiance": rgb(1, 0.8, 0.6)}
+    return load(dtype, sensor=sensor(9), group=group, ball=ball, shown=shown, floor=floor, sky=sky)
+
+
+SCENES = {"closed box": lambda dtype: cornell(dtype, 12), "textures": lambda dtype: textured(dtype=dtype),
+          "two sides": two_sided, "sky and points": sky_and_points, "instances and balls": crossing}
+
+
+@pytest.fixture
+def calls(monkeypatch) -> list[int]:
+    """The lanes of each call of what was recorded, as they come."""
+    found, call = [], Recorded.__call__
+
+    def noting(self, given, lanes, *rest):
+        found.append(lanes)
+        return call(self, given, lanes, *rest)
+
+    monkeypatch.setattr(Recorded, "__call__", noting)
+    return found
+
+
+def singly(monkeypatch) -> None:
+    """From here on nothing is recorded."""
+    monkeypatch.setattr(recorded_bounce, "recordable", lambda integrand: False)
+    monkeypatch.setattr(recorded_sweep, "recordable", lambda integrand: False)
+
+
+def rendered(scene: rb.Scene, **settings) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    """An image, and the gradients of all parameters that it depends on."""
+    named = dict(scene.named_parameters())
+    wanted = parameters(scene, named)
+    image = unwarned_renderer(scene, **SETTINGS | settings)(seed=3)
+    found = torch.autograd.grad(image, wanted, cotangent(image.detach()), allow_unused=True)
+    return image.detach(), {name: gradient for name, gradient in zip(named, found) if gradient is not None}
+
+
+def assert_same_bits(build, calls, monkeypatch, **settings) -> None:
+    """Recorded or not, images and gradients are the same, and tell something."""
+    image, gradients = rendered(build(), **settings)
+    assert len(calls) >= 2
+    singly(monkeypatch)
+    calls.clear()
+    expected, others = rendered(build(), **settings)
+    assert not calls and expected.std() > 0 and max(float(other.abs().max()) for other in others.values()) > 1e-3
+    assert torch.equal(image, expected) and gradients.keys() == others.keys()
+    for name, other in others.items():
+        assert torch.isfinite(other).all() and torch.equal(gradients[name], other), name
+
+
+@pytest.mark.parametrize("sampling", ["detached", "hybrid", "attached"])
+@pytest.mark.parametrize("name", SCENES)
+def test_images_and_gradients_have_the_same_bits(name, sampling, calls, monkeypatch):
+    assert_same_bits(lambda: SCENES[name](torch.float32), calls, monkeypatch, sampling=sampling)
+
+
+@pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(2, keep_hits=False), rb.MemoizedAdjoint("log"), rb.ReplayAdjoint(),
+                                     rb.QuadraticAdjoint()], ids=repr)
+def test_so_they_have_with_every_strategy(adjoint, calls, monkeypatch):
+    assert_same_bits(lambda: cornell(torch.float32), calls, monkeypatch, adjoint=adjoint)
+
+
+@pytest.mark.parametrize("settings", [{"hide_emitters": True}, {"nee": False}, {"share_samples": True}, {"chunk": 50},
+                                      {"max_depth": 1}, {"max_depth": 2}, {"spp": 1}], ids=str)
+def test_so_they_have_with_other_settings(settings, calls, monkeypatch):
+    assert_same_bits(lambda: two_sided(torch.float32), calls, monkeypatch, **settings)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("name", deep_but(["shapes"], ["materials", "shapes", "textures"]))
+def test_so_they_have_with_every_plugin(name, dtype, calls, monkeypatch):
+    def build() -> rb.Scene:
+        scene = build_everything(name).to(dtype)
+        for view in scene.sensors:
+            view.film.width = view.film.height = view.film.crop_width = view.film.crop_height = 6
+        return scene
+
+    assert_same_bits(build, calls, monkeypatch)
+
+
+def test_a_loop_that_moves_a_mesh_and_changes_colours_uses_the_same_recordings(calls):
+    scene, other = sky_and_points(torch.float32), sky_and_points(torch.float32)
+    name = next(name for name, _ in scene.named_parameters() if name.endswith("vertex_positions"))
+    renderer, fresh = (rb.Renderer(own, **SETTINGS) for own in (scene, other))
+    renderer(seed=0)
+    known = len(recorded_bounce.RECORDINGS.known)
+    for step in range(3):
+        for own in (scene, other):
+            with torch.no_grad():
+                own.get_parameter(name).mul_(1.05)
+        with torch.no_grad():
+            image = renderer(seed=step)
+        assert len(recorded_bounce.RECORDINGS.known) == known and calls
+        with pytest.MonkeyPatch.context() as patch, torch.no_grad():
+            singly(patch)
+            assert torch.equal(image, fresh(seed=step)) and image.std() > 0
+
+
+def test_rays_are_counted(monkeypatch):
+    def rays() -> int:
+        renderer = rb.Renderer(cornell(torch.float32), **SETTINGS)
+        call = renderer.prepare(1, None, None, None)
+        renderer(seed=1)
+        return call.caster.rays_cast
+
+    found = rays()
+    singly(monkeypatch)
+    assert found == rays() > 0
+
+
+def test_what_asks_networks_is_not_recorded(calls):
+    scene = cornell(torch.float32)
+    scene.white.reflectance = rb.NeuralTexture(torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.Sigmoid()))
+    with torch.no_grad():
+        assert rb.Renderer(scene, **SETTINGS)(seed=1).std() > 0
+    assert not calls
+
+
+def test_neither_are_lamps_that_are_picked_by_place(calls):
+    with torch.no_grad():
+        assert rb.Renderer(build_everything("lamps", torch.float32), **SETTINGS)(seed=1).std() > 0
+    assert not calls
