@@ -310,11 +310,9 @@ class Renderer(nn.Module):
         return {output: images[quantity] for output, quantity in outputs.items()}
 
     def look(self, call: RenderCall, seed: int, aovs: bool = False) -> EdgesOfCall:
-        """The edges at which the images of a call jump. Warns of what derivatives and the image lack. `aovs`: as it was
-        prepared."""
-        cache = self.cache_for_aovs if aovs else self.cache
-        rendering = rendering_of(call, self.scene, self.sampling, cache, PRIMARY in self.terms,
-                                 SHADOW in self.terms, self.depth_limit)
+        """The edges at which the images of a call, prepared for `aovs`, jump. Warns of what derivatives and image lack."""
+        rendering = rendering_of(call, self.scene, self.sampling, self.cache_for_aovs if aovs else self.cache,
+                                 PRIMARY in self.terms, SHADOW in self.terms, self.depth_limit)
         edges = edges_of_call(rendering, self.scene, call, seed)
         self.jump_watch.look(rendering)  # casts rays, for which the tree of a large mesh may still be built
         return edges

@@ -12,7 +12,6 @@ Nothing here is ever written into, so that graphs and other threads may hold it.
 from __future__ import annotations
 
 import operator
-import weakref
 from collections.abc import Callable, Hashable, Iterable
 from typing import Any, NamedTuple
 
@@ -20,6 +19,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torch_radbp.scene.copies import Copies
 from torch_radbp.scene.inventory import Inventory
 from torch_radbp.scene.module_attributes import (
     OF_EVERY_MODULE,
@@ -35,8 +35,7 @@ from torch_radbp.scene.module_attributes import (
     is_constant,
     replaced,
 )
-from torch_radbp.scene.same_bits import bits_of, comparable, same_bits, same_bits_each
-from torch_radbp.tensors.differentiated import differentiated, primal
+from torch_radbp.tensors.differentiated import differentiated
 
 
 class Result(NamedTuple):
@@ -66,7 +65,7 @@ class Part(NamedTuple):
     fixed: frozenset[int]  # ids of the objects in it
 
 
-class PackCache:
+class PackCache(Copies):
     """Copies of tensors and what was made of them: found unchanged since the last rendering, or new.
 
     One rendering fills one of these, and takes from that of the last rendering what is still right. What it does not ask
@@ -80,36 +79,24 @@ class PackCache:
     """
 
     def __init__(self, last: PackCache | None = None, around: PackCache | None = None):
-        self.last_copies, self.last_results = ({}, {}) if last is None else (last.copies, last.results)
+        super().__init__(last, around)
+        self.last_results = {} if last is None else last.results
+        self.results: dict[tuple, Result] = {}
         self.last_parts: dict[Hashable, Part] = {} if last is None else last.parts
         self.parts: dict[Hashable, Part] = {}
-        self.last_inventories: dict[int, Inventory] = {} if last is None or around is not None else last.inventories
-        self.inventories: dict[int, Inventory] = {} if around is None else around.inventories  # by the ids of their roots
-        self.moved: set[int] = set() if around is None else around.moved  # as of `Inventory.reach`, what is not as it was
         self.last_twins: dict[Hashable, Twin] = {} if last is None else last.twins
-        self.copies: dict[Hashable, Tensor] = {}
-        self.results: dict[tuple, Result] = {}
         self.twins: dict[Hashable, Twin] = {}
         # By id, with what stands for them in keys.
         self.last_constants: dict[int, tuple[Any, tuple]] = {} if last is None else last.constants
         self.constants: dict[int, tuple[Any, tuple]] = {}
-        # Tensors of this rendering and their copies.
-        self.seen: dict[int, tuple[Tensor, Tensor]] = {} if around is None else around.seen
-        self.places: dict[Hashable, weakref.ref[Tensor]] = {}  # of tensors that are not on the CPU
-        self.last_places = {} if last is None else last.places
-        self.unchanged: set[tuple[Hashable, int]] | None = None  # of `last_places`, found when first asked for
-        self.fixed: set[int] = set() if around is None else set(around.fixed)  # ids of the objects handed out
 
     def __reduce__(self):
         return PackCache, ()
 
     def close(self) -> PackCache:
         """Lets go of what only the last rendering needed."""
-        self.last_copies, self.last_results, self.last_twins = {}, {}, {}
-        self.last_parts, self.last_inventories = {}, {}
-        self.last_constants, self.seen, self.moved, self.fixed = {}, {}, set(), set()
-        self.inventories = {root: inventory for root, inventory in self.inventories.items() if inventory.lasts}
-        self.last_places, self.unchanged = {}, None
+        super().close()
+        self.last_results, self.last_parts, self.last_twins, self.last_constants = {}, {}, {}, {}
         return self
 
     def __call__(self, make: Callable, *arguments):
@@ -140,51 +127,6 @@ class PackCache:
         self.results[result.key] = result
         self.fix(result.value)
 
-    def inventory(self, root: nn.Module) -> Inventory:
-        """What a module holds in this rendering: the inventory of the last one if that holds."""
-        found = self.inventories.get(id(root))
-        if found is None:
-            last = self.last_inventories.get(id(root))
-            found = last if last is not None and last.holds(root) else Inventory(root)
-            self.inventories[id(root)] = found
-            self.moved |= found.live | found.restless
-            self.freeze(found)
-        return found
-
-    def freeze(self, inventory: Inventory) -> None:
-        """Copies the tensors of an inventory that are not differentiated; those that have not changed are compared only."""
-        left = inventory.settled
-        if self.is_as_it_was(inventory.root) and all(tensor.is_cpu for _, tensor in left):
-            places, tensors = zip(*left) if left else ((), ())
-            copies = [self.last_copies[place] for place in places]
-            left = []
-            for place, tensor, copy, same in zip(places, tensors, copies, same_bits_each(tensors, copies)):
-                if same:
-                    self.copies[place], self.seen[id(tensor)] = copy, (tensor, copy)
-                    self.fixed.add(id(copy))
-                else:
-                    left.append((place, tensor))
-        for place, tensor in left:
-            if self.frozen(place, tensor) is not self.last_copies.get(place):
-                self.moved.add(id(tensor))
-
-    def is_as_it_was(self, root: nn.Module) -> bool:
-        """True if a module holds what it held in the last rendering, but for the numbers in tensors."""
-        return self.last_inventories.get(id(root)) is self.inventory(root)
-
-    def structure(self, make: Callable, root: nn.Module, *arguments: Hashable):
-        """`make(root, *arguments)`, or what that gave before if the module holds the very objects that it held then.
-
-        Args:
-            make: a function whose result depends on neither the numbers in tensors nor anything else that changes.
-            root: any module.
-            arguments: any others.
-        """
-        known, key = self.inventory(root).results, (make, *arguments)
-        if key not in known:
-            known[key] = make(root, *arguments)
-        return known[key]
-
     def part(self, place: Hashable, make: Callable, root: nn.Module, reach: frozenset[int], *arguments):
         """`make(cache, *arguments)`, or what that gave before: if the arguments are the same objects as in the last
         rendering, and so is all that they hold, down to the last bit of each tensor, of which none is differentiated.
@@ -211,42 +153,6 @@ class PackCache:
     def made(self, place: Hashable) -> Any:
         """A part as this rendering has it."""
         return self.parts[place].value
-
-    def facts(self, root: nn.Module) -> dict[Hashable, Any]:
-        """A place for what follows from the attributes that a module has in this rendering; lasts until one changes."""
-        found = self.inventories.get(id(root))
-        return {} if found is None else found.results
-
-    def frozen(self, place: Hashable, tensor: Tensor) -> Tensor:
-        """A detached copy of a tensor; the same object as last time if not a bit has changed.
-
-        Args:
-            place: tells which tensor of the last rendering to compare with.
-            tensor: any.
-        """
-        if id(tensor) in self.fixed:
-            return tensor
-        if id(tensor) not in self.seen:
-            copy = self.last_copies.get(place)
-            if not self.known_unchanged(place, tensor) and (copy is None or not same_bits(copy, tensor)):
-                with torch.inference_mode(False), torch.no_grad():
-                    copy = primal(tensor).clone(memory_format=torch.contiguous_format)
-            self.seen[id(tensor)] = tensor, copy
-            self.copies[place] = copy
-            self.fixed.add(id(copy))
-        return self.seen[id(tensor)][1]
-
-    def known_unchanged(self, place: Hashable, tensor: Tensor) -> bool:
-        """True if all tensors of the last rendering have been compared together, and this one has not changed.
-
-        To ask a device for one answer takes as long as to ask it for many; on the CPU each is compared when its turn comes.
-        """
-        if tensor.is_cpu:
-            return False
-        self.places[place] = weakref.ref(tensor)
-        if self.unchanged is None:
-            self.unchanged = unchanged(self.last_places, self.last_copies)
-        return (place, id(tensor)) in self.unchanged
 
     def twin(self, place: Hashable, thing):
         """A copy of a module, or of another object, as it is now; the same one as last time if nothing in it has changed.
@@ -347,13 +253,3 @@ class PackCache:
                 self.fix(part)
         if not isinstance(result, (*PLAIN, float)):
             self.fixed.add(id(result))
-
-
-def unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
-    """The places, with the ids of tensors that are still there with the bits of their copies; all are compared at once."""
-    there = [(place, tensor, copies[place]) for place, found in places.items() if (tensor := found()) is not None]
-    there = [each for each in there if comparable(*each[1:])]
-    if not there:
-        return set()
-    same = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
-    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, same) if equal}
