@@ -355,14 +355,15 @@ class Renderer(nn.Module):
         stages = compiled() if fused else EAGER
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
-        def make_integrand(tensors: SceneTensors) -> Integrand:
-            return Integrand(tensors, proposal_of(tensors), caster, settings, self.depth_limit, self.rr_depth, stages, {})
+        still = detached(scene)
+        integrand = Integrand(still, still, caster, settings, self.depth_limit, self.rr_depth, stages, {})
 
-        wavefronts = wavefronts_of(views, plan, spp, workers)
-        integrand = make_integrand(detached(scene))
-        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views, wavefronts, spp,
-                          seeds[0] == seeds[1], record_bytes, plan.together, workers, self.memory, settings.following,
-                          self.scene, parameters)
+        def make_integrand(tensors: SceneTensors) -> Integrand:
+            return integrand._replace(scene=tensors, proposal=proposal_of(tensors), parts={})
+
+        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views,
+                          wavefronts_of(views, plan, spp, workers), spp, seeds[0] == seeds[1], record_bytes, plan.together,
+                          workers, self.memory, settings.following, self.scene, parameters)
         if self.memory_budget is None:
             return call
         within = self.plan(call)

@@ -21,7 +21,9 @@ def tangent_of(tensor: Tensor) -> Tensor | None:
 
 def primal(tensor: Tensor) -> Tensor:
     """The tensor without its gradient and its forward-mode tangent."""
-    return forward_ad.unpack_dual(tensor).primal.detach() if tensor.is_floating_point() else tensor
+    if not tensor.is_floating_point():
+        return tensor
+    return forward_ad.unpack_dual(tensor).primal.detach() if inside_dual_level() else tensor.detach()
 
 
 def differentiated(tensor: Tensor) -> bool:
