@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
 from torch_radbp.plugin.domain import LARGEST_COORDINATE, LEEWAY, Domain
-from torch_radbp.scene.inventory import reach_of
-from torch_radbp.scene.module_attributes import modules_in, replaced
+from torch_radbp.scene.inventory import reach_of, tensors_of
+from torch_radbp.scene.module_attributes import modules_in
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.instance import Instance
@@ -84,8 +84,9 @@ def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
 
 
 def reach_of_attribute(plugin: Plugin, value: Tensor) -> frozenset[int]:
-    """What an attribute of a plugin depends on that is this tensor, unless it is computed."""
-    return reach_of([plugin]) if replaced(plugin) else frozenset({id(value)})
+    """What an attribute of a plugin with this value depends on: nothing else if it is no computed one."""
+    held = any(value is tensor for _, tensor in tensors_of(plugin))
+    return frozenset({id(value)}) if held else reach_of([plugin])
 
 
 def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
