@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TypeVar
 
 import torch
@@ -26,8 +26,13 @@ Function = TypeVar("Function", bound=Callable)
 @contextmanager
 def without_modes() -> Iterator[None]:
     """Neither autocast nor compilation nor operations on several threads, on this thread."""
-    with without_compiler(), torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False), alone_in_torch():
+    with without_compiler(), without_autocast("cpu"), without_autocast("cuda"), alone_in_torch():
         yield
+
+
+def without_autocast(device_type: str) -> AbstractContextManager:
+    """Operations on a kind of device keep the precision of what they are given."""
+    return torch.autocast(device_type, enabled=False) if torch.is_autocast_enabled(device_type) else nullcontext()
 
 
 def public_call(function: Function) -> Function:

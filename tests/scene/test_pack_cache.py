@@ -18,10 +18,11 @@ from tests.scenes import load, rectangle, rgb, sensor, texels
 from torch_radbp.emitter import envmap
 from torch_radbp.plugin import Texture
 from torch_radbp.scene import geometry, light_table
-from torch_radbp.scene.pack import pack
+from torch_radbp.scene.pack import PLACED, pack
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.same_bits import PART, same_bits
 from torch_radbp.shape.mesh import Mesh
+from torch_radbp.shape.surface import Triangles
 
 LARGE = (9 << 20) + 5  # numbers
 SETTINGS = {"spp": 4, "max_depth": 3}
@@ -264,22 +265,31 @@ def test_tables_made_in_inference_mode_serve_gradients():
     assert_nothing_is_stale(renderer, "lamp.emitter.radiance.value", "hills.bsdf.reflectance.data")
 
 
+def size_of(cache: PackCache) -> int:
+    """How many things a cache holds, those of parts included."""
+    own = len(cache.results) + len(cache.copies) + len(cache.twins) + len(cache.inventories) + len(cache.parts)
+    return own + sum(size_of(part.cache) for part in cache.parts.values())
+
+
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 def test_what_is_no_longer_there_is_let_go():
     scene = scene_of()
     renderer = rb.Renderer(scene, **SETTINGS)
     renderer()
-    gone = [weakref.ref(value) for place, value in renderer.cache.copies.items() if len(value.shape) and len(value) > 3000]
-    assert gone  # the ball's
+    gone = [weakref.ref(value) for value in renderer.cache.copies.values() if len(value.shape) and len(value) > 3000]
+    gone += [weakref.ref(result.value.vertices) for result in renderer.cache.parts[PLACED].cache.results.values()
+             if isinstance(result.value, Triangles) and len(result.value.vertices) > 3000]
+    assert len(gone) > 4  # the ball's
     del scene._modules["ball"]
     renderer()
     gc.collect()
     assert all(reference() is None for reference in gone)
-    count = len(renderer.cache.results), len(renderer.cache.copies)
-    for _ in range(3):
+    sizes = []
+    for _ in range(4):
         write("hills.vertex_positions", lambda p: p.mul_(0.9))(scene)
         renderer()
-    assert (len(renderer.cache.results), len(renderer.cache.copies)) == count
+        sizes.append(size_of(renderer.cache))
+    assert sizes[0] > 20 and sizes[1:] == sizes[:1] * 3
 
 
 class Striped(Texture):
@@ -304,8 +314,8 @@ def test_what_cannot_be_compared_is_made_anew():
     assert_nothing_is_stale(renderer)
 
 
-def names_of(named: list[tuple[str, nn.Module]]) -> list[str]:
-    return [f"{prefix}.{name}" for prefix, module in named for name in module._parameters]
+def names_of(root: nn.Module) -> list[str]:
+    return [f"{prefix}.{name}" for prefix, module in root.named_modules() for name in module._parameters]
 
 
 def test_what_follows_from_attributes_is_made_again_only_when_one_is_another_object():
@@ -320,7 +330,9 @@ def test_what_follows_from_attributes_is_made_again_only_when_one_is_another_obj
 
     ball = scene.ball
     assert taken_over_after() and taken_over_after(lambda: ball.to_world.data.mul_(0.9))
-    assert not taken_over_after(lambda: setattr(scene.camera, "far_clip", 3.0))
+    assert not taken_over_after(lambda: setattr(scene.lamp, "flip_normals", True))
+    assert not taken_over_after(scene.lamp.to_world.requires_grad_)
+    assert taken_over_after(lambda: setattr(scene.camera, "far_clip", 3.0))  # a root of its own
     assert not taken_over_after(lambda: scene._modules.pop("ball"))
     assert "ball.to_world" not in kept.structure(names_of, scene)
     assert not taken_over_after(lambda: setattr(scene, "ball", ball)) and taken_over_after()

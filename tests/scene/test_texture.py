@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.scenes import texels
-from torch_radbp.scene.pack import BankBuilder
+from torch_radbp.scene.radiances import BankBuilder
 from torch_radbp.tensors.vec import Vec2
 from torch_radbp.texture.bank import sample_texture
 from torch_radbp.texture.bitmap import Bitmap, texture_bank

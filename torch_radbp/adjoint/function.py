@@ -30,7 +30,7 @@ from torch_radbp.public_call import public_call
 from torch_radbp.scene.cone import Cone
 from torch_radbp.tensors.differentiated import detached, differentiable
 from torch_radbp.tensors.lookup import summed
-from torch_radbp.tensors.record import leaves_of, rows_between, with_leaves
+from torch_radbp.tensors.record import leaves_of, mapped, rows_between, with_leaves
 from torch_radbp.tensors.torch_internals import batched
 from torch_radbp.tensors.vec import Ray
 
@@ -63,9 +63,8 @@ class RenderFunction(torch.autograd.Function):
         ctx.shapes = {name: tuple(parameter.shape) for name, parameter in call.parameters.items()}
         ctx.camera_leaves = [asks_for_gradient(view.camera) for view in call.views]
         ctx.scene_leaves = asks_for_gradient(call.scene)
-        scene, views = detached(call.scene), [detached(view) for view in call.views]
-        integrand = call.integrand
-        ctx.call = call = call._replace(scene=scene, views=views, caster=None, make_integrand=None, integrand=None)
+        integrand, views = call.integrand, [detached(view) for view in call.views]
+        ctx.call = call = call._replace(scene=integrand.scene, views=views, caster=None, make_integrand=None, integrand=None)
         wanted = any(ctx.needs_input_grad)
         images, filters, records = render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
         ctx.filters = filters if call.shares_samples else None
@@ -73,9 +72,9 @@ class RenderFunction(torch.autograd.Function):
         casts_again = wanted and (None in records or not call.adjoint.keep_hits)
         ctx.integrand = integrand if casts_again else integrand._replace(caster=None)
         # Saved as tensors, so that autograd frees them after the backward pass and refuses a second one.
-        recorded = leaves_of(records)
-        ctx.save_for_backward(*leaves, *(item for item in recorded if isinstance(item, Tensor)))
-        ctx.records = with_leaves(records, (SAVED if isinstance(item, Tensor) else item for item in recorded))
+        recorded: list[Tensor] = []
+        ctx.records = mapped(records, partial(without_tensor, recorded))
+        ctx.save_for_backward(*leaves, *recorded)
         return images
 
     @staticmethod
@@ -87,7 +86,7 @@ class RenderFunction(torch.autograd.Function):
         check_shapes(call.parameters, ctx.shapes)
         tensors = saved_tensors(ctx)
         saved = iter(tensors[len(ctx.needs_input_grad) - 1:])
-        records = with_leaves(ctx.records, (next(saved) if item is SAVED else item for item in leaves_of(ctx.records)))
+        records = mapped(ctx.records, lambda leaf: next(saved) if leaf is SAVED else leaf)
         asked = iter(ctx.needs_input_grad[1:])
         wanted = tuple(attached and next(asked) for attached in ctx.scene_leaves)
         wanted_of_cameras = [tuple(attached and next(asked) for attached in leaves) for leaves in ctx.camera_leaves]
@@ -138,6 +137,14 @@ class RenderFunction(torch.autograd.Function):
             raise gradient_error(bad, integrand, call.module, call.parameters, sweep_again)
         results = iter(results)
         return None, *(next(results) if need else None for need in ctx.needs_input_grad[1:])
+
+
+def without_tensor(tensors: list[Tensor], leaf):
+    """What stands for a leaf of a record whose tensors autograd keeps; these are added to a list."""
+    if not isinstance(leaf, Tensor):
+        return leaf
+    tensors.append(leaf)
+    return SAVED
 
 
 def saved_tensors(ctx) -> tuple[Tensor, ...]:

@@ -109,7 +109,7 @@ def gradients_of(workers: Sequence[Gradients]) -> tuple[list[Tensor], bool]:
     Returns:
         The gradients; and whether all are finite.
     """
-    tables, results, pieces = workers[0].tables, [], []
+    tables, results, pieces, size = workers[0].tables, [], [], 0
     touched = {entries: pages_touched([worker.touched[entries] for worker in workers]) for entries in workers[0].touched}
     for number, (first, width) in enumerate(workers[0].blocks):
         table, place = tables[first], touched[tables[first].numel()]
@@ -117,9 +117,11 @@ def gradients_of(workers: Sequence[Gradients]) -> tuple[list[Tensor], bool]:
         totals = [worker.rows[number].view(len(rows), -1) for worker in workers]
         most = max(1, PIECE // totals[0].shape[1]) if place.is_cpu else max(1, len(place))
         pieces += [(rows, totals, own) for own in place.split(most)]
+        size += len(place) * totals[0].shape[1]
         results += [column.view(table.shape) for column in rows.view(-1, width)[:table.numel()].unbind(1)]
     left, written = deque(pieces), []
-    together(lambda task: written.extend(starmap(take_over, until_none_is_left(left))), min(threads(), max(1, len(pieces))))
+    count = max(1, min(threads(), size // PIECE))  # a thread that is woken for less takes longer than the work
+    together(lambda task: written.extend(starmap(take_over, until_none_is_left(left))), count)
     return results, not written or bool(torch.isfinite(torch.cat(written)).all())  # the host waits for the device once
 
 

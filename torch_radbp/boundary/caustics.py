@@ -16,7 +16,7 @@ from torch_radbp.boundary.shadow import APART, ray_from, viewpoint
 from torch_radbp.bsdf.kind import Kind
 from torch_radbp.emitter.kind import ShadowSource
 from torch_radbp.plugin import Emitter, SceneWarning
-from torch_radbp.scene.pack import one_sided
+from torch_radbp.scene.material_tables import one_sided
 
 MOST_TARGETS = 1 << 12  # triangles of mirrors and glass at which rays are aimed
 MOST_SURFACES = 4  # of glass, through which a ray is followed

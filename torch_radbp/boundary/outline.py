@@ -91,7 +91,7 @@ class Outlines:
         turning, sliding = (own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, more)))
                             for more in (rendering.turners, rendering.sliders))
         everything = Moving(*((True,) * len(part) for part in own))
-        wanted = [(everything,) * 3 if rendering.moving(sensor) else (own, turning, sliding) for sensor in rendering.sensors]
+        wanted = [(everything,) * 3 if moving else (own, turning, sliding) for moving in rendering.camera_movers]
         sizes = rendering.sizes
         lines = lines_of_textures(rendering)
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,12 +15,13 @@ from torch_radbp.boundary.silhouette import CameraSight
 from torch_radbp.bsdf.kind import Kind
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
+from torch_radbp.emitter.kind import Light
 from torch_radbp.plugin import BSDF, Plugin, Sensor, Texture
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
-from torch_radbp.scene.geometry import PlacedShape, number_of_triangles, placed_shape
+from torch_radbp.scene.geometry import PlacedShape
 from torch_radbp.scene.material import turning_values
-from torch_radbp.scene.pack import one_sided
+from torch_radbp.scene.pack import MATERIALS, PLACED
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Lens
@@ -38,8 +39,7 @@ class Rendering:
     """The rendering that is about to start."""
 
     scene: Scene  # with the parameters of this rendering
-    sensors: Sequence[Sensor]
-    sights: Sequence[CameraSight]  # one for each sensor, which is there several times if it looks from several places
+    looks: Sequence[tuple[View, Lens]]  # for each place from which a sensor looks
     caster: RayCaster  # of the scene as it is now
     sampling: str  # "detached", "hybrid" or "attached"
     cache: PackCache  # of this rendering
@@ -52,17 +52,42 @@ class Rendering:
     @property
     def has_area(self) -> bool:
         """True if pixels have an area, which edges sweep; False: what is seen are single rays."""
-        return all(sight.camera.kind.has_area for sight in self.sights)
+        return all(view.camera.kind.has_area for view, _ in self.looks)
+
+    @cached_property
+    def sensors(self) -> list[Sensor]:
+        """The sensors; one that looks from several places is there several times."""
+        return [view.sensor for view, _ in self.looks]
+
+    @cached_property
+    def sights(self) -> list[CameraSight]:
+        """What each of `sensors` sees."""
+        return [whole_sight(view, lens) for view, lens in self.looks]
+
+    @cached_property
+    def camera_movers(self) -> list[list[str]]:
+        """For each of `sensors`, its parameters with derivatives."""
+        return [self.moving(sensor) for sensor in self.sensors]
 
     def materials(self) -> list[tuple[BSDF, Kind]]:
         """The materials, one for each side, and how they scatter."""
-        return [(bsdf, bsdf.kind()) for bsdf in {id(bsdf): bsdf for bsdf in one_sided(self.scene.bsdfs())}.values()]
+        return list(self.cache.made(MATERIALS).described)
 
     def moving(self, plugin: Plugin, attributes: Sequence[str] | None = None) -> list[str]:
         """The full names of those attributes of a plugin, or of all, that have derivatives in this rendering."""
-        attributes = plugin.domains() if attributes is None else attributes
-        asked = [name for name in attributes if asks_for_derivatives(getattr(plugin, name, None))]
-        return [f"{self.names.get(id(plugin), type(plugin).__name__)}.{name}" for name in asked]
+        def find() -> list[str]:
+            asked = [name for name in (plugin.domains() if attributes is None else attributes)
+                     if asks_for_derivatives(getattr(plugin, name, None))]
+            return [f"{self.names.get(id(plugin), type(plugin).__name__)}.{name}" for name in asked]
+
+        return find() if isinstance(plugin, Sensor) else self.known((plugin, attributes), find)
+
+    def known(self, key: Hashable, find: Callable[[], Any]) -> Any:
+        """What a function found in the last rendering if the scene, but for its sensors, has the same attributes; or now."""
+        facts, key = self.cache.facts(self.scene), (Rendering, key, torch.is_grad_enabled())
+        if key not in facts:
+            facts[key] = find()
+        return facts[key]
 
     def turning(self, bsdf: BSDF, kind: Kind) -> list[str]:
         """The names of those textures of a material that have derivatives and turn directions which carry them."""
@@ -73,21 +98,26 @@ class Rendering:
     @cached_property
     def names(self) -> dict[int, str]:
         """The names of all modules of the scene by their ids."""
-        return {id(module): name for name, module in self.scene.named_modules()}
+        return self.known("names", lambda: {id(module): name for name, module in self.scene.named_modules()})
+
+    @cached_property
+    def emitters(self) -> list[Light]:
+        """All emitters of the scene."""
+        return self.known("emitters", lambda: self.scene.emitters)
 
     @cached_property
     def shapes(self) -> list[Surface]:
         """All shapes of the scene, those of groups among them."""
-        return self.scene.shapes
+        return self.known("shapes", lambda: self.scene.shapes)
 
     @cached_property
     def sizes(self) -> list[int]:
         """The number of triangles of each shape; the caster has them in the order of the shapes."""
-        return [number_of_triangles(self.cache, shape) for shape in self.shapes]
+        return [len(shape.faces) for shape in self.cache.made(PLACED)]
 
     def placed(self, number: int) -> PlacedShape:
         """A shape as triangles; in the frame of its group if it is in one."""
-        return placed_shape(self.cache, self.shapes[number], self.scene.shown_by[number] is not None, self.scene.dtype)
+        return self.cache.made(PLACED)[number]
 
     @cached_property
     def shape_of(self) -> Tensor:
@@ -114,6 +144,10 @@ class Rendering:
     @cached_property
     def movers(self) -> list[list[str]]:
         """For each shape, the parameters that move it, of those with derivatives; its own and those of its instances."""
+        return self.known("movers", self.found_movers)
+
+    def found_movers(self) -> list[list[str]]:
+        """`movers`, looked for."""
         of_groups = {group: [name for instance in instances for name in self.moving(instance, MOVE_SHAPES)]
                      for group, instances in self.scene.groups.items()}
         return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]
@@ -145,10 +179,9 @@ def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache
     In view counts what is in any window of a film: what is said once is to hold for all.
     """
     looks = [(view, lens) for view in call.views for lens in view.camera.kind.lookouts(detached(view.camera.lens))]
-    sights = [whole_sight(view, lens) for view, lens in looks]
     primary = primary and all(view.camera.kind.has_area for view in call.views)
-    return Rendering(scene, [view.sensor for view, _ in looks], sights, call.caster, sampling, cache,
-                     call.scene.triangles.casting_instances, primary, shadows, max_depth, call.scene)
+    return Rendering(scene, looks, call.caster, sampling, cache, call.scene.triangles.casting_instances, primary, shadows,
+                     max_depth, call.scene)
 
 
 def whole_sight(view: View, lens: Lens) -> CameraSight:

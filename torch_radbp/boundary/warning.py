@@ -30,7 +30,7 @@ from torch_radbp.boundary.without_rays import views_without_rays
 from torch_radbp.plugin import Shape
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.scene.material import followed, sampling_at
-from torch_radbp.scene.pack import one_sided
+from torch_radbp.scene.material_tables import one_sided
 
 MOVE_LIGHTS = ("to_world", "position")
 MOST_LIGHTS = 32  # that move, and that do not, whose shadows are searched
@@ -123,8 +123,8 @@ class JumpWatch:
         found = self.sharp_shadows_in_mirrors(rendering) if soft else None
         if found is not None or soft and sharp:
             return found
-        cameras = [rendering.moving(sensor) for sensor in rendering.sensors]
-        names = {name for plugin in rendering.scene.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
+        cameras = rendering.camera_movers
+        names = {name for plugin in rendering.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
         names = names.union(*rendering.movers, *cameras)
         looks = {(name, soft, sharp) for name in names}
         if not looks or rendering.has_area and looks <= self.looked_at:
@@ -155,9 +155,9 @@ class JumpWatch:
         scattering = any(kind.smooth for _, kind in rendering.materials())
         at_once = [bsdf for bsdf, kind in kinds if kind.follows or not rendering.has_area]
         later = [bsdf for bsdf, _ in kinds] if scattering and rendering.max_depth > 3 else []
-        lights = [emitter for emitter in rendering.scene.emitters if emitter.kind().delta]
+        lights = [emitter for emitter in rendering.emitters if emitter.kind().delta]
         names = {name for emitter in lights for name in rendering.moving(emitter, MOVE_LIGHTS)}
-        names = names.union(*rendering.movers, *(rendering.moving(sensor) for sensor in rendering.sensors))
+        names = names.union(*rendering.movers, *rendering.camera_movers)
         if not ((at_once or later) and lights and names) or rendering.max_depth < 3 or names <= self.looked_at:
             return None
         self.looked_at |= names
@@ -206,7 +206,7 @@ class JumpWatch:
         jumping = [(bsdf, kind) for bsdf, kind in rendering.materials()
                    if kind.ends or kind.jumps and sampling_at(kind, sampling) != "attached"]
         turning = [name for names in rendering.movers for name in names]
-        turning += [name for sensor in rendering.sensors for name in rendering.moving(sensor)]
+        turning += [name for names in rendering.camera_movers for name in names]
         for bsdf, kind in jumping:
             turning += rendering.turning(bsdf, kind) if kind.ends else rendering.moving(bsdf, ("eta",))
         if not (jumping and turning):
@@ -246,7 +246,7 @@ class JumpWatch:
             turning |= {name: all(delta) for name in rendering.moving(shape, ("vertex_normals",)) if delta}
             turning |= {name: True for name in names if any(delta)}
         if sampling != "detached" and any(hybrid.values()):
-            turning |= {name: True for sensor in rendering.sensors for name in rendering.moving(sensor)}
+            turning |= {name: True for names in rendering.camera_movers for name in names}
         named = self.missing(rendering) if turning else {}
         turning = {name: ideal for name, ideal in turning.items() if name not in named}
         if not turning or flat(rendering.seen.vertices):
@@ -264,7 +264,7 @@ class JumpWatch:
 
         Of each parameter this is looked at once, where the things are that it moves; of a camera's, the whole scene.
         """
-        cameras = {name for sensor in rendering.sensors for name in rendering.moving(sensor)}
+        cameras = {name for names in rendering.camera_movers for name in names}
         names = cameras.union(*rendering.movers)
         if not rendering.primary or names <= self.placed:
             return None
@@ -290,7 +290,7 @@ class JumpWatch:
         missing: dict[str, int] = {}
         if rendering.primary:
             return missing
-        cameras = {number: names for number, sensor in enumerate(rendering.sensors) if (names := rendering.moving(sensor))}
+        cameras = {number: names for number, names in enumerate(rendering.camera_movers) if names}
         if not cameras and not any(rendering.movers):
             return missing
         vertices, faces, counts = rendering.seen

@@ -71,7 +71,7 @@ class Principled(BSDF):
         else:
             self.specular = None
             self.freeze("eta", torch.tensor(float(eta)))
-        self.numbers = {name: NumberOf(self, name) for name in ("roughness", *FEATURES)}  # no submodules
+        self.views = tuple(NumberOf(self, name) for name in ("roughness", *FEATURES))  # no submodules
         self.index_texture = (OwnNumber(self, "specular" if eta is None else "eta"),)
         self.diffuse_reflectance_sampling_rate = float(diffuse_reflectance_sampling_rate)
         self.main_specular_sampling_rate = float(main_specular_sampling_rate)
@@ -87,6 +87,11 @@ class Principled(BSDF):
         names = "diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate"
         return {name: getattr(self, name) for name in names}
 
+    @property
+    def numbers(self) -> dict[str, NumberOf]:
+        """Those textures that are read as numbers, by attribute."""
+        return dict(zip(("roughness", *FEATURES), self.views))
+
     def features(self) -> tuple[str, ...]:
         """The names of those parameters that are not absent now, in order."""
         return features_of(self, FEATURES, PART_OF)
@@ -97,5 +102,5 @@ class Principled(BSDF):
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""
-        return (self.base_color, self.numbers["roughness"], *self.index_texture,
-                *(self.numbers[name] for name in self.features()))
+        numbers = self.numbers
+        return self.base_color, numbers["roughness"], *self.index_texture, *(numbers[name] for name in self.features())

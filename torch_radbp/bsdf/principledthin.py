@@ -198,7 +198,7 @@ class PrincipledThin(BSDF):
                  "sheen_tint": sheen_tint, "flatness": flatness, "diff_trans": diff_trans}
         for name, value in {"base_color": base_color, "roughness": roughness, **given}.items():
             setattr(self, name, as_texture(self, name, value))
-        self.numbers = {name: NumberOf(self, name) for name in ("roughness", *FEATURES)}  # no submodules
+        self.views = tuple(NumberOf(self, name) for name in ("roughness", *FEATURES))  # no submodules
         self.diffuse_reflectance_sampling_rate = float(diffuse_reflectance_sampling_rate)
         self.specular_reflectance_sampling_rate = float(specular_reflectance_sampling_rate)
         self.specular_transmittance_sampling_rate = float(specular_transmittance_sampling_rate)
@@ -208,6 +208,11 @@ class PrincipledThin(BSDF):
     def domains(self) -> dict[str, Domain]:
         return {"base_color": REFLECTANCE, "roughness": FRACTION, **{name: FRACTION for name in FEATURES},
                 "diff_trans": Domain(low=0.0, high=2.0), "eta": Domain(low=0.0, low_is_in=False, limit=LARGEST_AMOUNT)}
+
+    @property
+    def numbers(self) -> dict[str, NumberOf]:
+        """Those textures that are read as numbers, by attribute."""
+        return dict(zip(("roughness", *FEATURES), self.views))
 
     def features(self) -> tuple[str, ...]:
         """The names of those parameters that are not absent now, in order."""
@@ -219,4 +224,5 @@ class PrincipledThin(BSDF):
 
     def textures(self) -> tuple[Texture, ...]:
         """What the functions take, in order."""
-        return (self.base_color, self.numbers["roughness"], *(self.numbers[name] for name in self.features()))
+        numbers = self.numbers
+        return self.base_color, numbers["roughness"], *(numbers[name] for name in self.features())

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
-from torch_radbp.call.chunks import Chunk
+from torch_radbp.call.chunks import Chunk, Rows
 from torch_radbp.call.view import View
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
 from torch_radbp.call.zeroed_memory import ZeroedMemory
+from torch_radbp.film.window import Window
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.state import PathState, start_path
@@ -25,6 +27,7 @@ from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, Vec3
 
 Result = TypeVar("Result")
+FEW = 1 << 16  # lanes whose numbers are kept for the next call
 
 
 class RenderCall(NamedTuple):
@@ -91,10 +94,19 @@ def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
 
 def numbers_of(call: RenderCall, chunk: Chunk) -> tuple[Tensor, Tensor]:
     """The numbers of a chunk's lanes' pixels, pixel by pixel, and those of their samples; (N,) int32."""
-    window = call.views[chunk.sensor].window
-    pixel = chunk.rows.numbers(call.scene.device, window.numbered) + window.numbers(0, 0)
-    sample = torch.arange(chunk.samples, dtype=torch.int32, device=pixel.device) + chunk.first_sample
-    return pixel.repeat_interleave(chunk.samples), sample.repeat(len(pixel))
+    find = lane_numbers if chunk.lanes > FEW else known_lane_numbers
+    return find(chunk.rows, chunk.first_sample, chunk.samples, call.views[chunk.sensor].window, call.scene.device)
+
+
+def lane_numbers(rows: Rows, first_sample: int, samples: int, window: Window, device: torch.device) -> tuple[Tensor, Tensor]:
+    """`numbers_of` some samples of some rows of a window."""
+    with torch.inference_mode(False):  # they may be kept, for renderings that are differentiated
+        pixel = rows.numbers(device, window.numbered) + window.numbers(0, 0)
+        sample = torch.arange(samples, dtype=torch.int32, device=device) + first_sample
+        return pixel.repeat_interleave(samples), sample.repeat(len(pixel))
+
+
+known_lane_numbers = functools.lru_cache(maxsize=64)(lane_numbers)
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:

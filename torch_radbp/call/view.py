@@ -61,20 +61,27 @@ class Shot(NamedTuple):
 def view_of(shot: Shot, seeds: tuple[int, int], scene: SceneTensors, cache: PackCache) -> View:
     """What a shot shows in a call with these seeds, forwards and backwards."""
     sensor, sampler = shot.sensor, shot.sensor.sampler
-    camera = cache(camera_of, cache.twin(id(sensor), sensor))
+    reach = cache.inventory(sensor).reach((sensor,))
+    camera = cache.part(("camera", id(sensor)), camera_of, sensor, reach, sensor)
     keys = tuple(sample_key(seed + sampler.seed, shot.index, sampler.low_discrepancy, scene.device) for seed in seeds)
-    reaches = cache(reaches_beyond, scene.triangles.vertices.p, scene.triangles.casting_instances, camera)
+    reaches = cache.part(("reaches", id(sensor)), reaches_beyond, sensor, reach, scene.triangles.vertices.p,
+                         scene.triangles.casting_instances, camera)
     if shot.window != sensor.film.window():
         camera = camera._replace(film=sensor.film.tensors(camera.film.size_x, shot.window))
     return View(sensor, camera, shot.window, keys, reaches)
 
 
-def camera_of(sensor: Sensor) -> Camera:
+def camera_of(cache: PackCache, sensor: Sensor) -> Camera:
     """The camera of a sensor with its whole film, attached."""
+    return cache(tensors_of, cache.twin("sensor", sensor))
+
+
+def tensors_of(sensor: Sensor) -> Camera:
+    """`camera_of` a twin."""
     return sensor.tensors()
 
 
-def reaches_beyond(vertices: Vec3, instances: Instances | None, camera: Camera) -> bool:
+def reaches_beyond(cache: PackCache, vertices: Vec3, instances: Instances | None, camera: Camera) -> bool:
     """True if any vertex, (V,), or a corner of the box around an instance lies beyond the far plane of a camera."""
     points = vertices.detach()
     if instances is not None:

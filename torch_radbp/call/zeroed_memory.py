@@ -17,8 +17,8 @@ LEAST = 1 << 20  # bytes; the allocator is quick with what is less
 
 
 def zeros(rows: int, columns: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Zeros whose memory, on the CPU, is not taken before it is touched."""
-    if device.type != "cpu":
+    """Zeros whose memory, on the CPU, is not taken before it is touched if it is large."""
+    if device.type != "cpu" or rows * columns * dtype.itemsize < LEAST:
         return torch.zeros(rows, columns, dtype=dtype, device=device)
     return torch.from_numpy(np.zeros((rows, columns), dtype=torch.empty(0, dtype=dtype, device=device).numpy().dtype))
 

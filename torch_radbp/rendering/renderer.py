@@ -50,10 +50,9 @@ from torch_radbp.rendering.settings import (
 from torch_radbp.rendering.shots import WindowChoice, shots_of
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.scene import Scene
-from torch_radbp.scene.module_attributes import parameters_in
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.parameters import check_names
+from torch_radbp.scene.parameters import check_names, differentiable_in
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
 from torch_radbp.sensor.rays import given_rays
 from torch_radbp.tensors.differentiated import detached, primal
@@ -205,7 +204,7 @@ class Renderer(nn.Module):
         call = self.prepare(seed, sensors, spp, seed_grad, aovs is not None, window)
         if seed is None:
             self.noise_watch.look(call.parameters)
-        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs is not None)
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
         images = rendered(call)
@@ -291,7 +290,7 @@ class Renderer(nn.Module):
         """
         outputs = self.outputs(names)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs=True, window=window)
-        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
+        edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs=True)
         return self.quantities(call, edges, outputs)
 
     def outputs(self, names: Sequence[str] | None) -> dict[str, str]:
@@ -310,10 +309,10 @@ class Renderer(nn.Module):
         images = images_of_quantities(call, edges, quantities, channels, self.terms)
         return {output: images[quantity] for output, quantity in outputs.items()}
 
-    def look(self, call: RenderCall, seed: int) -> EdgesOfCall:
-        """The edges at which the images of a call jump. Warns of what derivatives and the image lack."""
-        rendering = rendering_of(call, self.scene, self.sampling, PackCache(self.cache), PRIMARY in self.terms,
-                                 SHADOW in self.terms, self.depth_limit)
+    def look(self, call: RenderCall, seed: int, aovs: bool = False) -> EdgesOfCall:
+        """The edges at which the images of a call, prepared for `aovs`, jump. Warns of what derivatives and image lack."""
+        rendering = rendering_of(call, self.scene, self.sampling, self.cache_for_aovs if aovs else self.cache,
+                                 PRIMARY in self.terms, SHADOW in self.terms, self.depth_limit)
         edges = edges_of_call(rendering, self.scene, call, seed)
         self.jump_watch.look(rendering)  # casts rays, for which the tree of a large mesh may still be built
         return edges
@@ -329,22 +328,23 @@ class Renderer(nn.Module):
         name, what the shots depend on beside the scene."""
         check_settings(self)  # they may have been assigned since
         refuse_tracing()
-        check_names(self)
+        cache = PackCache(self.cache_for_aovs if aovs else self.cache)
+        check_names(self, cache)
         named, seen = self.scene.named_sensors, [shot.sensor for shot in shots]
-        own = parameters_in(self.scene, without=set(named.values()).difference(seen))
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
         fused = self.runs_compiled()
-        parameters = {name: value for name, value in (*own, *beside.items()) if value.requires_grad}
+        roots = [*((name, sensor) for name, sensor in named.items() if sensor in seen), ("", self.scene)]
+        parameters = dict(pair for name, root in roots for pair in cache.structure(differentiable_in, root, name))
+        parameters |= {name: value for name, value in beside.items() if value.requires_grad}
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         windows = [shot.window for shot in shots]
         plan = plan_lanes(windows, self.rr_depth, Request(
             len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, self.depth_limit, self.scene.dtype,
             device, workers, self.adjoint if differentiating else None, record_bytes, fused))
-        cache = PackCache(self.cache_for_aovs if aovs else self.cache)
         scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
         caster = self.caster_of(scene)
         views = [view_of(shot, seeds, scene, cache) for shot in shots]
@@ -355,14 +355,15 @@ class Renderer(nn.Module):
         stages = compiled() if fused else EAGER
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
-        def make_integrand(tensors: SceneTensors) -> Integrand:
-            return Integrand(tensors, proposal_of(tensors), caster, settings, self.depth_limit, self.rr_depth, stages, {})
+        still = detached(scene)
+        integrand = Integrand(still, still, caster, settings, self.depth_limit, self.rr_depth, stages, {})
 
-        wavefronts = wavefronts_of(views, plan, spp, workers)
-        integrand = make_integrand(detached(scene))
-        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views, wavefronts, spp,
-                          seeds[0] == seeds[1], record_bytes, plan.together, workers, self.memory, settings.following,
-                          self.scene, parameters)
+        def make_integrand(tensors: SceneTensors) -> Integrand:
+            return integrand._replace(scene=tensors, proposal=proposal_of(tensors), parts={})
+
+        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views,
+                          wavefronts_of(views, plan, spp, workers), spp, seeds[0] == seeds[1], record_bytes, plan.together,
+                          workers, self.memory, settings.following, self.scene, parameters)
         if self.memory_budget is None:
             return call
         within = self.plan(call)

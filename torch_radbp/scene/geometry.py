@@ -80,12 +80,6 @@ def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
                          for number, value in enumerate(arguments))),)
 
 
-def number_of_triangles(cache: PackCache, shape: Surface) -> int:
-    """The number of a shape's triangles."""
-    found = connections(cache, shape)
-    return len(found[0].faces if found else shape.faces)
-
-
 def oriented(shape: Surface, found: tuple[NamedTuple, ...]) -> Triangles:
     """The triangles of a shape in world space; `found`: its connections, if it has any."""
     return shape.oriented(*found)
@@ -148,7 +142,7 @@ def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shap
     if not groups:
         return None
     members = [len(instances[0].shapegroup.shapes) for instances in groups]
-    poses = cache(stacked, tuple(cache.part((id(instance), "to_world"), instance.to_world)
+    poses = cache(stacked, tuple(cache.in_twin((id(instance), "to_world"), instance.to_world)
                                 for instances in groups for instance in instances), dtype)
     casting = cache(casting_of, cache.frozen("poses of instances", poses), tuple(map(len, groups)), tuple(members),
                    tuple(shape.vertices for shape in shapes), tuple(shape.faces for shape in shapes))

@@ -61,17 +61,6 @@ def modules_in(root: nn.Module, prefix: str = "", without: Collection[nn.Module]
     return found
 
 
-def parameters_in(root: nn.Module, without: Collection[nn.Module] = ()) -> list[tuple[str, Tensor]]:
-    """The parameters of a module with their names, each once, as `named_parameters`; args as for `modules_in`."""
-    found, met = [], set()
-    for prefix, module in modules_in(root, without=without):
-        for name, value in module._parameters.items():
-            if value is not None and id(value) not in met:
-                met.add(id(value))
-                found.append((f"{prefix}.{name}" if prefix else name, value))
-    return found
-
-
 def dicts_of(module: nn.Module) -> tuple[dict[str, Any], ...]:
     """The dicts in which a module has its attributes, parameters, buffers and modules."""
     shared = module.shared if isinstance(module, Plugin) else {}
@@ -89,9 +78,9 @@ def has_attributes(module: nn.Module, attributes: Attributes) -> bool:
                for now, (names, values) in zip(dicts_of(module), attributes))
 
 
-def stands_still(plugin: Plugin) -> bool:
-    """True if nothing but tensors and other modules can change while the attributes of a plugin are the same objects."""
-    return all(is_constant(value, beside=(Tensor, nn.Module)) for name, value in vars(plugin).items()
+def stands_still(module: nn.Module) -> bool:
+    """True if nothing but tensors and other modules can change while the attributes of a module are the same objects."""
+    return all(is_constant(value, beside=(Tensor, nn.Module)) for name, value in vars(module).items()
                if name not in OF_EVERY_MODULE and name != "shared")
 
 

@@ -74,8 +74,8 @@ class NetworkCheck:
     device: torch.device
     trained: tuple[bool, ...] | None
 
-    def __call__(self, named: list[tuple[str, nn.Module]]) -> None:
-        """Raises and warns as `check_networks` says; `named`: the module and all in it, with their names."""
+    def __call__(self, module: nn.Module) -> None:
+        """Raises and warns as `check_networks` says; `module`: the same."""
         self.check_mode()
         if self.trained is not None:
             self.check_results()

@@ -11,15 +11,16 @@ Nothing here is ever written into, so that graphs and other threads may hold it.
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Callable, Collection, Hashable, Iterable
+import operator
+from collections.abc import Callable, Hashable, Iterable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torch_radbp.plugin import Plugin
+from torch_radbp.scene.copies import Copies
+from torch_radbp.scene.inventory import Inventory
 from torch_radbp.scene.module_attributes import (
     OF_EVERY_MODULE,
     OFTEN,
@@ -32,12 +33,9 @@ from torch_radbp.scene.module_attributes import (
     has_attributes,
     holder,
     is_constant,
-    modules_in,
     replaced,
-    stands_still,
 )
-from torch_radbp.scene.same_bits import bits_of, comparable, same_bits
-from torch_radbp.tensors.differentiated import differentiated, primal
+from torch_radbp.tensors.differentiated import differentiated
 
 
 class Result(NamedTuple):
@@ -57,14 +55,17 @@ class Twin(NamedTuple):
     made: Result
 
 
-class Structure(NamedTuple):
-    """What a function makes of the attributes of some modules."""
+class Part(NamedTuple):
+    """What a function made of modules and of other parts, with a cache of its own."""
 
+    inventory: Inventory  # of the modules
+    arguments: tuple
     value: Any
-    modules: list[tuple[nn.Module, Attributes]]
+    cache: PackCache  # for the next time that it is made
+    fixed: frozenset[int]  # ids of the objects in it
 
 
-class PackCache:
+class PackCache(Copies):
     """Copies of tensors and what was made of them: found unchanged since the last rendering, or new.
 
     One rendering fills one of these, and takes from that of the last rendering what is still right. What it does not ask
@@ -74,33 +75,28 @@ class PackCache:
 
     Args:
         last: of the last rendering.
+        around: of this rendering, if this one is for a part of it.
     """
 
-    def __init__(self, last: PackCache | None = None):
-        self.last_copies, self.last_results = ({}, {}) if last is None else (last.copies, last.results)
-        self.last_structures: dict[tuple, Structure] = {} if last is None else last.structures
-        self.structures: dict[tuple, Structure] = {}
-        self.last_twins: dict[Hashable, Twin] = {} if last is None else last.twins
-        self.copies: dict[Hashable, Tensor] = {}
+    def __init__(self, last: PackCache | None = None, around: PackCache | None = None):
+        super().__init__(last, around)
+        self.last_results = {} if last is None else last.results
         self.results: dict[tuple, Result] = {}
+        self.last_parts: dict[Hashable, Part] = {} if last is None else last.parts
+        self.parts: dict[Hashable, Part] = {}
+        self.last_twins: dict[Hashable, Twin] = {} if last is None else last.twins
         self.twins: dict[Hashable, Twin] = {}
         # By id, with what stands for them in keys.
         self.last_constants: dict[int, tuple[Any, tuple]] = {} if last is None else last.constants
         self.constants: dict[int, tuple[Any, tuple]] = {}
-        self.seen: dict[int, tuple[Tensor, Tensor]] = {}  # tensors of this rendering and their copies
-        self.places: dict[Hashable, weakref.ref[Tensor]] = {}  # of tensors that are not on the CPU
-        self.last_places = {} if last is None else last.places
-        self.unchanged: set[tuple[Hashable, int]] | None = None  # of `last_places`, found when first asked for
-        self.fixed: set[int] = set()  # ids of the objects handed out
 
     def __reduce__(self):
         return PackCache, ()
 
     def close(self) -> PackCache:
         """Lets go of what only the last rendering needed."""
-        self.last_copies, self.last_results, self.last_twins = {}, {}, {}
-        self.last_structures, self.last_constants, self.seen, self.fixed = {}, {}, {}, set()
-        self.last_places, self.unchanged = {}, None
+        super().close()
+        self.last_results, self.last_parts, self.last_twins, self.last_constants = {}, {}, {}, {}
         return self
 
     def __call__(self, make: Callable, *arguments):
@@ -131,57 +127,32 @@ class PackCache:
         self.results[result.key] = result
         self.fix(result.value)
 
-    def structure(self, make: Callable, root: nn.Module, name: str = "", without: Collection[nn.Module] = ()):
-        """`make(modules_in(root, name, without))`, or what that gave before if these modules have the very attributes they
-        had then.
+    def part(self, place: Hashable, make: Callable, root: nn.Module, reach: frozenset[int], *arguments):
+        """`make(cache, *arguments)`, or what that gave before: if the arguments are the same objects as in the last
+        rendering, and so is all that they hold, down to the last bit of each tensor, of which none is differentiated.
 
         Args:
-            make: a function of modules and their names, whose result does not depend on what tensors contain.
-            root: any module.
-            name: of `root`.
-            without: a set of modules that are left out with all that is in them.
+            place: tells which part of the last rendering to compare with.
+            make: a function whose result depends on nothing but the arguments. The cache that it gets is its own.
+            root: holds the modules among the arguments.
+            reach: of these modules, as `Inventory.reach`; without what is differentiated, if the result does not depend on
+                its numbers.
+            arguments: modules, results of `structure`, parts, plain values.
         """
-        known = self.last_structures.get((make, name))
-        if known is None or known.modules[0][0] is not root or not all(
-                has_attributes(module, attributes) for module, attributes in known.modules):
-            named = modules_in(root, name, without)
-            value, modules = make(named), [module for _, module in named]
-            if not all(stands_still(module) for module in modules if isinstance(module, Plugin)):
-                return value
-            known = Structure(value, [(module, attributes_of(module)) for module in modules])
-        self.structures[make, name] = known
+        inventory, known = self.inventory(root), self.parts.get(place) or self.last_parts.get(place)
+        if known is None or known.inventory is not inventory or not reach.isdisjoint(self.moved) or not all(
+                map(operator.is_, known.arguments, arguments)):
+            own = PackCache(None if known is None else known.cache, around=self)
+            value = make(own, *arguments)
+            fixed = frozenset(own.fixed - self.fixed)
+            known = Part(inventory, arguments, value, own.close(), fixed)
+        self.parts[place] = known
+        self.fixed |= known.fixed
         return known.value
 
-    def frozen(self, place: Hashable, tensor: Tensor) -> Tensor:
-        """A detached copy of a tensor; the same object as last time if not a bit has changed.
-
-        Args:
-            place: tells which tensor of the last rendering to compare with.
-            tensor: any.
-        """
-        if id(tensor) in self.fixed:
-            return tensor
-        if id(tensor) not in self.seen:
-            copy = self.last_copies.get(place)
-            if not self.known_unchanged(place, tensor) and (copy is None or not same_bits(copy, tensor)):
-                with torch.inference_mode(False), torch.no_grad():
-                    copy = primal(tensor).clone(memory_format=torch.contiguous_format)
-            self.seen[id(tensor)] = tensor, copy
-            self.copies[place] = copy
-            self.fixed.add(id(copy))
-        return self.seen[id(tensor)][1]
-
-    def known_unchanged(self, place: Hashable, tensor: Tensor) -> bool:
-        """True if all tensors of the last rendering have been compared together, and this one has not changed.
-
-        To ask a device for one answer takes as long as to ask it for many; on the CPU each is compared when its turn comes.
-        """
-        if tensor.is_cpu:
-            return False
-        self.places[place] = weakref.ref(tensor)
-        if self.unchanged is None:
-            self.unchanged = unchanged(self.last_places, self.last_copies)
-        return (place, id(tensor)) in self.unchanged
+    def made(self, place: Hashable) -> Any:
+        """A part as this rendering has it."""
+        return self.parts[place].value
 
     def twin(self, place: Hashable, thing):
         """A copy of a module, or of another object, as it is now; the same one as last time if nothing in it has changed.
@@ -195,7 +166,7 @@ class PackCache:
             thing: its functions must depend on nothing but its attributes.
         """
         if not isinstance(thing, nn.Module):
-            return self(assembled, type(thing), self.parts(place, vars(thing).items()), (), (), ())
+            return self(assembled, type(thing), self.attributes_in_twin(place, vars(thing).items()), (), (), ())
         last = self.last_twins.get(place)
         if last is not None and self.still_holds(last, thing):
             self.twins[place] = last
@@ -204,7 +175,7 @@ class PackCache:
         others = [(name, value) for name, value in vars(thing).items() if name not in OF_EVERY_MODULE and name != "shared"]
         parameters = [(name, getattr(thing, name)) for name in (*thing._parameters, *replaced(thing))]
         own = others, parameters, list(thing._buffers.items()), children_of(thing)
-        parts = tuple(self.parts(place, part) for part in own)
+        parts = tuple(self.attributes_in_twin(place, part) for part in own)
         made = self.result(assembled, (parametrize.type_before_parametrizations(thing), *parts))
         if made is None:
             return assembled(parametrize.type_before_parametrizations(thing), *parts)
@@ -223,11 +194,11 @@ class PackCache:
                         for place, tensor, copy in twin.tensors)
                 and all(self.twin(place, child) is copy for place, child, copy in twin.children))
 
-    def parts(self, place: Hashable, named: Iterable[tuple[str, Any]]) -> tuple[tuple[str, Any], ...]:
+    def attributes_in_twin(self, place: Hashable, named: Iterable[tuple[str, Any]]) -> tuple[tuple[str, Any], ...]:
         """What the attributes of a twin are, from those of the original."""
-        return tuple((name, self.part((place, name), value)) for name, value in named)
+        return tuple((name, self.in_twin((place, name), value)) for name, value in named)
 
-    def part(self, place: Hashable, value):
+    def in_twin(self, place: Hashable, value):
         """What stands in a twin for an attribute."""
         if type(value) in OFTEN:
             return value
@@ -237,7 +208,7 @@ class PackCache:
             return self.twin(place, value)
         if isinstance(value, tuple) and len(value) == 2 and isinstance(value[0], nn.Module) and isinstance(value[1], str):
             owner, name = value  # stands for this attribute of the owner, and nothing else of it
-            return self(holder, name, self.part((place, name), getattr(owner, name))), name
+            return self(holder, name, self.in_twin((place, name), getattr(owner, name))), name
         return value
 
     def tokens(self, values: Iterable | None) -> tuple | None:
@@ -282,13 +253,3 @@ class PackCache:
                 self.fix(part)
         if not isinstance(result, (*PLAIN, float)):
             self.fixed.add(id(result))
-
-
-def unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
-    """The places, with the ids of tensors that are still there with the bits of their copies; all are compared at once."""
-    there = [(place, tensor, copies[place]) for place, found in places.items() if (tensor := found()) is not None]
-    there = [each for each in there if comparable(*each[1:])]
-    if not there:
-        return set()
-    same = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
-    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, same) if equal}

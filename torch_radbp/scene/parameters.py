@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
 from torch_radbp.plugin.domain import LARGEST_COORDINATE, LEEWAY, Domain
+from torch_radbp.scene.inventory import reach_of, tensors_of
 from torch_radbp.scene.module_attributes import modules_in
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.scene import Scene
@@ -35,6 +36,7 @@ class Held(NamedTuple):
     owner: nn.Module
     attribute: str | None  # None: the values of a texture
     domains: list[Domain]
+    reach: frozenset[int]  # what the value depends on, as `Inventory.reach`
 
     @property
     def value(self) -> Tensor:
@@ -48,15 +50,15 @@ def held_values(scene: Scene) -> dict[str, Held]:
     The result of a parametrisation has the name of the parameter that it replaces. The values of a texture must be in the
     domains of all attributes for which it is used; a texture that computes them is evaluated.
     """
-    views = scene.named_sensors
-    found = held_in(modules_in(scene, without=set(views.values())))
-    for name, view in views.items():
-        found |= held_in(modules_in(view, name))
+    found = held_in(scene)
+    for name, view in scene.named_sensors.items():
+        found |= held_in(view, name)
     return found
 
 
-def held_in(named: list[tuple[str, nn.Module]]) -> dict[str, Held]:
-    """The part of `held_values` that some modules have, from `modules_in`."""
+def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
+    """The part of `held_values` that a sensor of this name has, or a scene without its sensors."""
+    named = modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ())
     plugins = [(name, module) for name, module in named if isinstance(module, Plugin)]
     names = {id(plugin): name for name, plugin in plugins}
     note_uses(plugins)
@@ -65,7 +67,7 @@ def held_in(named: list[tuple[str, nn.Module]]) -> dict[str, Held]:
         for attribute, domain in plugin.domains().items():
             value = getattr(plugin, attribute, None)
             if isinstance(value, Tensor):
-                found[f"{prefix}.{attribute}"] = Held(plugin, attribute, [domain])
+                found[f"{prefix}.{attribute}"] = Held(plugin, attribute, [domain], reach_of_attribute(plugin, value))
     for _, plugin in plugins:
         for attribute, domain in plugin.domains().items():
             texture = getattr(plugin, attribute, None)
@@ -76,8 +78,15 @@ def held_in(named: list[tuple[str, nn.Module]]) -> dict[str, Held]:
         for attribute, value in module._parameters.items():
             if value is not None and id(value) not in known and value.numel():
                 known.add(id(value))
-                found[f"{prefix}.{attribute}".removeprefix(".")] = Held(module, attribute, [Domain()])
+                name = f"{prefix}.{attribute}".removeprefix(".")
+                found[name] = Held(module, attribute, [Domain()], frozenset({id(value)}))
     return found
+
+
+def reach_of_attribute(plugin: Plugin, value: Tensor) -> frozenset[int]:
+    """What an attribute of a plugin with this value depends on: nothing else if it is no computed one."""
+    held = any(value is tensor for _, tensor in tensors_of(plugin))
+    return frozenset({id(value)}) if held else reach_of([plugin])
 
 
 def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
@@ -95,7 +104,7 @@ def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture,
         return
     prefix = names[id(texture)]
     if texture.entries is None:
-        found.setdefault(prefix, Held(texture, None, [])).domains.append(domain)
+        found.setdefault(prefix, Held(texture, None, [], reach_of([texture]))).domains.append(domain)
         return
     own = f"{prefix}.{texture.entries}"
     if own not in found:
@@ -115,7 +124,9 @@ def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
             if isinstance(texture, Texture) and not texture.tabulated:
                 uses.setdefault(id(texture), (texture, []))[1].append(domain)
     for texture, domains in uses.values():
-        texture.use = Use(names[id(texture)], tuple(dict.fromkeys(domains)))
+        use = Use(names[id(texture)], tuple(dict.fromkeys(domains)))
+        if texture.use != use:  # the same object tells that nothing has changed
+            texture.use = use
 
 
 def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str]) -> None:
@@ -131,11 +142,11 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str]) -> N
         TypeError: if dtypes or devices are mixed, or the dtype is not supported.
     """
     with torch.no_grad():
-        views = scene.named_sensors
-        found = {}
-        for name in dict.fromkeys(seen):
-            found |= cache.structure(held_in, views[name], name)
-        found |= cache.structure(held_in, scene, without=set(views.values()))
+        views, found = scene.named_sensors, {}
+        for root, name in [*((views[name], name) for name in dict.fromkeys(seen)), (scene, "")]:
+            held = cache.structure(held_in, root, name)
+            known = cache.is_as_it_was(root)
+            found |= {name: each for name, each in held.items() if not (known and each.reach.isdisjoint(cache.moved))}
         values = {name: held.value for name, held in found.items()}
         check_types(scene, found, values)
         for name, held in found.items():
@@ -160,20 +171,50 @@ def check_values(name: str, value: Tensor, domains: tuple[Domain, ...]) -> None:
             domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", value)
 
 
-def check_names(root: nn.Module) -> None:
+def check_names(renderer: nn.Module, cache: PackCache) -> None:
     """Raises AttributeError naming a tensor that was handed over under a name that nothing reads.
 
     `torch.func.functional_call` takes any name: a misspelt one would change nothing.
 
     Args:
-        root: a renderer, or a scene.
+        renderer: has a scene.
+        cache: what is known from the last rendering.
     """
-    for prefix, module in modules_in(root):
-        attributes = vars(module)
-        if any(map(is_tensor, set(map(type, attributes.values())))) and type(module) in {Scene, type(root), *registered()}:
-            stray = next(name for name, value in attributes.items() if isinstance(value, Tensor))
-            name = f"{prefix}.{stray}".removeprefix(".")
-            raise AttributeError(f"there is no parameter {name!r}; {nearest(name, dict(root.named_parameters()))}")
+    scene = renderer.scene
+    own = modules_in(renderer, without={scene})
+    strays = [name for prefix, module in own for name in strays_of(prefix, module, renderer)]
+    strays += cache.structure(strays_in, scene)
+    strays += [name for prefix, view in scene.named_sensors.items() for name in strays_in(view, prefix)]
+    if strays:
+        raise AttributeError(f"there is no parameter {strays[0]!r}; "
+                             f"{nearest(strays[0], dict(renderer.named_parameters()))}")
+
+
+def strays_in(root: nn.Module, prefix: str = "") -> list[str]:
+    """The names in a renderer of tensors that nothing reads, of a sensor of this name or of a scene without its sensors."""
+    without = set(root.named_sensors.values()) if isinstance(root, Scene) else ()
+    named = modules_in(root, f"scene.{prefix}".removesuffix("."), without)
+    return [name for prefix, module in named for name in strays_of(prefix, module)]
+
+
+def strays_of(prefix: str, module: nn.Module, renderer: nn.Module | None = None) -> list[str]:
+    """The same of one module; of others than plugins, scenes and this renderer nothing is known."""
+    attributes = vars(module)
+    if not any(map(is_tensor, set(map(type, attributes.values())))):
+        return []
+    if type(module) not in {Scene, *registered()} and module is not renderer:
+        return []
+    return [f"{prefix}.{name}".removeprefix(".") for name, value in attributes.items() if isinstance(value, Tensor)]
+
+
+def differentiable_in(root: nn.Module, prefix: str = "") -> list[tuple[str, Tensor]]:
+    """The parameters, each once, of a sensor of this name or of a scene without its sensors, that require a gradient."""
+    found: dict[int, tuple[str, Tensor]] = {}
+    for name, module in modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ()):
+        for attribute, value in module._parameters.items():
+            if value is not None and value.requires_grad:
+                found.setdefault(id(value), (f"{name}.{attribute}".removeprefix("."), value))
+    return list(found.values())
 
 
 @cache

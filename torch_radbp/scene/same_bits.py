@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import torch
@@ -25,6 +25,13 @@ def same_bits(a: Tensor, b: Tensor) -> bool:
         return torch.equal(bits_of(a), bits_of(b))
     a, b = (each if each.is_contiguous() else primal(each).contiguous() for each in (a, b))
     return same_memory(a.data_ptr(), b.data_ptr(), a.nbytes)
+
+
+def same_bits_each(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list[bool]:
+    """`same_bits` of each tensor and its copy, all on the CPU, which are known to have the same shapes and dtypes."""
+    differ = memory_difference()
+    return [not differ(a.data_ptr(), b.data_ptr(), a.nbytes) if a.is_contiguous() and a.nbytes <= PART else same_bits(a, b)
+            for a, b in zip(tensors, copies)]
 
 
 def comparable(a: Tensor, b: Tensor) -> bool:

@@ -38,7 +38,7 @@ class Batch(Sensor):
                              f"{self.film.crop_height} of {width} x {height}; render its sensors one by one")
         if width % count:
             raise ValueError(f"the width of the film of a batch must be a multiple of its {count} sensors, got {width}")
-        self.names: list[str] = []
+        self.names: tuple[str, ...] = ()
         for number, sensor in enumerate(sensors):
             name = (sensor.id or f"sensor{number}").replace(".", "_")
             if hasattr(self, name):
@@ -47,7 +47,7 @@ class Batch(Sensor):
             sensor.film = HDRFilm(width=width // count, height=height, sample_border=self.film.sample_border,
                                   pixel_format=self.film.pixel_format, rfilter=self.film.rfilter)
             self.add_module(name, sensor)
-            self.names.append(name)
+            self.names = (*self.names, name)
 
     @property
     def sensors(self) -> list[Sensor]:

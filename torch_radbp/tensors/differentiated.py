@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import operator
+
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.record import NESTED, leaves_of, with_parts
 from torch_radbp.tensors.torch_internals import inside_dual_level
 
 
@@ -19,7 +21,9 @@ def tangent_of(tensor: Tensor) -> Tensor | None:
 
 def primal(tensor: Tensor) -> Tensor:
     """The tensor without its gradient and its forward-mode tangent."""
-    return forward_ad.unpack_dual(tensor).primal.detach() if tensor.is_floating_point() else tensor
+    if not tensor.is_floating_point():
+        return tensor
+    return forward_ad.unpack_dual(tensor).primal.detach() if inside_dual_level() else tensor.detach()
 
 
 def differentiated(tensor: Tensor) -> bool:
@@ -38,11 +42,16 @@ def any_differentiated(record) -> bool:
 
 
 def detached(tensors):
-    """A record of tensors without derivatives; the record itself if it has none."""
-    leaves = leaves_of(tensors)
-    if not any([isinstance(leaf, Tensor) and differentiated(leaf) for leaf in leaves]):
+    """A record of tensors without derivatives; what has none in it is the same object."""
+    if isinstance(tensors, Tensor):
+        return tensors.detach() if differentiated(tensors) else tensors
+    if not isinstance(tensors, NESTED):
         return tensors
-    return with_leaves(tensors, [leaf.detach() if isinstance(leaf, Tensor) else leaf for leaf in leaves])
+    parts = list(tensors.values()) if isinstance(tensors, dict) else tensors
+    found = [detached(part) for part in parts]
+    if all(map(operator.is_, found, parts)):
+        return tensors
+    return with_parts(tensors, found)
 
 
 def with_derivative_of(value: Tensor, attached: Tensor) -> Tensor:

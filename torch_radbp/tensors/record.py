@@ -6,7 +6,7 @@ long: it looks each type up in a registry, and a small rendering spent a fifth o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
@@ -33,14 +33,22 @@ def collect(record: tuple | list | dict, leaves: list) -> None:
 
 def with_leaves(record: Any, leaves: Iterable) -> Any:
     """A record of the same structure with other leaves, given in order."""
-    return rebuilt((record,), iter(leaves))[0]
+    left = iter(leaves)
+    return mapped(record, lambda leaf: next(left))
 
 
-def rebuilt(record: tuple | list | dict, leaves: Iterator) -> tuple | list | dict:
-    """As `with_leaves`, of a part of the record that has parts itself."""
+def mapped(record: Any, function: Callable[[Any], Any]) -> Any:
+    """A record of the same structure whose leaves are what a function makes of those of another one, in order."""
+    if not isinstance(record, NESTED):
+        return function(record)
+    parts = record.values() if isinstance(record, dict) else record
+    return with_parts(record, [mapped(part, function) if isinstance(part, NESTED) else function(part) for part in parts])
+
+
+def with_parts(record: tuple | list | dict, parts: list) -> tuple | list | dict:
+    """A tuple, list or dict like another one, with other parts."""
     if isinstance(record, dict):
-        return dict(zip(record, rebuilt(tuple(record.values()), leaves)))
-    parts = [rebuilt(part, leaves) if isinstance(part, NESTED) else next(leaves) for part in record]
+        return dict(zip(record, parts))
     return parts if isinstance(record, list) else tuple.__new__(type(record), parts)
 
 

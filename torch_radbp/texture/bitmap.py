@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -122,20 +123,32 @@ def pyramid_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.
 def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
     """Images laid end to end, attached; a texture that is no image has one texel."""
     images = [texture.texels().to(dtype=dtype, device=device) for texture in textures]
-    sizes = [tuple(image.shape[:2]) for image in images]
-    offsets = [0, *itertools.accumulate(height * width for height, width in sizes)][:-1]
     to_u, to_v = uv_rows([getattr(texture, "to_uv", None) for texture in textures], dtype, device)
-
-    def integers(values: Sequence[int]) -> Tensor:
-        return torch.as_tensor(values, dtype=torch.int32, device=device)
-
+    offset, width, height, wrap, nearest = columns_of_images(
+        tuple(tuple(image.shape[:2]) for image in images),
+        tuple(getattr(texture, "wrap_mode", "repeat") for texture in textures),
+        tuple(getattr(texture, "filter_type", "nearest") == "nearest" for texture in textures), device)
     rows = [image.reshape(-1, 3) for image in images]
-    return TextureBank(
-        texels=Vec3(*columns_of_rows(rows[0] if len(rows) == 1 else torch.cat(rows))), offset=integers(offsets),
-        width=integers([width for _, width in sizes]), height=integers([height for height, _ in sizes]),
-        wrap=integers([WRAP_MODES.index(getattr(texture, "wrap_mode", "repeat")) for texture in textures]),
-        nearest=torch.tensor([getattr(texture, "filter_type", "nearest") == "nearest" for texture in textures],
-                             device=device), to_u=to_u, to_v=to_v)
+    return TextureBank(Vec3(*columns_of_rows(rows[0] if len(rows) == 1 else torch.cat(rows))), offset, width, height, wrap,
+                       nearest, to_u, to_v)
+
+
+@functools.lru_cache(maxsize=64)
+def columns_of_images(sizes: tuple[tuple[int, int], ...], wrap_modes: tuple[str, ...], nearest: tuple[bool, ...],
+                      device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """What `TextureBank` has of images beside their texels and coordinates: `offset` to `nearest`.
+
+    Args:
+        sizes: height and width of each.
+        wrap_modes, nearest: of each.
+        device: of the result.
+    """
+    offsets = [0, *itertools.accumulate(height * width for height, width in sizes)][:-1]
+    with torch.inference_mode(False):  # they are kept, for renderings that are differentiated
+        integers = (torch.tensor(values, dtype=torch.int32, device=device) for values in (
+            offsets, [width for _, width in sizes], [height for height, _ in sizes],
+            [WRAP_MODES.index(mode) for mode in wrap_modes]))
+        return *integers, torch.tensor(nearest, device=device)
 
 
 def reader_of(texture: Texture) -> Reader:

@@ -55,6 +55,11 @@ class Reader(ABC):
         return self
 
 
+def bank_of(reader: Reader, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> Any:
+    """The bank of the textures of one reader, attached."""
+    return reader.bank(textures, dtype, device)
+
+
 @dataclass(frozen=True)
 class TableReader(Reader):
     """Reads tables, as a part of the functions of a bounce."""

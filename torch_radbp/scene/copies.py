@@ -1,0 +1,132 @@
+"""Copies of the tensors of one rendering, by which the next one finds out what has changed, and what its modules hold."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torch_radbp.scene.inventory import Inventory
+from torch_radbp.scene.same_bits import bits_of, comparable, same_bits, same_bits_each
+from torch_radbp.tensors.differentiated import primal
+
+
+class Copies:
+    """Copies of tensors, detached, and inventories of modules: those of the last rendering where they hold, else new ones.
+
+    Args:
+        last: of the last rendering.
+        around: of this rendering, if this one is for a part of it, which shares inventories with it.
+    """
+
+    def __init__(self, last: Copies | None = None, around: Copies | None = None):
+        self.last_copies: dict[Hashable, Tensor] = {} if last is None else last.copies
+        self.copies: dict[Hashable, Tensor] = {}
+        # Tensors of this rendering and their copies.
+        self.seen: dict[int, tuple[Tensor, Tensor]] = {} if around is None else around.seen
+        self.fixed: set[int] = set() if around is None else set(around.fixed)  # ids of objects that will not change
+        self.places: dict[Hashable, weakref.ref[Tensor]] = {}  # of tensors that are not on the CPU
+        self.last_places = {} if last is None else last.places
+        self.unchanged: set[tuple[Hashable, int]] | None = None  # of `last_places`, found when first asked for
+        self.last_inventories: dict[int, Inventory] = {} if last is None or around is not None else last.inventories
+        self.inventories: dict[int, Inventory] = {} if around is None else around.inventories  # by the ids of their roots
+        self.moved: set[int] = set() if around is None else around.moved  # as of `Inventory.reach`, what is not as it was
+
+    def close(self) -> Copies:
+        """Lets go of what only the last rendering needed."""
+        self.last_copies, self.last_places, self.last_inventories, self.unchanged = {}, {}, {}, None
+        self.seen, self.fixed, self.moved = {}, set(), set()
+        self.inventories = {root: inventory for root, inventory in self.inventories.items() if inventory.lasts}
+        return self
+
+    def inventory(self, root: nn.Module) -> Inventory:
+        """What a module holds in this rendering: the inventory of the last one if that holds."""
+        found = self.inventories.get(id(root))
+        if found is None:
+            last = self.last_inventories.get(id(root))
+            found = last if last is not None and last.holds(root) else Inventory(root)
+            self.inventories[id(root)] = found
+            self.moved |= found.live | found.restless
+            self.freeze(found)
+        return found
+
+    def freeze(self, inventory: Inventory) -> None:
+        """Copies the tensors of an inventory that are not differentiated; those that have not changed are compared only."""
+        left = [(place, tensor) for place, tensor in inventory.settled if id(tensor) not in self.seen]
+        if self.is_as_it_was(inventory.root) and all(tensor.is_cpu and place in self.last_copies for place, tensor in left):
+            copies = [self.last_copies[place] for place, _ in left]
+            equal = same_bits_each([tensor for _, tensor in left], copies)
+            for (place, tensor), copy, same in zip(left, copies, equal):
+                if same:
+                    self.copies[place], self.seen[id(tensor)] = copy, (tensor, copy)
+                    self.fixed.add(id(copy))
+            left = [each for each, same in zip(left, equal) if not same]
+        for place, tensor in left:
+            if self.frozen(place, tensor) is not self.last_copies.get(place):
+                self.moved.add(id(tensor))
+
+    def is_as_it_was(self, root: nn.Module) -> bool:
+        """True if a module holds what it held in the last rendering, but for the numbers in tensors."""
+        return self.last_inventories.get(id(root)) is self.inventory(root)
+
+    def structure(self, make: Callable, root: nn.Module, *arguments: Hashable):
+        """`make(root, *arguments)`, or what that gave before if the module holds the very objects that it held then.
+
+        Args:
+            make: a function whose result depends on neither the numbers in tensors nor anything else that changes.
+            root: any module.
+            arguments: any others.
+        """
+        known, key = self.inventory(root).results, (make, *arguments)
+        if key not in known:
+            known[key] = make(root, *arguments)
+        return known[key]
+
+    def facts(self, root: nn.Module) -> dict[Hashable, Any]:
+        """A place for what follows from the attributes that a module has in this rendering; lasts until one changes."""
+        found = self.inventories.get(id(root))
+        return {} if found is None else found.results
+
+    def frozen(self, place: Hashable, tensor: Tensor) -> Tensor:
+        """A detached copy of a tensor; the same object as last time if not a bit has changed.
+
+        Args:
+            place: tells which tensor of the last rendering to compare with.
+            tensor: any.
+        """
+        if id(tensor) in self.fixed:
+            return tensor
+        if id(tensor) not in self.seen:
+            copy = self.last_copies.get(place)
+            if not self.known_unchanged(place, tensor) and (copy is None or not same_bits(copy, tensor)):
+                with torch.inference_mode(False), torch.no_grad():
+                    copy = primal(tensor).clone(memory_format=torch.contiguous_format)
+            self.seen[id(tensor)] = tensor, copy
+            self.copies[place] = copy
+            self.fixed.add(id(copy))
+        return self.seen[id(tensor)][1]
+
+    def known_unchanged(self, place: Hashable, tensor: Tensor) -> bool:
+        """True if all tensors of the last rendering have been compared together, and this one has not changed.
+
+        To ask a device for one answer takes as long as to ask it for many; on the CPU each is compared when its turn comes.
+        """
+        if tensor.is_cpu:
+            return False
+        self.places[place] = weakref.ref(tensor)
+        if self.unchanged is None:
+            self.unchanged = unchanged(self.last_places, self.last_copies)
+        return (place, id(tensor)) in self.unchanged
+
+
+def unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
+    """The places, with the ids of tensors that are still there with the bits of their copies; all are compared at once."""
+    there = [(place, tensor, copies[place]) for place, found in places.items() if (tensor := found()) is not None]
+    there = [each for each in there if comparable(*each[1:])]
+    if not there:
+        return set()
+    same = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
+    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, same) if equal}

@@ -1,0 +1,100 @@
+"""The materials of a scene as tables: which functions evaluate each, and which textures these read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.kind import Kind
+from torch_radbp.bsdf.twosided import TwoSided
+from torch_radbp.plugin import BSDF, Texture
+from torch_radbp.scene.appearance import Appearance
+from torch_radbp.scene.attributes import textures_of
+from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.tensors import MaterialTable
+from torch_radbp.tensors.differentiated import differentiated
+from torch_radbp.texture.bitmap import reader_of
+from torch_radbp.texture.reader import Reader
+
+
+class Textures(NamedTuple):
+    """The textures of materials that one reader reads."""
+
+    reader: Reader
+    textures: tuple[Texture, ...]  # in the order of its bank
+    reach: frozenset[int]  # what their values depend on, as `Inventory.reach`
+    settled: frozenset[int]  # the same without what is differentiated
+
+
+class Materials(NamedTuple):
+    """The materials of a scene as tables."""
+
+    table: MaterialTable
+    appearances: tuple[Appearance, ...]
+    textures: tuple[Textures, ...]
+    bending: bool  # parameters with derivatives steer directions that hybrid sampling follows
+    bends_ideally: bool  # by ideal mirrors and glass
+    ideal_by_attributes: bool  # attributes of meshes steer such directions
+    back_sides: bool  # whether a material looks the same from behind as from the front, seen from there
+    described: tuple[tuple[BSDF, Kind], ...]  # the materials, one for each side, and how they scatter
+
+    @property
+    def readers(self) -> tuple[Reader, ...]:
+        return tuple(own.reader for own in self.textures)
+
+
+def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dtype: torch.dtype,
+                    device: torch.device) -> Materials:
+    """The rows of the materials of a scene, their appearances, and which textures they have."""
+    two_sided = tuple(isinstance(bsdf, TwoSided) for bsdf in bsdfs)
+    sides = one_sided(bsdfs)
+    described = {id(bsdf): (bsdf.kind(), bsdf.textures()) for bsdf in sides}
+    kinds, textures = zip(*(described[id(bsdf)] for bsdf in sides)) if sides else ((), ())
+    looks = [Appearance(kind, tuple(map(reader_of, own))) for kind, own in zip(kinds, textures)]
+    appearances = tuple(dict.fromkeys(looks))
+    readers = tuple(dict.fromkeys(reader for look in appearances for reader in look.readers))
+    of_reader: dict[Reader, dict[int, Texture]] = {reader: {} for reader in readers}
+    for look, own in zip(looks, textures):
+        for reader, texture in zip(look.readers, own):
+            of_reader[reader].setdefault(id(texture), texture)
+    row = {reader: {key: number for number, key in enumerate(found)} for reader, found in of_reader.items()}
+    slots = [[row[reader][id(texture)] for reader, texture in zip(look.readers, own)] for look, own in zip(looks, textures)]
+    columns = [[appearances.index(look) for look in looks],
+               *([own[k] if k < len(own) else 0 for own in slots] for k in range(max(map(len, slots), default=0)))]
+    differs = tuple(front != back for front, back in zip(looks, looks[len(bsdfs):]))
+    appearance, *values = (cache(column, tuple(each), torch.int32, device) for each in columns)
+    table = MaterialTable(appearance, tuple(values), cache(column, (False,) * len(bsdfs) + two_sided, torch.bool, device),
+                          cache(column, differs, torch.bool, device) if any(differs) else None,
+                          cache(column, len(bsdfs), torch.int32, device))
+    inventory = cache.inventory(scene)
+    own = {reader: tuple(found.values()) for reader, found in of_reader.items()}
+    read = tuple(Textures(reader, textures, inventory.reach(textures), inventory.reach(textures) & inventory.settled_reach)
+                 for reader, textures in own.items())
+    bending, ideally = (any(differentiated(source) for kind, own in zip(kinds, textures) if kind.delta or not ideal
+                            for slot in kind.bending for source in own[slot].sources()) for ideal in (False, True))
+    by_attributes = any(look.readers[slot].attributes for look in appearances if look.kind.delta
+                        for slot in look.kind.bending)
+    return Materials(table, appearances, read, bending, ideally, by_attributes, any(two_sided),
+                     tuple((bsdf, described[id(bsdf)][0]) for bsdf in {id(bsdf): bsdf for bsdf in sides}.values()))
+
+
+def column(values: tuple[int | bool, ...] | int, kind: torch.dtype, device: torch.device) -> Tensor:
+    """A column of a table, or a number."""
+    return torch.tensor(values, dtype=kind, device=device)
+
+
+def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:
+    """All materials as seen from the side of the normal, then all from behind."""
+    sides = [bsdf.sides() if isinstance(bsdf, TwoSided) else (bsdf, bsdf) for bsdf in bsdfs]
+    return [front for front, _ in sides] + [back for _, back in sides]
+
+
+def is_plain(bsdf: BSDF) -> bool:
+    """True if a material scatters light smoothly, and equally in all of its places or by textures that do not jump."""
+    kinds = [side.kind() for side in one_sided([bsdf])]
+    return all(kind.smooth and not (kind.delta or kind.follows or kind.straight or kind.turns_normals)
+               for kind in kinds) and not any(texture.jumps() for _, texture in textures_of(bsdf))

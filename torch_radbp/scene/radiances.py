@@ -1,0 +1,95 @@
+"""The textures of the emitters of a scene: which of them are tables in one bank, and which are read outside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+
+from torch_radbp.emitter.kind import Light
+from torch_radbp.plugin import Texture
+from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.texture.bitmap import BitmapReader, reader_of
+from torch_radbp.texture.colour import ColourReader
+from torch_radbp.texture.mixed import MixedReader, reader_for
+from torch_radbp.texture.reader import OutsideReader, TableReader, bank_of
+from torch_radbp.texture.rgb import RGB
+
+
+class BankBuilder:
+    """Collects textures; each is stored once however often it is used."""
+
+    def __init__(self) -> None:
+        self.textures: list[Texture] = []
+        self.index: dict[int, int] = {}
+
+    def add(self, texture: Texture) -> int:
+        """The index of `texture` in the bank."""
+        if id(texture) not in self.index:
+            self.index[id(texture)] = len(self.textures)
+            self.textures.append(texture)
+        return self.index[id(texture)]
+
+    @property
+    def reader(self) -> TableReader:
+        """How lanes read all of them: colours among images are images of one texel."""
+        reader = reader_for(self.textures or [RGB(value=0.0)])
+        kinds = reader.readers if isinstance(reader, MixedReader) else (reader,)
+        return BitmapReader() if all(isinstance(kind, (BitmapReader, ColourReader)) for kind in kinds) else reader
+
+    @property
+    def has_bitmaps(self) -> bool:
+        return any(reader_of(texture).needs_uv for texture in self.textures)
+
+
+class Radiances(NamedTuple):
+    """Where the textures of emitters are."""
+
+    reader: TableReader  # of the bank
+    has_bitmaps: bool  # some textures of the bank have coordinates
+    banked: tuple[Light, ...]  # for each texture of the bank an emitter that has it
+    row: dict[int, int]  # in the bank, by the ids of emitters; 0 of those that have none there
+    lit: tuple[OutsideReader, ...]  # see `Layout`
+    lit_banked: tuple[tuple[Light, ...], ...]  # as `banked`, for the bank of each
+    lit_rows: dict[int, tuple[int, ...]]  # by the ids of all emitters `Emission.outside`
+
+    def lit_banks(self, dtype: torch.dtype, device: torch.device) -> tuple[Any, ...]:
+        """The banks of the textures that are read outside, which are taken as they are."""
+        return tuple(reader.bank([emitter.radiated() for emitter in own], dtype, device)
+                     for reader, own in zip(self.lit, self.lit_banked))
+
+
+def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
+    """Where the textures of some emitters are. They have no tensors of tables, so that `cache` has nothing to keep."""
+    radiated = [(emitter, texture) for emitter in emitters if (texture := emitter.radiated()) is not None]
+    outside = [(emitter, texture) for emitter, texture in radiated if reader_of(texture).outside]
+    inside = [(emitter, texture) for emitter, texture in radiated if not reader_of(texture).outside]
+    builder = BankBuilder()
+    row = {id(emitter): 0 for emitter in emitters} | {id(emitter): builder.add(texture) for emitter, texture in inside}
+    readers = tuple(dict.fromkeys(reader_of(texture) for _, texture in outside))
+    own = [[(emitter, texture) for emitter, texture in outside if reader_of(texture) == reader] for reader in readers]
+    rows = [numbered(each) for each in own]
+    return Radiances(builder.reader, builder.has_bitmaps, firsts(inside), row, readers, tuple(map(firsts, own)),
+                     {id(emitter): tuple(found.get(id(emitter), -1) for found in rows) for emitter in emitters})
+
+
+def numbered(pairs: Sequence[tuple[Light, Texture]]) -> dict[int, int]:
+    """The numbers of distinct textures by the ids of the emitters that have them."""
+    builder = BankBuilder()
+    return {id(emitter): builder.add(texture) for emitter, texture in pairs}
+
+
+def firsts(pairs: Sequence[tuple[Light, Texture]]) -> tuple[Light, ...]:
+    """For each distinct texture the first emitter that has it."""
+    found: dict[int, Light] = {}
+    for emitter, texture in pairs:
+        found.setdefault(id(texture), emitter)
+    return tuple(found.values())
+
+
+def bank_of_radiances(cache: PackCache, radiances: Radiances, dtype: torch.dtype, device: torch.device) -> Any:
+    """The bank of the textures of emitters, attached."""
+    textures = [emitter.radiated() for emitter in radiances.banked] or [RGB(value=0.0)]
+    twins = tuple(cache.twin(number, texture) for number, texture in enumerate(textures))
+    return cache(bank_of, radiances.reader, twins, dtype, device)
