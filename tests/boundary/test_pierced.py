@@ -58,7 +58,7 @@ def pairs_of(segments: Segments) -> list[tuple[int, int]]:
 def of_edges(geometry: Geometry, looked_at: Callable[[int], Probes], sizes: torch.Tensor) -> Segments:
     p, corners = geometry.triangles.vertices.p.stack(), torch.stack(geometry.triangles.corners, 1)
     edges = edges_of(p, corners)
-    return self_intersections(Brute(p, corners), geometry, BodyEdges(edges, None, None), looked_at(len(edges.a)),
+    return self_intersections(Brute(p, corners), geometry, BodyEdges(edges, None), looked_at(len(edges.a)),
                               sizes.cumsum(0))
 
 

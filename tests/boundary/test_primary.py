@@ -414,12 +414,11 @@ def test_the_memory_plan_counts_jumps():
     assert both > interior
 
 
-def test_jumps_are_the_same_bits_however_many_paths_are_traced_together(monkeypatch):
+def test_jumps_are_the_same_bits_however_many_paths_are_traced_together():
     found = []
     for chunk in (None, 1024):
         scene = solid()
         pose = scene.get_parameter("cube.to_world").requires_grad_()
-        monkeypatch.setattr(primary, "LEAST_BLOCK", primary.LEAST_BLOCK if chunk is None else chunk)
         renderer = unwarned_renderer(scene, spp=256, max_depth=2, chunk=chunk, terms=["primary"])
         image = renderer(seed=1)
         found.append(torch.autograd.grad((image * cotangent(image.detach())).sum(), pose)[0])

@@ -12,6 +12,7 @@ from torch_radbp.boundary.junctions import cut_at_vertices
 from torch_radbp.jit.order import chosen as chosen_lanes
 from torch_radbp.jit.order import partition
 from torch_radbp.shape.welding import cells_of, weld_size, welded
+from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.vec import rows
 
 HASH, SLOTS = 0x1E3779B97F4A7C15, 1 << 22  # the multiplier of a hash, and how many values it has
@@ -30,6 +31,18 @@ class Edges(NamedTuple):
     count: Tensor  # (E,) int32, how many triangles meet
     alike: Tensor  # (E,) bool: the first two of them run along it in the same direction, so that one is turned round
     seam: Tensor | None  # (E,) bool: these have not the same vertices there; None: nowhere
+
+
+def joined(parts: Sequence[Edges]) -> Edges:
+    """All of several edges."""
+    most = max(len(part.corner) for part in parts)
+    return parts[0] if len(parts) < 2 else joined_records([padded(part, most) for part in parts])
+
+
+def padded(edges: Edges, most: int) -> Edges:
+    """Edges with columns for so many triangles, or more."""
+    opposite, corner = (column + column[:1] * (most - len(column)) for column in (edges.opposite, edges.corner))
+    return edges._replace(opposite=opposite, corner=corner)
 
 
 def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:

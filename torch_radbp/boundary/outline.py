@@ -17,14 +17,15 @@ from torch import Tensor
 
 from torch_radbp.boundary.edge_order import slots_of
 from torch_radbp.boundary.edges import Edges, edges_of
+from torch_radbp.boundary.edges import joined as joined_edges
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import geometry_of, in_world
 from torch_radbp.boundary.moving import Moving, chosen_instances, faces_of
 from torch_radbp.boundary.passing import Passing
-from torch_radbp.boundary.pierced import BodyEdges
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.segments import joined as joined_segments
+from torch_radbp.boundary.single_bodies import MeshOfBodies
 from torch_radbp.boundary.texture_lines import lines_of_textures, texture_segments
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.caster_cache import same
@@ -100,7 +101,7 @@ class Outlines:
             faces = faces_of(scene, sizes, turns, generator)
             patterned = faces_of(scene, sizes, slides, generator) if any(lines) else None
             segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
-            segments += self.passing.segments(rendering, call, moves, body_edges(outline), generator)
+            segments += self.passing.segments(rendering, call, moves, self.of_bodies(scene, sizes, moves), seed)
             return Jumps(outline, faces, joined_segments([part for part in segments if part is not None]))
 
         found = {three: jumps(*three) for three in dict.fromkeys(wanted)}
@@ -137,10 +138,7 @@ class Outlines:
         """
         triangles = scene.triangles
         instances = triangles.casting_instances
-        firsts = list(accumulate(counts, initial=0))
-        own = firsts[-1] if instances is None else int(instances.first_triangle[0])
-        shapes = [number for number, moves in enumerate(moving.shapes) if moves and firsts[number] < own]
-        parts = [self.in_world(triangles, counts, tuple(shapes))]
+        parts = [self.in_world(triangles, counts, in_the_world(scene, counts, moving))]
         if instances is not None:
             parts += [self.in_group(triangles, counts, moving, instances, group, generator)
                       for group in range(len(instances.first_triangle) - 1)]
@@ -152,9 +150,19 @@ class Outlines:
         moving = moving_in(rendering)
         if not any(moving.shapes) and not any(moving.instances):
             return None
-        generator = torch.Generator("cpu").manual_seed(seed % (1 << 63))
-        outline = self.of(detached(call.scene), rendering.sizes, moving, generator)
-        return joined_segments(self.passing.segments(rendering, call, moving, body_edges(outline), generator))
+        meshes = self.of_bodies(detached(call.scene), rendering.sizes, moving)
+        return joined_segments(self.passing.segments(rendering, call, moving, meshes, seed))
+
+    def of_bodies(self, scene: SceneTensors, counts: Sequence[int], moving: Moving) -> list[MeshOfBodies]:
+        """The edges of all that moves, each once; args as for `of`."""
+        triangles, instances = scene.triangles, scene.triangles.casting_instances
+        parts = [(self.mesh(triangles, counts, in_the_world(scene, counts, moving)), -1)]
+        if instances is not None:
+            for group in range(len(instances.first_triangle) - 1):
+                members, everywhere, moves = of_group(instances, counts, moving, group)
+                if everywhere or moves:
+                    parts.append((self.mesh(triangles, counts, members), group))
+        return [MeshOfBodies(outline.edges, group) for outline, group in parts if outline is not None]
 
     def of_meshes(self, rendering: Rendering, call: RenderCall) -> list[Outline]:
         """The edges of all shapes of the world, and of each group, in the frames of their vertices."""
@@ -175,11 +183,8 @@ class Outlines:
     def in_group(self, triangles: TriangleTable, counts: Sequence[int], moving: Moving, instances: Instances, group: int,
                  generator: torch.Generator) -> Outline | None:
         """The edges of a group, as its instances show them."""
-        first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
-        members = tuple(number for number, start in enumerate(accumulate(counts[:-1], initial=0)) if first <= start < last)
-        everywhere = any(moving.shapes[member] for member in members)
-        shows = slice(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
-        outline = self.mesh(triangles, counts, members) if everywhere or any(moving.instances[shows]) else None
+        members, everywhere, moves = of_group(instances, counts, moving, group)
+        outline = self.mesh(triangles, counts, members) if everywhere or moves else None
         if outline is None:
             return None
         size = len(outline.crease)
@@ -221,14 +226,25 @@ class Outlines:
 KNOWN: WeakKeyDictionary[Scene, Outlines] = WeakKeyDictionary()
 
 
+def in_the_world(scene: SceneTensors, counts: Sequence[int], moving: Moving) -> tuple[int, ...]:
+    """The numbers of the shapes that move, but for those of groups; args as for `Outlines.of`."""
+    instances = scene.triangles.casting_instances
+    last = sum(counts) if instances is None else int(instances.first_triangle[0])
+    starts = accumulate(counts[:-1], initial=0)
+    return tuple(number for number, (moves, start) in enumerate(zip(moving.shapes, starts)) if moves and start < last)
+
+
+def of_group(instances: Instances, counts: Sequence[int], moving: Moving, group: int) -> tuple[tuple[int, ...], bool, bool]:
+    """The numbers of the shapes of a group, whether one of them moves, and whether one of its instances does."""
+    first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
+    members = tuple(number for number, start in enumerate(accumulate(counts[:-1], initial=0)) if first <= start < last)
+    shows = slice(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
+    return members, any(moving.shapes[member] for member in members), any(moving.instances[shows])
+
+
 def moving_in(rendering: Rendering) -> Moving:
     """What moves of itself, whatever cameras do."""
     return Moving(tuple(map(bool, rendering.movers)), rendering.moving_instances)
-
-
-def body_edges(outline: Outline | None) -> BodyEdges | None:
-    """An outline's edges and what shows them."""
-    return None if outline is None else BodyEdges(outline.edges, outline.instance, outline.share)
 
 
 def outlines_of(scene: Scene) -> Outlines:
@@ -245,19 +261,12 @@ def joined(parts: Sequence[Outline]) -> Outline | None:
     """All edges of several outlines."""
     if len(parts) < 2:
         return parts[0] if parts else None
-    most = max(len(part.edges.corner) for part in parts)
     shares = [part.share for part in parts]
     if any(share is not None for share in shares):
         shares = [torch.ones_like(part.crease, dtype=torch.float64) if part.share is None else part.share for part in parts]
-    return Outline(joined_records([padded(part.edges, most) for part in parts]),
+    return Outline(joined_edges([part.edges for part in parts]),
                    joined_records([part.instance for part in parts]), torch.cat([part.crease for part in parts]),
                    any(part.folds for part in parts), joined_records(shares))
-
-
-def padded(edges: Edges, most: int) -> Edges:
-    """Edges with columns for so many triangles, or more."""
-    opposite, corner = (column + column[:1] * (most - len(column)) for column in (edges.opposite, edges.corner))
-    return edges._replace(opposite=opposite, corner=corner)
 
 
 def creases(edges: Edges, triangles: TriangleTable, shape: Tensor | None) -> Tensor:

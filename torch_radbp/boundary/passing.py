@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,9 +11,9 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.intersections import Bodies, intersections
 from torch_radbp.boundary.moving import Moving, faces_of
-from torch_radbp.boundary.pierced import BodyEdges, edges_looked_at, probes, self_intersections, shape_of
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
+from torch_radbp.boundary.single_bodies import Looked, MeshOfBodies, bodies_once, self_crossings, shown_by_all
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.scene.tensors import SceneTensors
@@ -38,22 +38,36 @@ class Passing:
 
     def __init__(self) -> None:
         self.known: dict[Moving, Known] = {}
+        self.looked: dict[Moving, Looked] = {}  # at single bodies
 
-    def segments(self, rendering: Rendering, call: RenderCall, moving: Moving, edges: BodyEdges | None,
-                 generator: torch.Generator) -> list[Segments]:
+    def segments(self, rendering: Rendering, call: RenderCall, moving: Moving, meshes: Sequence[MeshOfBodies],
+                 seed: int) -> list[Segments]:
         """The segments of all that moves, each in parts that may be none.
 
         Args:
             rendering: the call's.
             call: of which something moves.
             moving: what does.
-            edges: of that; None: there are none.
-            generator: picks instances and edges where there are too many; on the CPU.
+            meshes: of that.
+            seed: of the choice of instances and edges where there are too many.
         """
-        scene = detached(call.scene)
+        scene, generator = detached(call.scene), torch.Generator("cpu").manual_seed(seed % (1 << 63))
         found = (self.of_pairs(rendering, call, scene, moving, generator),
-                 of_single(rendering, call, scene, moving, edges, generator))
+                 self.of_single(rendering, call, scene, moving, meshes, seed))
         return [own for own in found if own is not None]
+
+    def of_single(self, rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving,
+                  meshes: Sequence[MeshOfBodies], seed: int) -> Segments | None:
+        """Those of bodies that pass through themselves; args as for `segments`, and the scene of the call, detached."""
+        may = [crosses and own for crosses, own in zip(rendering.self_crossing, with_groups(rendering, moving))]
+        if not meshes or not any(may):
+            return None
+        known = self.looked.get(moving)
+        if known is None or not known.is_of(meshes, may):
+            known = Looked(tuple(meshes), may, bodies_once(scene, rendering.sizes, meshes, may), None)
+        known = known._replace(found=self_crossings(call, scene, rendering.sizes, known, seed))
+        remember(self.looked, moving, known)
+        return shown_by_all(known.found.segments, scene, rendering.sizes, moving, seed)
 
     def of_pairs(self, rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving,
                  generator: torch.Generator) -> Segments | None:
@@ -65,41 +79,22 @@ class Passing:
         if known is None or known.key != key:
             known = Known(key, bodies_of(scene, rendering.sizes, moving, generator), (), None)
         if known.bodies is None:
-            self.remember(moving, known)
+            remember(self.known, moving, known)
             return None
         place = *scene.triangles.vertices.p, *(() if instances is None else leaves_of((instances.linear, instances.origin)))
         if not known.place or not all(map(same, known.place, place)):
             known = known._replace(place=place, segments=intersections(call.stages, geometry_of(scene), known.bodies))
         if known.bodies.faces.share is None:  # otherwise some instances: others in the next call
-            self.remember(moving, known)
+            remember(self.known, moving, known)
         return known.segments
 
-    def remember(self, moving: Moving, known: Known) -> None:
-        """Keeps what is known of a selection of what moves, and forgets the oldest of many."""
-        self.known.pop(moving, None)
-        self.known[moving] = known
-        if len(self.known) > MOST_KNOWN:
-            self.known.pop(next(iter(self.known)))
 
-
-def of_single(rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving, edges: BodyEdges | None,
-              generator: torch.Generator) -> Segments | None:
-    """The segments of single bodies that pass through themselves; args as for `Passing.segments`, and the scene of the call,
-    detached."""
-    there = with_groups(rendering, moving)
-    may = [crosses and own for crosses, own in zip(rendering.self_crossing, there)]
-    if edges is None or not any(may):
-        return None
-    count, wanted = len(edges.edges.a), None
-    ends = torch.tensor(rendering.sizes, device=scene.device).cumsum(0)
-    if may != there:
-        own = shape_of(ends, torch.div(edges.edges.corner[0], 3, rounding_mode="floor"))
-        wanted = torch.tensor(may, device=scene.device)[own].nonzero().squeeze(1)
-        count = len(wanted)
-    looked_at = probes(count, edges_looked_at(call), generator)
-    if wanted is not None:
-        looked_at = looked_at._replace(edge=wanted[looked_at.edge.to(scene.device)])
-    return self_intersections(call.caster, geometry_of(scene), edges, looked_at, ends)
+def remember(known: dict[Moving, Any], moving: Moving, found: Any) -> None:
+    """Keeps what is known of a selection of what moves, and forgets the oldest of many."""
+    known.pop(moving, None)
+    known[moving] = found
+    if len(known) > MOST_KNOWN:
+        known.pop(next(iter(known)))
 
 
 def with_groups(rendering: Rendering, moving: Moving) -> list[bool]:

@@ -36,7 +36,6 @@ class BodyEdges(NamedTuple):
 
     edges: Edges
     instance: Tensor | None  # (E,) int32 that shows each, as hits count; None: the scene has none
-    share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
 
 
 class Probes(NamedTuple):
@@ -80,7 +79,7 @@ def self_intersections(caster: RayCaster, geometry: Geometry, bodies: BodyEdges,
     if not found:
         return None
     edge, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*found))
-    edges, instance, share = rows(bodies, chosen[edge])
+    edges, instance = rows(bodies, chosen[edge])
     ones = [torch.div(corner, 3, rounding_mode="floor") for corner in edges.corner]
     own = shape_of(ends, ones[0]) == shape_of(ends, other)
     if instance is not None:
@@ -89,33 +88,26 @@ def self_intersections(caster: RayCaster, geometry: Geometry, bodies: BodyEdges,
         own = own & (one != other)
     if not own.any():
         return None
-    each = 2.0 * looked_at.share * (torch.ones_like(a.x[:1]).expand(len(other)) if share is None else share)
-    parts = [rows((one, instance, each, other, shown_by), (own & (place < edges.count)).nonzero().squeeze(1))
+    parts = [rows((one, instance, other, shown_by), (own & (place < edges.count)).nonzero().squeeze(1))
              for place, one in enumerate(ones)]
-    one, instance, each, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*parts))
-    both = Faces(torch.cat([one, other]), None if instance is None else torch.cat([instance, shown_by]),
-                 torch.cat([each, each]))
+    one, instance, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*parts))
+    each = torch.full((2 * len(one),), 2.0 * looked_at.share, dtype=a.x.dtype, device=one.device)
+    both = Faces(torch.cat([one, other]), None if instance is None else torch.cat([instance, shown_by]), each)
     first = torch.arange(len(one), device=one.device)
     segments = segments_between(geometry, both, Pairs(first, first + len(one)))
     if looked_at.share == 1.0:
-        segments = once_each(segments, share is None)
+        segments = once_each(segments)
     return segments if len(segments.triangle) else None
 
 
-def once_each(segments: Segments, surely: bool) -> Segments:
-    """Segments of which one may be there several times, or once where an edge pierces another edge; each once.
-
-    Args:
-        segments: (S,).
-        surely: nothing else decides whether a segment is among these.
-    """
+def once_each(segments: Segments) -> Segments:
+    """Segments of which one may be there several times, or once where an edge pierces another edge; each surely once."""
     low, high = torch.minimum(segments.triangle, segments.through), torch.maximum(segments.triangle, segments.through)
     pairs = torch.stack([low, high, *(() if segments.instance is None else [segments.instance])])
     found, which = torch.unique(pairs, dim=1, return_inverse=True)
     place = torch.arange(len(which), device=which.device)
     first = torch.full_like(found[0], len(which), dtype=torch.int64).scatter_reduce(0, which, place, "amin")
-    segments = rows(segments, first)
-    return segments._replace(share=None if surely else 0.5 * segments.share)
+    return rows(segments, first)._replace(share=None)
 
 
 def shape_of(ends: Tensor, triangle: Tensor) -> Tensor:

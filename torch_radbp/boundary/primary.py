@@ -62,7 +62,6 @@ from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import rows
 
-LEAST_BLOCK = 1 << 13  # places that are traced together: below, a second block costs more in Python than it gains
 BYTES_OF_TRIANGLE = 48  # weights of its edges and their sums
 BYTES_OF_PLACE = 640  # what is known of it, three rays and what they meet, two paths, and how it moves
 LONG = 16  # times as long as the image is wide and high: curves of a cluttered view
@@ -231,8 +230,9 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Pl
     counted = chosen(places.counts)
     if not len(counted):
         return None
-    most = max(wavefront.lanes for wavefront in call.wavefronts) // 2  # two paths each
-    blocks = counted.split(max(FEWEST, min(most, max(LEAST_BLOCK, -(-len(counted) // call.workers)))))
+    # Two paths each, and as few blocks as may be: all threads share the loops of one, and wait for each other's Python else.
+    most = max(FEWEST, max(wavefront.lanes for wavefront in call.wavefronts) // 2)
+    blocks = counted.split(max(FEWEST, -(-len(counted) // -(-len(counted) // most))))
 
     def work(share: Iterable[int]) -> list[tuple[Tensor, Tensor]]:
         return [differences(call, integrand, viewed, places, blocks[block], seen) for block in share]
