@@ -20,7 +20,17 @@ from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST, taken_by
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.shadows import border, bounced, crossed_surfaces, hidden_light, pictures, seen_through, split
+from torch_radbp.boundary.shadows import (
+    border,
+    bounced,
+    crossed_surfaces,
+    followed_borders,
+    followed_light,
+    hidden_light,
+    pictures,
+    seen_through,
+    split,
+)
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.boundary.shadows.seen_edges import Casting
@@ -67,10 +77,10 @@ def bytes_of_shadows(call: RenderCall) -> int:
 def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) -> Tensor:
     """(B, 3, H, W) zeros whose derivative is what borders of shadows contribute to the image.
 
-    Where directions follow parameters (`sampling` "attached"), points that they lead to are not glued to surfaces: then it
-    is that of lights without extent on surfaces in view alone. Those have shadows where lights are sampled. What light
-    samples miss of the others is found by vertices of paths, and what comes evenly from all around, with a hundredth of the
-    variance.
+    Lights without extent have shadows where lights are sampled. What light samples miss of the others is found by vertices
+    of paths, and what comes evenly from all around, with a hundredth of the variance. Where directions follow parameters
+    (`sampling` "attached"), points that they lead to are not glued to surfaces: then vertices find those borders on which
+    directions slide.
 
     Args:
         call: of which something moves.
@@ -80,7 +90,10 @@ def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) 
     settings, max_depth = call.integrand.settings, call.integrand.max_depth
     on_film = all(view.camera.kind.has_area for view in call.views)  # along a ray there is no border to be seen
     glued, (surfaces, around) = settings.sampling != "attached", aimed_at(call) if on_film else (False, False)
-    lights = border.Lights(settings.nee, glued and surfaces, glued and around)
+    follows = not glued or settings.following
+    first = hidden_light.FirstVertex(not surfaces, not around)
+    lights = border.Lights(settings.nee, surfaces, around)
+    sharp = settings.nee and max_depth > 2 and any(kind.delta for kind in call.scene.layout.lights)
     stages, geometry = call.stages, geometry_of(detached(call.scene))
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
@@ -91,12 +104,15 @@ def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) 
         parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind),
                        is_cast=False) for kind, lines in pictures.lines_of_pictures(call).items()]
     if glued and (max_depth > 2 or not (surfaces and around)):
-        first = hidden_light.FirstVertex(not surfaces, not around)
         parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view))
     if glued and max_depth > 2 and seen_through.passes_straight(call.scene):
         parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view))
-    if glued and max_depth > 2 and settings.nee and any(kind.delta for kind in call.scene.layout.lights):
+    if glued and sharp:
         parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
+    if follows:
+        parts.append(Part(partial(followed_light.cuts_of_view, first=first), followed_light.jumps_in_view, is_cast=False))
+    if follows and sharp:
+        parts.append(Part(followed_borders.borders_of_paths, followed_borders.jumps_in_view, is_cast=False))
     if curves is not None:
         parts.append(Part(lambda still, number, _, effort: crossed_surfaces.curves_of_view(still, number, curves, effort),
                           lambda attached, number, _, found: crossed_surfaces.jumps_in_view(attached, number, found),
