@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.rendering import asks_for_derivatives
 from torch_radbp.boundary.shadows.drawn_directions import Drawn, Numbers, directions_drawn, drawn
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.hidden_light import (
@@ -50,10 +51,14 @@ from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import trace
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.material import sampling_at, turning_values
+from torch_radbp.scene.pack import one_sided
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, masked, normalize, rows
 
 SALT = 0x510E527F  # tells the random numbers of these places from others
 PLACES = 2  # on edges, for each path
+TIMES_AS_LARGE = 2  # as other places in memory: how directions move is recorded operation by operation
 
 
 class FollowedCuts(NamedTuple):
@@ -83,6 +88,16 @@ class LightBeside(NamedTuple):
 
     drawn: Tensor  # the background's less the blocker's, by directions that vertices draw
     picked: Tensor  # the background's, by points of lamps that are picked
+
+
+def directions_turn(call: RenderCall) -> bool:
+    """True if textures or normals with derivatives turn directions that are drawn by chance, and carry these."""
+    settings = call.integrand.settings
+    kinds = [(bsdf.textures(), bsdf.kind()) for bsdf in one_sided(call.module.bsdfs())]
+    turned = [source for textures, kind in kinds if kind.smooth and sampling_at(kind, settings.sampling) == "attached"
+              for slot in turning_values(kind, settings.sampling) for source in textures[slot].sources()]
+    follows = settings.sampling == "attached" or settings.following
+    return any(map(asks_for_derivatives, turned)) or follows and any_differentiated(call.scene.triangles.vertices.n)
 
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: FollowedCuts) -> FilmJumps:
