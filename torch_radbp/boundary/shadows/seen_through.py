@@ -29,21 +29,21 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.hidden_light import (
+    EVEN,
     LOOKS,
     PLACES,
     CutsOfView,
-    FirstVertex,
     cuts_that_matter,
-    eyes_of,
     number_of_paths,
-    solid_angle,
 )
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
     Casting,
     Passed,
+    corners_of,
     extent_of,
     places_seen,
     salted,
@@ -55,7 +55,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import queued, trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, rows, unit_normal
 
 SALT = 0x27D4EB2F  # tells the random numbers of these places from others
 MOST_SURFACES = 4  # that light passes on the way from an edge
@@ -76,7 +76,8 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float)
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)
-    eyes = eyes_of(call, number, integrand, points, at, FirstVertex(surfaces=True, surroundings=True))
+    one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
+    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
     passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, PLACES * len(points.depth))
     if passed is None:
         return None
@@ -153,4 +154,8 @@ def difference(call: RenderCall, integrand: Integrand, points: Viewpoints, passe
         for sign, way in ((1.0, beside), (-1.0, on)):
             ray, key, hit = rows((way.ray, passed.key, way.hit), lanes)
             L[:, lanes] += sign * torch.stack(tuple(trace(integrand, path_of(call, ray, key), hit=hit, depth=depth + 1)))
-    return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(integrand.proposal, beside.hit, beside.ray.d)
+    corners = corners_of(geometry_of(integrand.proposal), beside.hit)
+    n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
+    distance = beside.hit.t.double().clamp_min(TINY)
+    return torch.stack(tuple(own.beta * beta)).double() * L * (
+        dot(n, beside.ray.d.map(torch.Tensor.double)).abs() / (distance * distance))
