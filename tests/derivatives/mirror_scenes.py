@@ -91,7 +91,7 @@ MIRRORED = {
     "plate, its shadow in a mirror": moved(shaded, "plate.to_world", PUSH["plate"], 3, FINE),
     "lamp, a shadow in a mirror": moved(shaded, "lamp.position", constant(0.4, 0.3, 0.5), 3, FINE),
     "floor, a shadow in a mirror": moved(shaded, "floor.to_world", PUSH["floor"], 3, FINE),
-    "mirror before a shadow": moved(shaded, "mirror.to_world", PUSH["floor's mirror"], 3, FINE / 2),
+    "mirror before a shadow": moved(shaded, "mirror.to_world", PUSH["floor's mirror"], 3, FINE),
     "camera, a shadow in a mirror": moved(shaded, "sensor.to_world", PUSH["camera at a floor"], 3, FINE / 2),
     "squares in a mirror": moved(squares, "floor.to_world", PUSH["floor"], 3, FINE),
     "mirror before squares": moved(squares, "mirror.to_world", PUSH["floor's mirror"], 3, FINE / 2),

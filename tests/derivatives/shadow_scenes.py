@@ -111,6 +111,8 @@ LAMP_ASIDE = {"type": "rectangle", "to_world": look_at((0.3, -1.1, 2.5), (0.2, 1
 GROUP = {"group": {"type": "shapegroup", "solid": CUBE | {"to_world": scale((0.25, 0.2, 0.15))}}, "shown": {
     "type": "instance", "group": {"type": "ref", "id": "group"},
     "to_world": translate((0.1, 0.1, 0.5)) @ rotate((1, 0.7, 0.4), 35)}}
+PANE = {"type": "rectangle", "to_world": translate((0.1, -0.3, 1.0)) @ rotate((1, 0, 0.1), 20) @ scale((1.0, 0.9, 1)),
+        "bsdf": {"type": "roughdielectric", "alpha": 0.3, "int_ior": 1.3}}
 UNSAMPLED = LAMPS["rectangle"] | {"emitter": LAMPS["rectangle"]["emitter"] | {"sampling_weight": 0.0}}
 MANY = {f"lamp_{k}": {"type": "point", "position": [0.6 * k - 2.0, 0.3 * (k % 3), 2.0 + 0.1 * k],
                       "intensity": rgb(2 + k % 2, 2, 1 + k % 3)} for k in range(9)}
@@ -154,4 +156,25 @@ SHADOWS: dict[str, MovingScene] = {
                                           "plate.to_world", PUSH["plate"]),
     "attached, point": moved(lit("point", plate=PLATE), "plate.to_world", PUSH["plate"])._replace(
         samplings=("hybrid", "attached", "detached")),
+    # Directions that carry derivatives slide over edges.
+    **{f"attached, {name}": found._replace(samplings=("attached",)) for name, found in {
+        "plate under a rectangle": moved(lit("rectangle", plate=PLATE), "plate.to_world", PUSH["plate"]),
+        "lamp": moved(lit("rectangle", plate=PLATE), "lamp.to_world", PUSH["lamp"]),
+        "camera": moved(lit("rectangle", plate=PLATE), "sensor.to_world", PUSH["camera"]),
+        "plate under a sky": moved(lit("constant", plate=PLATE), "plate.to_world", PUSH["plate"]),
+        "floor under a sky": moved(lit("constant", plate=PLATE), "floor.to_world", PUSH["floor"]),
+        "plate under an environment": moved(lit("envmap", plate=PLATE), "plate.to_world", PUSH["plate"]),
+        "floor of metal": moved(lit("envmap", plate=PLATE, floor=FLOOR | {"bsdf": METAL | {"alpha": 0.2}}), "plate.to_world",
+                                PUSH["plate"]),
+        "plate of metal": moved(lit("envmap", plate=PLATE | {"bsdf": {"type": "twosided", "one": METAL}}), "floor.to_world",
+                                PUSH["floor"]),
+        "plate before a wall under a spot": before_a_wall(SPOT_ASIDE, "spot")["plate before a wall, spot"],
+        "lamp before a wall": before_a_wall(LAMP_ASIDE, "rectangle")["lamp before a wall, rectangle"],
+        "camera before a wall": before_a_wall(LAMP_ASIDE, "rectangle")["camera before a wall, rectangle"],
+        "roughness of a floor": moved(lit("envmap", plate=PLATE, floor=FLOOR | {"bsdf": {
+            "type": "roughconductor", "alpha": 0.3}}), "floor.bsdf.alpha.value", constant(1.0)),
+    }.items()},
+    "plate, through rough glass": moved(lit("constant", plate=PLATE, pane=PANE), "plate.to_world", PUSH["plate"], 3),
+    "pane, of rough glass": moved(lit("constant", plate=PLATE, pane=PANE), "pane.to_world", PUSH["plate"], 3),
+    "roughness of a pane": moved(lit("constant", plate=PLATE, pane=PANE), "pane.bsdf.alpha.value", constant(1.0), 3),
 }

@@ -55,13 +55,15 @@ def assert_alike(found: torch.Tensor, expected: torch.Tensor, most: float) -> No
     assert abs(float(found.mean() - expected.mean())) <= 3.5 * error
 
 
-@pytest.mark.parametrize("name, spp, most", [
-    ("sheet", 192, 0.12), deep("lamp", 2048, 0.06), deep("floor", 512, 0.03), deep("sensor", 1024, 0.03)])
-def test_a_cut_out_has_the_derivatives_of_a_mesh_with_such_holes(name, spp, most):
+# Under a moving lamp the mesh has four times the noise of the cut-out: its interior and its shadows nearly cancel out.
+@pytest.mark.parametrize("name, spp, of_mesh, most", [
+    ("sheet", 192, 192, 0.12), deep("lamp", 2048, 8192, 0.06), deep("floor", 512, 512, 0.03),
+    deep("sensor", 1024, 1024, 0.03)])
+def test_a_cut_out_has_the_derivatives_of_a_mesh_with_such_holes(name, spp, of_mesh, most):
     """Whose light next-event estimation finds, and whose edges are counted as those of any mesh."""
     weights = 1.0 + torch.linspace(0, 1, 16, dtype=torch.float64)
-    cut_out, mesh = (sums(seen(LAMP, sheet=own), name, weights, spp, depth)
-                     for own, depth in ((sheet(masked(TEXELS)), 3), (sheet_with_holes(), 2)))
+    cut_out = sums(seen(LAMP, sheet=sheet(masked(TEXELS))), name, weights, spp, 3)
+    mesh = sums(seen(LAMP, sheet=sheet_with_holes()), name, weights, of_mesh, 2)
     assert_alike(cut_out, mesh, most)
 
 

@@ -44,13 +44,22 @@ SHOWN = {
     (0.4, 1024): ("wall before a wall, spot", "plate, constant", "plate, envmap", "plate, shadow in a mirror",
                   "plate, compensated envmap", "plate, rectangle of weight 0"),
     (0.4, 2048): ("floor before a wall, spot",),
+    (0.1, 64): ("attached, plate of metal",),
+    (0.05, 192): ("attached, floor under a sky", "attached, lamp before a wall"),
+    (0.1, 192): ("attached, lamp", "attached, camera", "attached, camera before a wall", "attached, roughness of a floor",
+                 "pane, of rough glass"),
+    (0.2, 192): ("attached, plate under a rectangle",),
+    (0.5, 192): ("attached, plate under a sky", "attached, plate under an environment", "attached, floor of metal",
+                 "attached, plate before a wall under a spot"),
+    (0.6, 192): ("plate, through rough glass",),
+    (0.8, 192): ("roughness of a pane",),
 }
 # Where moving surfaces meet, edges come near to vertices of paths, and rare samples are large: no such number tells.
 RARE = {"wall before a wall, rectangle", "wall before a wall, rectangle, four bounces",
         "floor before a wall, rectangle, four bounces"}
 ROWS = [Row(name, bias, spp) for (bias, spp), names in SHOWN.items() for name in names]
 QUICK = ("lamp, spot", "camera, constant", "lamp before a wall, spot", "vertices of a plate, point",
-         "a window of a film, gaussian", "instance, rectangle")
+         "a window of a film, gaussian", "instance, rectangle", "attached, plate of metal")
 
 
 def test_every_scene_is_examined():

@@ -19,7 +19,7 @@ from torch_radbp.boundary.reflections import (
 from torch_radbp.boundary.reflections.surfaces import line_table
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move
+from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
 from torch_radbp.boundary.texture_lines import lines_of_textures
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.scene import Scene
@@ -48,7 +48,7 @@ def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
     """The most that a call may take of memory for edges in view, and for those that cast shadows, if they are asked for."""
     in_view = bytes_of_jumps(call) if primary and moves(call) else 0
     reflected = bytes_of_reflections(call) if any(asked_by_way_of_others(call, primary, shadows)) else 0
-    return max(in_view, bytes_of_shadows(call) if shadows and shadows_move(call) else 0) + reflected
+    return max(in_view, bytes_of_shadows(call) if shadows and slides_over_edges(call) else 0) + reflected
 
 
 def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
@@ -70,7 +70,7 @@ def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: in
         seed: of the choice of instances.
     """
     outlines = outlines_of(scene)
-    casts = rendering.shadows and rendering.max_depth > 1 and shadows_move(call)
+    casts = rendering.shadows and rendering.max_depth > 1 and slides_over_edges(call)
     casting = outlines.of_everything(rendering, call, seed) if casts else None
     # What casts rays comes last: the tree of a large mesh may still be built.
     in_view = outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None

@@ -119,7 +119,7 @@ class JumpWatch:
         None where that is computed. Parameters that move silhouettes too are left out. Shadows are searched once for each
         parameter, among rays anew, by casting rays from some of the lights, and towards the sky.
         """
-        soft, sharp = rendering.shadows and rendering.sampling != "attached", rendering.shadows and rendering.has_area
+        soft, sharp = rendering.shadows, rendering.shadows and rendering.has_area
         found = self.sharp_shadows_in_mirrors(rendering) if soft else None
         if found is not None or soft and sharp:
             return found
@@ -141,7 +141,7 @@ class JumpWatch:
             " The shadows of light from all around are soft, but the border of what hides a part of the sky or of the "
             "surroundings counts likewise.")
         instead = ("A loss that depends on where shadows lie has a biased gradient; check_gradient measures by how much. "
-                   "The default terms, with sampling='hybrid', have it") if rendering.has_area else OF_RAYS
+                   "The default terms have it") if rendering.has_area else OF_RAYS
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(missing))} lack the contribution of the "
                                  f"borders of shadows: some in view move over the image, or over the surface on which "
                                  f"they fall.{of_all_around} {instead}")
@@ -149,12 +149,12 @@ class JumpWatch:
     def sharp_shadows_in_mirrors(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadows of lights without extent that may be seen in ideal mirrors and glass, or None.
 
-        Those are computed that cameras see there, but not in rough glass; see `reflections`.
+        Those are computed that cameras see there, see `reflections`.
         """
-        kinds = [(bsdf, kind) for bsdf, kind in rendering.materials() if followed(kind, "hybrid")]
+        ideal = [bsdf for bsdf, kind in rendering.materials() if kind.delta]
         scattering = any(kind.smooth for _, kind in rendering.materials())
-        at_once = [bsdf for bsdf, kind in kinds if kind.follows or not rendering.has_area]
-        later = [bsdf for bsdf, _ in kinds] if scattering and rendering.max_depth > 3 else []
+        at_once = [] if rendering.has_area else ideal
+        later = ideal if scattering and rendering.max_depth > 3 else []
         lights = [emitter for emitter in rendering.emitters if emitter.kind().delta]
         names = {name for emitter in lights for name in rendering.moving(emitter, MOVE_LIGHTS)}
         names = names.union(*rendering.movers, *rendering.camera_movers)
@@ -227,14 +227,15 @@ class JumpWatch:
 
         Attached directions follow the roughness, the index of refraction or the normals of a surface; those of ideal
         mirrors and of all glass follow the surface itself and the camera, too. That attached directions at other materials
-        do so as well is not examined. Edges that cameras see by way of ideal mirrors and ideal glass alone are computed, see
-        `reflections`; those that other surfaces see there are not.
+        do so as well is not examined. Edges that cameras see by way of ideal mirrors and ideal glass alone are computed
+        (`reflections`), and those that are met by chance (`shadows/followed_light.py`), but not others seen in mirrors.
         """
         sampling = rendering.sampling
         turning: dict[str, bool] = {}  # names of parameters; True: hybrid sampling follows at all these surfaces, too
-        materials = [(bsdf, kind) for bsdf, kind in rendering.materials() if followed(kind, sampling)]
+        materials = [(bsdf, kind) for bsdf, kind in rendering.materials()
+                     if followed(kind, sampling) and not (rendering.shadows and kind.smooth and not kind.delta)]
         computed = {id(bsdf) for bsdf, kind in materials if rendering.primary and kind.delta and not kind.follows
-                    and not (sampling == "attached" and kind.smooth)}
+                    and (rendering.shadows or not (sampling == "attached" and kind.smooth))}
         seen_by_others = rendering.max_depth > 2 and any(kind.smooth for _, kind in rendering.materials())
         if not seen_by_others:
             materials = [(bsdf, kind) for bsdf, kind in materials if id(bsdf) not in computed]

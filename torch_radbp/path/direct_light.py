@@ -1,4 +1,8 @@
-"""The light of given samples that surfaces send back: next-event estimation without weights, and without shadows."""
+"""The light of given samples that surfaces send back: next-event estimation without shadows.
+
+Where scattered directions carry derivatives, and so move unlike the samples, it is weighted against the chance that these
+find the light.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path.bounce import shares_of, surface_met
+from torch_radbp.path.bounce import next_event, shares_of, surface_met
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Arrival, PathState, Settings
 from torch_radbp.path.texture_networks import texture_values_at
@@ -16,7 +20,7 @@ from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.light import emission_places, light_aims, sample_light, sample_places
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
-from torch_radbp.scene.material import evaluate, material_at, material_places
+from torch_radbp.scene.material import evaluate, material_at, material_places, sampling_at
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.vec import Vec3, masked, rows
 from torch_radbp.texture.reader import Place, TextureValue
@@ -30,7 +34,7 @@ class LightDraw(NamedTuple):
 
 
 def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw,
-                 texture_values: tuple[TextureValue, ...]) -> Vec3:
+                 texture_values: tuple[TextureValue, ...], settings: Settings) -> Vec3:
     """What surfaces send back along the rays that meet them of the light of one sample each, over its density; (M,).
 
     Args:
@@ -39,12 +43,15 @@ def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: Lig
         lanes: (M,) int32, those of them that are computed.
         draw: the samples, of all N.
         texture_values: (M,) the values of textures that are read outside, at the `direct_light_places`.
+        settings: the integrand's.
     """
     arrival, draw = rows((arrival, draw), lanes)
     si = surface_met(scene, arrival, Settings())
     of_material, _, of_sampled = shares_of(scene, texture_values)
     material = material_at(scene, si, of_material)
     light = sample_light(scene, scene, si.p, draw.numbers, draw.picked, of_sampled)
+    if sampling_at(material.kind, settings.sampling) == "attached":
+        return next_event(material, si, light, settings)[1]
     reflected, _ = evaluate(material, si.wi, si.frame.to_local(light.d))
     connects = si.valid & (light.pdf > 0)
     return reflected * light.radiance * (connects.to(light.pdf.dtype) / torch.where(connects, light.pdf, 1.0))
@@ -90,7 +97,8 @@ def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: Ligh
         hit: what they meet.
         draw: the light samples.
     """
-    return of_surfaces(integrand, integrand.stages.direct_light, state, hit, draw, direct_light_places)
+    return of_surfaces(integrand, integrand.stages.direct_light, state, hit, draw, direct_light_places,
+                       Settings(sampling=integrand.settings.sampling))
 
 
 def scattered_light(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Vec3:
@@ -98,8 +106,10 @@ def scattered_light(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -
     return of_surfaces(integrand, integrand.stages.scattered, state, hit, d, scattered_places)
 
 
-def of_surfaces(integrand: Integrand, stage: Callable, state: PathState, hit: Hit, asked, places_of: Callable) -> Vec3:
-    """What a stage says of all rays, (N,), each surface by its own functions; 0 where nothing scatters."""
+def of_surfaces(integrand: Integrand, stage: Callable, state: PathState, hit: Hit, asked, places_of: Callable,
+                *more) -> Vec3:
+    """What a stage says of all rays, (N,), each surface by its own functions; 0 where nothing scatters. `more`: its last
+    arguments."""
     front, order, queues = queued(integrand, state.ray, hit, False)
     arrival, found = Arrival(state, hit, front), Vec3.buffer(state.pdf)
     for queue in queues:
@@ -110,6 +120,6 @@ def of_surfaces(integrand: Integrand, stage: Callable, state: PathState, hit: Hi
         if part.proposal.layout.lit or scatterer.outside:
             places = places_of(part.proposal, arrival, lanes, asked)
         values = texture_values_at(integrand.proposal, scatterer, places)
-        for total, own in zip(found, part.call(stage, arrival, lanes, asked, values)):
+        for total, own in zip(found, part.call(stage, arrival, lanes, asked, values, *more)):
             total.index_copy_(0, lanes.long(), own)
     return found

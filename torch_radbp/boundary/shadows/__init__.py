@@ -20,11 +20,22 @@ from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST, taken_by
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.shadows import border, bounced, crossed_surfaces, hidden_light, pictures, seen_through, split
+from torch_radbp.boundary.shadows import (
+    border,
+    bounced,
+    crossed_surfaces,
+    followed_borders,
+    followed_light,
+    hidden_light,
+    pictures,
+    seen_through,
+    split,
+)
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
+from torch_radbp.boundary.shadows.followed_light import directions_turn
 from torch_radbp.boundary.shadows.seen_edges import Casting
-from torch_radbp.boundary.shadows.segment_tree import segment_tree
+from torch_radbp.boundary.shadows.segment_tree import SegmentTree, segment_tree
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 
@@ -49,6 +60,11 @@ def shadows_move(call: RenderCall) -> bool:
                                [table for kind, table in tables if not (kind.surround or kind.on_surface)]))
 
 
+def slides_over_edges(call: RenderCall) -> bool:
+    """True if something moves borders of shadows, or directions that carry derivatives turn."""
+    return shadows_move(call) or directions_turn(call)
+
+
 def bytes_of_shadows(call: RenderCall) -> int:
     """The most that places on borders of shadows may take of memory."""
     paths = call.spp * max(view.width * view.height for view in call.views)
@@ -58,6 +74,8 @@ def bytes_of_shadows(call: RenderCall) -> int:
     ways, places = (max((samples * of_sample, vertices * of_vertex)) for of_sample, of_vertex in (
         (border.LOOKS, hidden_light.LOOKS), (1, hidden_light.PLACES)))
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
+    if not glues(call) or call.integrand.settings.following:
+        places += vertices * followed_light.PLACES * followed_light.TIMES_AS_LARGE
     places += bool(pictures.lines_of_pictures(call)) * samples
     kept = places + int(2 * crossed_surfaces.PLACES * crossed_surfaces.PATHS * vertices)  # fewer than others while found
     of_places = places * BYTES_OF_PLACE + kept * BYTES_OF_JUMP * len(call.views)
@@ -67,46 +85,68 @@ def bytes_of_shadows(call: RenderCall) -> int:
 def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) -> Tensor:
     """(B, 3, H, W) zeros whose derivative is what borders of shadows contribute to the image.
 
-    Where directions follow parameters (`sampling` "attached"), points that they lead to are not glued to surfaces: then it
-    is that of lights without extent on surfaces in view alone. Those have shadows where lights are sampled. What light
-    samples miss of the others is found by vertices of paths, and what comes evenly from all around, with a hundredth of the
-    variance.
+    Lights without extent have shadows where lights are sampled. What light samples miss of the others is found by vertices
+    of paths, and what comes evenly from all around, with a hundredth of the variance. Where directions follow parameters
+    (`sampling` "attached"), points that they lead to are not glued to surfaces: then vertices find those borders on which
+    directions slide.
 
     Args:
         call: of which something moves.
         casting: the edges of all that casts shadows.
         crossing: where surfaces pass through each other, of which something moves; None: nowhere.
     """
-    settings, max_depth = call.integrand.settings, call.integrand.max_depth
-    on_film = all(view.camera.kind.has_area for view in call.views)  # along a ray there is no border to be seen
-    glued, (surfaces, around) = settings.sampling != "attached", aimed_at(call) if on_film else (False, False)
-    lights = border.Lights(settings.nee, glued and surfaces, glued and around)
     stages, geometry = call.stages, geometry_of(detached(call.scene))
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
-        seen = glued and crossing is not None and (max_depth > 2 or crossed_surfaces.shines(call.scene, crossing))
-        curves = segment_tree(stages, geometry, crossing) if seen else None
-    parts = [Part(partial(border.borders_in_view, lights=lights), border.jumps_in_view)] if on_film else []
-    if on_film and settings.nee:
-        parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind),
-                       is_cast=False) for kind, lines in pictures.lines_of_pictures(call).items()]
-    if glued and (max_depth > 2 or not (surfaces and around)):
-        first = hidden_light.FirstVertex(not surfaces, not around)
-        parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view))
-    if glued and max_depth > 2 and seen_through.passes_straight(call.scene):
-        parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view))
-    if glued and max_depth > 2 and settings.nee and any(kind.delta for kind in call.scene.layout.lights):
-        parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
-    if curves is not None:
-        parts.append(Part(lambda still, number, _, effort: crossed_surfaces.curves_of_view(still, number, curves, effort),
-                          lambda attached, number, _, found: crossed_surfaces.jumps_in_view(attached, number, found),
-                          is_cast=False))
+        seen = crossing is not None and sees_curves(call, crossing)
+        parts = parts_of(call, segment_tree(stages, geometry, crossing) if seen else None)
     still, jumps = call.still(), []
     for number in range(len(call.views)):
         with torch.no_grad():
             found = found_of_view(still, number, edges, parts)
         jumps.append([part.jumps(call, number, edges, own) for part, own in zip(parts, found) if own is not None])
     return torch.stack([image_of(view, own, call.scene.dtype) for view, own in zip(call.views, jumps)])
+
+
+def glues(call: RenderCall) -> bool:
+    """True if points that paths meet by chance are glued to surfaces, but behind rough glass."""
+    return call.integrand.settings.sampling != "attached"
+
+
+def sees_curves(call: RenderCall, crossing: Segments) -> bool:
+    """True if vertices of paths may see curves along which surfaces pass through each other."""
+    return glues(call) and (call.integrand.max_depth > 2 or crossed_surfaces.shines(call.scene, crossing))
+
+
+def parts_of(call: RenderCall, curves: SegmentTree | None) -> list[Part]:
+    """The integrals of a call that are cut off; `curves`: along which surfaces pass through each other; None: unseen."""
+    settings, deep = call.integrand.settings, call.integrand.max_depth > 2
+    on_film = all(view.camera.kind.has_area for view in call.views)  # along a ray there is no border to be seen
+    surfaces, around = aimed_at(call) if on_film else (False, False)
+    first = hidden_light.FirstVertex(not surfaces, not around)
+    sharp = settings.nee and deep and any(kind.delta for kind in call.scene.layout.lights)
+    parts = []
+    if on_film:
+        lights = border.Lights(settings.nee, surfaces, around)
+        parts.append(Part(partial(border.borders_in_view, lights=lights), border.jumps_in_view))
+    if on_film and settings.nee:
+        parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind),
+                       is_cast=False) for kind, lines in pictures.lines_of_pictures(call).items()]
+    if glues(call) and (deep or not (surfaces and around)):
+        parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view))
+    if glues(call) and deep and seen_through.passes_straight(call.scene):
+        parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view))
+    if glues(call) and sharp:
+        parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
+    if not glues(call) or settings.following:
+        parts.append(Part(partial(followed_light.cuts_of_view, first=first), followed_light.jumps_in_view, is_cast=False))
+        if sharp:
+            parts.append(Part(followed_borders.borders_of_paths, followed_borders.jumps_in_view, is_cast=False))
+    if curves is not None:
+        parts.append(Part(lambda still, number, _, effort: crossed_surfaces.curves_of_view(still, number, curves, effort),
+                          lambda attached, number, _, found: crossed_surfaces.jumps_in_view(attached, number, found),
+                          is_cast=False))
+    return parts
 
 
 def found_of_view(still: RenderCall, number: int, edges: Casting, parts: Sequence[Part]) -> list[Any]:

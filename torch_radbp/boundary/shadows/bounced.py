@@ -19,17 +19,19 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, light_through, seen_at
+from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, light_through
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.hidden_light import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace, unhidden
 from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, rows
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows
 
 SHARE = 16  # one place for so many paths of the image
 SALT = 0x2B3E6C1F  # tells the random numbers that connect borders with paths from others
@@ -59,9 +61,47 @@ def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borde
     return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, outline, borders, step, off))
 
 
+class Pairs(NamedTuple):
+    """N places on borders, and a vertex of a path each; detached."""
+
+    points: Viewpoints  # these
+    start: Vec3  # where they are, world
+    borders: Borders
+    inwards: Vec3  # as of `CastShadows`
+    times: Tensor  # how many edges, in the mean of all light samples, times paths, a pair stands for
+    key: LaneKey  # of random numbers
+
+
 def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: float) -> ConnectedBorders | None:
     """Places on borders, each connected to a vertex of a path of view `number`; args as of `border.borders_in_view`."""
-    view, scene = call.views[number], call.scene
+    pairs = pairs_of(call, number, casting, effort, False)
+    if pairs is None:
+        return None
+    points, start, borders, inwards, times, key = pairs
+    scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
+    here, along = pace(lambda step: on_receiver(scene, geometry, casting.outline, borders, step), times)
+    shade = on_receiver(scene, geometry, casting.outline, borders, off=inwards)
+    normal = Vec2(-along.y * times, along.x * times)
+    ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
+    way = way_to(start, interpolated(corners_of(geometry, borders.receiver), here.x, here.y), scene.dtype)
+    light = light_sent_on(call, integrand, borders, way, key)
+    beta = points.beta * scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, way.ray.d)
+    light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, way.meets(borders), way.ray.d)
+    light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
+    kept = (light != 0).any(0).nonzero().squeeze(1)
+    if not len(kept):
+        return None
+    light, ahead = light[:, kept], ahead[kept]
+    return ConnectedBorders(*rows((points, start, borders, normal), kept), torch.where(ahead, light, -light))
+
+
+def pairs_of(call: RenderCall, number: int, casting: Casting, effort: float, following: bool) -> Pairs | None:
+    """Places on borders, with a vertex of a path of view `number` each; None: there are none.
+
+    Args:
+        call, number, casting, effort: as of `border.borders_in_view`.
+        following: as for `viewpoints`.
+    """
     found = borders_of(call, number, casting, effort, Lights(sharp=True, soft=False, around=False), SHARE)
     if found is None:
         return None
@@ -69,48 +109,46 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: fl
     if not len(times):
         return None
     integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), len(times))
+    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), len(times), following)
     if not len(points.depth):
         return None
-    geometry = geometry_of(scene)
-    here, along = pace(lambda step: on_receiver(scene, geometry, casting.outline, borders, step), times)
-    shade = on_receiver(scene, geometry, casting.outline, borders, off=inwards)
-    scale = times * len(points.depth)
-    normal = Vec2(-along.y * scale, along.x * scale)
-    ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
-    place = torch.arange(len(times), dtype=torch.int32, device=scene.device)
-    connected = (numbers(view.sample_keys[1], place, SALT, torch.float64) * len(points.depth)).long()
-    own = rows(points, connected)
-    start = rows(vertex_at(call, geometry, number, points), connected)
-    light = light_received(call, integrand, own, start, borders, here, passed.key)
-    light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
-    kept = (light != 0).any(0).nonzero().squeeze(1)
-    if not len(kept):
-        return None
-    light, ahead = light[:, kept], ahead[kept]
-    return ConnectedBorders(*rows((own, start, borders, normal), kept), torch.where(ahead, light, -light))
+    at = vertex_at(call, geometry_of(call.scene), number, points)
+    place = torch.arange(len(times), dtype=torch.int32, device=call.scene.device)
+    draw = numbers(call.views[number].sample_keys[1], place, SALT, torch.float64)
+    connected = (draw * len(points.depth)).long()
+    return Pairs(rows(points, connected), rows(at, connected), borders, inwards, times * len(points.depth), passed.key)
 
 
-def light_received(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, borders: Borders, here: Vec2,
-                   key: LaneKey) -> Tensor:
-    """(3, N) float64 what the view sees of the light that vertices of paths receive from borders, unless it is shadowed.
+class Way(NamedTuple):
+    """From vertices of paths to borders, (N,)."""
+
+    ray: Ray  # as rays are cast
+    reach: Vec3  # float64
+    distance: Tensor  # float64
+
+    def meets(self, borders: Borders) -> Hit:
+        """The receivers, as these rays meet them."""
+        return borders.receiver._replace(t=self.distance.to(self.ray.d.x.dtype))
+
+
+def way_to(start: Vec3, x: Vec3, dtype: torch.dtype) -> Way:
+    """From `start` to `x`, (N,) world each; `dtype`: of rays."""
+    reach = x - start
+    distance = torch.sqrt(dot(reach, reach).clamp_min(TINY))
+    ray = Ray(*(part.map(lambda c: c.to(dtype).contiguous()) for part in (start, reach / distance)))
+    return Way(ray, reach, distance)
+
+
+def light_sent_on(call: RenderCall, integrand: Integrand, borders: Borders, way: Way, key: LaneKey) -> Tensor:
+    """(3, N) float64 the light that vertices of paths receive from borders where no shadow is.
 
     Args:
-        points, at: the vertices, and where they are; (N,).
-        borders, here: what they are connected to, and where that is on its triangle.
+        borders: that they are connected to.
+        way: to these.
         key: (N,) of random numbers.
     """
-    scene, dtype = integrand.proposal, integrand.proposal.dtype
-    corners = corners_of(geometry_of(scene), borders.receiver)
-    x = interpolated(corners, here.x, here.y)
-    reach = x - at
-    squared = dot(reach, reach).clamp_min(TINY)
-    distance = torch.sqrt(squared)
-    d = reach / distance
-    ray = Ray(*(part.map(lambda c: c.to(dtype).contiguous()) for part in (at, d)))
-    start = (at + reach * BEFORE).map(lambda c: c.to(dtype).contiguous())
-    free = ~integrand.caster.occluded(Ray(start, ray.d), (distance * (1.0 - 2.0 * BEFORE)).to(dtype))
-    beta = points.beta * scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, ray.d)
-    light = light_sent_back(integrand, path_of(call, ray, key), seen_at(borders.receiver, ray, x), borders.draw)
-    n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
-    return torch.stack(tuple(beta * light)).double() * (free * (dot(n, d).abs() / squared))
+    dtype = integrand.proposal.dtype
+    o = (way.ray.o.map(torch.Tensor.double) + way.reach * BEFORE).map(lambda c: c.to(dtype).contiguous())
+    free = ~integrand.caster.occluded(Ray(o, way.ray.d), (way.distance * (1.0 - 2.0 * BEFORE)).to(dtype))
+    light = light_sent_back(integrand, path_of(call, way.ray, key), way.meets(borders), borders.draw)
+    return torch.stack(tuple(light)).double() * free

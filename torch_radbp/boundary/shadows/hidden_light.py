@@ -63,7 +63,7 @@ from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
-SHARE, MOST = 16, 1 << 15  # one path for so many of the image; and at most
+SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most
 LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
 EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
@@ -160,15 +160,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)
-    one = torch.ones_like(at.x)
-    corners = corners_of(geometry, points.hit)
-    lobes = (points.lobe,)
-    if call.scene.layout.lights:
-        lights = light_points(call.scene, view, len(points.depth))
-        meant = ((points.depth > 0) | first.meant(call.scene)[lights.kind]) & ~without_extent(call.scene)[lights.kind]
-        lobe = integrand.part(Ends.SURROUNDINGS).call(call.stages.light_lobes, at, lights.draw)
-        lobes += (lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),)
-    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
+    eyes = eyes_of(call, number, integrand, points, at, first)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS,
                          PLACES * len(points.depth))
     if passed is None:
@@ -185,6 +177,26 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
                             lambda cuts: light_beyond(call, integrand, points, cuts.hit, passed, at, first))
 
 
+def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: FirstVertex) -> Eyes:
+    """How viewpoints look for edges.
+
+    Args:
+        call, number: of the view.
+        integrand: the view's.
+        points, at: the viewpoints, and where they are.
+        first: what counts of the light that the first vertices of paths receive straight.
+    """
+    one = torch.ones_like(at.x)
+    corners = corners_of(geometry_of(call.scene), points.hit)
+    lobes = (points.lobe,)
+    if call.scene.layout.lights:
+        lights = light_points(call.scene, call.views[number], len(points.depth))
+        meant = ((points.depth > 0) | first.meant(call.scene)[lights.kind]) & ~without_extent(call.scene)[lights.kind]
+        lobe = integrand.part(Ends.SURROUNDINGS).call(call.stages.light_lobes, at, lights.draw)
+        lobes += (lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),)
+    return Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
+
+
 def number_of_paths(call: RenderCall, view: View, effort: float) -> int:
     """Of how many paths edges are looked at, with a share of the samples that there are at most."""
     return max(FEWEST_PATHS, int(effort * min(MOST, view.width * view.height * call.spp // SHARE)))
@@ -192,7 +204,15 @@ def number_of_paths(call: RenderCall, view: View, effort: float) -> int:
 
 def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed,
                      hit: Hit, light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
-    """The cuts at which light is lost; None: there are none.
+    """The cuts at which light is lost; None: there are none. Args as for `all_cuts`."""
+    found = all_cuts(stages, geometry, casting, points, at, passed, hit, light)
+    kept = matter(found)
+    return some_of(found, kept) if len(kept) else None
+
+
+def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
+             light: Callable[[Cuts], Tensor]) -> CutsOfView:
+    """Cuts, those among them at which nothing is lost.
 
     Args:
         stages, geometry, casting: as for `places_seen`.
@@ -204,11 +224,18 @@ def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, point
     basis, normal, sweep = stages.cut_course(geometry, casting.outline, at, passed, hit, extent_of(geometry))
     cuts = Cuts(passed.eye, passed.edge, passed.along, hit, basis)
     lost = torch.where((normal.x != 0.0) | (normal.y != 0.0), light(cuts), 0.0)
-    kept = (lost != 0).any(0).nonzero().squeeze(1)
-    if not len(kept):
-        return None
-    cuts, normal, sweep, lost = rows(cuts, kept), rows(normal, kept), sweep[kept], lost[:, kept]
     return CutsOfView(points, cuts, normal, torch.where(sweep > 0, -lost, lost), sweep)
+
+
+def matter(found: CutsOfView) -> Tensor:
+    """The numbers of those cuts at which light is lost, int64."""
+    return (found.strength != 0).any(0).nonzero().squeeze(1)
+
+
+def some_of(found: CutsOfView, kept: Tensor) -> CutsOfView:
+    """The cuts of these numbers."""
+    return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
+                          sweep=found.sweep[kept])
 
 
 def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
@@ -257,9 +284,17 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
             straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1)
             found = found - masked(torch.where(met.prim >= 0, not first.surfaces, not first.surroundings), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
+    return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(scene, hit, d)
+
+
+def solid_angle(scene: SceneTensors, hit: Hit, d: Vec3) -> Tensor:
+    """(N,) that of what is hit, for each unit of the barycentric coordinates of triangles; 1 where nothing is.
+
+    Args:
+        hit: (N,) as rays meet it.
+        d: (N,) unit, these.
+    """
     corners = corners_of(geometry_of(scene), hit)
     n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
-    fine = d.map(torch.Tensor.double)
     distance = hit.t.double().clamp_min(TINY)
-    geometry = torch.where(hit.prim >= 0, dot(n, fine).abs() / (distance * distance), 1.0)
-    return torch.stack(tuple(own.beta * beta)).double() * L * geometry
+    return torch.where(hit.prim >= 0, dot(n, d.map(torch.Tensor.double)).abs() / (distance * distance), 1.0)

@@ -43,8 +43,15 @@ class Viewpoints(NamedTuple):
     lobe: Lobe  # around a direction in which light is scattered
 
 
-def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) -> Viewpoints:
-    """One vertex each of so many camera paths, picked in proportion to their throughput; of those that have one."""
+def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, following: bool = False) -> Viewpoints:
+    """One vertex each of so many camera paths, picked in proportion to their throughput; of those that have one.
+
+    Args:
+        call, number: of the view.
+        integrand: of the detached scene.
+        count: of the paths.
+        following: vertices whose scattered directions carry derivatives are meant; else those after which points are glued.
+    """
     view, grid, device = call.views[number], call.views[number].grid, call.scene.device
     cells = grid.columns * grid.rows
     sample = torch.arange(count, dtype=torch.int32, device=device)
@@ -67,7 +74,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) 
     onwards, density = Vec3.buffer(zero), zero.clone()
     for bounce in bounces(integrand, state):
         for queue in bounce.step.queues:
-            if not queue.event.scatters or not glues(integrand, queue.event):
+            if not queue.event.scatters or not scatters_as(integrand, queue.event, following):
                 continue
             own = bounce.step.order[queue.first:queue.last].long()
             lane = bounce.state.lane[own].long()
@@ -81,7 +88,8 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int) 
             for target, found in zip(onwards, bounce.vertex.next.ray.d):
                 target[lane] = found[scattered]
             followed = bounce.state.followed
-            depth[lane], slides[lane] = bounce.depth, torch.isinf(bounce.state.pdf[own])
+            depth[lane] = bounce.depth
+            slides[lane] = torch.isinf(bounce.state.pdf[own]) | (integrand.settings.sampling == "attached")
             if followed is not None:
                 slides[lane] |= followed[own]
             for target, found in zip((*ray.o, *ray.d, *beta, promise, *hit[:4]),
@@ -109,17 +117,23 @@ def is_plain(geometry: Geometry, hit: Hit) -> Tensor:
     return (hit.prim >= 0) & lookup(geometry.triangles.plain, hit.prim.clamp_min(0))
 
 
-def glues(integrand: Integrand, event: Scatters) -> bool:
-    """True if paths are scattered so that the points that they meet next are glued to surfaces."""
-    kind = integrand.scatterer(event).kind
-    return kind.smooth and not (integrand.settings.following and kind.follows)
+def scatters_as(integrand: Integrand, event: Scatters, following: bool) -> bool:
+    """True if paths are scattered by chance so that their directions carry derivatives, or else so that the points that they
+    meet next are glued to surfaces."""
+    kind, settings = integrand.scatterer(event).kind, integrand.settings
+    return kind.smooth and (settings.sampling == "attached" or settings.following and kind.follows) == following
 
 
 def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoints) -> Vec3:
     """The viewpoints, (M,) world, attached: they slide along their rays, or are glued."""
+    return vertex_on(geometry, points, arriving(call, number, points))
+
+
+def vertex_on(geometry: Geometry, points: Viewpoints, ray: Ray) -> Vec3:
+    """As `vertex_at`; `ray`: (M,) that meet them, attached."""
     corners = corners_of(geometry, points.hit)
     glued = interpolated(corners, points.hit.u.double(), points.hit.v.double())
-    ray = Ray(*(part.map(torch.Tensor.double) for part in arriving(call, number, points)))
+    ray = Ray(*(part.map(torch.Tensor.double) for part in ray))
     n = cross(corners[1] - corners[0], corners[2] - corners[0])
     facing = dot(ray.d, n)
     slides = points.slides & (facing != 0)
@@ -127,8 +141,8 @@ def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoi
     return where(slides, slid, glued)
 
 
-def arriving(call: RenderCall, number: int, points: Viewpoints) -> Ray:
-    """The rays that meet the viewpoints, attached where they are not left to chance."""
+def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: bool = False) -> Ray:
+    """The rays that meet the viewpoints, attached where they are not left to chance, or `all_of_them`."""
     view, cones = call.views[number], call.scene.layout.traces_cones
 
     def begun(chosen: Viewpoints) -> CameraSample:
@@ -137,7 +151,7 @@ def arriving(call: RenderCall, number: int, points: Viewpoints) -> Ray:
     first = points.depth == 0
     ray = begun(points).ray
     ray = Ray(*(where(first, *parts) for parts in zip(ray, points.ray)))
-    later = (points.slides & ~first).nonzero().squeeze(1)
+    later = ((points.slides | all_of_them) & ~first).nonzero().squeeze(1)
     integrand = call.make_integrand(call.scene)
     if not len(later) or not integrand.settings.moving or not any_differentiated((call.scene, view.camera)):
         return ray

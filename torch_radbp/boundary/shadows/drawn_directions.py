@@ -1,0 +1,200 @@
+"""Random numbers for which vertices of paths draw given directions, and how the directions move that these numbers give.
+
+Directions that carry derivatives move while their random numbers stay. How those move that pass an edge is told by the
+numbers for which the vertex draws just them. They are found by Newton's method, from the best of some guesses; a lobe is
+picked by a number of its own beforehand. With p_l the density of that lobe at the direction and p that of all, light from
+there that was picked so counts p_l / p times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
+from torch_radbp.path.bounce import BSDF_CHOICE, surface_met
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import Arrival, PathState, Settings
+from torch_radbp.path.texture_networks import texture_values_at
+from torch_radbp.path.wavefront import queued
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import bounce_key, uniform
+from torch_radbp.scene.interaction import SurfaceInteraction
+from torch_radbp.scene.light import vantage
+from torch_radbp.scene.light_tree import Vantage
+from torch_radbp.scene.material import Material, evaluate, material_at, material_places, sample
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.vec import TINY, Frame, Vec3, dot, masked, rows
+
+GUESSES = 6  # of each number
+STEPS = 14
+LARGEST_STEP = 0.15
+CLOSE = 1e-9  # square of the angle by which a direction that was found may be off
+SALT = 0x6A09E667  # tells the numbers that pick lobes from others
+
+
+class Numbers(NamedTuple):
+    """The random numbers of a direction, (N,)."""
+
+    choice: Tensor  # of the lobe
+    u: Tensor
+    v: Tensor
+
+
+class Drawn(NamedTuple):
+    """Directions as vertices draw them, (N,); detached."""
+
+    numbers: Numbers
+    share: Tensor  # density of the lobe over that of all; 0: the lobe that was picked has no such direction
+    pdf: Tensor  # density over solid angle
+    scattered: Vec3  # BSDF times cosine
+    vantage: Vantage | None  # of the vertices; None if no light is picked with regard to that
+
+
+class Scatterers(NamedTuple):
+    """Those of some vertices that scatter by the same functions, and their surfaces."""
+
+    lanes: Tensor  # (M,) int64
+    material: Material
+    si: SurfaceInteraction
+
+
+def scatterers_met(integrand: Integrand, state: PathState, hit: Hit, settings: Settings) -> Iterator[Scatterers]:
+    """The surfaces that rays meet, attached as the integrand's scene and the rays are.
+
+    Args:
+        integrand: of eager stages.
+        state: (N,) of the rays.
+        hit: what they meet.
+        settings: how surfaces follow their rays.
+    """
+    front, order, queues = queued(integrand, state.ray, hit, False)
+    arrival = Arrival(state, hit, front)
+    for queue in queues:
+        if not queue.event.scatters:
+            continue
+        lanes, part, scatterer = order[queue.first:queue.last], integrand.part(queue.event), integrand.scatterer(queue.event)
+        met = surface_met(part.scene, rows(arrival, lanes), settings)
+        values = texture_values_at(integrand.scene, scatterer, material_places(part.scene, met) if scatterer.outside else ())
+        of_material = values[:len(scatterer.outside)]
+        yield Scatterers(lanes.long(), material_at(part.scene, met, of_material), met)
+
+
+def drawn(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Drawn:
+    """How vertices draw given directions.
+
+    Args:
+        integrand: detached, of eager stages.
+        state: (N,) of the rays that meet the vertices.
+        hit: these.
+        d: (N,) unit, away from them.
+    """
+    like, key = state.pdf, bounce_key(state.key, SALT)
+    choice = uniform(key, BSDF_CHOICE, like.dtype)
+    found = Drawn(Numbers(choice, torch.zeros_like(like), torch.zeros_like(like)), torch.zeros_like(like),
+                  torch.zeros_like(like), Vec3.buffer(like),
+                  None if state.vantage is None else Vantage(*(Vec3.buffer(like) for _ in Vantage._fields)))
+    for lanes, material, si in scatterers_met(integrand, state, hit, Settings()):
+        if not material.kind.smooth:
+            continue
+        wo = si.frame.to_local(rows(d, lanes))
+        value, pdf = evaluate(material, si.wi, wo)
+        numbers, density = inverted(material, Vec3(*si.wi), Vec3(*wo), choice[lanes])
+        usable = si.valid & (pdf > 0)
+        share = torch.where(usable, density / torch.where(usable, pdf.double(), 1.0), 0.0).to(like.dtype)
+        own = Drawn(numbers, share, pdf, masked(usable, value), None if found.vantage is None else vantage(si))
+        for target, new in zip(leaves_of(found), leaves_of(own)):
+            if target is not None:
+                target[lanes] = new.to(target.dtype)
+    return found
+
+
+class Try(NamedTuple):
+    """Where numbers lead to, (N,) each."""
+
+    u: Tensor
+    v: Tensor
+    off: Tensor  # square of the distance from the direction that is wanted; infinite: a delta lobe
+    density: Tensor  # over solid angle, of the lobe
+    step: tuple[Tensor, Tensor]  # of Newton's method, by which the numbers are too large
+
+
+def inverted(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) -> tuple[Numbers, Tensor]:
+    """How the lobe that `choice` picks draws directions: the numbers, and its densities over solid angle.
+
+    The densities are 0 where the lobe has no such direction, or does not scatter by chance.
+
+    Args:
+        material, wi: (N,), detached.
+        wo: (N,) unit, local, the directions.
+        choice: (N,) in [0, 1).
+    """
+    fine = Material(material.kind, tuple(value.map(torch.Tensor.double) for value in material.values))
+    wi, wo, own = wi.map(torch.Tensor.double), wo.map(torch.Tensor.double), choice.double()
+    # Begin with the best of some guesses.
+    places = torch.cartesian_prod(*[(torch.arange(GUESSES, dtype=own.dtype, device=own.device) + 0.5) / GUESSES] * 2)
+    u, v, best = own, own, torch.full_like(own, -2.0)
+    for place in places:
+        guess = [number.expand_as(own) for number in place]
+        near = dot(direction(fine, wi, own, *guess)[0], wo)
+        better = near > best
+        u, v, best = (torch.where(better, *parts) for parts in zip((*guess, near), (u, v, best)))
+
+    # Go on by Newton's method, by shorter steps where those lead away. Numbers that are angles go round.
+    at, reach = tried(fine, wi, wo, own, u, v), torch.ones_like(own)
+    for _ in range(STEPS):
+        share = reach * (LARGEST_STEP / torch.maximum(at.step[0].abs(), at.step[1].abs()).clamp_min(LARGEST_STEP))
+        u, v = (torch.frac(1.0 + number - share * step) for number, step in zip((at.u, at.v), at.step))
+        then = tried(fine, wi, wo, own, u, v)
+        nearer = then.off < at.off
+        at = with_leaves(at, [torch.where(nearer, *parts) for parts in zip(leaves_of(then), leaves_of(at))])
+        reach = torch.where(nearer, (2.0 * reach).clamp_max(1.0), 0.25 * reach)
+    return Numbers(choice, at.u, at.v), torch.where(at.off < CLOSE, at.density, 0.0)
+
+
+def direction(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:
+    """(N,) what numbers lead to, local, attached to `u` and `v`; and whether that is by a delta lobe."""
+    kind, values = material
+    lobe = kind.choose(values, wi, choice, u.detach(), v.detach())
+    return kind.sample(values, wi, lobe, u, v), lobe.is_delta(kind)
+
+
+def tried(material: Material, wi: Vec3, wo: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Try:
+    """Where numbers `u` and `v` lead to; args as for `inverted`."""
+    axes, slopes = Frame.of(wo), []
+    for axis in (axes.s, axes.t):
+        with torch.enable_grad():
+            numbers = [number.detach().requires_grad_() for number in (u, v)]
+            d, delta = direction(material, wi, choice, *numbers)
+            across = dot(d, axis)
+            found = vector_jacobian_product([across], numbers, [torch.ones_like(across)])
+            slopes.append([zeros_unless(slope, number).detach() for slope, number in zip(found, numbers)])
+    d = d.map(torch.Tensor.detach)
+    (s_u, s_v), (t_u, t_v), s, t, apart = *slopes, dot(d, axes.s), dot(d, axes.t), d - wo
+    area = s_u * t_v - s_v * t_u
+    known = area.abs() > TINY
+    inverse = torch.where(known, 1.0 / torch.where(known, area, 1.0), 0.0)
+    off = torch.where(torch.isfinite(area) & ~delta, dot(apart, apart), torch.inf)
+    return Try(u, v, off, inverse.abs(), ((t_v * s - s_v * t) * inverse, (s_u * t - t_u * s) * inverse))
+
+
+def directions_drawn(integrand: Integrand, state: PathState, hit: Hit, numbers: Numbers) -> Vec3:
+    """(N,) unit, world, attached: the directions that vertices draw by random numbers.
+
+    Args:
+        integrand: attached, of eager stages.
+        state: (N,) of the rays that meet the vertices, attached.
+        hit: these.
+        numbers: of each.
+    """
+    found = [torch.zeros_like(part) for part in state.ray.d]
+    for lanes, material, si in scatterers_met(integrand, state, hit, integrand.settings):
+        if not material.kind.smooth:
+            continue
+        choice, u, v = rows(numbers, lanes)
+        wo = sample(material, si.wi, choice, u, v, integrand.settings.sampling).wo
+        found = [old.index_copy(0, lanes, new) for old, new in zip(found, si.frame.to_world(wo))]
+    return Vec3(*found)

@@ -1,0 +1,81 @@
+"""Borders of shadows of light without extent, as they are seen in directions that carry derivatives.
+
+As in `bounced.py`, places on borders are connected to vertices of paths. The point that a path meets next is not glued
+here: it slides in a direction that moves (`followed_light.py`), and over the border by what the direction towards this moves
+more than that.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import Geometry, geometry_of
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.shadows.border import Borders, border
+from torch_radbp.boundary.shadows.bounced import light_sent_on, pairs_of, way_to
+from torch_radbp.boundary.shadows.drawn_directions import Numbers, drawn
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.followed_light import moved_directions
+from torch_radbp.boundary.shadows.seen_edges import Casting, finite_normal, pace
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_on
+from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import Frame, Vec2, Vec3, dot, normalize, rows
+
+
+class FollowedBorders(NamedTuple):
+    """K places on borders, each seen by a vertex of a path; detached."""
+
+    points: Viewpoints  # these
+    borders: Borders
+    basis: tuple[Vec3, Vec3]  # across the line of sight
+    numbers: Numbers  # for which the vertices draw directions towards the places
+    normal: Vec2  # in coordinates across the line of sight, as long as the piece that a place stands for
+    strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
+
+
+def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: FollowedBorders) -> FilmJumps:
+    """What such borders add to the derivative of view `number`; args as of `border.jumps_in_view`."""
+    geometry = attached_geometry(call.scene)
+    rays = arriving(call, number, found.points, all_of_them=True)
+    at = vertex_on(geometry, found.points, rays)
+    seen = sight_of(call.scene, geometry, casting.outline, at, found.borders, found.basis)
+    d = moved_directions(call, found.points, rays, found.numbers)
+    seen = Vec2(*(place - dot(d, across) for place, across in zip(seen, found.basis)))
+    return FilmJumps(found.points.place, found.strength * swept(seen, found.normal))
+
+
+def sight_of(scene: SceneTensors, geometry: Geometry, outline: Outline, at: Vec3, borders: Borders,
+             basis: tuple[Vec3, Vec3], step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
+    """Where shadows end as points `at` see it, (N,) coordinates across the lines of sight, attached; args as of `border`."""
+    d = normalize(border(scene, geometry, outline, borders, step, off) - at)
+    return Vec2(*(dot(d, across) for across in basis))
+
+
+def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: float) -> FollowedBorders | None:
+    """Places on borders, each seen by a vertex of a path of view `number`; args as of `border.borders_in_view`."""
+    pairs = pairs_of(call, number, casting, effort, True)
+    if pairs is None:
+        return None
+    points, start, borders, inwards, times, key = pairs
+    scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
+    way = way_to(start, border(scene, geometry, casting.outline, borders), scene.dtype)
+    basis = Frame.of(normalize(way.reach))[:2]
+    here, along = pace(lambda step: sight_of(scene, geometry, casting.outline, start, borders, basis, step), times)
+    shade = sight_of(scene, geometry, casting.outline, start, borders, basis, off=inwards)
+    normal = finite_normal(along, times)
+    ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
+    eager = integrand.with_stages(integrand.stages.eager())
+    found = drawn(eager, path_of(call, points.ray, key), points.hit, way.ray.d)
+    beta = points.beta * found.scattered * found.share
+    light = light_sent_on(call, integrand, borders, way, key) * torch.stack(tuple(beta)).double()
+    light = torch.where((normal.x != 0.0) | (normal.y != 0.0), light, 0.0)
+    kept = (light != 0).any(0).nonzero().squeeze(1)
+    if not len(kept):
+        return None
+    light, ahead = light[:, kept], ahead[kept]
+    return FollowedBorders(*rows((points, borders, basis, found.numbers, normal), kept),
+                           torch.where(ahead, light, -light))

@@ -1,0 +1,213 @@
+"""What edges add to derivatives where scattered directions carry derivatives: with attached sampling, and at rough glass.
+
+There the next vertex of a path is not glued to its surface. For given random numbers it slides over surfaces in a direction
+d that moves, and from one surface to another where an edge p is met. With e the edge's unit tangent and n normal to e and d,
+from the blocker to the background,
+
+    dL = integral of f |cos x| / r  (L_blocker - L_background)  n . (p' - x' - r d')  dl / r
+
+with r the distance from x, and d' the motion of the direction that the random numbers give which pass the edge
+(`drawn_directions.py`). Points of lamps that are picked are glued to these: of their share, by multiple importance sampling,
+edges cut off what `hidden_light.py` says.
+
+References: as there; Li 2020, equation 1, with whose derivative of directions this goes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.rendering import asks_for_derivatives
+from torch_radbp.boundary.shadows.drawn_directions import Drawn, Numbers, directions_drawn, drawn
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.hidden_light import (
+    LOOKS,
+    CutsOfView,
+    FirstVertex,
+    all_cuts,
+    cut_at,
+    eyes_of,
+    matter,
+    number_of_paths,
+    solid_angle,
+    some_of,
+)
+from torch_radbp.boundary.shadows.seen_edges import (
+    BEFORE,
+    BESIDE,
+    Casting,
+    Passed,
+    extent_of,
+    places_seen,
+    salted,
+    unhidden,
+)
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_at, vertex_on, viewpoints
+from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.wavefront import trace
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.material import sampling_at, turning_values
+from torch_radbp.scene.pack import one_sided
+from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, masked, normalize, rows
+
+SALT = 0x510E527F  # tells the random numbers of these places from others
+PLACES = 2  # on edges, for each path
+TIMES_AS_LARGE = 2  # as other places in memory: how directions move is recorded operation by operation
+
+
+class FollowedCuts(NamedTuple):
+    """K places where directions that carry derivatives meet edges, and where edges cut off sampled lamps; detached."""
+
+    directions: CutsOfView  # in coordinates across the line of sight
+    numbers: Numbers  # (K,) for which vertices draw them
+    lamps: CutsOfView
+
+
+class Side(NamedTuple):
+    """What lies on one side of N edges as vertices see them."""
+
+    ray: Ray  # from these
+    hit: Hit  # what it meets
+
+
+class Beyond(NamedTuple):
+    """What lies on either side."""
+
+    front: Side  # the blocker
+    back: Side  # the background
+
+
+class LightBeside(NamedTuple):
+    """What a view sees of light beside edges, (3, N) float64 each, for each unit of solid angle."""
+
+    drawn: Tensor  # the background's less the blocker's, by directions that vertices draw
+    picked: Tensor  # the background's, by points of lamps that are picked
+
+
+def directions_turn(call: RenderCall) -> bool:
+    """True if textures or normals with derivatives turn directions that are drawn by chance, and carry these."""
+    settings = call.integrand.settings
+    kinds = [(bsdf.textures(), bsdf.kind()) for bsdf in one_sided(call.module.bsdfs())]
+    turned = [source for textures, kind in kinds if kind.smooth and sampling_at(kind, settings.sampling) == "attached"
+              for slot in turning_values(kind, settings.sampling) for source in textures[slot].sources()]
+    follows = settings.sampling == "attached" or settings.following
+    return any(map(asks_for_derivatives, turned)) or follows and any_differentiated(call.scene.triangles.vertices.n)
+
+
+def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: FollowedCuts) -> FilmJumps:
+    """What edges add that directions slide over to the derivative of view `number`; args as of `border.jumps_in_view`."""
+    geometry, own, lamps = attached_geometry(call.scene), found.directions, found.lamps
+    points, viewpoint = own.points, own.cuts.viewpoint
+    rays = arriving(call, number, points, all_of_them=True)
+    at = vertex_on(geometry, points, rays)
+    seen, of_lamps = (cut_at(geometry, casting.outline, at, cuts) for cuts in (own.cuts, lamps.cuts))
+    d = moved_directions(call, rows(points, viewpoint), rows(rays, viewpoint), found.numbers)
+    seen = Vec2(*(place - dot(d, across) for place, across in zip(seen, own.cuts.basis)))
+    amount = torch.cat([own.strength * swept(seen, own.normal), lamps.strength * swept(of_lamps, lamps.normal)], 1)
+    return FilmJumps(rows(points.place, torch.cat([viewpoint, lamps.cuts.viewpoint])), amount)
+
+
+def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: Numbers) -> Vec3:
+    """(K,) unit, float64, attached: the directions in which viewpoints scatter light by these random numbers.
+
+    Args:
+        points: the viewpoints.
+        rays: that meet them, attached.
+        numbers: of each.
+    """
+    integrand = call.make_integrand(call.scene)
+    state = path_of(call, rays, points.key)
+    state = state._replace(pdf=torch.where(points.slides, state.pdf, 1.0))  # tells which of them slide
+    found = directions_drawn(integrand.with_stages(integrand.stages.eager()), state, points.hit, numbers)
+    return found.map(torch.Tensor.double)
+
+
+def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float, first: FirstVertex) -> FollowedCuts | None:
+    """Places where edges are met by directions that carry derivatives; None: there are none.
+
+    Args:
+        call, casting, effort: as for `border.borders_in_view`.
+        first: of which lights picked points count at the first vertices of paths.
+    """
+    view, geometry = call.views[number], geometry_of(call.scene)
+    integrand = integrand_of(call, call.integrand, number)
+    points = viewpoints(call, number, integrand, number_of_paths(call, view, effort), following=True)
+    if not len(points.depth):
+        return None
+    at = vertex_at(call, geometry, number, points)
+    eyes = eyes_of(call, number, integrand, points, at, FirstVertex(True, True))
+    passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, PLACES * len(points.depth))
+    if passed is None:
+        return None
+    passed = rows(passed, unhidden(call.integrand, passed))
+    if not len(passed.edge):
+        return None
+    start = rows(at, passed.eye)
+    beyond = beside(integrand, passed, start, BESIDE * extent_of(geometry))
+    own = rows(points, passed.eye)._replace(key=passed.key)
+    eager = integrand.with_stages(integrand.stages.eager())
+    found = drawn(eager, path_of(call, own.ray, own.key), own.hit, beyond.back.ray.d)
+    light = light_beside(call, integrand, own, beyond, found, first)
+
+    def cuts_at(hit: Hit, lost: Tensor) -> CutsOfView:
+        return all_cuts(call.stages, geometry, casting, points, at, passed, hit, lambda cuts: lost)
+
+    nothing = beyond.back.hit._replace(prim=torch.full_like(beyond.back.hit.prim, -1))
+    directions = cuts_at(nothing, light.drawn)
+    lamps = cuts_at(beyond.back.hit, light.picked * solid_angle(call.scene, beyond.back.hit, beyond.back.ray.d))
+    kept, of_lamps = matter(directions), matter(lamps)
+    if not len(kept) and not len(of_lamps):
+        return None
+    return FollowedCuts(some_of(directions, kept), rows(found.numbers, kept), some_of(lamps, of_lamps))
+
+
+def beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> Beyond:
+    """What lies on either side of places on edges; `start`: (N,) the vertices that see them, `off`: by which rays pass."""
+    reach = passed.p - start
+    distance = torch.sqrt(dot(reach, reach)).clamp_min(TINY)
+    dtype = passed.onwards.d.x.dtype
+    to_front = normalize(reach - passed.outwards * off)
+    o, d = (part.map(lambda c: c.to(dtype).contiguous()) for part in (start + to_front * (distance * BEFORE), to_front))
+    front, back = integrand.caster.intersect(Ray(o, d)), integrand.caster.intersect(passed.onwards)
+    origin = start.map(lambda c: c.to(dtype))
+    return Beyond(Side(Ray(origin, d), front._replace(t=front.t + (distance * BEFORE).to(dtype))),
+                  Side(Ray(origin, passed.onwards.d), back._replace(t=back.t + distance.to(dtype))))
+
+
+def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Beyond, found: Drawn,
+                 first: FirstVertex) -> LightBeside:
+    """What a view sees of the light on either side of edges.
+
+    Args:
+        integrand: of the view, detached.
+        points: (N,) that see the edges.
+        beyond: what lies beside these.
+        found: how the vertices draw their directions.
+        first: as for `cuts_of_view`.
+    """
+    none = torch.zeros(3, len(points.depth), dtype=torch.float64, device=call.scene.device)
+    by_drawing, by_picking = none, none.clone()
+    for depth in points.depth.unique().tolist():
+        lanes = (points.depth == depth).nonzero().squeeze(1)
+        back, front = (rows(side, lanes) for side in (beyond.back, beyond.front))
+        pdf = found.pdf[lanes]
+        here = None if found.vantage is None else rows(found.vantage, lanes)
+        sure, behind, before = (path_of(call, side.ray, rows(points.key, lanes)) for side in (back, back, front))
+        behind, before = (state._replace(pdf=torch.where(pdf > 0, pdf, 1.0), vantage=here) for state in (behind, before))
+        L = trace(integrand, behind, hit=back.hit, depth=depth + 1)
+        L = L - trace(integrand, before, hit=front.hit, depth=depth + 1)
+        by_drawing[:, lanes] = torch.stack(tuple(L)).double()
+        if integrand.settings.nee and (depth > 0 or any(first)):
+            straight = integrand._replace(max_depth=depth + 2)
+            L = trace(straight, sure, hit=back.hit, depth=depth + 1) - trace(straight, behind, hit=back.hit, depth=depth + 1)
+            if depth == 0:
+                L = masked(torch.where(back.hit.prim >= 0, *first), L)
+            by_picking[:, lanes] = torch.stack(tuple(L)).double()
+    scale = torch.stack(tuple(points.beta * found.scattered)).double()
+    return LightBeside(by_drawing * scale * found.share.double(), by_picking * scale)
