@@ -62,10 +62,10 @@ thing = scene.thing
 steps = rb.optim.LargeSteps(thing.faces, thing.vertex_positions, smoothness=10)
 torch.nn.utils.parametrize.register_parametrization(thing, "vertex_positions", steps)
 smooth = thing.parametrizations.vertex_positions.original.requires_grad_()
-optimizer = rb.optim.AdamUniform([smooth], lr=0.04)
-schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.975)
+optimizer = rb.optim.AdamUniform([smooth], lr=0.1)
+schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.963)
 renderer = rb.Renderer(scene, spp=4, share_samples=True)
-for step in range(120):
+for step in range(80):
     optimizer.zero_grad()
     images = renderer(seed=2 * step), renderer(seed=2 * step + 1)
     rb.losses.two_buffer_l2(*images, target).backward()
