@@ -27,7 +27,6 @@ CLASSIFIERS = [
     "Intended Audience :: Science/Research",
     "Environment :: Console",
     "Environment :: GPU :: NVIDIA CUDA",
-    "License :: OSI Approved :: MIT License",
     "Operating System :: POSIX :: Linux",  # where it has run
     *(f"Programming Language :: Python :: 3.{minor}" for minor in (10, 11, 12, 13, 14)),
     "Topic :: Multimedia :: Graphics :: 3D Rendering",

@@ -55,17 +55,19 @@ before = rb.render(scene, spp=64)
 # ## Large steps
 #
 # `LargeSteps` stands before `vertex_positions` as a parametrisation; `AdamUniform` is the optimiser that leaves its
-# gradients smooth. Edges count: nothing but the outline says how large the thing is, against the sky.
+# gradients smooth. Its steps are measured by the largest gradients that it remembers, and the first ones, of a thing that is
+# far off, are the largest of all: with the usual betas, (0.9, 0.999), these would make all others small.
+# Edges count: nothing but the outline says how large the thing is, against the sky.
 
 # %%
 thing = scene.thing
 steps = rb.optim.LargeSteps(thing.faces, thing.vertex_positions, smoothness=10)
 torch.nn.utils.parametrize.register_parametrization(thing, "vertex_positions", steps)
 smooth = thing.parametrizations.vertex_positions.original.requires_grad_()
-optimizer = rb.optim.AdamUniform([smooth], lr=0.04)
-schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.975)
+optimizer = rb.optim.AdamUniform([smooth], lr=0.1, betas=(0.8, 0.95))
+schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.963)
 renderer = rb.Renderer(scene, spp=4, share_samples=True)
-for step in range(120):
+for step in range(80):
     optimizer.zero_grad()
     images = renderer(seed=2 * step), renderer(seed=2 * step + 1)
     rb.losses.two_buffer_l2(*images, target).backward()

@@ -18,7 +18,8 @@ class AdamUniform(torch.optim.Optimizer):
     Args:
         params: as for any optimiser.
         lr: about how far the entry with the largest gradient moves in a step.
-        betas: decay of the first and second moment.
+        betas: decay of the first and second moment. The first gradients, of a shape that is far off, are the largest,
+            and keep steps small for about 1 / (1 - betas[1]) of them: 0.95 forgets sooner, and leaves more noise.
         eps: is added to the square root of the second.
 
     Raises:

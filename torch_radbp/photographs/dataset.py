@@ -63,6 +63,9 @@ class Photographs(Dataset[Photograph]):
     and TGA are multiplied by alpha, those of EXR are already. A mask that is given besides multiplies that of alpha, and
     leaves the image as it is. EXIF data, orientation included, are not read: calibrations go by the stored pixels.
 
+    Overexposed pixels say only that there was more light: the mask is to be 0 there and two pixels around, as far as the
+    film's filter spreads a lamp that is far brighter than white.
+
     Files are read when they are asked for; that they exist, and have the size that their cameras say, is checked at once.
     Photographs of several sizes cannot stand in one batch: `batches` keeps them apart.
 
