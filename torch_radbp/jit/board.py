@@ -121,7 +121,7 @@ def run_loop() -> int:
 @made_once
 def resting() -> tuple[object, int, int, int]:
     """The system's library, the addresses of its functions that give the core to others and that sleep, and how long."""
-    posix = os.name == "posix"
+    posix = hasattr(os, "sched_yield")
     library = ctypes.CDLL(None) if posix else ctypes.WinDLL("kernel32")
     functions = (library.sched_yield, library.usleep) if posix else (library.SwitchToThread, library.Sleep)
     return library, *[ctypes.cast(function, ctypes.c_void_p).value for function in functions], MICROSECONDS if posix else 0
