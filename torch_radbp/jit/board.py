@@ -129,7 +129,7 @@ def helping() -> Callable[[int], None]:
 
 @made_once
 def resting() -> tuple[object, int, int, int]:
-    """The library of the system, the addresses of its functions that give the core to others and that sleep, and how long."""
+    """The system's library, the addresses of its functions that give the core to others and that sleep, and how long."""
     if hasattr(os, "sched_yield"):
         library, time = ctypes.CDLL(None), MICROSECONDS
         functions = library.sched_yield, library.usleep
