@@ -97,10 +97,11 @@ class Tables:
         scene = [leaf for leaf in leaves_of(integrand.proposal) if isinstance(leaf, Tensor)]
         numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
         self.given: list[Tensor | int] = [*numbers, *scene, *(() if caster is None else caster.reads(dtype))]
-        optional = [getattr(caster, name, None) is None for name in ("balls", "instances")]
+        present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
+            getattr(caster, name, None) for name in ("balls", "instances")))]
         # Stages have the code that recordings call.
-        self.kind = RECORDINGS.kind(integrand.stages, integrand.proposal.layout, integrand.differentiated is None,
-                                    type(caster), *optional, pattern(self.given), lying(scene))
+        self.kind = RECORDINGS.kind(integrand.stages, integrand.proposal.layout, type(caster), *present,
+                                    pattern(self.given), lying(scene))
 
 
 class Recorder:
