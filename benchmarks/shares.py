@@ -12,6 +12,9 @@ backward:
 * the rest: torch's operations between the stages (survivors, the memo, sums of pixels) and Python; where the renderer is
   eager, the stages themselves.
 
+Bounces are taken operation by operation here, from Python, so that their parts can be told; elsewhere they are recorded and
+run as machine code, which leaves out most of `lane compiler` and `the rest`.
+
 `in the kernel` is the share of all this that the operating system takes, mostly to hand out fresh pages. The peak of
 memory, with the threads that torch has by default, is over what was resident before the pass; beside it what the renderer
 predicts.
@@ -38,10 +41,11 @@ import torch
 from benchmarks.peers import Ours
 from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes import ALL, QUICK, SCENES
-from torch_radbp.adjoint import function
+from torch_radbp.adjoint import function, recorded_sweep
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary import JumpWatch
 from torch_radbp.jit import LaneFunction, cpu
+from torch_radbp.path import recorded_bounce
 from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.rendering.renderer import Renderer
@@ -95,6 +99,8 @@ def clocked() -> Iterator[Clock]:
     """Times all parts while it is open."""
     clock = Clock()
     with ExitStack() as stack:
+        for module in (recorded_bounce, recorded_sweep):
+            stack.enter_context(patch.object(module, "recordable", lambda integrand: False))
         for part, places in TIMED.items():
             for owner, name in places:
                 timed = clock.timing(part, getattr(owner, name))

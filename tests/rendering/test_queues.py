@@ -68,7 +68,7 @@ SITUATIONS = {
          "spare": {"type": "dielectric"}}, ((DIFFUSE, 2), (ROUGH, 1)), ("hidden", "spare")),
     "nothing is met": Situation({"eye": strip(3, **UPWARDS), **OPEN}, ((NOTHING, 0),), ("",), 1),
     "nothing is met and there is one appearance": Situation(
-        {"eye": strip(3, **UPWARDS), "chalk": CHALK, "lamp": LAMP}, ((DIFFUSE, 0),), ("",), 1),
+        {"eye": strip(3, **UPWARDS), "chalk": CHALK, "lamp": LAMP}, ((NOTHING, 0),), ("",), 1),
     "only the sky is met": Situation({"eye": strip(3, **UPWARDS), **OPEN, "sky": SKY}, ((NOTHING, 3),),
                                      ("eye", "chalk", "plate", "lamp"), 1),
     "only a lamp is met": Situation({"eye": strip(3, **AT_LAMP), **ROOM}, ((DIFFUSE, 3),), ("chalk",)),

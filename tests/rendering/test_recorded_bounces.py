@@ -144,3 +144,11 @@ def test_neither_are_lamps_that_are_picked_by_place(calls):
     with torch.no_grad():
         assert rb.Renderer(build_everything("lamps", torch.float32), **SETTINGS)(seed=1).std() > 0
     assert not calls
+
+
+def test_a_far_plane_is_heeded_though_the_scene_was_recorded_without_it(calls):
+    scene, cut = cornell(torch.float32), cornell(torch.float32)
+    cut.sensors[0].far_clip = 3.6  # before the back wall
+    with torch.no_grad():
+        whole, seen = (rb.Renderer(own, **SETTINGS)(seed=1) for own in (scene, cut))
+    assert calls and seen.std() > 0 and not torch.equal(whole, seen)

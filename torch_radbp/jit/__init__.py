@@ -15,7 +15,9 @@ In the order of data:
 4. `machine.py` makes machine code of that, `run.py` calls it on tensors, `team.py` on several threads; `allocator.py` has
    them write into memory that was used before.
    `dual.py` has a loop compute tangents beside values, in forward mode.
-5. `compiled.py` keeps it for later processes: on disk (`code_cache.py`), by what it depends on (`fingerprint.py`).
+5. What calls such functions, casts rays and moves lanes about, bounce after bounce, is itself noted once (`recording.py`)
+   and then run as machine code (`recorded.py`), whatever the numbers of lanes are; helpers take part by a `board.py`.
+6. `compiled.py` keeps it for later processes: on disk (`code_cache.py`), by what it depends on (`fingerprint.py`).
 
 It knows torch and LLVM, and nothing of rendering.
 """

@@ -19,7 +19,7 @@ from torch_radbp.jit.team import assisted
 # that gives the core to others, the address of the loop's body; then the `team.Job` that the body takes parts of; and the
 # address of a function that sleeps, with how long.
 DONE, YIELD, SLEEP, TIME, WORDS = 2, 3, 10, 11, 16
-LOOKS = 1000000000  # before a helper sleeps
+LOOKS = 200  # before a helper sleeps
 MICROSECONDS = 20
 TEXT = """\
 define void @run_loop(ptr %board, ptr %body, i64 %lanes, i64 %part, ptr %inputs, ptr %outputs) {
@@ -103,28 +103,43 @@ wait:
 leave:
   ret void
 }
+
+define i32 @stay() {
+  ret i32 0
+}
 """
 
 
 @made_once
-def functions() -> tuple[MachineCode, int, Callable[[int], None]]:
-    """The code of the board, the address of `run_loop`, and `help`."""
-    code = cached_code(TEXT.replace("{looks}", str(LOOKS)), entry="run_loop")
-    return code, code.address, ctypes.CFUNCTYPE(None, ctypes.c_void_p)(code.address_of("help"))
+def board_code() -> MachineCode:
+    """The machine code of `TEXT`."""
+    return cached_code(TEXT.replace("{looks}", str(LOOKS)), entry="run_loop")
 
 
 def run_loop() -> int:
     """The address of the function that runs a loop: board, body, lanes, lanes of a part, inputs and outputs."""
-    return functions()[1]
+    return board_code().address
+
+
+@made_once
+def helping() -> Callable[[int], None]:
+    """What a helper does with the board at an address."""
+    return ctypes.CFUNCTYPE(None, ctypes.c_void_p)(board_code().address_of("help"))
 
 
 @made_once
 def resting() -> tuple[object, int, int, int]:
     """The system's library, the addresses of its functions that give the core to others and that sleep, and how long."""
-    posix = os.name == "posix"
-    library = ctypes.CDLL(None) if posix else ctypes.WinDLL("kernel32")
-    functions = (library.sched_yield, library.usleep) if posix else (library.SwitchToThread, library.Sleep)
-    return library, *[ctypes.cast(function, ctypes.c_void_p).value for function in functions], MICROSECONDS if posix else 0
+    if hasattr(os, "sched_yield"):
+        library, time = ctypes.CDLL(None), MICROSECONDS
+        functions = library.sched_yield, library.usleep
+    elif hasattr(ctypes, "WinDLL"):
+        library, time = ctypes.WinDLL("kernel32"), 0
+        functions = library.SwitchToThread, library.Sleep
+    else:  # then it looks without a rest
+        code = board_code()
+        return code, code.address_of("stay"), code.address_of("stay"), 0
+    return library, *[ctypes.cast(function, ctypes.c_void_p).value for function in functions], time
 
 
 @contextmanager
@@ -132,7 +147,7 @@ def board() -> Iterator[int]:
     """The address of a board that the helpers of this thread look at, as long as the context is open."""
     words = array("q", [0] * WORDS)
     _, words[YIELD], words[SLEEP], words[TIME] = resting()
-    address, help = words.buffer_info()[0], functions()[2]
+    address, help = words.buffer_info()[0], helping()
 
     def finish() -> None:
         words[DONE] = 1

@@ -65,9 +65,12 @@ class Compiled:
         """Has it recorded that all lanes are computed; the results go to `outputs`, from the entry `first` on."""
         if self.code is None or not given.lanes:
             return
+        body = getattr(self.code, "address", None)
+        if body is None:
+            raise NotRecordable("a loop is for another device")
         if given.read is not given.leaves and any(map(operator.is_not, given.read, given.leaves)):
             raise NotRecordable("a tensor is copied before it is read")
-        listener.loop(self.code.code.address, given.lanes, PART, [given.leaves[place] for place in self.inputs], outputs,
+        listener.loop(body, given.lanes, PART, [given.leaves[place] for place in self.inputs], outputs,
                       first, lengths=True)
 
 

@@ -83,9 +83,14 @@ class CpuLoop:
     def __init__(self, code: bytes):
         self.code = MachineCode(code)
 
+    @property
+    def address(self) -> int:
+        """Of the loop's body; see `team.LaneLoop`."""
+        return self.code.address
+
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
         """Runs the loop over all lanes, and waits for it."""
-        run_lanes(self.code.address, lanes, array("q", [*inputs, *lengths]), array("q", outputs))
+        run_lanes(self.address, lanes, array("q", [*inputs, *lengths]), array("q", outputs))
 
 
 def framed(body: Body, width: int) -> str:

@@ -289,7 +289,7 @@ class Recorded:
         leaves: list[Tensor] = []
         flatten(results, leaves, [])
         self.places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
-        self.none = [torch.empty(0, dtype=leaf.dtype, device="cpu") for leaf in leaves]  # in the place of no lanes
+        self.dtypes = [leaf.dtype for leaf in leaves]
         self.lengths = [recording.span(leaf.numel()) for leaf in leaves]
         self.assemble: Callable[[list[Tensor]], Any] = assembler(replaced(results, Leaf))
         self.layout = Layout(recording, [place.tensor for place in self.places if place and place.made])
@@ -321,9 +321,9 @@ class Recorded:
                  self.functions.buffer_info()[0], board, lanes, row)
         rows = [block.narrow(1, 0, counts[group.last]).unbind(0) for block, group in zip(kept, self.layout.groups)]
         found = []
-        for place, span, none in zip(self.places, self.lengths, self.none):
-            if place is None:
-                found.append(none)
+        for place, span, dtype in zip(self.places, self.lengths, self.dtypes):
+            if place is None:  # it has no lanes
+                found.append(torch.empty(0, dtype=dtype, device="cpu"))
                 continue
             if not place.made:
                 found.append(given[place.tensor])

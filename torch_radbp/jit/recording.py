@@ -327,6 +327,11 @@ class Guard(TorchDispatchMode):
                 return self.recording.reserve.tensor(shape.dtype, shape.numel())
         return func(*args, **(kwargs or {}))
 
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        """False: torch is not to import its compiler for this mode."""
+        return False
+
     def has_no_contents(self, item) -> bool:
         """True of a tensor that holds lanes, or several of which one does."""
         if isinstance(item, (list, tuple)):

@@ -33,6 +33,7 @@ from torch_radbp.tensors.vec import Vec3
 
 Bounce = Callable[[Onward, int, Hit | None, Vec3], tuple[PathState, Step, Onward]]
 MOST = 256  # recordings that are kept
+UNKNOWN = object()
 
 
 class QueueOfCounts(NamedTuple):
@@ -64,18 +65,20 @@ class Recordings:
         self.making, self.numbers = Lock(), itertools.count()
 
     def kind(self, *parts) -> int:
-        """A number that stands for these parts of a key, which take their time to compare."""
+        """A number that stands for these parts of a key, which take their time to compare; they are kept alive."""
         return self.kinds.setdefault(parts, next(self.numbers))
 
     def of(self, key: tuple, make: Callable[[], Any]) -> Any:
         """What a key stands for, recorded now if it is not known."""
-        if key not in self.known:
+        found = self.known.get(key, UNKNOWN)
+        if found is UNKNOWN:
             with self.making:
-                if key not in self.known:
+                found = self.known.get(key, UNKNOWN)
+                if found is UNKNOWN:
                     if len(self.known) >= MOST:
                         self.known.pop(next(iter(self.known)))
-                    self.known[key] = make()
-        return self.known[key]
+                    found = self.known[key] = make()
+        return found
 
 
 RECORDINGS = Recordings()
@@ -94,8 +97,10 @@ class Tables:
         scene = [leaf for leaf in leaves_of(integrand.proposal) if isinstance(leaf, Tensor)]
         numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
         self.given: list[Tensor | int] = [*numbers, *scene, *(() if caster is None else caster.reads(dtype))]
-        optional = [getattr(caster, name, None) is None for name in ("balls", "instances")]
-        self.kind = RECORDINGS.kind(integrand.proposal.layout, integrand.differentiated is None, type(caster), *optional,
+        present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
+            getattr(caster, name, None) for name in ("balls", "instances")))]
+        # Stages have the code that recordings call.
+        self.kind = RECORDINGS.kind(integrand.stages, integrand.proposal.layout, type(caster), *present,
                                     pattern(self.given), lying(scene))
 
 
