@@ -65,10 +65,13 @@ def positions(geometry: Geometry, between: Between, instance: Tensor | None) -> 
 
 
 def in_world(geometry: Geometry, vertices: tuple[Tensor, ...], instance: Tensor | None) -> tuple[Vec3, ...]:
-    """Some vertices of each lane, (N,) int32 rows each, in the world; attached, float64."""
-    points = tuple(lookup(geometry.triangles.vertices.p, row) for row in vertices)
-    points = points if instance is None else shown(geometry, Placed(instance), points)
-    return tuple(point.map(torch.Tensor.double) for point in points)
+    """Some vertices of each lane, (N,) int32 rows each, in the world; attached, float64.
+
+    Instances place them in float64, too: a triangle's own edges must lie in its plane by whichever way both are computed.
+    Were they off by what float32 rounds, points close to them would take them for silhouettes.
+    """
+    points = tuple(lookup(geometry.triangles.vertices.p, row).map(torch.Tensor.double) for row in vertices)
+    return points if instance is None else shown(geometry, Placed(instance), points)
 
 
 def vertex_normals(geometry: Geometry, between: Between, instance: Tensor | None) -> Corners:

@@ -21,7 +21,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, light_through
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
-from torch_radbp.boundary.shadows.hidden_light import solid_angle
+from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace, unhidden
 from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
@@ -86,7 +86,7 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: fl
     way = way_to(start, interpolated(corners_of(geometry, borders.receiver), here.x, here.y), scene.dtype)
     light = light_sent_on(call, integrand, borders, way, key)
     beta = points.beta * scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, way.ray.d)
-    light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, way.meets(borders), way.ray.d)
+    light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, borders.receiver, Ray(start, way.reach))
     light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
     kept = (light != 0).any(0).nonzero().squeeze(1)
     if not len(kept):

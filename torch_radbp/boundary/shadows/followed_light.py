@@ -33,9 +33,9 @@ from torch_radbp.boundary.shadows.hidden_light import (
     eyes_of,
     matter,
     number_of_paths,
-    solid_angle,
     some_of,
 )
+from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
@@ -160,7 +160,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
 
     nothing = beyond.back.hit._replace(prim=torch.full_like(beyond.back.hit.prim, -1))
     directions = cuts_at(nothing, light.drawn)
-    lamps = cuts_at(beyond.back.hit, light.picked * solid_angle(call.scene, beyond.back.hit, beyond.back.ray.d))
+    lamps = cuts_at(beyond.back.hit, light.picked * solid_angle(call.scene, beyond.back.hit, Ray(start, passed.p - start)))
     kept, of_lamps = matter(directions), matter(lamps)
     if not len(kept) and not len(of_lamps):
         return None

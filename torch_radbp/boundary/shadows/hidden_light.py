@@ -34,6 +34,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.light_points import light_points
+from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
     Casting,
@@ -53,14 +54,13 @@ from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View
-from torch_radbp.path.direct_light import scattered_light
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import primal
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most
@@ -270,10 +270,9 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
     """
     scene = integrand.proposal
     own, start = rows((points, at), passed.eye)
-    d, key = passed.onwards.d, passed.key
-    beta = scattered_light(integrand, path_of(call, own.ray, own.key), own.hit, d)
-    reach = passed.p - start
-    ray = Ray(start.map(lambda c: c.to(scene.dtype)), d)
+    reach, key = passed.p - start, passed.key
+    beta = scattered_towards(call, integrand, own, reach)
+    ray = Ray(start.map(lambda c: c.to(scene.dtype)), passed.onwards.d)
     hit = beyond._replace(t=beyond.t + torch.sqrt(dot(reach, reach)).to(scene.dtype))
     L = torch.zeros(3, len(passed.edge), dtype=torch.float64, device=scene.device)
     for depth in own.depth.unique().tolist():
@@ -284,17 +283,4 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
             straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1)
             found = found - masked(torch.where(met.prim >= 0, not first.surfaces, not first.surroundings), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
-    return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(scene, hit, d)
-
-
-def solid_angle(scene: SceneTensors, hit: Hit, d: Vec3) -> Tensor:
-    """(N,) that of what is hit, for each unit of the barycentric coordinates of triangles; 1 where nothing is.
-
-    Args:
-        hit: (N,) as rays meet it.
-        d: (N,) unit, these.
-    """
-    corners = corners_of(geometry_of(scene), hit)
-    n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
-    distance = hit.t.double().clamp_min(TINY)
-    return torch.where(hit.prim >= 0, dot(n, d.map(torch.Tensor.double)).abs() / (distance * distance), 1.0)
+    return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(scene, beyond, Ray(start, reach))

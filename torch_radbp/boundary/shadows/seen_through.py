@@ -38,6 +38,7 @@ from torch_radbp.boundary.shadows.hidden_light import (
     cuts_that_matter,
     number_of_paths,
 )
+from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
@@ -50,13 +51,12 @@ from torch_radbp.boundary.shadows.seen_edges import (
 )
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
-from torch_radbp.path.direct_light import scattered_light
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal
 
 SALT = 0x27D4EB2F  # tells the random numbers of these places from others
 MOST_SURFACES = 4  # that light passes on the way from an edge
@@ -94,7 +94,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float)
         return None
     passed, beside, on = rows((passed, beside, on), reached)
     return cuts_that_matter(call.stages, geometry, casting, points, at, passed, beside.hit,
-                            lambda cuts: difference(call, integrand, points, passed, (beside, on)))
+                            lambda cuts: difference(call, integrand, points, at, passed, (beside, on)))
 
 
 class Through(NamedTuple):
@@ -136,27 +136,24 @@ def lets_pass(integrand: Integrand, ray: Ray, hit: Hit) -> Tensor:
     return found
 
 
-def difference(call: RenderCall, integrand: Integrand, points: Viewpoints, passed: Passed,
+def difference(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed,
                ways: Sequence[Through]) -> Tensor:
     """(3, N) float64 what the view sees of the difference of what lies beside edges and on them, for each unit of
     `cut_at`'s coordinates.
 
     Args:
-        points: the viewpoints, of which `passed.eye` are meant.
+        points, at: the viewpoints, of which `passed.eye` are meant, and where they are.
         passed: (N,) the places on edges.
         ways: beside the edges, and on them.
     """
-    own = rows(points, passed.eye)
+    own, start = rows((points, at), passed.eye)
     beside, on = ways
-    beta = scattered_light(integrand, path_of(call, own.ray, own.key), own.hit, beside.ray.d)
+    line = Ray(start, passed.p - start)
+    beta = scattered_towards(call, integrand, own, line.d)
     L = torch.zeros(3, len(passed.edge), dtype=torch.float64, device=passed.edge.device)
     for depth in own.depth.unique().tolist():
         lanes = (own.depth == depth).nonzero().squeeze(1)
         for sign, way in ((1.0, beside), (-1.0, on)):
             ray, key, hit = rows((way.ray, passed.key, way.hit), lanes)
             L[:, lanes] += sign * torch.stack(tuple(trace(integrand, path_of(call, ray, key), hit=hit, depth=depth + 1)))
-    corners = corners_of(geometry_of(integrand.proposal), beside.hit)
-    n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
-    distance = beside.hit.t.double().clamp_min(TINY)
-    return torch.stack(tuple(own.beta * beta)).double() * L * (
-        dot(n, beside.ray.d.map(torch.Tensor.double)).abs() / (distance * distance))
+    return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(integrand.proposal, beside.hit, line)

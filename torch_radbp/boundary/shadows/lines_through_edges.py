@@ -1,0 +1,43 @@
+"""What viewpoints scatter towards edges, and how large what lies beyond is seen, by the lines from viewpoints through these.
+
+Rays that tell what lies right beside an edge pass it a little off. Close to the edge they differ much from the line through
+it, which the border of a cut follows: a plane that the line meets nearly edge-on and far away may be met nearby by the ray.
+What is multiplied with the course of the border is therefore of the line; the ray tells only what is seen beside it.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.shadows.seen_edges import corners_of
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.path.direct_light import scattered_light
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, normalize
+
+
+def scattered_towards(call: RenderCall, integrand: Integrand, points: Viewpoints, reach: Vec3) -> Vec3:
+    """BSDF times cosine of viewpoints, (N,), in directions, (N,) of any length, float64; detached."""
+    d = normalize(reach).map(lambda c: c.to(integrand.proposal.dtype).contiguous())
+    return scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, d)
+
+
+def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:
+    """(N,) float64 the solid angle of triangles where lines meet their planes, for each unit of barycentric coordinates; 1
+    where nothing is hit.
+
+    Args:
+        scene: detached.
+        hit: (N,) the triangles.
+        line: (N,) float64, with directions of any length.
+    """
+    corners, d = corners_of(geometry_of(scene), hit), normalize(line.d)
+    n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
+    facing, height = dot(n, d).abs(), dot(n, corners[0] - line.o).abs()
+    per_distance = facing / height.clamp_min(TINY)
+    return torch.where(hit.prim >= 0, facing * per_distance * per_distance, 1.0)
