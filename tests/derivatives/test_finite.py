@@ -10,6 +10,7 @@ from tests.deep import deep, deep_but_every
 from tests.derivatives.extremes import CASES
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
+from torch_radbp.path.recorded_bounce import RECORDINGS
 from torch_radbp.plugin import REGISTRY
 from torch_radbp.scene.pack import pack
 
@@ -102,6 +103,7 @@ def test_a_gradient_that_is_not_finite_is_traced_to_parameter_plugin_bounce_and_
     spoil(monkeypatch, value_is_fine_and_derivative_is_not)
     for stage in fresh_stages:
         stage.fused.compiled.clear()
+    RECORDINGS.known.clear()
     image = rb.Renderer(scene, **settings)(seed=2)
     with pytest.raises(rb.NonFiniteError) as caught:
         image.sum().backward()

@@ -72,6 +72,7 @@ class Compiled:
             raise NotRecordable("a tensor is copied before it is read")
         listener.loop(body, given.lanes, PART, [given.leaves[place] for place in self.inputs], outputs,
                       first, lengths=True)
+        listener.code.append(self.code)
 
 
 def name_of(function: Callable, tables: tuple[str, ...], given: Arguments, target: Target) -> str | None:

@@ -297,7 +297,7 @@ class Recorded:
         text = writer.text()
         self.code: MachineCode = cached_code(text, entry="recorded")
         self.run = RECORDED(self.code.address)
-        self.rays = recording.rays
+        self.rays, self.called = recording.rays, recording.code  # the latter so that it stays where it is
         self.functions, self.counts = array("q", writer.functions), recording.counts
 
     def __call__(self, given: Sequence[Tensor | int], lanes: int, board: int,

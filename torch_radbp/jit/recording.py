@@ -165,6 +165,7 @@ class Recording:
             self.given.setdefault(address_of(item), number)
         self.operations: list[Operation] = []
         self.rays: list[Span] = []  # that are cast
+        self.code: list = []  # what the functions belong to that are called
         self.made: list[Made] = []
         self.memory: dict[int, int] = {}  # numbers of tensors that were made, by address
         self.alive: list = [given]  # so that addresses remain theirs
