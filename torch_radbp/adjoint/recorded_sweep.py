@@ -18,7 +18,7 @@ from torch_radbp.jit.structure import flatten
 from torch_radbp.path.event import Ends, Event, Scatters
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
-from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, recordable, without_contents
+from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, recordable, tensors_of, without_contents
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Step
 from torch_radbp.scene.tensors import SceneTensors
@@ -45,9 +45,8 @@ class RecordedSweep(Sweep):
 
     def differentiate(self, state: PathState, step: Step, depth: int) -> None:
         events, integrand = self.events(depth), self.integrand
-        lanes = [leaf for leaf in leaves_of((state, step.hit, step.front, step.order, step.visible, step.survives))
-                 if leaf is not None]
-        others = [leaf for leaf in leaves_of((self.memo, self.adj_L, integrand.at(depth))) if leaf is not None]
+        lanes = tensors_of((state, step.hit, step.front, step.order, step.visible, step.survives))
+        others = tensors_of((self.memo, self.adj_L, integrand.at(depth)))
         if self.kind is None:
             structure: list = []
             flatten((state, step.hit, self.memo, self.adj_L), [], structure)
@@ -87,10 +86,8 @@ class RecordedSweep(Sweep):
                              visible=reserve.tensor(torch.bool, scattered), survives=reserve.tensor(torch.bool, scattered),
                              texture_values=((),) * len(queues))
         other.memo, other.adj_L = without_contents((self.memo, self.adj_L), reserve)
-        lanes = [leaf for leaf in leaves_of((state, hit, front, step.order, step.visible, step.survives))
-                 if leaf is not None]
-        others = [leaf for leaf in leaves_of((other.memo, other.adj_L, self.integrand.at(depth))) if leaf is not None]
-        given = [*lanes, *others, *self.tables.given, *self.sums]
+        given = [*tensors_of((state, hit, front, step.order, step.visible, step.survives)),
+                 *tensors_of((other.memo, other.adj_L, self.integrand.at(depth))), *self.tables.given, *self.sums]
         listener = Recording(given, borders, reserve)
         try:
             with torch.no_grad(), listening(listener):

@@ -179,12 +179,12 @@ class Writer:
         before = self.line(f"mul i64 {self.counts[place.first]}, {place.size}")
         return self.line(f"getelementptr i8, ptr {base}, i64 {before}")
 
-    def list_of(self, items: Sequence[str], kind: str = "ptr") -> str:
+    def list_of(self, pointers: Sequence[str]) -> str:
         """The address of an array of these."""
-        array = self.line(f"alloca {kind}, i64 {max(1, len(items))}, align 8")
-        for number, item in enumerate(items):
-            at = self.line(f"getelementptr {kind}, ptr {array}, i64 {number}")
-            self.lines.append(f"store {kind} {item}, ptr {at}, align 8")
+        array = self.line(f"alloca ptr, i64 {max(1, len(pointers))}, align 8")
+        for number, pointer in enumerate(pointers):
+            at = self.line(f"getelementptr ptr, ptr {array}, i64 {number}")
+            self.lines.append(f"store ptr {pointer}, ptr {at}, align 8")
         return array
 
     def loop(self, operation: Loop) -> None:

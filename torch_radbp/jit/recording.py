@@ -94,7 +94,7 @@ class Inverted(NamedTuple):
 
 
 class Copy(NamedTuple):
-    """`Target.copy`."""
+    """Entries of one tensor, to another: a result that is the same as one before, see `LaneFunction.into`."""
 
     source: Place
     target: Place
@@ -302,7 +302,7 @@ class Recording:
             for loop, (index, numbers, sums) in zip(loops, additions)), self.span(lanes)))
 
     def copy(self, target: Tensor, source: Tensor, first: int) -> None:
-        """As `Target.copy`."""
+        """Copies all entries of a tensor to those of another from `first` on."""
         self.operations.append(Copy(self.place(source), self.written(target, first), self.span(source.numel())))
 
 

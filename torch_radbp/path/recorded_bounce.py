@@ -94,7 +94,7 @@ class Tables:
 
     def __init__(self, integrand: Integrand, dtype: torch.dtype):
         caster = integrand.caster
-        scene = [leaf for leaf in leaves_of(integrand.proposal) if isinstance(leaf, Tensor)]
+        scene = tensors_of(integrand.proposal)
         numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
         self.given: list[Tensor | int] = [*numbers, *scene, *(() if caster is None else caster.reads(dtype))]
         present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
@@ -120,7 +120,7 @@ class Recorder:
     def __call__(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> tuple[PathState, Step, Onward]:
         """As `bounced`."""
         integrand = self.integrand
-        varying = [leaf for leaf in leaves_of((onward, hit, L, integrand.at(depth))) if leaf is not None]
+        varying = tensors_of((onward, hit, L, integrand.at(depth)))
         kind = self.kind if hit is None and onward.alive is not None else None
         if kind is None:
             structure: list = []
@@ -147,8 +147,7 @@ class Recorder:
         paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
         onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
         hit, L = without_contents((hit, L), reserve)
-        given = [*[leaf for leaf in leaves_of((onward, hit, L, integrand.at(depth))) if leaf is not None],
-                 *self.tables.given]
+        given = [*tensors_of((onward, hit, L, integrand.at(depth))), *self.tables.given]
         listener = Recording(given, reserve=reserve)
         try:
             with torch.no_grad(), listening(listener):
@@ -159,6 +158,11 @@ class Recorder:
             return RecordedBounce(Recorded(listener, given, results), queues)
         except NotRecordable:
             return None
+
+
+def tensors_of(record) -> list[Tensor]:
+    """The tensors among the leaves of a record, in order."""
+    return [leaf for leaf in leaves_of(record) if isinstance(leaf, Tensor)]
 
 
 def without_contents(record, reserve: Reserve, lanes: int = ALL):
