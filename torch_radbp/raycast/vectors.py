@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 
 from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
+from torch_radbp.jit.machine import host_features
 
 ZERO = "zeroinitializer"
 SIZES = {"i8": 1, "i32": 4, "float": 4, "double": 8}
@@ -208,6 +209,23 @@ class Vectors:
         return self.call(f"llvm.masked.gather.{self.suffix(kind)}.v{self.width}p0", self.vector(kind),
                          (self.vector("ptr"), places), ("i32", str(SIZES[kind])), (self.flags, mask),
                          (self.vector(kind), ZERO))
+
+    @property
+    def permutes(self) -> bool:
+        """Whether vectors are those of AVX-512, whose elements the processor permutes."""
+        return self.width == 16 and self.scalar == "float" and bool(host_features().get("avx512f"))
+
+    def permuted(self, base: str, indices: str, entries: int) -> str:
+        """Entries of an array of so many, 32 or 64, at i32 indices."""
+        function = "llvm.x86.avx512.vpermi2var.ps.512"
+        parts = [self.line(f"load {self.numbers}, ptr {self.at(self.scalar, base, first)}, align 4")
+                 for first in range(0, entries, self.width)]
+        found = [self.call(function, self.numbers, (self.numbers, low), (self.integers, indices), (self.numbers, high))
+                 for low, high in zip(parts[::2], parts[1::2])]
+        if len(found) == 1:
+            return found[0]
+        beyond = self.line(f"icmp ugt {self.integers} {indices}, splat (i32 {2 * self.width - 1})")
+        return self.choose(beyond, found[1], found[0])
 
     def scatter(self, kind: str, value: str, base: str, indices: str, mask: str) -> None:
         """Stores values at i32 indices of an array where the mask is set."""
