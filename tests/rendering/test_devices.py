@@ -63,7 +63,7 @@ def trace_on_cuda(stage, arguments: tuple) -> set[torch.device]:
         return {leaf.device for leaf in leaves_of(stage(*with_leaves(arguments, moved))) if isinstance(leaf, Tensor)}
 
 
-OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "chance_of_light"}, {"side_met"}
+OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "emitter_met", "chance_of_light"}, {"side_met"}
 OF_JUMPS, OF_SEGMENTS = {"slopes", "swept", "asked_of_places"}, {"segment_weight", "segment_place"}
 OF_CROSSINGS = {"segment_bounds", "segment_found", "segment_passed", "sheets_seen"}
 OF_SHADOWS = {"descended", "edge_found", "edge_passed", "direct_light", "scattered", "border_course", "cut_course",

@@ -10,7 +10,7 @@ import ctypes
 import os
 from array import array
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
 from torch_radbp.jit.team import assisted
@@ -142,15 +142,36 @@ def resting() -> tuple[object, int, int, int]:
     return library, *[ctypes.cast(function, ctypes.c_void_p).value for function in functions], time
 
 
+class Board:
+    """A board, which the helpers of the thread look at as long as it is open; then they are not free for other work."""
+
+    def __init__(self) -> None:
+        self.words = array("q", [0] * WORDS)
+        _, self.words[YIELD], self.words[SLEEP], self.words[TIME] = resting()
+        self.words[DONE] = 1
+        self.address, self.helpers = self.words.buffer_info()[0], ExitStack()
+
+    def open(self) -> None:
+        """Calls the helpers, unless they have been called."""
+        if self.words[DONE]:
+            help, address = helping(), self.address
+            self.words[DONE] = 0
+            self.helpers.enter_context(assisted(lambda task: help(address), self.finish))
+
+    def finish(self) -> None:
+        """Lets those that look at the board return."""
+        self.words[DONE] = 1
+
+    def close(self) -> None:
+        """Waits until nobody looks at the board."""
+        self.helpers.close()
+
+
 @contextmanager
-def board() -> Iterator[int]:
-    """The address of a board that the helpers of this thread look at, as long as the context is open."""
-    words = array("q", [0] * WORDS)
-    _, words[YIELD], words[SLEEP], words[TIME] = resting()
-    address, help = words.buffer_info()[0], helping()
-
-    def finish() -> None:
-        words[DONE] = 1
-
-    with assisted(lambda task: help(address), finish):
-        yield address
+def board() -> Iterator[Board]:
+    """A board, not yet open, that is closed in the end."""
+    found = Board()
+    try:
+        yield found
+    finally:
+        found.close()

@@ -1,10 +1,11 @@
 """A recording as machine code: all that was done with lanes, again, for the numbers of lanes that are found on the way.
 
-    void recorded(ptr given, ptr kept, ptr room, ptr counts, ptr functions, ptr board, i64 lanes, i64 row)
+    void recorded0(ptr given, ptr kept, ptr room, ptr counts, ptr functions, ptr board, i64 lanes, i64 row)
 
 `given` holds addresses and, behind them, lengths; `kept` and `room` the memory of what is made, in rows of `row` entries:
 that of results, and that of what nobody asks for afterwards. Counts are read from `counts` and written there. `functions`
-holds the addresses of whatever is called.
+holds the addresses of whatever is called. Where something is done outside, the code is left: what comes then is the next
+function, `recorded1`, which finds the same memory and counts.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from torch import Tensor
 
 from torch_radbp.jit import cpu_order, cpu_scatter
 from torch_radbp.jit.addition import MOST_TABLES
-from torch_radbp.jit.board import run_loop
+from torch_radbp.jit.board import Board, run_loop
 from torch_radbp.jit.machine import MachineCode, cached_code
 from torch_radbp.jit.recording import (
     Chosen,
@@ -27,6 +28,7 @@ from torch_radbp.jit.recording import (
     Inverted,
     Loop,
     Operation,
+    Outside,
     Partition,
     Place,
     Put,
@@ -39,7 +41,8 @@ from torch_radbp.jit.structure import Leaf, assembler, flatten, replaced
 from torch_radbp.jit.team import PART
 
 HEAD = """\
-define void @recorded(ptr %given, ptr %kept, ptr %room, ptr %counts, ptr %functions, ptr %board, i64 %lanes, i64 %row) {"""
+define void @recorded{number}(ptr %given, ptr %kept, ptr %room, ptr %counts, ptr %functions, ptr %board,
+                              i64 %lanes, i64 %row) {{"""
 SIZES = (1, 4, 8)
 # Runs of lanes abreast, as `cpu_order.partition` takes them.
 PARTITION = """\
@@ -136,11 +139,8 @@ class Writer:
     def __init__(self, recording: Recording, layout: Layout, given: int):
         self.recording, self.layout, self.given = recording, layout, given
         self.functions: list[int] = []
-        self.lines: list[str] = []
-        self.counts = {0: "0", 1: "%lanes"}
-        for number in range(2, 2 + recording.given_counts):
-            at = self.line(f"getelementptr i64, ptr %counts, i64 {number}")
-            self.counts[number] = self.line(f"load i64, ptr {at}, align 8")
+        self.lines: list[str] = []  # of the function that is being written
+        self.counts = {0: "0", 1: "%lanes", **dict.fromkeys(range(2, 2 + recording.given_counts), "")}
 
     def line(self, text: str) -> str:
         """Adds an instruction and returns the name of its result."""
@@ -260,20 +260,44 @@ class Writer:
             self.functions.append(cpu_order.addresses()[function])
             loads += [f"%{name}_at = getelementptr ptr, ptr %functions, i64 {len(self.functions) - 1}",
                       f"%{name} = load ptr, ptr %{name}_at, align 8"]
-        write = {Loop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put, Inverted: self.inverted,
-                 Copy: self.copy, Scattered: self.scattered}
+        parts: list[list[Operation]] = [[]]
         for operation in self.recording.operations:
-            write[type(operation)](operation)
-        for number, name in list(self.counts.items())[2 + self.recording.given_counts:]:
-            at = self.line(f"getelementptr i64, ptr %counts, i64 {number}")
-            self.lines.append(f"store i64 {name}, ptr {at}, align 8")
+            if isinstance(operation, Outside):
+                parts.append([])
+            else:
+                parts[-1].append(operation)
+        functions = [self.part(number, operations) for number, operations in enumerate(parts)]
         abreast = cpu_order.ABREAST
         helpers = PARTITION.format(bytes=8 * abreast, abreast=abreast, before=8 * (abreast - 1), loads="\n  ".join(loads))
+        return "".join([*functions, helpers])
+
+    def part(self, number: int, operations: Sequence[Operation]) -> str:
+        """The function of some operations, which come one after the other."""
+        write = {Loop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put, Inverted: self.inverted,
+                 Copy: self.copy, Scattered: self.scattered}
+        self.lines, known = [], len(self.counts)
+        for count in range(2, known):
+            at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")
+            self.counts[count] = self.line(f"load i64, ptr {at}, align 8")
+        for operation in operations:
+            write[type(operation)](operation)
+        for count in range(known, len(self.counts)):
+            at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")
+            self.lines.append(f"store i64 {self.counts[count]}, ptr {at}, align 8")
         body = "\n".join(f"  {line}" for line in self.lines)
-        return f"{HEAD}\n{body}\n  ret void\n}}\n{helpers}"
+        return f"{HEAD.format(number=number)}\n{body}\n  ret void\n}}\n"
 
 
 RECORDED = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, ctypes.c_int64, ctypes.c_int64)
+
+
+class Memory(NamedTuple):
+    """Where a call of what was recorded reads and writes."""
+
+    given: Sequence[Tensor | int]
+    kept: list[Tensor]  # of each group
+    room: Tensor  # bytes of the rest
+    row: int  # entries from one tensor of the rest to the next
 
 
 class Recorded:
@@ -295,20 +319,23 @@ class Recorded:
         self.layout = Layout(recording, [place.tensor for place in self.places if place and place.made])
         writer = Writer(recording, self.layout, len(given))
         text = writer.text()
-        self.code: MachineCode = cached_code(text, entry="recorded")
-        self.run = RECORDED(self.code.address)
+        self.code: MachineCode = cached_code(text, entry="recorded0")
+        self.outside = [operation for operation in recording.operations if isinstance(operation, Outside)]
+        self.parts = [RECORDED(self.code.address_of(f"recorded{number}")) for number in range(1 + len(self.outside))]
         self.rays, self.called = recording.rays, recording.code  # the latter so that it stays where it is
+        self.dtypes_made = [made.dtype for made in recording.made]
         self.functions, self.counts = array("q", writer.functions), recording.counts
 
-    def __call__(self, given: Sequence[Tensor | int], lanes: int, board: int,
-                 known: Sequence[int] = ()) -> tuple[Any, array]:
+    def __call__(self, given: Sequence[Tensor | int], lanes: int, board: Board, known: Sequence[int] = (),
+                 contexts: Sequence[Any] = ()) -> tuple[Any, array]:
         """The results, and all counts.
 
         Args:
             given: as for the constructor.
             lanes: how many, at least 1.
-            board: of the helpers.
+            board: of the helpers; it is open afterwards.
             known: the counts that the function is told.
+            contexts: of what is done outside.
         """
         row = -(-lanes // 64) * 64
         addresses = array("q", [item.data_ptr() if isinstance(item, Tensor) else item for item in given])
@@ -317,8 +344,13 @@ class Recorded:
         room = torch.empty(max(1, self.layout.bytes * row), dtype=torch.uint8, device="cpu")
         places, counts = array("q", [block.data_ptr() for block in kept]), array("q", [0, lanes, *known])
         counts.extend([0] * (self.counts - len(counts)))
-        self.run(addresses.buffer_info()[0], places.buffer_info()[0], room.data_ptr(), counts.buffer_info()[0],
-                 self.functions.buffer_info()[0], board, lanes, row)
+        memory = Memory(given, kept, room, row)
+        for part, outside in zip(self.parts, [*self.outside, None]):
+            board.open()
+            part(addresses.buffer_info()[0], places.buffer_info()[0], room.data_ptr(), counts.buffer_info()[0],
+                 self.functions.buffer_info()[0], board.address, lanes, row)
+            if outside is not None:
+                self.do(outside, contexts, memory, counts, board)
         rows = [block.narrow(1, 0, counts[group.last]).unbind(0) for block, group in zip(kept, self.layout.groups)]
         found = []
         for place, span, dtype in zip(self.places, self.lengths, self.dtypes):
@@ -330,8 +362,31 @@ class Recorded:
                 continue
             group, row = self.layout.rows[place.tensor]
             whole = rows[group][row]
-            found.append(whole if span.last == self.layout.groups[group].last else whole[:counts[span.last]])
+            count = counts[span.last] - counts[span.first]
+            found.append(whole if len(whole) == count else whole[:count])
         return self.assemble(found), counts
+
+    def do(self, outside: Outside, contexts: Sequence[Any], memory: Memory, counts: array, board: Board) -> None:
+        """Has done what is done outside, with all helpers."""
+        work, context, span, *places = outside
+        lanes = counts[span.last] - counts[span.first]
+        if not lanes:
+            return
+        inputs, outputs = ([self.tensor(place, memory, counts, lanes) for place in part] for part in places)
+        board.close()
+        for output, result in zip(outputs, work(contexts[context], *inputs), strict=True):
+            output.copy_(result)
+
+    def tensor(self, place: Place, memory: Memory, counts: array, lanes: int) -> Tensor:
+        """(lanes,) what lies at a place."""
+        first = counts[place.first]
+        if not place.made:
+            return memory.given[place.tensor][first:first + lanes]
+        if place.tensor in self.layout.rows:
+            group, row = self.layout.rows[place.tensor]
+            return memory.kept[group][row, first:first + lanes]
+        start = self.layout.at[place.tensor] * memory.row + first * place.size
+        return memory.room[start:start + lanes * place.size].view(self.dtypes_made[place.tensor])
 
 
 def pattern(given: Sequence[Tensor | int]) -> tuple[int, ...]:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import mmap
 import random
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -120,6 +120,16 @@ class Scattered(NamedTuple):
     lanes: Span
 
 
+class Outside(NamedTuple):
+    """What is done by others than machine code, see `outside`."""
+
+    work: Callable
+    context: int  # which of those that the recording is told
+    lanes: Span
+    inputs: tuple[Place, ...]
+    outputs: tuple[Place, ...]
+
+
 class Made(NamedTuple):
     """A tensor that was made while recording."""
 
@@ -127,7 +137,7 @@ class Made(NamedTuple):
     lanes: Span
 
 
-Operation = Loop | Partition | Chosen | Put | Inverted | Copy | Scattered
+Operation = Loop | Partition | Chosen | Put | Inverted | Copy | Scattered | Outside
 
 
 class Reserve:
@@ -156,10 +166,13 @@ class Recording:
         counts: numbers of lanes that the function is told, in ascending order; as `borders` draws them. `ALL` lanes are
             always known.
         reserve: that the tensors without contents are from.
+        contexts: of what is done outside.
     """
 
-    def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = (), reserve: Reserve | None = None):
+    def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = (), reserve: Reserve | None = None,
+                 contexts: Sequence[Any] = ()):
         self.reserve = reserve or Reserve()
+        self.contexts = contexts
         self.given: dict[int, int] = {}  # numbers of what is given, by address
         for number, item in enumerate(given):
             self.given.setdefault(address_of(item), number)
@@ -301,6 +314,17 @@ class Recording:
                   tuple(map(self.place, sums.addresses)))
             for loop, (index, numbers, sums) in zip(loops, additions)), self.span(lanes)))
 
+    def outside(self, work: Callable, context: Any, given: Sequence[Tensor], results: int) -> list[Tensor]:
+        """As the function `outside`."""
+        known = [number for number, own in enumerate(self.contexts) if own is context]
+        if not known:
+            raise NotRecordable("what is done outside depends on more than is told")
+        lanes = given[0].numel()
+        found = [given[-1].new_empty(lanes) for _ in range(results)]
+        self.operations.append(Outside(work, known[0], self.span(lanes), tuple(map(self.place, given)),
+                                       tuple(map(self.written, found))))
+        return found
+
     def copy(self, target: Tensor, source: Tensor, first: int) -> None:
         """Copies all entries of a tensor to those of another from `first` on."""
         self.operations.append(Copy(self.place(source), self.written(target, first), self.span(source.numel())))
@@ -353,6 +377,20 @@ HERE = Here()
 def recording() -> Recording | None:
     """What listens to this thread."""
     return HERE.recording
+
+
+def outside(work: Callable, context: Any, given: Sequence[Tensor], results: int) -> Sequence[Tensor]:
+    """What `work(context, *given)` returns: what no lane function can do, such as asking a network.
+
+    It is not recorded but done each time, if there are lanes, and the context is then one that what was recorded is told.
+
+    Args:
+        work: what it does depends on nothing but what it is given.
+        given: (N,) each, of the lanes.
+        results: how many tensors are returned, (N,) each, of the dtype of the last that is given.
+    """
+    listener = recording()
+    return work(context, *given) if listener is None else listener.outside(work, context, given, results)
 
 
 @contextmanager

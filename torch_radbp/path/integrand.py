@@ -36,6 +36,7 @@ class Stages(NamedTuple):
     bounce_adjoint: Callable
     places: Callable
     pick_light: Callable
+    emitter_met: Callable
     chance_of_light: Callable
     appearance_met: Callable
     side_met: Callable
@@ -163,6 +164,11 @@ class Integrand(NamedTuple):
         if self.differentiated is None:
             return None
         return ImageLanes(state.lane, self.differentiated)
+
+    @property
+    def rejects_hits(self) -> bool:
+        """True if the camera may not see the closest surface."""
+        return self.clipping is not None or (self.settings.hide_emitters and self.proposal.layout.lit_surfaces)
 
     @property
     def no_appearance(self) -> Tensor:

@@ -25,7 +25,6 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.tensors.differentiated import any_differentiated, recording
-from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined, leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
@@ -142,13 +141,12 @@ def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) 
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:
         return None
     part, arrival = integrand.part(Ends.SURROUNDINGS), Arrival(state, hit, None)
-    chance = torch.zeros_like(state.pdf)
-    lit = chosen((hit.prim >= 0) & (lookup(part.proposal.triangles.emitter, hit.prim.clamp_min(0)) >= 0))
-    if len(lit) and depth > 0:
-        chance.index_copy_(0, lit.long(), part.call(integrand.stages.chance_of_light, choice, arrival, lit))
+    lit, none = part.call(integrand.stages.emitter_met, hit)
+    if depth > 0 and len(lanes := chosen(lit)):
+        put_rows((none.chance,), lanes, (part.call(integrand.stages.chance_of_light, choice, arrival, lanes),))
     if integrand.is_last(depth):
-        return LightPick(torch.zeros_like(hit.prim), chance, chance)
-    return LightPick(*part.call(integrand.stages.pick_light, choice, arrival, integrand.at(depth)), chance)
+        return none
+    return LightPick(*part.call(integrand.stages.pick_light, choice, arrival, integrand.at(depth)), none.chance)
 
 
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,

@@ -39,7 +39,16 @@ from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.dual import DualFunction
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.target import Target
-from torch_radbp.path.bounce import bounce, chance_of_light, ending, film_place, pick_light, places, sample_camera
+from torch_radbp.path.bounce import (
+    bounce,
+    chance_of_light,
+    emitter_met,
+    ending,
+    film_place,
+    pick_light,
+    places,
+    sample_camera,
+)
 from torch_radbp.path.direct_light import direct_light, scattered
 from torch_radbp.path.integrand import Stages
 from torch_radbp.path.queues import appearance_met, shines, side_met
@@ -50,11 +59,10 @@ from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import rows
 
 EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, local_map, bounce_adjoint, places, pick_light,
-               chance_of_light, appearance_met, side_met, corner_rows, shines, rows, brightened, direct_light, scattered,
-               surface_values,
-               material_value, edge_weight, edge_place, crosses, contour_length, contour_place, segment_weight,
-               segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, boxes_around,
-               edge_bounds, merged_bounds, descended, edge_found, edge_passed, segment_bounds, segment_found,
+               emitter_met, chance_of_light, appearance_met, side_met, corner_rows, shines, rows, brightened, direct_light,
+               scattered, surface_values, material_value, edge_weight, edge_place, crosses, contour_length, contour_place,
+               segment_weight, segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places,
+               boxes_around, edge_bounds, merged_bounds, descended, edge_found, edge_passed, segment_bounds, segment_found,
                segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, goes_on, ideal_vertex,
                parted, film_sample, drawn_by_steps)
 
@@ -64,8 +72,9 @@ OUTLINE = "geometry", "outline"
 TABLES = Stages(  # of each stage the arguments that are read at indices
     sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels", "place"), bounce=PATH,
     ending=PATH, local_map=("scene", "proposal"), bounce_adjoint=("scene", "arrival", "adj_L", "memo"),
-    places=("scene", "arrival"), pick_light=("scene", "choice"), chance_of_light=("scene", "choice", "arrival"),
-    appearance_met=("scene",), side_met=("scene", "ray", "hit", "image_lanes"), corner_rows=("scene",), shines=("scene",),
+    places=("scene", "arrival"), pick_light=("scene", "choice"), emitter_met=("scene",),
+    chance_of_light=("scene", "choice", "arrival"), appearance_met=("scene",),
+    side_met=("scene", "ray", "hit", "image_lanes"), corner_rows=("scene",), shines=("scene",),
     rows=("record",),
     brightened=("L", "beta"), direct_light=("scene", "arrival", "draw"), scattered=("scene", "arrival", "d"),
     surface_values=("scene",), material_value=("scene",), edge_weight=CURVES, edge_place=(*CURVES, "outline", "lot"),
