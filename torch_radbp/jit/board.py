@@ -10,7 +10,7 @@ import ctypes
 import os
 from array import array
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
 from torch_radbp.jit.team import assisted
@@ -143,35 +143,37 @@ def resting() -> tuple[object, int, int, int]:
 
 
 class Board:
-    """A board, which the helpers of the thread look at as long as it is open; then they are not free for other work."""
+    """A board, which helpers look at as long as it is open; then they are not free for other work.
 
-    def __init__(self) -> None:
-        self.words = array("q", [0] * WORDS)
-        _, self.words[YIELD], self.words[SLEEP], self.words[TIME] = resting()
-        self.words[DONE] = 1
-        self.address, self.helpers = self.words.buffer_info()[0], ExitStack()
+    Args:
+        words: its own; `DONE` while it is closed.
+        call: calls the helpers.
+    """
+
+    def __init__(self, words: array, call: Callable[[], None]):
+        self.words, self.address, self.call = words, words.buffer_info()[0], call
 
     def open(self) -> None:
         """Calls the helpers, unless they have been called."""
         if self.words[DONE]:
-            help, address = helping(), self.address
             self.words[DONE] = 0
-            self.helpers.enter_context(assisted(lambda task: help(address), self.finish))
-
-    def finish(self) -> None:
-        """Lets those that look at the board return."""
-        self.words[DONE] = 1
+            self.call()
 
     def close(self) -> None:
-        """Waits until nobody looks at the board."""
-        self.helpers.close()
+        """Lets the helpers go; waits for none."""
+        self.words[DONE] = 1
 
 
 @contextmanager
 def board() -> Iterator[Board]:
-    """A board, not yet open, that is closed in the end."""
-    found = Board()
-    try:
-        yield found
-    finally:
-        found.close()
+    """A board for the helpers of this thread, not yet open."""
+    words = array("q", [0] * WORDS)
+    _, words[YIELD], words[SLEEP], words[TIME] = resting()
+    words[DONE] = 1
+    address, help = words.buffer_info()[0], helping()
+
+    def finish() -> None:
+        words[DONE] = 1
+
+    with assisted(lambda task: help(address), finish) as call:
+        yield Board(words, call)
