@@ -59,10 +59,10 @@ class RecordedSweep(Sweep):
         if made is None:
             super().differentiate(state, step, depth)
             return
-        queues, borders, last = {queue.event: queue for queue in step.queues}, [], 0
+        queues, borders, last = {queue.event: queue for queue in step.queues if queue.derivative}, [], 0
         for event in events:
             queue = queues.get(event)
-            borders += [last, last] if queue is None else [queue.differentiated, last := queue.last]
+            borders += [last, last] if queue is None else [queue.first, last := queue.last]
         made([*lanes, *others, *self.tables.given, *self.sums], len(state.lane), self.board, borders)
 
     def events(self, depth: int) -> list[Event]:
@@ -75,14 +75,11 @@ class RecordedSweep(Sweep):
     def record_bounce(self, state: PathState, step: Step, depth: int, events: list[Event]) -> Recorded | None:
         """Records the derivatives of such a bounce; None if that is not possible."""
         borders = Recording([]).borders(2 * len(events) + 1, ALL)[1:-1]
-        queues, first = [], 0
-        for event, differentiated, last in zip(events, borders[::2], borders[1::2]):
-            queues.append(Queue(event, first, last, differentiated))
-            first = last
-        scattered = queues[-1].last if queues[-1].event.scatters else queues[-1].first
+        queues = tuple(map(Queue, events, borders[::2], borders[1::2]))
+        lanes, scattered = queues[-1].last, [0, *(queue.last for queue in queues if queue.event.scatters)][-1]
         reserve, other = Reserve(), copy(self)
         state, hit, front = without_contents((state, step.hit, step.front), reserve)
-        step = step._replace(hit=hit, front=front, order=reserve.tensor(torch.int32, first), queues=tuple(queues),
+        step = step._replace(hit=hit, front=front, order=reserve.tensor(torch.int32, lanes), queues=queues,
                              visible=reserve.tensor(torch.bool, scattered), survives=reserve.tensor(torch.bool, scattered),
                              texture_values=((),) * len(queues))
         other.memo, other.adj_L = without_contents((self.memo, self.adj_L), reserve)

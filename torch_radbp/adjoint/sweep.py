@@ -129,9 +129,9 @@ class Sweep:
                      at=integrand.at(depth), settings=integrand.settings_at(depth))
         reached, *of_chunk, at, settings = same
         for queue, known in zip(step.queues, step.texture_values):
-            if queue.first == queue.differentiated:
+            if queue.first == queue.last or not queue.derivative:
                 continue
-            here, adjoint = slice(queue.first, queue.differentiated), self.adjoint_of(queue.event)
+            here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue.event)
             lanes = step.order[here]
             verdict = Verdict(step.visible[here], step.survives[here]) if queue.event.scatters else None
             places = integrand.places(queue.event, arrival, lanes, depth)

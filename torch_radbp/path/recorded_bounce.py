@@ -21,7 +21,6 @@ from torch_radbp.jit.board import board
 from torch_radbp.jit.recorded import Recorded, pattern
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
-from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY, Queue
 from torch_radbp.path.state import PathState
@@ -39,14 +38,13 @@ UNKNOWN = object()
 class QueueOfCounts(NamedTuple):
     """A `Queue`, of which is known which counts of the recording tell its lanes."""
 
-    event: Event
+    queue: Queue
     first: int
     last: int
-    differentiated: int
 
     def among(self, counts: Sequence[int]) -> Queue:
         """The queue for counts that were found."""
-        return Queue(self.event, counts[self.first], counts[self.last], counts[self.differentiated])
+        return self.queue._replace(first=counts[self.first], last=counts[self.last])
 
 
 class RecordedBounce(NamedTuple):
@@ -153,7 +151,7 @@ class Recorder:
             with torch.no_grad(), listening(listener):
                 state, step, onward = bounced(integrand, onward, depth, hit, L)
             results = state, step.hit, step.front, step.order, step.visible, step.survives, onward
-            queues = tuple(QueueOfCounts(queue.event, *(listener.points[place] for place in queue[1:]))
+            queues = tuple(QueueOfCounts(queue, listener.points[queue.first], listener.points[queue.last])
                            for queue in step.queues)
             return RecordedBounce(Recorded(listener, given, results), queues)
         except NotRecordable:
