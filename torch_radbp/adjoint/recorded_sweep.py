@@ -12,7 +12,7 @@ import torch
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.jit.board import board
-from torch_radbp.jit.recorded import Recorded, pattern
+from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.event import Ends, Event, Scatters
@@ -36,22 +36,23 @@ class RecordedSweep(Sweep):
     def __init__(self, board: int, integrand: Integrand, record: PathRecord, adj_L: Vec3, numbered: SceneTensors,
                  gradients: Gradients):
         super().__init__(integrand, record, adj_L, numbered, gradients)
-        self.board, self.tables = board, Tables(integrand, adj_L.x.dtype)
+        tables = Tables(integrand, adj_L.x.dtype)
         wanted = tuple([number is not None for number in leaves_of(numbered) if number is None or isinstance(number, int)])
         totals = gradients.totals
-        self.sums = [*[total.data_ptr() for total in totals], *[flags.data_ptr() for flags in gradients.touched.values()]]
-        self.sizes = wanted, tuple([(total.shape, total.stride()) for total in totals])
+        sums = [part.data_ptr() for part in (*totals, *gradients.touched.values())]
+        sizes = wanted, tuple([(total.shape, total.stride()) for total in totals])
+        self.board, self.others, self.tables = board, Given([*tables.given.items, *sums]), (tables.kind, sizes)
         self.kind: int | None = None  # of bounces
 
     def differentiate(self, state: PathState, step: Step, depth: int) -> None:
         events, integrand = self.events(depth), self.integrand
         lanes = tensors_of((state, step.hit, step.front, step.order, step.visible, step.survives))
-        others = tensors_of((self.memo, self.adj_L, integrand.at(depth)))
+        varying = Given([*lanes, *tensors_of((self.memo, self.adj_L, integrand.at(depth)))])
         if self.kind is None:
             structure: list = []
             flatten((state, step.hit, self.memo, self.adj_L), [], structure)
-            self.kind = RECORDINGS.kind(self.tables.kind, self.sizes, *structure)
-        key = (self.kind, pattern([*lanes, *others]), step.front is None, integrand.settings_at(depth),
+            self.kind = RECORDINGS.kind(*self.tables, *structure)
+        key = (self.kind, varying.pattern, step.front is None, integrand.settings_at(depth),
                integrand.is_last(depth), depth == 0)
         made = None
         if all([leaf.is_contiguous() for leaf in lanes]):
@@ -63,7 +64,7 @@ class RecordedSweep(Sweep):
         for event in events:
             queue = queues.get(event)
             borders += [last, last] if queue is None else [queue.first, last := queue.last]
-        made([*lanes, *others, *self.tables.given, *self.sums], len(state.lane), self.board, borders)
+        made(varying, self.others, len(state.lane), self.board, borders)
 
     def events(self, depth: int) -> list[Event]:
         """What may happen at a bounce."""
@@ -84,7 +85,7 @@ class RecordedSweep(Sweep):
                              texture_values=((),) * len(queues))
         other.memo, other.adj_L = without_contents((self.memo, self.adj_L), reserve)
         given = [*tensors_of((state, hit, front, step.order, step.visible, step.survives)),
-                 *tensors_of((other.memo, other.adj_L, self.integrand.at(depth))), *self.tables.given, *self.sums]
+                 *tensors_of((other.memo, other.adj_L, self.integrand.at(depth))), *self.others.items]
         listener = Recording(given, borders, reserve)
         try:
             with torch.no_grad(), listening(listener):
