@@ -12,7 +12,7 @@ import torch
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.jit.board import Board, board
-from torch_radbp.jit.recorded import Recorded, pattern
+from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.event import Ends, Event, Scatters
@@ -38,11 +38,12 @@ class RecordedSweep(Sweep):
     def __init__(self, board: Board, integrand: Integrand, record: PathRecord, adj_L: Vec3, numbered: SceneTensors,
                  gradients: Gradients):
         super().__init__(integrand, record, adj_L, numbered, gradients)
-        self.board, self.tables = board, Tables(integrand, adj_L.x.dtype)
+        tables = Tables(integrand, adj_L.x.dtype)
         wanted = tuple([number is not None for number in leaves_of(numbered) if number is None or isinstance(number, int)])
         totals = gradients.totals
-        self.sums = [*[total.data_ptr() for total in totals], *[flags.data_ptr() for flags in gradients.touched.values()]]
-        self.sizes = wanted, tuple([(total.shape, total.stride()) for total in totals])
+        sums = [part.data_ptr() for part in (*totals, *gradients.touched.values())]
+        sizes = wanted, tuple([(total.shape, total.stride()) for total in totals])
+        self.board, self.others, self.tables = board, Given([*tables.given.items, *sums]), (tables.kind, sizes)
         self.kind: int | None = None  # of bounces
 
     def advance(self, state: PathState, depth: int) -> PathState:
@@ -57,15 +58,15 @@ class RecordedSweep(Sweep):
     def differentiate(self, state: PathState, step: Step, depth: int) -> None:
         events, integrand = self.events(depth), self.integrand
         lanes = tensors_of((state, step.hit, step.front, step.picked, step.order, step.visible, step.survives))
-        others = tensors_of((self.memo, self.adj_L, integrand.at(depth)))
-        known = self.known_values(step, depth, events)
+        varying = Given([*lanes, *tensors_of((self.memo, self.adj_L, integrand.at(depth)))])
+        known = self.known_values(step, events)
         values = tensors_of(known)
         if self.kind is None:
             structure: list = []
             flatten((state, step.hit, step.picked, self.memo, self.adj_L), [], structure)
-            self.kind = RECORDINGS.kind(self.tables.kind, self.sizes, *structure)
-        key = (self.kind, pattern([*lanes, *others]), step.front is None, integrand.settings_at(depth),
-               integrand.is_last(depth), depth == 0, tuple([own is None for own in known]))
+            self.kind = RECORDINGS.kind(*self.tables, *structure)
+        key = (self.kind, varying.pattern, step.front is None, integrand.settings_at(depth), integrand.is_last(depth),
+               depth == 0, tuple([own is None for own in known]))
         made = None
         if all([leaf.is_contiguous() for leaf in (*lanes, *values)]):
             made = RECORDINGS.of(key, partial(self.record_bounce, state, step, depth, events, known))
@@ -73,12 +74,12 @@ class RecordedSweep(Sweep):
             self.board.close()
             super().differentiate(state, step, depth)
             return
-        queues, borders, last = {queue.event: queue for queue in step.queues}, [], 0
+        queues, borders, last = {queue.event: queue for queue in step.queues if queue.derivative}, [], 0
         for event in events:
             queue = queues.get(event)
-            borders += [last, last] if queue is None else [queue.differentiated, last := queue.last]
-        made([*lanes, *others, *values, *self.tables.given, *self.sums], len(state.lane), self.board, borders,
-             (integrand.scene, self.modules))
+            borders += [last, last] if queue is None else [queue.first, last := queue.last]
+        varying = Given([*varying.items, *values]) if values else varying
+        made(varying, self.others, len(state.lane), self.board, borders, (integrand.scene, self.modules))
 
     def events(self, depth: int) -> list[Event]:
         """What may happen at a bounce."""
@@ -87,13 +88,13 @@ class RecordedSweep(Sweep):
             return [Ends.LAST_BOUNCE]
         return [*map(Scatters, range(len(layout.appearances))), *([] if layout.surround is None else [Ends.SURROUNDINGS])]
 
-    def known_values(self, step: Step, depth: int, events: list[Event]) -> list[tuple[Vec3, ...] | None]:
+    def known_values(self, step: Step, events: list[Event]) -> list[tuple[Vec3, ...] | None]:
         """The values of textures that were read outside, for each of the events; None: not known, or not asked for."""
         integrand = self.integrand
         if self.moving or not integrand.scene.layout.reads_outside:
             return [None] * len(events)
         found, nothing = [], self.adj_L.map(lambda channel: channel[:0])
-        known = {queue.event: values for queue, values in zip(step.queues, step.texture_values)}
+        known = {queue.event: values for queue, values in zip(step.queues, step.texture_values) if queue.derivative}
         for event in events:
             if event in known:
                 values = known[event]
@@ -107,23 +108,20 @@ class RecordedSweep(Sweep):
                       known: list[tuple[Vec3, ...] | None]) -> Recorded | None:
         """Records the derivatives of such a bounce; None if that is not possible."""
         borders = Recording([]).borders(2 * len(events) + 1, ALL)[1:-1]
-        queues, first = [], 0
-        for event, differentiated, last in zip(events, borders[::2], borders[1::2]):
-            queues.append(Queue(event, first, last, differentiated))
-            first = last
-        scattered = queues[-1].last if queues[-1].event.scatters else queues[-1].first
+        queues = tuple(map(Queue, events, borders[::2], borders[1::2]))
+        lanes, scattered = queues[-1].last, [0, *(queue.last for queue in queues if queue.event.scatters)][-1]
         reserve, other = Reserve(), copy(self)
         texture_values = tuple([
             None if values is None else tuple([TextureValue(Vec3(*[reserve.tensor(channel.dtype, queue.last - queue.first)
                                                                    for channel in value])) for value in values])
             for queue, values in zip(queues, known)])
         state, hit, front, picked = without_contents((state, step.hit, step.front, step.picked), reserve)
-        step = Step(hit, front, reserve.tensor(torch.int32, first), tuple(queues), reserve.tensor(torch.bool, scattered),
+        step = Step(hit, front, reserve.tensor(torch.int32, lanes), queues, reserve.tensor(torch.bool, scattered),
                     reserve.tensor(torch.bool, scattered), picked, texture_values)
         other.memo, other.adj_L = without_contents((self.memo, self.adj_L), reserve)
         given = [*tensors_of((state, hit, front, picked, step.order, step.visible, step.survives)),
                  *tensors_of((other.memo, other.adj_L, self.integrand.at(depth))), *tensors_of(texture_values),
-                 *self.tables.given, *self.sums]
+                 *self.others.items]
         listener = Recording(given, borders, reserve, (self.integrand.scene, self.modules))
         try:
             with torch.no_grad(), listening(listener):

@@ -35,7 +35,6 @@ from torch_radbp.jit.recording import (
     Recording,
     Scattered,
     Span,
-    address_of,
 )
 from torch_radbp.jit.structure import Leaf, assembler, flatten, replaced
 from torch_radbp.jit.team import PART
@@ -300,6 +299,35 @@ class Memory(NamedTuple):
     row: int  # entries from one tensor of the rest to the next
 
 
+class Given:
+    """What a recording is given, taken apart: tensors, and addresses of what else loops read."""
+
+    __slots__ = ("items", "addresses", "lengths")
+
+    def __init__(self, items: Sequence[Tensor | int]):
+        self.items = items
+        self.addresses = array("q", [item.data_ptr() if isinstance(item, Tensor) else item for item in items])
+        self.lengths = array("q", [item.numel() if isinstance(item, Tensor) else 0 for item in items])
+
+    @property
+    def pattern(self) -> tuple[int, ...]:
+        """Which of it is the same as something before: equal of what one recording serves."""
+        firsts: dict[int, int] = {}
+        return tuple(map(firsts.setdefault, self.addresses, range(len(self.addresses))))
+
+
+class Found(NamedTuple):
+    """Where a result of a recording is found."""
+
+    group: int  # of `Layout.groups`; GIVEN: it was given; EMPTY: it has no lanes
+    row: int  # of the group, or its number among those
+    count: int  # the number of the count of its entries; WHOLE: as of the group
+    before: int  # the number of the count of entries that do not count
+
+
+GIVEN, EMPTY, WHOLE = -2, -1, -1
+
+
 class Recorded:
     """What was recorded, to be done again.
 
@@ -312,11 +340,11 @@ class Recorded:
     def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any):
         leaves: list[Tensor] = []
         flatten(results, leaves, [])
-        self.places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
-        self.dtypes = [leaf.dtype for leaf in leaves]
-        self.lengths = [recording.span(leaf.numel()) for leaf in leaves]
+        places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
         self.assemble: Callable[[list[Tensor]], Any] = assembler(replaced(results, Leaf))
-        self.layout = Layout(recording, [place.tensor for place in self.places if place and place.made])
+        self.layout = Layout(recording, [place.tensor for place in places if place and place.made])
+        self.empty: list[Tensor] = []
+        self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
         writer = Writer(recording, self.layout, len(given))
         text = writer.text()
         self.code: MachineCode = cached_code(text, entry="recorded0")
@@ -326,25 +354,35 @@ class Recorded:
         self.dtypes_made = [made.dtype for made in recording.made]
         self.functions, self.counts = array("q", writer.functions), recording.counts
 
-    def __call__(self, given: Sequence[Tensor | int], lanes: int, board: Board, known: Sequence[int] = (),
+    def where(self, place: Place | None, lanes: Span, dtype: torch.dtype) -> Found:
+        """Where a result is found; `place`: None if it has no lanes."""
+        if place is None:
+            self.empty.append(torch.empty(0, dtype=dtype, device="cpu"))
+            return Found(EMPTY, len(self.empty) - 1, WHOLE, 0)
+        if not place.made:
+            return Found(GIVEN, place.tensor, WHOLE, 0)
+        group, row = self.layout.rows[place.tensor]
+        whole = lanes == (0, self.layout.groups[group].last)
+        return Found(group, row, WHOLE if whole else lanes.last, lanes.first)
+
+    def __call__(self, given: Given, others: Given, lanes: int, board: Board, known: Sequence[int] = (),
                  contexts: Sequence[Any] = ()) -> tuple[Any, array]:
         """The results, and all counts.
 
         Args:
-            given: as for the constructor.
+            given, others: one after the other, as for the constructor; no result is one of the others.
             lanes: how many, at least 1.
             board: of the helpers; it is open afterwards.
             known: the counts that the function is told.
             contexts: of what is done outside.
         """
         row = -(-lanes // 64) * 64
-        addresses = array("q", [item.data_ptr() if isinstance(item, Tensor) else item for item in given])
-        addresses.extend([item.numel() if isinstance(item, Tensor) else 0 for item in given])
+        addresses = given.addresses + others.addresses + given.lengths + others.lengths
         kept = [torch.empty((len(group.tensors), row), dtype=group.dtype, device="cpu") for group in self.layout.groups]
         room = torch.empty(max(1, self.layout.bytes * row), dtype=torch.uint8, device="cpu")
         places, counts = array("q", [block.data_ptr() for block in kept]), array("q", [0, lanes, *known])
         counts.extend([0] * (self.counts - len(counts)))
-        memory = Memory(given, kept, room, row)
+        memory = Memory((*given.items, *others.items), kept, room, row)
         for part, outside in zip(self.parts, [*self.outside, None]):
             board.open()
             part(addresses.buffer_info()[0], places.buffer_info()[0], room.data_ptr(), counts.buffer_info()[0],
@@ -352,19 +390,10 @@ class Recorded:
             if outside is not None:
                 self.do(outside, contexts, memory, counts, board)
         rows = [block.narrow(1, 0, counts[group.last]).unbind(0) for block, group in zip(kept, self.layout.groups)]
-        found = []
-        for place, span, dtype in zip(self.places, self.lengths, self.dtypes):
-            if place is None:  # it has no lanes
-                found.append(torch.empty(0, dtype=dtype, device="cpu"))
-                continue
-            if not place.made:
-                found.append(given[place.tensor])
-                continue
-            group, row = self.layout.rows[place.tensor]
-            whole = rows[group][row]
-            count = counts[span.last] - counts[span.first]
-            found.append(whole if len(whole) == count else whole[:count])
-        return self.assemble(found), counts
+        rows += [given.items, self.empty]  # the places GIVEN and EMPTY
+        results = [rows[group][row] if count == WHOLE else rows[group][row][:counts[count] - counts[before]]
+                   for group, row, count, before in self.found]
+        return self.assemble(results), counts
 
     def do(self, outside: Outside, contexts: Sequence[Any], memory: Memory, counts: array, board: Board) -> None:
         """Has done what is done outside, with all helpers."""
@@ -387,9 +416,3 @@ class Recorded:
             return memory.kept[group][row, first:first + lanes]
         start = self.layout.at[place.tensor] * memory.row + first * place.size
         return memory.room[start:start + lanes * place.size].view(self.dtypes_made[place.tensor])
-
-
-def pattern(given: Sequence[Tensor | int]) -> tuple[int, ...]:
-    """Which of what is given is the same as something before: equal of what one recording serves."""
-    firsts: dict[int, int] = {}
-    return tuple([firsts.setdefault(address_of(item), number) for number, item in enumerate(given)])

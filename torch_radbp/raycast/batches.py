@@ -15,7 +15,8 @@ from typing import NamedTuple
 from torch_radbp.raycast import every_ball
 from torch_radbp.raycast.batch import (
     DONE,
-    NUMBERS,
+    INTEGERS,
+    VIEW,
     again,
     begin,
     enter,
@@ -40,9 +41,13 @@ class Listed(NamedTuple):
     mask: str  # the lanes that are rays
     ray: str  # their places in the batch
 
-    def known(self, code: Vectors, kind: str, name: str) -> str:
-        """A column of what is known of them."""
-        return code.gather(kind, f"%ray.{name}", self.ray)
+    def view(self, code: Vectors) -> View:
+        """How they see points."""
+        return View.of(code.gather("i32" if name in INTEGERS else code.scalar, f"%ray.{name}", self.ray) for name in VIEW)
+
+    def end(self, code: Vectors) -> str:
+        """Where their search ends."""
+        return code.choose(self.mask, code.gather(code.scalar, "%ray.end", self.ray), code.constant(DONE))
 
     def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
         """Stores new values at those with a flag."""
@@ -54,13 +59,22 @@ class Following(NamedTuple):
 
     at: str
 
-    def known(self, code: Vectors, kind: str, name: str) -> str:
-        """As of `Listed`."""
+    def known(self, code: Vectors, name: str) -> str:
+        """A column of what is known of them."""
+        kind = "i32" if name in INTEGERS else code.scalar
         return code.line(f"load {code.vector(kind)}, ptr {code.at(kind, f'%ray.{name}', self.at)}")
+
+    def view(self, code: Vectors) -> View:
+        """As of `Listed`."""
+        return View.of(self.known(code, name) for name in VIEW)
+
+    def end(self, code: Vectors) -> str:
+        """As of `Listed`."""
+        return self.known(code, "end")
 
     def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
         """As of `Listed`."""
-        code.store(code.vector(kind), code.choose(where, value, self.known(code, kind, name), kind),
+        code.store(code.vector(kind), code.choose(where, value, self.known(code, name), kind),
                    code.at(kind, f"%ray.{name}", self.at))
 
 
@@ -77,9 +91,7 @@ def seen_triangle(code: Vectors, triangle: str) -> list[list[str]]:
 
 def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, any_hit: bool) -> None:
     """Lays the test of a vector of rays against the triangles of a run, from the label `before` to `<name>.tested`."""
-    view = View([rays.known(code, code.scalar, axis) for axis in "xyz"],
-                [rays.known(code, code.scalar, slope) for slope in ("first_slope", "second_slope")],
-                rays.known(code, "i32", "axis"))
+    view = rays.view(code)
 
     # See the corners of the run.
     corner, triangle = f"{name}.corner", f"{name}.triangle"
@@ -93,9 +105,7 @@ def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, an
     again(code, corner, "%corner.count", f"{name}.seen")
 
     # Test its triangles.
-    first_end = rays.known(code, code.scalar, "end")
-    if isinstance(rays, Listed):
-        first_end = code.choose(rays.mask, first_end, code.constant(DONE))
+    first_end = rays.end(code)
     end, prim = f"%{name}.least", f"%{name}.met"
     loop(code, triangle, f"{name}.seen", 1,
          f"{end} = phi {code.numbers} [ {first_end}, %{name}.seen ], [ {end}.next, %{triangle}.end ]",
@@ -209,9 +219,7 @@ def closest_hit(code: Vectors, balls: bool) -> str:
     # Say where they are hit.
     loop(code, "locate", "ball_answer" if balls else "answer", code.width)
     batch = Following("%locate.at")
-    x, y, z, *slopes, unit = (batch.known(code, code.scalar, name) for name in NUMBERS[:6])
-    prim, axis = (batch.known(code, "i32", name) for name in ("prim", "axis"))
-    view = View([x, y, z], slopes, axis)
+    view, prim, unit = batch.view(code), batch.known(code, "prim"), batch.known(code, "unit")
     found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
     numbers, label = columns_at(code, code.choose(found, prim, ZERO, "i32"), "locate")
     corners = [view.sees(code, numbers[number:number + 3]) for number in (0, 3, 6)]
@@ -219,8 +227,8 @@ def closest_hit(code: Vectors, balls: bool) -> str:
     mask = lanes_before(code, "%count", "%locate.at")
     if balls:
         rays = rays_at("%locate.at")[1]
-        ball, row, column = (batch.known(code, "i32", name) for name in ("ball", "row", "column"))
-        t = batch.known(code, code.scalar, "t")
+        ball, row, column = (batch.known(code, name) for name in ("ball", "row", "column"))
+        t = batch.known(code, "t")
         t = code.choose(code.line(f"icmp sge {code.integers} {ball}, {ZERO}"), t, answers[3])
         others = [every_ball.numbers_of(code, prim), *answers[1:3]]
         answers = every_ball.placed(code, rays, (ball, row, column), t, others, label)
@@ -249,14 +257,24 @@ def any_hit(code: Vectors, balls: bool) -> str:
              f"%segments = add i64 %segment.found, {code.count(some)}")
     again(code, "segment", "%count", "segments_all")
     code.lay("%some_segments = icmp sgt i64 %segments, 0",
-             "br i1 %some_segments, label %entering, label %answered_all", "entering:")
+             "br i1 %some_segments, label %entering, label %answered_all", "entering:",
+             "%all_segments = icmp eq i64 %segments, %count",
+             "br i1 %all_segments, label %entering_all, label %entering_some", "entering_all:")
 
-    loop(code, "enter", "entering", code.width)
+    # Where all lanes have one, none is picked out.
+    loop(code, "every", "entering_all", code.width)
+    mask = lanes_before(code, "%count", "%every.at")
+    *o_and_d, tmax = (code.load_where(mask, column, "%every.at") for column in (*columns, end))
+    enter(code, Rays(o_and_d[:3], o_and_d[3:], mask), "%every.at", tmax)
+    again(code, "every", "%count", "entered_all")
+    code.lay("br label %entered", "entering_some:")
+    loop(code, "enter", "entering_some", code.width)
     mask = lanes_before(code, "%segments", "%enter.at")
     lanes = code.line(f"load {code.integers}, ptr {code.at('i32', '%ray.lane', '%enter.at')}, align 4")
     *o_and_d, tmax = (code.gather(code.scalar, column, lanes, mask) for column in (*columns, end))
     enter(code, Rays(o_and_d[:3], o_and_d[3:], mask), "%enter.at", tmax)
-    again(code, "enter", "%segments", "entered")
+    again(code, "enter", "%segments", "entered_some")
+    code.lay("br label %entered", "entered:")
     search(code, "entered", "%segments", any_hit=True)
 
     if balls:

@@ -30,9 +30,7 @@ class Vectors:
 
     def text(self) -> str:
         """The module; its `lanes_of_job` takes parts of a `team.Job`."""
-        # Where a quotient may be rough (`rough_div`), it is a product with the processor's estimate of the reciprocal.
-        head = ('define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) '
-                '"reciprocal-estimates"="all" {')
+        head = "define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {"
         parts = TAKE_PARTS.format(width=self.width)
         return "\n".join([parts, FEW_LANES, head, *self.lines, "}", *self.declared.values(), ""])
 
@@ -119,10 +117,6 @@ class Vectors:
 
     def div(self, a: str, b: str) -> str:
         return self.line(f"fdiv {self.numbers} {a}, {b}")
-
-    def rough_div(self, a: str, b: str) -> str:
-        """A quotient that may be wrong in its last bits."""
-        return self.line(f"fdiv arcp contract {self.numbers} {a}, {b}")
 
     def negative(self, a: str) -> str:
         return self.line(f"fneg {self.numbers} {a}")
