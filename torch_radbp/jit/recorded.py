@@ -10,6 +10,7 @@ holds the addresses of whatever is called.
 from __future__ import annotations
 
 import ctypes
+import itertools
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -57,15 +58,6 @@ define internal void @partition(ptr %functions, ptr %order, ptr %numbers, i64 %l
   call void %begin(ptr %counters, ptr %found, i64 %queues)
   call void %put(ptr %order, ptr %numbers, ptr %counters, i64 %queues, i64 0, i64 %run)
   call void %put_rest(ptr %order, ptr %numbers, ptr %last, i64 %queues, i64 %first, i64 %rest)
-  ret void
-}}
-define internal void @scatter(ptr %scatter, ptr %words, i64 %additions, i64 %lanes) {{
-  %some = icmp sgt i64 %lanes, 0
-  br i1 %some, label %add, label %done
-add:
-  call void %scatter(ptr %words, i64 %additions, i64 %lanes)
-  br label %done
-done:
   ret void
 }}
 declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
@@ -194,12 +186,12 @@ class Writer:
             else:
                 at = self.line(f"getelementptr ptr, ptr %given, i64 {self.given + place.tensor}")
                 inputs.append(self.line(f"load ptr, ptr {at}, align 8"))
-        self.call(operation.body, operation.lanes, operation.part, inputs,
+        self.call(operation.body, self.number_of(operation.lanes), operation.part, inputs,
                   [self.address(place) for place in operation.outputs])
 
-    def call(self, body: int, lanes: Span, part: int, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """Runs a loop."""
-        run, function, number = self.function(run_loop()), self.function(body), self.number_of(lanes)
+    def call(self, body: int, number: str, part: int, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+        """Runs a loop over so many lanes."""
+        run, function = self.function(run_loop()), self.function(body)
         self.lines.append(f"call void {run}(ptr %board, ptr {function}, i64 {number}, i64 {part}, "
                           f"ptr {self.list_of(inputs)}, ptr {self.list_of(outputs)})")
 
@@ -224,7 +216,7 @@ class Writer:
         size, pairs = operation.pairs[0][0].size, operation.pairs
         inputs = [self.address(operation.place), f"inttoptr (i64 {len(pairs)} to ptr)",
                   *[self.address(entry) for entry, _ in pairs]]
-        self.call(cpu_order.putting(size).address, operation.lanes, PART, inputs,
+        self.call(cpu_order.putting(size).address, self.number_of(operation.lanes), PART, inputs,
                   [self.address(target) for _, target in pairs])
 
     def inverted(self, operation: Inverted) -> None:
@@ -233,7 +225,8 @@ class Writer:
             lanes = self.number_of(operation.lanes)
             self.lines.append(f"call void @llvm.memset.p0.i64(ptr {result}, i8 0, i64 {lanes}, i1 false)")
         else:
-            self.call(cpu_order.inverting().address, operation.lanes, PART, [self.address(operation.flags)], [result])
+            self.call(cpu_order.inverting().address, self.number_of(operation.lanes), PART, [self.address(operation.flags)],
+                      [result])
 
     def copy(self, operation: Copy) -> None:
         source, target = self.address(operation.source), self.address(operation.target)
@@ -241,15 +234,17 @@ class Writer:
         self.lines.append(f"call void @llvm.memcpy.p0.p0.i64(ptr {target}, ptr {source}, i64 {size}, i1 false)")
 
     def scattered(self, operation: Scattered) -> None:
-        words = []
-        for loop, index, touched, step, mask, numbers, totals in operation.additions:
+        words, groups, lanes = [], operation.groups, self.number_of(operation.lanes)
+        for loop, index, touched, step, mask, numbers, totals in itertools.chain.from_iterable(groups):
             places = [*map(self.address, numbers)], [*map(self.address, totals)]
             words += [self.function(loop), self.address(index), self.address(touched), f"inttoptr (i64 {step} to ptr)",
                       f"inttoptr (i64 {mask} to ptr)",
                       *[item for found in places for item in [*found, *["null"] * (MOST_TABLES - len(found))]]]
-        scatter = self.function(cpu_scatter.code().module.address)
-        self.lines.append(f"call void @scatter(ptr {scatter}, ptr {self.list_of(words)}, i64 {len(operation.additions)}, "
-                          f"i64 {self.number_of(operation.lanes)})")
+        borders = [f"inttoptr (i64 {border} to ptr)" for border in (0, *itertools.accumulate(map(len, groups)))]
+        inputs = [self.list_of(words), self.line(f"inttoptr i64 {lanes} to ptr"), *borders]
+        some = self.line(f"icmp sgt i64 {lanes}, 0")
+        number = self.line(f"select i1 {some}, i64 {len(groups)}, i64 0")
+        self.call(cpu_scatter.code().module.address, number, 1, inputs, [])
 
     def text(self) -> str:
         """The module."""

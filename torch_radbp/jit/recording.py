@@ -10,7 +10,7 @@ from __future__ import annotations
 import mmap
 import random
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -116,7 +116,7 @@ class Added(NamedTuple):
 class Scattered(NamedTuple):
     """`scatter.scatter_add`."""
 
-    additions: tuple[Added, ...]
+    groups: tuple[tuple[Added, ...], ...]  # that may run side by side
     lanes: Span
 
 
@@ -294,12 +294,22 @@ class Recording:
                                         self.written(result)))
         return result
 
-    def scatter_add(self, additions: Sequence[Addition], lanes: int, loops: Sequence[int]) -> None:
-        """As `scatter.scatter_add`; `loops`: of each addition the function on the processor."""
-        self.operations.append(Scattered(tuple(
-            Added(loop, self.place(index), self.place(sums.words[0]), *sums.words[1:], tuple(map(self.place, numbers)),
-                  tuple(map(self.place, sums.addresses)))
-            for loop, (index, numbers, sums) in zip(loops, additions)), self.span(lanes)))
+    def scatter_add(self, groups: Sequence[Sequence[Addition]], lanes: int,
+                    loops: Mapping[tuple[torch.dtype, int], int]) -> None:
+        """As `scatter.scatter_add`.
+
+        Args:
+            groups: of additions that may run side by side.
+            lanes: of all.
+            loops: the functions on the processor, by dtype and number of tables.
+        """
+        def added(addition: Addition) -> Added:
+            index, numbers, sums = addition
+            places = [tuple(map(self.place, part)) for part in (numbers, sums.addresses)]
+            return Added(loops[numbers[0].dtype, len(numbers)], self.place(index), self.place(sums.words[0]),
+                         *sums.words[1:], *places)
+
+        self.operations.append(Scattered(tuple(tuple(map(added, group)) for group in groups), self.span(lanes)))
 
     def copy(self, target: Tensor, source: Tensor, first: int) -> None:
         """Copies all entries of a tensor to those of another from `first` on."""
