@@ -76,6 +76,8 @@ class Stages(NamedTuple):
     light_lobes: Callable
     goes_on: Callable
     ideal_vertex: Callable
+    no_direction: Callable
+    scattered_ideally: Callable
     parted: Callable
     film_sample: Callable
     drawn_by_steps: Callable

@@ -7,16 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.reflections.ideal_paths import (
-    FRONT,
-    LIT,
-    ONWARDS,
-    OUTSIDE,
-    THROUGH,
-    IdealPath,
-    Reached,
-    Vertices,
-)
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, Vertices
+from torch_radbp.boundary.reflections.ideal_steps import FRONT, LIT, ONWARDS, OUTSIDE, THROUGH, Reached
 from torch_radbp.boundary.reflections.surfaces import Surfaces
 from torch_radbp.jit.order import chosen
 from torch_radbp.path.integrand import Stages
