@@ -17,7 +17,7 @@ from torch_radbp.scene.attributes import with_nested
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.tensors import TriangleTable, proposal_of
 from torch_radbp.shape.surface import Surface
-from torch_radbp.tensors.vec import rows
+from torch_radbp.tensors.vec import Vec3, cross, dot, rows
 
 RIM = 0.1  # share of the camera rays that meet the front of a smooth surface at most, where it is seen at grazing angles
 BLOCK = 1 << 16  # triangles that are examined together
@@ -66,21 +66,30 @@ def has_negative_volume(triangles: TriangleTable, own: range) -> bool:
         triangles: of the scene, detached.
         own: the rows of the surface.
     """
-    vertices, volume, area = triangles.vertices, 0.0, 0.0
-    outwards, origin = triangles.n.x.new_zeros(3, dtype=torch.float64), None
-    for start in range(own.start, own.stop, BLOCK):
-        block = slice(start, min(start + BLOCK, own.stop))
-        corners = [corner[block] for corner in triangles.corners]
-        first, second, third = (rows(vertices.p, corner).stack().double() for corner in corners)
-        origin = first[0] if origin is None else origin
-        n = torch.linalg.cross(second - first, third - first)
-        fronts = torch.ones_like(n[:, 0])
+    blocks = [slice(start, min(start + BLOCK, own.stop)) for start in range(own.start, own.stop, BLOCK)]
+    vertices, volume = triangles.vertices, 0.0
+    origin = rows(vertices.p, triangles.corners[0][own.start:own.stop][:1]).map(Tensor.double)
+    for block in blocks:
+        first, n = starts_and_normals(triangles, block)
+        height = dot(first - origin, n)
         if vertices.n is not None:
-            shaded = torch.sign((sum(rows(vertices.n, corner).stack() for corner in corners) * n).sum(1))
-            fronts = shaded if triangles.smooth is None else torch.where(triangles.smooth[block], shaded, fronts)
-        volume = volume + (((first - origin) * n).sum(1) * fronts).sum()
-        area, outwards = area + n.norm(dim=1).sum(), outwards + n.sum(0)
-    return bool(volume < 0) and bool(outwards.norm() < OPEN * area)
+            one, two, three = (rows(vertices.n, corner[block]) for corner in triangles.corners)
+            shaded = torch.sign(dot(one + two + three, n))
+            height = height * (shaded if triangles.smooth is None else torch.where(triangles.smooth[block], shaded, 1.0))
+        volume = volume + height.sum()
+    if not bool(volume < 0):
+        return False
+    area, outwards = 0.0, torch.zeros_like(volume)
+    for block in blocks:
+        _, n = starts_and_normals(triangles, block)
+        area, outwards = area + torch.sqrt(dot(n, n)).sum(), outwards + n.stack().sum(0)
+    return bool(outwards.norm() < OPEN * area)
+
+
+def starts_and_normals(triangles: TriangleTable, block: slice) -> tuple[Vec3, Vec3]:
+    """The first vertices of some triangles, and their normals, twice as long as their areas; float64."""
+    first, second, third = (rows(triangles.vertices.p, corner[block]).map(Tensor.double) for corner in triangles.corners)
+    return first, cross(second - first, third - first)
 
 
 def is_closed(vertices: Tensor, faces: Tensor) -> bool:

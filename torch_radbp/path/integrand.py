@@ -79,6 +79,7 @@ class Stages(NamedTuple):
     no_direction: Callable
     scattered_ideally: Callable
     parted: Callable
+    unparted: Callable
     film_sample: Callable
     drawn_by_steps: Callable
 

@@ -21,7 +21,7 @@ from torch_radbp.boundary.intersections import boxes_around
 from torch_radbp.boundary.motion import asked_of_places, slopes, swept
 from torch_radbp.boundary.places import rays_beside
 from torch_radbp.boundary.reflections.crossings import drawn_by_steps
-from torch_radbp.boundary.reflections.differences import parted
+from torch_radbp.boundary.reflections.differences import parted, unparted
 from torch_radbp.boundary.reflections.ideal_steps import ideal_vertex, no_direction, scattered_ideally
 from torch_radbp.boundary.reflections.surfaces import goes_on
 from torch_radbp.boundary.segments import segment_place, segment_weight
@@ -56,7 +56,7 @@ EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, loca
                segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, boxes_around,
                edge_bounds, merged_bounds, descended, edge_found, edge_passed, segment_bounds, segment_found,
                segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, goes_on, ideal_vertex,
-               no_direction, scattered_ideally, parted, film_sample, drawn_by_steps)
+               no_direction, scattered_ideally, parted, unparted, film_sample, drawn_by_steps)
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
@@ -80,7 +80,7 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     segment_passed=("geometry", "segments", "eyes", "lot", "found", "eye"), sheets_seen=("geometry", "segments", "at"),
     border_course=("scene", *OUTLINE, "camera"),
     cut_course=(*OUTLINE, "at"), light_eyes=("scene",), light_lobes=("scene",), goes_on=("geometry",),
-    ideal_vertex=("surfaces",), no_direction=(), scattered_ideally=(), parted=("surfaces", "vertices"),
+    ideal_vertex=("surfaces",), no_direction=(), scattered_ideally=(), parted=("surfaces", "vertices"), unparted=(),
     film_sample=("camera",), drawn_by_steps=())
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -19,13 +19,21 @@ from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.board import board
 from torch_radbp.jit.order import chosen, partition
 from torch_radbp.jit.recorded import Recorded, pattern
-from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
+from torch_radbp.jit.recording import ALL, Reserve
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.bounce import Vertex
 from torch_radbp.path.event import Scatters
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
-from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, lying, recordable, tensors_of, without_contents
+from torch_radbp.path.recorded_bounce import (
+    RECORDINGS,
+    Tables,
+    lying,
+    recordable,
+    recorded,
+    tensors_of,
+    without_contents,
+)
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Onward, Step, appearances_met, bounce_queues, first_hit, put_rows
 from torch_radbp.raycast.protocol import Hit
@@ -169,13 +177,7 @@ class Recorder:
         paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
         onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
         given = [*tensors_of((onward, self.integrand.at(depth))), *self.given]
-        listener = Recording(given, reserve=reserve)
-        try:
-            with torch.no_grad(), listening(listener):
-                found: Any = ideal_step(self.integrand, self.surfaces, self.ideal, onward, depth)
-            return Recorded(listener, given, found)
-        except NotRecordable:
-            return None
+        return recorded(given, reserve, lambda: ideal_step(self.integrand, self.surfaces, self.ideal, onward, depth))
 
 
 @contextmanager
