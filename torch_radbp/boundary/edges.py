@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.junctions import cut_at_vertices
 from torch_radbp.jit.order import chosen as chosen_lanes
-from torch_radbp.jit.order import partition
+from torch_radbp.jit.order import in_order
 from torch_radbp.shape.welding import HASH, cells_of, weld_size, welded
 from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.vec import rows
@@ -164,9 +164,7 @@ class Meeting(NamedTuple):
 
 def met(sides: Sides, vertices: int) -> Meeting:
     """Which sides of triangles meet, in the order of their vertices, of which there are so many."""
-    order, _ = partition(sides.high, vertices)
-    order = rows(order, partition(rows(sides.low, order), vertices)[0])
-    low, high = rows(sides.low, order), rows(sides.high, order)
+    order, low, high = in_order(sides.low, sides.high, vertices)
     begins = torch.ones_like(sides.forward)
     begins[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
     first = chosen_lanes(begins)

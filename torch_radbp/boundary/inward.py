@@ -17,7 +17,7 @@ from torch_radbp.scene.attributes import with_nested
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.tensors import TriangleTable, proposal_of
 from torch_radbp.shape.surface import Surface
-from torch_radbp.tensors.vec import Vec3, cross, dot, rows
+from torch_radbp.tensors.vec import rows
 
 RIM = 0.1  # share of the camera rays that meet the front of a smooth surface at most, where it is seen at grazing angles
 BLOCK = 1 << 16  # triangles that are examined together
@@ -30,20 +30,22 @@ def inward_faces(rendering: Rendering) -> SceneWarning | None:
     Such a surface encloses a negative volume, and the camera rays that meet it meet it from behind, but for some at the rim,
     where normals of vertices turn back. A room that is seen from inside faces inwards, too, but is met from the front.
     """
+    one_sided = [number for number, shape in enumerate(rendering.shapes) if is_one_sided(shape)]
+    if not one_sided:
+        return None
     tensors, ends = proposal_of(rendering.tensors), list(accumulate(rendering.sizes))
     ranges = [range(last - size, last) for last, size in zip(ends, rendering.sizes)]
-    inward = [number for number, (shape, own) in enumerate(zip(rendering.shapes, ranges))
-              if is_one_sided(shape) and has_negative_volume(tensors.triangles, own)]
-    if not inward:
-        return None
     o, d, seen = (torch.cat(part) for part in zip(*map(rays_of, rendering.sights)))
     ray = ray_from(o[seen], d[seen])
     hit = rendering.caster.intersect(ray)
     dtype = rendering.scene.dtype
     front = is_in_front(tensors, ray._replace(d=ray.d.map(lambda part: part.to(dtype))),
                         hit._replace(u=hit.u.to(dtype), v=hit.v.to(dtype)))
-    shape = torch.where(hit.prim >= 0, rendering.shape_of[hit.prim.clamp_min(0).long()], -1)
-    black = [number for number in inward if (shape == number).any() and front[shape == number].double().mean() < RIM
+    met = hit.prim >= 0
+    shape = rendering.shape_of[hit.prim.clamp_min(0).long()]
+    times, in_front = (shape[own].bincount(minlength=len(ranges)) for own in (met, met & front))
+    behind = ((times > 0) & (in_front < RIM * times)).tolist()
+    black = [number for number in one_sided if behind[number] and has_negative_volume(tensors.triangles, ranges[number])
              and is_closed(rendering.caster.vertices, rendering.caster.faces[ranges[number].start:ranges[number].stop])]
     if not black:
         return None
@@ -66,30 +68,21 @@ def has_negative_volume(triangles: TriangleTable, own: range) -> bool:
         triangles: of the scene, detached.
         own: the rows of the surface.
     """
-    blocks = [slice(start, min(start + BLOCK, own.stop)) for start in range(own.start, own.stop, BLOCK)]
-    vertices, volume = triangles.vertices, 0.0
-    origin = rows(vertices.p, triangles.corners[0][own.start:own.stop][:1]).map(Tensor.double)
-    for block in blocks:
-        first, n = starts_and_normals(triangles, block)
-        height = dot(first - origin, n)
+    vertices, volume, area = triangles.vertices, 0.0, 0.0
+    outwards, origin = triangles.n.x.new_zeros(3, dtype=torch.float64), None
+    for start in range(own.start, own.stop, BLOCK):
+        block = slice(start, min(start + BLOCK, own.stop))
+        corners = [corner[block] for corner in triangles.corners]
+        first, second, third = (rows(vertices.p, corner).stack().double() for corner in corners)
+        origin = first[0] if origin is None else origin
+        n = torch.linalg.cross(second - first, third - first)
+        fronts = torch.ones_like(n[:, 0])
         if vertices.n is not None:
-            one, two, three = (rows(vertices.n, corner[block]) for corner in triangles.corners)
-            shaded = torch.sign(dot(one + two + three, n))
-            height = height * (shaded if triangles.smooth is None else torch.where(triangles.smooth[block], shaded, 1.0))
-        volume = volume + height.sum()
-    if not bool(volume < 0):
-        return False
-    area, outwards = 0.0, torch.zeros_like(volume)
-    for block in blocks:
-        _, n = starts_and_normals(triangles, block)
-        area, outwards = area + torch.sqrt(dot(n, n)).sum(), outwards + n.stack().sum(0)
-    return bool(outwards.norm() < OPEN * area)
-
-
-def starts_and_normals(triangles: TriangleTable, block: slice) -> tuple[Vec3, Vec3]:
-    """The first vertices of some triangles, and their normals, twice as long as their areas; float64."""
-    first, second, third = (rows(triangles.vertices.p, corner[block]).map(Tensor.double) for corner in triangles.corners)
-    return first, cross(second - first, third - first)
+            shaded = torch.sign((sum(rows(vertices.n, corner).stack() for corner in corners) * n).sum(1))
+            fronts = shaded if triangles.smooth is None else torch.where(triangles.smooth[block], shaded, fronts)
+        volume = volume + (((first - origin) * n).sum(1) * fronts).sum()
+        area, outwards = area + n.norm(dim=1).sum(), outwards + n.sum(0)
+    return bool(volume < 0) and bool(outwards.norm() < OPEN * area)
 
 
 def is_closed(vertices: Tensor, faces: Tensor) -> bool:

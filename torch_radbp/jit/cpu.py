@@ -63,6 +63,7 @@ class Cpu:
 
     chosen = staticmethod(cpu_order.chosen)
     partition = staticmethod(cpu_order.partition)
+    in_order = staticmethod(cpu_order.in_order)
     inverted = staticmethod(cpu_order.inverted)
     nothing = staticmethod(cpu_order.nothing)
     put = staticmethod(cpu_order.put)
