@@ -13,7 +13,7 @@ from torch_radbp.boundary.reflections.surfaces import Surfaces
 from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.board import board
 from torch_radbp.jit.order import chosen
-from torch_radbp.jit.recorded import Recorded, pattern
+from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import Reserve
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.integrand import Stages
@@ -63,23 +63,22 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
         pairs: of them.
     """
     depths = tuple([number_of(depth, pairs.first.device) for depth in range(len(path))])
-    made, given = None, (pairs, path, depths)
+    made = None
     if isinstance(surfaces, Taken) and len(pairs.first) and pairs.first.device.type == "cpu" and not inside_dual_level():
         structure: list = []
-        flatten(given, [], structure)
-        tables = tensors_of((path, depths, surfaces.argument))
-        tensors = [*pairs, *tables]
-        key = stages, surfaces.form.structure, lying(tables), pattern(tensors), *structure
+        flatten((pairs, path, depths), [], structure)
+        tables = Given(tensors_of((path, depths, surfaces.argument)))
+        key = stages, surfaces.form.structure, lying(tables.items), tables.pattern, *structure
 
         def record() -> Recorded | None:
             own = without_contents(pairs, reserve := Reserve())
-            return recorded([*own, *tables], reserve, lambda: depth_by_depth(stages, surfaces, path, own, depths))
+            return recorded([*own, *tables.items], reserve, lambda: depth_by_depth(stages, surfaces, path, own, depths))
 
         made = RECORDINGS.of(key, record)
     if made is None:
         return depth_by_depth(stages, surfaces, path, pairs, depths)
     with board() as address:
-        return made(tensors, len(pairs.first), address)[0]
+        return made(Given(pairs), tables, len(pairs.first), address)[0]
 
 
 def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,

@@ -18,7 +18,7 @@ from torch_radbp.boundary.reflections.surfaces import Surfaces, cells_met
 from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.board import board
 from torch_radbp.jit.order import chosen, partition
-from torch_radbp.jit.recorded import Recorded, pattern
+from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, Reserve
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.bounce import Vertex
@@ -93,7 +93,7 @@ def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: O
     order, vertex = (state.lane[:0], None) if integrand.is_last(depth) else (
         ideally_scattered(integrand, ideal, state, hit, depth))
     if vertex is not None:
-        goes_on = chosen(stages.scattered_ideally(vertex.next.pdf, vertex.survives, vertex.F))
+        goes_on = chosen(stages.scattered_ideally(vertex.next.pdf, vertex.survives, vertex.next.beta))
         put_rows(onwards, *stages.rows((order, vertex.next.ray.d), goes_on))
         ahead = Onward(vertex.next, goes_on)
     return state.lane, stages.ideal_vertex(surfaces, state.ray, hit, onwards), ahead
@@ -107,7 +107,7 @@ def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit:
     queues, first = [], 0
     for appearance, count in zip(ideal.numbers, counts):
         if count:
-            queues.append(Queue(Scatters(appearance), first, first + count, first + count))
+            queues.append(Queue(Scatters(appearance), first, first + count))
         first += count
     if not queues:
         return order[:0], None
@@ -122,9 +122,9 @@ def no_direction(d: Vec3) -> Vec3:
     return d * 0.0
 
 
-def scattered_ideally(pdf: Tensor, survives: Tensor, F: Vec3) -> Tensor:
+def scattered_ideally(pdf: Tensor, survives: Tensor, beta: Vec3) -> Tensor:
     """(N,) bool: paths go on from vertices, in directions of such densities that are not left to chance."""
-    return torch.isinf(pdf) & survives & (max_component(F) > 0)
+    return torch.isinf(pdf) & survives & (max_component(beta) > 0)
 
 
 def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reached:
@@ -152,22 +152,22 @@ class Recorder:
     def __init__(self, board: int, integrand: Integrand, surfaces: Taken, ideal: Ideal, dtype: torch.dtype):
         self.integrand, self.board, self.ideal, self.surfaces = integrand, board, ideal, surfaces
         tables, read = Tables(integrand, dtype), tensors_of(surfaces.argument)
-        self.given: list[Tensor | int] = [*tables.given, ideal.queue_of, *read]
-        self.kind = RECORDINGS.kind(tables.kind, surfaces.form.structure, pattern(self.given), lying(read))
+        self.given = Given([*tables.given.items, ideal.queue_of, *read])
+        self.kind = RECORDINGS.kind(tables.kind, surfaces.form.structure, self.given.pattern, lying(read))
 
     def __call__(self, onward: Onward, depth: int) -> tuple[Tensor, Reached, Onward | None]:
         """As `ideal_step`."""
         integrand = self.integrand
-        varying = tensors_of((onward, integrand.at(depth)))
+        varying = Given(tensors_of((onward, integrand.at(depth))))
         structure: list = []
         flatten(onward, [], structure)
-        key = (self.kind, *structure, pattern(varying), integrand.settings_at(depth), integrand.is_last(depth), depth == 0)
+        key = (self.kind, *structure, varying.pattern, integrand.settings_at(depth), integrand.is_last(depth), depth == 0)
         made = None
-        if all([leaf.is_contiguous() for leaf in varying]):
+        if all([leaf.is_contiguous() for leaf in varying.items]):
             made = RECORDINGS.of(key, partial(self.record, onward, depth))
         if made is None:
             return ideal_step(integrand, self.surfaces, self.ideal, onward, depth)
-        found, counts = made([*varying, *self.given], onward.count, self.board)
+        found, counts = made(varying, self.given, onward.count, self.board)
         integrand.caster.count(sum([counts[last] - counts[first] for first, last in made.rays]))
         return found
 
@@ -176,7 +176,7 @@ class Recorder:
         reserve = Reserve()
         paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
         onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
-        given = [*tensors_of((onward, self.integrand.at(depth))), *self.given]
+        given = [*tensors_of((onward, self.integrand.at(depth))), *self.given.items]
         return recorded(given, reserve, lambda: ideal_step(self.integrand, self.surfaces, self.ideal, onward, depth))
 
 
