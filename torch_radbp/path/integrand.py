@@ -80,7 +80,10 @@ class Stages(NamedTuple):
     meets: Callable
     goes_on: Callable
     ideal_vertex: Callable
+    no_direction: Callable
+    scattered_ideally: Callable
     parted: Callable
+    unparted: Callable
     film_sample: Callable
     drawn_by_steps: Callable
 

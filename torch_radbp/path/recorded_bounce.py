@@ -165,6 +165,23 @@ class Recorder:
             return None
 
 
+def recorded(given: Sequence[Tensor | int], reserve: Reserve, function: Callable[[], Any]) -> Recorded | None:
+    """What a function does with what it is given, and returns, recorded; None if that is not possible.
+
+    Args:
+        given: all that it reads; what has an entry for each lane is without contents.
+        reserve: from which such is.
+        function: nested tuples of tensors are returned.
+    """
+    listener = Recording(given, reserve=reserve)
+    try:
+        with torch.no_grad(), listening(listener):
+            found = function()
+        return Recorded(listener, given, found)
+    except NotRecordable:
+        return None
+
+
 def tensors_of(record) -> list[Tensor]:
     """The tensors among the leaves of a record, in order."""
     return [leaf for leaf in leaves_of(record) if isinstance(leaf, Tensor)]

@@ -162,14 +162,23 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
         last: whether only what is emitted counts.
         image_lanes: those of the image alone; None: there are none.
     """
-    layout, part, stages = integrand.proposal.layout, integrand.part(Ends.SURROUNDINGS), integrand.stages
+    layout, part = integrand.proposal.layout, integrand.part(Ends.SURROUNDINGS)
     if last:
-        return None, *one_queue(Ends.LAST_BOUNCE, part.call(stages.shines, hit, image_lanes))
+        return None, *one_queue(Ends.LAST_BOUNCE, part.call(integrand.stages.shines, hit, image_lanes))
+    number, front = appearances_met(integrand, ray, hit, image_lanes)
+    return front, *queues_by(number, len(layout.appearances), layout.surround is not None, image_lanes is not None)
+
+
+def appearances_met(integrand: Integrand, ray: Ray, hit: Hit,
+                    image_lanes: ImageLanes | None = None) -> tuple[Tensor, Tensor | None]:
+    """The numbers of the appearances that rays met, (N,) int32 as `queues_by` takes them, and `Step.front`; args as for
+    `queued`."""
+    part, stages = integrand.part(Ends.SURROUNDINGS), integrand.stages
     number, differs = part.call(stages.appearance_met, hit, integrand.no_appearance, image_lanes)
     front = None if differs is None else nothing(differs)
     if differs is not None and len(lanes := chosen(differs)):
         put_rows((number, front), lanes, part.call(stages.side_met, ray, hit, lanes, integrand.no_appearance, image_lanes))
-    return front, *queues_by(number, len(layout.appearances), layout.surround is not None, image_lanes is not None)
+    return number, front
 
 
 def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:

@@ -21,8 +21,8 @@ from torch_radbp.boundary.intersections import boxes_around
 from torch_radbp.boundary.motion import asked_of_places, slopes, swept
 from torch_radbp.boundary.places import rays_beside
 from torch_radbp.boundary.reflections.crossings import drawn_by_steps
-from torch_radbp.boundary.reflections.differences import parted
-from torch_radbp.boundary.reflections.ideal_paths import ideal_vertex
+from torch_radbp.boundary.reflections.differences import parted, unparted
+from torch_radbp.boundary.reflections.ideal_steps import ideal_vertex, no_direction, scattered_ideally
 from torch_radbp.boundary.reflections.surfaces import goes_on
 from torch_radbp.boundary.segments import segment_place, segment_weight
 from torch_radbp.boundary.shadows.border import border_course, film_sample, meets
@@ -65,7 +65,7 @@ EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, loca
                segment_weight, segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places,
                boxes_around, edge_bounds, merged_bounds, descended, edge_found, edge_passed, segment_bounds, segment_found,
                segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, picked_vertex, light_samples,
-               meets, goes_on, ideal_vertex, parted, film_sample, drawn_by_steps)
+               meets, goes_on, ideal_vertex, no_direction, scattered_ideally, parted, unparted, film_sample, drawn_by_steps)
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
@@ -75,8 +75,7 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     ending=PATH, local_map=("scene", "proposal"), bounce_adjoint=("scene", "arrival", "adj_L", "memo"),
     places=("scene", "arrival"), pick_light=("scene", "choice"), emitter_met=("scene",),
     chance_of_light=("scene", "choice", "arrival"), appearance_met=("scene",),
-    side_met=("scene", "ray", "hit", "image_lanes"), corner_rows=("scene",), shines=("scene",),
-    rows=("record",),
+    side_met=("scene", "ray", "hit", "image_lanes"), corner_rows=("scene",), shines=("scene",), rows=("record",),
     brightened=("L", "beta"), direct_light=("scene", "arrival", "draw"), scattered=("scene", "arrival", "d"),
     surface_values=("scene",), material_value=("scene",), edge_weight=CURVES, edge_place=(*CURVES, "outline", "lot"),
     crosses=CURVES, contour_length=CURVES, contour_place=(*CURVES, "faces", "lot"),
@@ -91,7 +90,8 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     border_course=("scene", *OUTLINE, "camera"),
     cut_course=(*OUTLINE, "at"), light_eyes=("scene",), light_lobes=("scene",),
     picked_vertex=("picked", "reached"), light_samples=("choice", "kind"), meets=("geometry",), goes_on=("geometry",),
-    ideal_vertex=("surfaces",), parted=("surfaces", "vertices"), film_sample=("camera",), drawn_by_steps=())
+    ideal_vertex=("surfaces",), no_direction=(), scattered_ideally=(), parted=("surfaces", "vertices"), unparted=(),
+    film_sample=("camera",), drawn_by_steps=())
 
 
 def fused(target: Target | None = None) -> Stages:
