@@ -70,12 +70,14 @@ OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_li
               "cut_course", "light_eyes", "light_lobes", "light_samples", "picked_vertex", "meets", "film_sample",
               *OF_CROSSINGS}
 OF_MIRRORS = {"goes_on", "ideal_vertex", "parted", "drawn_by_steps"}
+OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
 # Stages that a scene does without.
-NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS},
-          "shapes": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS},
-          "networks": {"ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS},
+NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
+          "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},
+          "shapes": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
+          "networks": {"ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
           "shining networks": {"shines", "cut_course", "scattered", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SEGMENTS,
-                               *OF_CROSSINGS, *OF_MIRRORS}}
+                               *OF_CROSSINGS, *OF_MIRRORS, *OF_FEW_EDGES}}
 
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
