@@ -66,6 +66,7 @@ class Stages(NamedTuple):
     merged_bounds: Callable
     descended: Callable
     edge_found: Callable
+    edge_tried: Callable
     edge_passed: Callable
     segment_bounds: Callable
     segment_found: Callable

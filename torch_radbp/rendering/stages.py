@@ -28,6 +28,7 @@ from torch_radbp.boundary.segments import segment_place, segment_weight
 from torch_radbp.boundary.shadows.border import border_course, film_sample, meets
 from torch_radbp.boundary.shadows.crossed_surfaces import sheets_seen
 from torch_radbp.boundary.shadows.edge_tree import descended, edge_bounds, merged_bounds
+from torch_radbp.boundary.shadows.edges_tried import edge_tried
 from torch_radbp.boundary.shadows.hidden_light import cut_course
 from torch_radbp.boundary.shadows.light_points import light_eyes, light_lobes, light_samples
 from torch_radbp.boundary.shadows.seen_edges import edge_found, edge_passed
@@ -63,9 +64,10 @@ EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, loca
                emitter_met, chance_of_light, appearance_met, side_met, corner_rows, shines, rows, brightened, direct_light,
                scattered, surface_values, material_value, edge_weight, edge_place, crosses, contour_length, contour_place,
                segment_weight, segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places,
-               boxes_around, edge_bounds, merged_bounds, descended, edge_found, edge_passed, segment_bounds, segment_found,
-               segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, picked_vertex, light_samples,
-               meets, goes_on, ideal_vertex, no_direction, scattered_ideally, parted, unparted, film_sample, drawn_by_steps)
+               boxes_around, edge_bounds, merged_bounds, descended, edge_found, edge_tried, edge_passed, segment_bounds,
+               segment_found, segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, picked_vertex,
+               light_samples, meets, goes_on, ideal_vertex, no_direction, scattered_ideally, parted, unparted, film_sample,
+               drawn_by_steps)
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
@@ -84,6 +86,7 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     paths_beside=("places", "chosen", "sent", "times", "shown"), swept=MOTION, slopes=MOTION,
     asked_of_places=("camera", "pixels", "film"), boxes_around=("geometry",), edge_bounds=(*OUTLINE, "slots"),
     merged_bounds=("below",), descended=("nodes", "eyes"), edge_found=(*OUTLINE, "tree", "eyes"),
+    edge_tried=(*OUTLINE, "eyes"),
     edge_passed=(*OUTLINE, "eyes", "lot", "found", "eye"), segment_bounds=("geometry", "segments", "slots"),
     segment_found=("geometry", "segments", "tree", "eyes"),
     segment_passed=("geometry", "segments", "eyes", "lot", "found", "eye"), sheets_seen=("geometry", "segments", "at"),
