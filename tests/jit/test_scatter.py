@@ -6,9 +6,11 @@ import time
 import pytest
 import torch
 
-from torch_radbp.jit.cpu_scatter import BLOCK
+from torch_radbp.jit.addition import side_by_side
+from torch_radbp.jit.cpu_scatter import BLOCK, SHARED
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.scatter import Addition, Sums, scatter_add
+from torch_radbp.jit.team import alone_in_torch
 
 LANES = (0, 1, 17, BLOCK, BLOCK + 1, 50_000)
 
@@ -51,6 +53,27 @@ def test_without_copies_lanes_are_added_in_their_order():
     for index, number in zip(case.index.tolist(), case.numbers[0].tolist()):
         totals[index] += number
     assert case.sums.totals[0].squeeze(1).tolist() == totals
+
+
+def test_additions_to_the_same_tables_stay_in_one_group_and_in_their_order():
+    a, b, c = (addition(5, 7, 1, 1, torch.float32) for _ in range(3))
+    both = a._replace(numbers=[*a.numbers, *b.numbers], sums=Sums([*a.sums.totals, *b.sums.totals], a.sums.touched))
+    groups = side_by_side([a, c, b, both, b])
+    assert [list(map(id, group)) for group in groups] == [list(map(id, group)) for group in ([a, b, both, b], [c])]
+    assert side_by_side([]) == []
+
+
+def test_sums_have_the_same_bits_on_any_number_of_threads():
+    def totals(threads: int) -> list[torch.Tensor]:
+        cases = [addition(3 * SHARED, entries, 2, 1, torch.float32) for entries in (1, 5, 3000)]
+        with alone_in_torch(threads=threads):
+            scatter_add([*cases, *cases])
+        return [total for case in cases for total in case.sums.totals]
+
+    expected = totals(1)
+    assert all(total.abs().max() > 0 for total in expected)
+    for threads in (2, 3):
+        assert all(map(torch.equal, totals(threads), expected))
 
 
 def test_parts_and_strided_numbers_are_added_too():

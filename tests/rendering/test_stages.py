@@ -34,5 +34,6 @@ def test_a_second_scene_of_known_appearances_compiles_nothing_and_a_new_one_only
     render(a=DIFFUSE, b=METAL, c=PICTURE)
     names = fresh_stages._fields
     new = {name: now - before for name, now, before in zip(names, functions(fresh_stages), first)}
-    assert new.pop("bounce") == 1 and new.pop("bounce_adjoint") == 1
+    # Of paths of the image and of those of the derivative.
+    assert new.pop("bounce") == 2 and new.pop("bounce_adjoint") == 1
     assert not any(new.values()), new

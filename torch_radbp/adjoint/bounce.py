@@ -10,6 +10,7 @@ So the memo also holds what the one below has found, and both are added to the g
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -66,14 +67,17 @@ class TableAdjoint(NamedTuple):
     adjoint: Tensor
 
 
-def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, verdict: Verdict | None,
-                   adj_L: Vec3, memo: Memo, at: Position, settings: Settings, texture_values: tuple[TextureValue, ...]
+def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[bool, ...], arrival: Arrival, lanes: Tensor,
+                   verdict: Verdict | None, adj_L: Vec3, memo: Memo, at: Position, settings: Settings,
+                   texture_values: tuple[TextureValue, ...]
                    ) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
     """The local vector-Jacobian product of one bounce.
 
     Args:
         scene: the part that these lanes read, detached.
         wanted: of each leaf of `scene` (counted as `leaves_of` does), whether to differentiate it.
+        still: of each value of the material, whether it depends on no parameter that is differentiated, so that nobody asks
+            for the adjoints of its reads; of an event without material nothing.
         arrival, lanes: as for `bounce`.
         verdict: what was decided for these lanes; None where nothing is scattered.
         adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
@@ -90,6 +94,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arriv
     adj_L = rows(adj_L, state.lane) * state.beta
     taps: list[Tap] = []
     attached, _ = tapped(scene, wanted, 0, taps)
+    attached = attached._replace(layout=replace(scene.layout, still=(still,)))
     inputs, here, there = (), None, None
     if settings.moving:
         ray, pdf = tree_map(as_leaf, (state.ray, state.pdf))

@@ -23,8 +23,9 @@ class CheckedSweep(Sweep):
     def adjoint(self, state: PathState, depth: int) -> None:
         """Differentiates one bounce, as `Sweep` does."""
 
-        def checked(scene: SceneTensors, wanted: tuple[bool, ...], arrival: Arrival, lanes: Tensor, *arguments):
-            above, tables, adj_values = bounce_adjoint(scene, wanted, arrival, lanes, *arguments)
+        def checked(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[bool, ...], arrival: Arrival, lanes: Tensor,
+                    *arguments):
+            above, tables, adj_values = bounce_adjoint(scene, wanted, still, arrival, lanes, *arguments)
             bad = torch.zeros_like(lanes, dtype=torch.bool)
             parts = [part for part in leaves_of((above, adj_values)) if isinstance(part, Tensor)]
             for part in [*parts, *(read.adjoint for reads in tables for read in reads)]:

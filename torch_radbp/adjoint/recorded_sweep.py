@@ -12,7 +12,7 @@ import torch
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.jit.board import board
-from torch_radbp.jit.recorded import Recorded, pattern
+from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.event import Ends, Event, Scatters
@@ -36,22 +36,23 @@ class RecordedSweep(Sweep):
     def __init__(self, board: int, integrand: Integrand, record: PathRecord, adj_L: Vec3, numbered: SceneTensors,
                  gradients: Gradients):
         super().__init__(integrand, record, adj_L, numbered, gradients)
-        self.board, self.tables = board, Tables(integrand, adj_L.x.dtype)
+        tables = Tables(integrand, adj_L.x.dtype)
         wanted = tuple([number is not None for number in leaves_of(numbered) if number is None or isinstance(number, int)])
         totals = gradients.totals
-        self.sums = [*[total.data_ptr() for total in totals], *[flags.data_ptr() for flags in gradients.touched.values()]]
-        self.sizes = wanted, tuple([(total.shape, total.stride()) for total in totals])
+        sums = [part.data_ptr() for part in (*totals, *gradients.touched.values())]
+        sizes = wanted, tuple([(total.shape, total.stride()) for total in totals])
+        self.board, self.others, self.tables = board, Given([*tables.given.items, *sums]), (tables.kind, sizes)
         self.kind: int | None = None  # of bounces
 
     def differentiate(self, state: PathState, step: Step, depth: int) -> None:
         events, integrand = self.events(depth), self.integrand
         lanes = tensors_of((state, step.hit, step.front, step.order, step.visible, step.survives))
-        others = tensors_of((self.memo, self.adj_L, integrand.at(depth)))
+        varying = Given([*lanes, *tensors_of((self.memo, self.adj_L, integrand.at(depth)))])
         if self.kind is None:
             structure: list = []
             flatten((state, step.hit, self.memo, self.adj_L), [], structure)
-            self.kind = RECORDINGS.kind(self.tables.kind, self.sizes, *structure)
-        key = (self.kind, pattern([*lanes, *others]), step.front is None, integrand.settings_at(depth),
+            self.kind = RECORDINGS.kind(*self.tables, *structure)
+        key = (self.kind, varying.pattern, step.front is None, integrand.settings_at(depth),
                integrand.is_last(depth), depth == 0)
         made = None
         if all([leaf.is_contiguous() for leaf in lanes]):
@@ -59,11 +60,11 @@ class RecordedSweep(Sweep):
         if made is None:
             super().differentiate(state, step, depth)
             return
-        queues, borders, last = {queue.event: queue for queue in step.queues}, [], 0
+        queues, borders, last = {queue.event: queue for queue in step.queues if queue.derivative}, [], 0
         for event in events:
             queue = queues.get(event)
-            borders += [last, last] if queue is None else [queue.differentiated, last := queue.last]
-        made([*lanes, *others, *self.tables.given, *self.sums], len(state.lane), self.board, borders)
+            borders += [last, last] if queue is None else [queue.first, last := queue.last]
+        made(varying, self.others, len(state.lane), self.board, borders)
 
     def events(self, depth: int) -> list[Event]:
         """What may happen at a bounce."""
@@ -75,19 +76,16 @@ class RecordedSweep(Sweep):
     def record_bounce(self, state: PathState, step: Step, depth: int, events: list[Event]) -> Recorded | None:
         """Records the derivatives of such a bounce; None if that is not possible."""
         borders = Recording([]).borders(2 * len(events) + 1, ALL)[1:-1]
-        queues, first = [], 0
-        for event, differentiated, last in zip(events, borders[::2], borders[1::2]):
-            queues.append(Queue(event, first, last, differentiated))
-            first = last
-        scattered = queues[-1].last if queues[-1].event.scatters else queues[-1].first
+        queues = tuple(map(Queue, events, borders[::2], borders[1::2]))
+        lanes, scattered = queues[-1].last, [0, *(queue.last for queue in queues if queue.event.scatters)][-1]
         reserve, other = Reserve(), copy(self)
         state, hit, front = without_contents((state, step.hit, step.front), reserve)
-        step = step._replace(hit=hit, front=front, order=reserve.tensor(torch.int32, first), queues=tuple(queues),
+        step = step._replace(hit=hit, front=front, order=reserve.tensor(torch.int32, lanes), queues=queues,
                              visible=reserve.tensor(torch.bool, scattered), survives=reserve.tensor(torch.bool, scattered),
                              texture_values=((),) * len(queues))
         other.memo, other.adj_L = without_contents((self.memo, self.adj_L), reserve)
         given = [*tensors_of((state, hit, front, step.order, step.visible, step.survives)),
-                 *tensors_of((other.memo, other.adj_L, self.integrand.at(depth))), *self.tables.given, *self.sums]
+                 *tensors_of((other.memo, other.adj_L, self.integrand.at(depth))), *self.others.items]
         listener = Recording(given, borders, reserve)
         try:
             with torch.no_grad(), listening(listener):

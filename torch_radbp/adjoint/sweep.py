@@ -65,6 +65,7 @@ class Adjoint(NamedTuple):
 
     scene: SceneTensors  # the part that they read, detached
     wanted: tuple[bool, ...]  # which leaves of it have a number
+    still: tuple[bool, ...]  # which values of the material do not depend on them
     leaves: list[int]  # these numbers
     of_bounce: Callable  # `bounce_adjoint`
 
@@ -96,9 +97,10 @@ class Sweep:
             part, scatterer = self.integrand.part(event), self.integrand.scatterer(event)
             leaves = leaves_of_part(self.numbered, self.integrand.scene.layout, scatterer)
             wanted = tuple(leaf is not None for leaf in leaves)
+            still = self.integrand.scene.layout.still[event.appearance] if event.scatters else ()
             self.adjoints[event] = Adjoint(
-                part.proposal, wanted, [leaf for leaf in leaves if leaf is not None],
-                knowing(self.integrand.stages.bounce_adjoint, part.tables, wanted))
+                part.proposal, wanted, still, [leaf for leaf in leaves if leaf is not None],
+                knowing(self.integrand.stages.bounce_adjoint, part.tables, wanted, still))
         return self.adjoints[event]
 
     def advance(self, state: PathState, depth: int) -> PathState:
@@ -129,9 +131,9 @@ class Sweep:
                      at=integrand.at(depth), settings=integrand.settings_at(depth))
         reached, *of_chunk, at, settings = same
         for queue, known in zip(step.queues, step.texture_values):
-            if queue.first == queue.differentiated:
+            if queue.first == queue.last or not queue.derivative:
                 continue
-            here, adjoint = slice(queue.first, queue.differentiated), self.adjoint_of(queue.event)
+            here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue.event)
             lanes = step.order[here]
             verdict = Verdict(step.visible[here], step.survives[here]) if queue.event.scatters else None
             places = integrand.places(queue.event, arrival, lanes, depth)
@@ -141,8 +143,8 @@ class Sweep:
                 texture_values = texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
             else:
                 texture_values = rows_between(known, 0, len(lanes))
-            above, tables, adj_values = adjoint.of_bounce(adjoint.scene, adjoint.wanted, reached, lanes, verdict, *of_chunk,
-                                                          at, settings, texture_values)
+            above, tables, adj_values = adjoint.of_bounce(adjoint.scene, adjoint.wanted, adjoint.still, reached, lanes,
+                                                          verdict, *of_chunk, at, settings, texture_values)
             add_adjoint(integrand, self.numbered, queue.event, places, adj_values, self.gradients)
             found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
             if depth == 0 and above.adj_corners is not None:  # no bounce aims at what the camera sees

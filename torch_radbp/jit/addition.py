@@ -56,3 +56,15 @@ class Addition(NamedTuple):
         if self.index.is_contiguous() and all([number.is_contiguous() for number in self.numbers]):
             return self
         return self._replace(index=self.index.contiguous(), numbers=[number.contiguous() for number in self.numbers])
+
+
+def side_by_side(additions: Sequence[Addition]) -> list[list[Addition]]:
+    """The additions in groups, the largest first, no two of which add to the same table; within each in their order."""
+    groups: list[tuple[set[int], list[Addition]]] = []  # with the tables that they add to
+    for addition in additions:
+        tables = set(addition.sums.addresses)
+        joined = [group for group in groups if not tables.isdisjoint(group[0])]
+        groups = [group for group in groups if tables.isdisjoint(group[0])]
+        groups.append((tables.union(*(own for own, _ in joined)),
+                       [*(member for _, members in joined for member in members), addition]))
+    return sorted([members for _, members in groups], key=len, reverse=True)

@@ -1,22 +1,26 @@
-"""`scatter.py` on the processor: machine code, on the calling thread, in the order of the lanes.
+"""`scatter.py` on the processor: machine code, in the order of the lanes.
 
-The tables of an addition are written in one loop over the lanes, and all additions of a call take turns in blocks of lanes,
-so that entries that lie near each other (the four texels around a point) are still in the cache.
+The tables of an addition are written in one loop over the lanes, and all additions to the same tables take turns in blocks
+of lanes, so that entries that lie near each other (the four texels around a point) are still in the cache. Those to other
+tables may run on other threads.
 """
 
 from __future__ import annotations
 
-import ctypes
+import itertools
 from array import array
 from collections.abc import Sequence
 
 import torch
 
-from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition
+from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition, side_by_side
+from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
 from torch_radbp.jit.machine import cached_code, made_once
 from torch_radbp.jit.recording import recording
+from torch_radbp.jit.team import run_lanes
 
 BLOCK = 2048  # lanes
+SHARED = 1 << 14  # lanes, so many at least that it is worth to wake a thread
 
 # A job is an array of 64-bit words: the function, the index, the pages, the distance from entry to entry of the totals, the
 # number of copies less 1, then the numbers of each table, then the totals of each.
@@ -73,7 +77,7 @@ define internal ptr @pointer(ptr %job, i64 %number) {{
   %pointer = inttoptr i64 %word to ptr
   ret ptr %pointer
 }}
-define void @scatter(ptr %jobs, i64 %count, i64 %lanes) {{
+define internal void @scatter(ptr %jobs, i64 %count, i64 %lanes) {{
 entry:
   br label %block
 block:
@@ -98,11 +102,38 @@ done:
   ret void
 }}
 """
+# A loop of `team.run_lanes` over groups of jobs. The inputs are the jobs, the number of lanes, the first job of each group,
+# and the number of jobs.
+GROUPS = """define internal void @lanes(i64 %first, i64 %last, ptr %inputs, ptr %outputs) {{
+entry:
+  %jobs = call ptr @pointer(ptr %inputs, i64 0)
+  %count = call i64 @word(ptr %inputs, i64 1)
+  br label %look
+look:
+  %group = phi i64 [ %first, %entry ], [ %next, %turn ]
+  %next = add i64 %group, 1
+  %left = icmp slt i64 %group, %last
+  br i1 %left, label %turn, label %done
+turn:
+  %begin_at = add i64 %group, 2
+  %begin = call i64 @word(ptr %inputs, i64 %begin_at)
+  %end_at = add i64 %group, 3
+  %end = call i64 @word(ptr %inputs, i64 %end_at)
+  %words = mul i64 %begin, {job}
+  %own = getelementptr i64, ptr %jobs, i64 %words
+  %number = sub i64 %end, %begin
+  call void @scatter(ptr %own, i64 %number, i64 %count)
+  br label %look
+done:
+  ret void
+}}
+"""
 
 
 def text() -> str:
-    """The module: a loop over lanes for each dtype and number of tables, and the loop over jobs in blocks of lanes."""
-    functions = [JOBS.format(block=BLOCK, job=JOB)]
+    """The module: a loop over lanes for each dtype and number of tables, the loop over jobs in blocks of lanes, and that
+    over groups of jobs."""
+    functions = [TAKE_PARTS.format(width=1), FEW_LANES, JOBS.format(block=BLOCK, job=JOB), GROUPS.format(job=JOB)]
     for dtype, scalar in SCALARS.items():
         widened = "fpext float %number{t} to double" if dtype == torch.float32 else "fadd double %number{t}, -0.0"
         for tables in range(1, MOST_TABLES + 1):
@@ -118,10 +149,9 @@ class Code:
     """The machine code of `text`."""
 
     def __init__(self) -> None:
-        self.module = cached_code(text(), entry="scatter")
+        self.module = cached_code(text())
         self.loops = {(dtype, tables): self.module.address_of(f"scatter_{scalar}_{tables}")
                       for dtype, scalar in SCALARS.items() for tables in range(1, MOST_TABLES + 1)}
-        self.run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.module.address)
 
 
 code = made_once(Code)
@@ -129,12 +159,14 @@ code = made_once(Code)
 
 def scatter_add(additions: Sequence[Addition], lanes: int) -> None:
     """See `scatter.scatter_add`; all is contiguous."""
-    loops, words = code().loops, array("q")
+    loops, groups = code().loops, side_by_side(additions)
     if (listener := recording()) is not None:
-        listener.scatter_add(additions, lanes, [loops[numbers[0].dtype, len(numbers)] for _, numbers, _ in additions])
+        listener.scatter_add(groups, lanes, loops)
         return
-    for index, numbers, sums in additions:
+    words, borders = array("q"), [0, *itertools.accumulate(map(len, groups))]
+    for index, numbers, sums in itertools.chain.from_iterable(groups):
         spare = [0] * (MOST_TABLES - len(numbers))
         words.extend([loops[numbers[0].dtype, len(numbers)], index.data_ptr(), *sums.words,
                       *[number.data_ptr() for number in numbers], *spare, *sums.addresses, *spare])
-    code().run(words.buffer_info()[0], len(additions), lanes)
+    inputs = array("q", [words.buffer_info()[0], lanes, *borders])
+    run_lanes(code().module.address, len(groups), inputs, array("q", [0]), len(groups) if lanes < SHARED else 1)

@@ -1,279 +1,50 @@
-"""A recording as machine code: all that was done with lanes, again, for the numbers of lanes that are found on the way.
-
-    void recorded(ptr given, ptr kept, ptr room, ptr counts, ptr functions, ptr board, i64 lanes, i64 row)
-
-`given` holds addresses and, behind them, lengths; `kept` and `room` the memory of what is made, in rows of `row` entries:
-that of results, and that of what nobody asks for afterwards. Counts are read from `counts` and written there. `functions`
-holds the addresses of whatever is called.
-"""
+"""A recording as machine code: all that was done with lanes, again, for the numbers of lanes that are found on the way."""
 
 from __future__ import annotations
 
 import ctypes
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.jit import cpu_order, cpu_scatter
-from torch_radbp.jit.addition import MOST_TABLES
-from torch_radbp.jit.board import run_loop
+from torch_radbp.jit.lane_operations import Place, Span
 from torch_radbp.jit.machine import MachineCode, cached_code
-from torch_radbp.jit.recording import (
-    Chosen,
-    Copy,
-    Inverted,
-    Loop,
-    Operation,
-    Partition,
-    Place,
-    Put,
-    Recording,
-    Scattered,
-    Span,
-    address_of,
-)
+from torch_radbp.jit.recorded_text import Layout, Writer
+from torch_radbp.jit.recording import Recording
 from torch_radbp.jit.structure import Leaf, assembler, flatten, replaced
-from torch_radbp.jit.team import PART
-
-HEAD = """\
-define void @recorded(ptr %given, ptr %kept, ptr %room, ptr %counts, ptr %functions, ptr %board, i64 %lanes, i64 %row) {"""
-SIZES = (1, 4, 8)
-# Runs of lanes abreast, as `cpu_order.partition` takes them.
-PARTITION = """\
-define internal void @partition(ptr %functions, ptr %order, ptr %numbers, i64 %lanes, i64 %queues, ptr %found) {{
-  %bytes = mul i64 %queues, {bytes}
-  %counters = alloca i8, i64 %bytes, align 8
-  call void @llvm.memset.p0.i64(ptr %counters, i8 0, i64 %bytes, i1 false)
-  %run = sdiv i64 %lanes, {abreast}
-  %first = mul i64 %run, {abreast}
-  %rest = sub i64 %lanes, %first
-  %before = mul i64 %queues, {before}
-  %last = getelementptr i8, ptr %counters, i64 %before
-  {loads}
-  call void %count(ptr %numbers, ptr %counters, i64 %queues, i64 0, i64 %run)
-  call void %count_rest(ptr %numbers, ptr %last, i64 %queues, i64 %first, i64 %rest)
-  call void %begin(ptr %counters, ptr %found, i64 %queues)
-  call void %put(ptr %order, ptr %numbers, ptr %counters, i64 %queues, i64 0, i64 %run)
-  call void %put_rest(ptr %order, ptr %numbers, ptr %last, i64 %queues, i64 %first, i64 %rest)
-  ret void
-}}
-define internal void @scatter(ptr %scatter, ptr %words, i64 %additions, i64 %lanes) {{
-  %some = icmp sgt i64 %lanes, 0
-  br i1 %some, label %add, label %done
-add:
-  call void %scatter(ptr %words, i64 %additions, i64 %lanes)
-  br label %done
-done:
-  ret void
-}}
-declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
-declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
-"""
-
-
-class Group(NamedTuple):
-    """Results of one dtype and one number of lanes, which are rows of one tensor."""
-
-    dtype: torch.dtype
-    last: int  # the number of the count of their lanes
-    tensors: list[int]  # numbers of what was made
-
-
-class Layout:
-    """Where what was made lies: results in groups, the rest in rows that are used again once nobody reads them.
-
-    Args:
-        recording: whose.
-        results: numbers of the tensors that are asked for.
-    """
-
-    def __init__(self, recording: Recording, results: Sequence[int]):
-        self.groups: list[Group] = []
-        self.rows: dict[int, tuple[int, int]] = {}  # of each result the group and the row
-        for number in dict.fromkeys(results):
-            dtype, lanes = recording.made[number]
-            group = next((group for group in self.groups if group[:2] == (dtype, lanes.last)), None)
-            if group is None:
-                self.groups.append(group := Group(dtype, lanes.last, []))
-            self.rows[number] = self.groups.index(group), len(group.tensors)
-            group.tensors.append(number)
-        self.bytes = 0  # of all rows of the rest, for each lane
-        self.at: dict[int, int] = {}  # of each of the rest, the bytes for each lane that lie before it
-        free: dict[int, list[int]] = {size: [] for size in SIZES}
-        reads = [set(made_in(operation)) for operation in recording.operations]
-        last = {number: place for place, read in enumerate(reads) for number in read}
-        for place, read in enumerate(reads):
-            for number in sorted(read):
-                size = recording.made[number].dtype.itemsize
-                if number not in self.at and number not in self.rows:
-                    if not free[size]:
-                        free[size].append(self.bytes)
-                        self.bytes += size
-                    self.at[number] = free[size].pop()
-            for number in read:
-                if last[number] == place and number in self.at:
-                    free[recording.made[number].dtype.itemsize].append(self.at[number])
-
-
-def made_in(operation: Operation) -> Iterator[int]:
-    """The numbers of what was made that an operation reads or writes."""
-    waiting = list(operation)
-    while waiting:
-        item = waiting.pop()
-        if isinstance(item, Place):
-            if item.made:
-                yield item.tensor
-        elif isinstance(item, tuple) and not isinstance(item, Span):
-            waiting.extend(item)
-
-
-class Writer:
-    """The text of a recording's machine code, and the functions that it calls."""
-
-    def __init__(self, recording: Recording, layout: Layout, given: int):
-        self.recording, self.layout, self.given = recording, layout, given
-        self.functions: list[int] = []
-        self.lines: list[str] = []
-        self.counts = {0: "0", 1: "%lanes"}
-        for number in range(2, 2 + recording.given_counts):
-            at = self.line(f"getelementptr i64, ptr %counts, i64 {number}")
-            self.counts[number] = self.line(f"load i64, ptr {at}, align 8")
-
-    def line(self, text: str) -> str:
-        """Adds an instruction and returns the name of its result."""
-        name = f"%v{len(self.lines)}"
-        self.lines.append(f"{name} = {text}")
-        return name
-
-    def function(self, address: int) -> str:
-        """The pointer to a function."""
-        if address not in self.functions:
-            self.functions.append(address)
-        at = self.line(f"getelementptr ptr, ptr %functions, i64 {self.functions.index(address)}")
-        return self.line(f"load ptr, ptr {at}, align 8")
-
-    def number_of(self, lanes: Span) -> str:
-        """How many lanes there are."""
-        return self.line(f"sub i64 {self.counts[lanes.last]}, {self.counts[lanes.first]}")
-
-    def address(self, place: Place) -> str:
-        """The pointer to where something lies."""
-        if not place.made:
-            at = self.line(f"getelementptr ptr, ptr %given, i64 {place.tensor}")
-            return self.moved(self.line(f"load ptr, ptr {at}, align 8"), place)
-        if place.tensor in self.layout.rows:
-            group, row = self.layout.rows[place.tensor]
-            at = self.line(f"getelementptr ptr, ptr %kept, i64 {group}")
-            base, before = self.line(f"load ptr, ptr {at}, align 8"), row * place.size
-        else:
-            base, before = "%room", self.layout.at[place.tensor]
-        return self.moved(self.line(f"getelementptr i8, ptr {base}, i64 {self.line(f'mul i64 %row, {before}')}"), place)
-
-    def moved(self, base: str, place: Place) -> str:
-        """The pointer behind the entries that come before."""
-        if not place.first:
-            return base
-        before = self.line(f"mul i64 {self.counts[place.first]}, {place.size}")
-        return self.line(f"getelementptr i8, ptr {base}, i64 {before}")
-
-    def list_of(self, pointers: Sequence[str]) -> str:
-        """The address of an array of these."""
-        array = self.line(f"alloca ptr, i64 {max(1, len(pointers))}, align 8")
-        for number, pointer in enumerate(pointers):
-            at = self.line(f"getelementptr ptr, ptr {array}, i64 {number}")
-            self.lines.append(f"store ptr {pointer}, ptr {at}, align 8")
-        return array
-
-    def loop(self, operation: Loop) -> None:
-        inputs = [self.address(place) for place in operation.inputs]
-        for place, lanes in zip(operation.inputs, operation.lengths or ()):
-            if place.made:
-                inputs.append(self.line(f"inttoptr i64 {self.number_of(lanes)} to ptr"))
-            else:
-                at = self.line(f"getelementptr ptr, ptr %given, i64 {self.given + place.tensor}")
-                inputs.append(self.line(f"load ptr, ptr {at}, align 8"))
-        self.call(operation.body, operation.lanes, operation.part, inputs,
-                  [self.address(place) for place in operation.outputs])
-
-    def call(self, body: int, lanes: Span, part: int, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """Runs a loop."""
-        run, function, number = self.function(run_loop()), self.function(body), self.number_of(lanes)
-        self.lines.append(f"call void {run}(ptr %board, ptr {function}, i64 {number}, i64 {part}, "
-                          f"ptr {self.list_of(inputs)}, ptr {self.list_of(outputs)})")
-
-    def partition(self, operation: Partition) -> None:
-        found = self.line(f"alloca i64, i64 {operation.queues}, align 8")
-        self.lines.append(f"call void @partition(ptr %functions, ptr {self.address(operation.order)}, "
-                          f"ptr {self.address(operation.number)}, i64 {self.number_of(operation.lanes)}, "
-                          f"i64 {operation.queues}, ptr {found})")
-        border = "0"
-        for number in range(operation.queues - 1):
-            at = self.line(f"getelementptr i64, ptr {found}, i64 {number}")
-            border = self.line(f"add i64 {border}, {self.line(f'load i64, ptr {at}, align 8')}")
-            self.counts[operation.first + number] = border
-
-    def chosen(self, operation: Chosen) -> None:
-        choose, flags, order = (self.function(cpu_order.addresses()["choose"]), self.address(operation.flags),
-                                self.address(operation.order))
-        self.counts[operation.count] = self.line(
-            f"call i64 {choose}(ptr {flags}, ptr {order}, i64 {self.number_of(operation.lanes)})")
-
-    def put(self, operation: Put) -> None:
-        size, pairs = operation.pairs[0][0].size, operation.pairs
-        inputs = [self.address(operation.place), f"inttoptr (i64 {len(pairs)} to ptr)",
-                  *[self.address(entry) for entry, _ in pairs]]
-        self.call(cpu_order.putting(size).address, operation.lanes, PART, inputs,
-                  [self.address(target) for _, target in pairs])
-
-    def inverted(self, operation: Inverted) -> None:
-        result = self.address(operation.result)
-        if operation.flags is None:
-            lanes = self.number_of(operation.lanes)
-            self.lines.append(f"call void @llvm.memset.p0.i64(ptr {result}, i8 0, i64 {lanes}, i1 false)")
-        else:
-            self.call(cpu_order.inverting().address, operation.lanes, PART, [self.address(operation.flags)], [result])
-
-    def copy(self, operation: Copy) -> None:
-        source, target = self.address(operation.source), self.address(operation.target)
-        size = self.line(f"mul i64 {self.number_of(operation.lanes)}, {operation.target.size}")
-        self.lines.append(f"call void @llvm.memcpy.p0.p0.i64(ptr {target}, ptr {source}, i64 {size}, i1 false)")
-
-    def scattered(self, operation: Scattered) -> None:
-        words = []
-        for loop, index, touched, step, mask, numbers, totals in operation.additions:
-            places = [*map(self.address, numbers)], [*map(self.address, totals)]
-            words += [self.function(loop), self.address(index), self.address(touched), f"inttoptr (i64 {step} to ptr)",
-                      f"inttoptr (i64 {mask} to ptr)",
-                      *[item for found in places for item in [*found, *["null"] * (MOST_TABLES - len(found))]]]
-        scatter = self.function(cpu_scatter.code().module.address)
-        self.lines.append(f"call void @scatter(ptr {scatter}, ptr {self.list_of(words)}, i64 {len(operation.additions)}, "
-                          f"i64 {self.number_of(operation.lanes)})")
-
-    def text(self) -> str:
-        """The module."""
-        loads, names = [], ("count", "count_rest", "begin", "put", "put_rest")
-        for name, function in zip(names, ("count_abreast_i32", "count_rest_i32", "begin", "partition_abreast_i32",
-                                          "partition_rest_i32")):
-            self.functions.append(cpu_order.addresses()[function])
-            loads += [f"%{name}_at = getelementptr ptr, ptr %functions, i64 {len(self.functions) - 1}",
-                      f"%{name} = load ptr, ptr %{name}_at, align 8"]
-        write = {Loop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put, Inverted: self.inverted,
-                 Copy: self.copy, Scattered: self.scattered}
-        for operation in self.recording.operations:
-            write[type(operation)](operation)
-        for number, name in list(self.counts.items())[2 + self.recording.given_counts:]:
-            at = self.line(f"getelementptr i64, ptr %counts, i64 {number}")
-            self.lines.append(f"store i64 {name}, ptr {at}, align 8")
-        abreast = cpu_order.ABREAST
-        helpers = PARTITION.format(bytes=8 * abreast, abreast=abreast, before=8 * (abreast - 1), loads="\n  ".join(loads))
-        body = "\n".join(f"  {line}" for line in self.lines)
-        return f"{HEAD}\n{body}\n  ret void\n}}\n{helpers}"
-
 
 RECORDED = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, ctypes.c_int64, ctypes.c_int64)
+
+
+class Given:
+    """What a recording is given, taken apart: tensors, and addresses of what else loops read."""
+
+    __slots__ = ("items", "addresses", "lengths")
+
+    def __init__(self, items: Sequence[Tensor | int]):
+        self.items = items
+        self.addresses = array("q", [item.data_ptr() if isinstance(item, Tensor) else item for item in items])
+        self.lengths = array("q", [item.numel() if isinstance(item, Tensor) else 0 for item in items])
+
+    @property
+    def pattern(self) -> tuple[int, ...]:
+        """Which of it is the same as something before: equal of what one recording serves."""
+        firsts: dict[int, int] = {}
+        return tuple(map(firsts.setdefault, self.addresses, range(len(self.addresses))))
+
+
+class Found(NamedTuple):
+    """Where a result of a recording is found."""
+
+    group: int  # of `Layout.groups`; GIVEN: it was given; EMPTY: it has no lanes
+    row: int  # of the group, or its number among those
+    count: int  # the number of the count of its entries; WHOLE: as of the group
+
+
+GIVEN, EMPTY, WHOLE = -2, -1, -1
 
 
 class Recorded:
@@ -288,11 +59,11 @@ class Recorded:
     def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any):
         leaves: list[Tensor] = []
         flatten(results, leaves, [])
-        self.places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
-        self.dtypes = [leaf.dtype for leaf in leaves]
-        self.lengths = [recording.span(leaf.numel()) for leaf in leaves]
+        places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
         self.assemble: Callable[[list[Tensor]], Any] = assembler(replaced(results, Leaf))
-        self.layout = Layout(recording, [place.tensor for place in self.places if place and place.made])
+        self.layout = Layout(recording, [place.tensor for place in places if place and place.made])
+        self.empty: list[torch.dtype] = []  # of results without lanes, which are new each time
+        self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
         writer = Writer(recording, self.layout, len(given))
         text = writer.text()
         self.code: MachineCode = cached_code(text, entry="recorded")
@@ -300,19 +71,28 @@ class Recorded:
         self.rays, self.called = recording.rays, recording.code  # the latter so that it stays where it is
         self.functions, self.counts = array("q", writer.functions), recording.counts
 
-    def __call__(self, given: Sequence[Tensor | int], lanes: int, board: int,
+    def where(self, place: Place | None, lanes: Span, dtype: torch.dtype) -> Found:
+        """Where a result is found; `place`: None if it has no lanes."""
+        if place is None:
+            self.empty.append(dtype)
+            return Found(EMPTY, len(self.empty) - 1, WHOLE)
+        if not place.made:
+            return Found(GIVEN, place.tensor, WHOLE)
+        group, row = self.layout.rows[place.tensor]
+        return Found(group, row, WHOLE if lanes.last == self.layout.groups[group].last else lanes.last)
+
+    def __call__(self, given: Given, others: Given, lanes: int, board: int,
                  known: Sequence[int] = ()) -> tuple[Any, array]:
         """The results, and all counts.
 
         Args:
-            given: as for the constructor.
+            given, others: one after the other, as for the constructor; no result is one of the others.
             lanes: how many, at least 1.
             board: of the helpers.
             known: the counts that the function is told.
         """
         row = -(-lanes // 64) * 64
-        addresses = array("q", [item.data_ptr() if isinstance(item, Tensor) else item for item in given])
-        addresses.extend([item.numel() if isinstance(item, Tensor) else 0 for item in given])
+        addresses = given.addresses + others.addresses + given.lengths + others.lengths
         kept = [torch.empty((len(group.tensors), row), dtype=group.dtype, device="cpu") for group in self.layout.groups]
         room = torch.empty(max(1, self.layout.bytes * row), dtype=torch.uint8, device="cpu")
         places, counts = array("q", [block.data_ptr() for block in kept]), array("q", [0, lanes, *known])
@@ -320,21 +100,8 @@ class Recorded:
         self.run(addresses.buffer_info()[0], places.buffer_info()[0], room.data_ptr(), counts.buffer_info()[0],
                  self.functions.buffer_info()[0], board, lanes, row)
         rows = [block.narrow(1, 0, counts[group.last]).unbind(0) for block, group in zip(kept, self.layout.groups)]
-        found = []
-        for place, span, dtype in zip(self.places, self.lengths, self.dtypes):
-            if place is None:  # it has no lanes
-                found.append(torch.empty(0, dtype=dtype, device="cpu"))
-                continue
-            if not place.made:
-                found.append(given[place.tensor])
-                continue
-            group, row = self.layout.rows[place.tensor]
-            whole = rows[group][row]
-            found.append(whole if span.last == self.layout.groups[group].last else whole[:counts[span.last]])
-        return self.assemble(found), counts
-
-
-def pattern(given: Sequence[Tensor | int]) -> tuple[int, ...]:
-    """Which of what is given is the same as something before: equal of what one recording serves."""
-    firsts: dict[int, int] = {}
-    return tuple([firsts.setdefault(address_of(item), number) for number, item in enumerate(given)])
+        # The places GIVEN and EMPTY.
+        rows += [given.items, [torch.empty(0, dtype=dtype, device="cpu") for dtype in self.empty]]
+        results = [rows[group][row] if count == WHOLE else rows[group][row][:counts[count]]
+                   for group, row, count in self.found]
+        return self.assemble(results), counts

@@ -10,14 +10,27 @@ from __future__ import annotations
 import mmap
 import random
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.addition import Addition
+from torch_radbp.jit.lane_operations import (
+    Added,
+    Chosen,
+    Copy,
+    Inverted,
+    Loop,
+    Made,
+    Operation,
+    Partition,
+    Place,
+    Put,
+    Scattered,
+    Span,
+)
 from torch_radbp.tensors.torch_internals import TorchDispatchMode
 
 ALL = 262_147  # stands for all lanes
@@ -29,105 +42,6 @@ HARMLESS = (*MAKES, "slice", "narrow", "detach", "alias", "view", "unbind", "sel
 
 class NotRecordable(Exception):
     """What is done cannot be recorded; the message says why."""
-
-
-class Span(NamedTuple):
-    """Lanes between two counts, by their numbers; count 0 is zero, count 1 all lanes."""
-
-    first: int
-    last: int
-
-
-class Place(NamedTuple):
-    """Where a loop reads or writes."""
-
-    made: bool  # a tensor that was made while recording; else one that is given
-    tensor: int  # its number
-    first: int = 0  # the number of the count of entries that come before
-    size: int = 4  # bytes of an entry
-
-
-class Loop(NamedTuple):
-    """A loop over lanes."""
-
-    body: int  # address, see `team.LaneLoop`
-    lanes: Span
-    part: int
-    inputs: tuple[Place, ...]
-    lengths: tuple[Span, ...] | None  # of those that were made; None: lengths are not read
-    outputs: tuple[Place, ...]
-
-
-class Partition(NamedTuple):
-    """`order.partition`."""
-
-    number: Place
-    lanes: Span
-    queues: int
-    order: Place
-    first: int  # the number of the first count that it finds: where the queue 1 begins
-
-
-class Chosen(NamedTuple):
-    """`order.chosen`."""
-
-    flags: Place
-    lanes: Span
-    order: Place
-    count: int  # the number of the count that it finds
-
-
-class Put(NamedTuple):
-    """`order.put`, of entries of one size."""
-
-    place: Place
-    lanes: Span
-    pairs: tuple[tuple[Place, Place], ...]  # entry and target
-
-
-class Inverted(NamedTuple):
-    """`order.inverted`, or `order.nothing` where there are no flags."""
-
-    flags: Place | None
-    lanes: Span
-    result: Place
-
-
-class Copy(NamedTuple):
-    """Entries of one tensor, to another: a result that is the same as one before, see `LaneFunction.into`."""
-
-    source: Place
-    target: Place
-    lanes: Span
-
-
-class Added(NamedTuple):
-    """An `Addition` of `scatter.scatter_add`."""
-
-    loop: int  # address of the function
-    index: Place
-    touched: Place
-    step: int  # from entry to entry of the totals
-    mask: int  # the number of copies less 1
-    numbers: tuple[Place, ...]
-    totals: tuple[Place, ...]
-
-
-class Scattered(NamedTuple):
-    """`scatter.scatter_add`."""
-
-    additions: tuple[Added, ...]
-    lanes: Span
-
-
-class Made(NamedTuple):
-    """A tensor that was made while recording."""
-
-    dtype: torch.dtype
-    lanes: Span
-
-
-Operation = Loop | Partition | Chosen | Put | Inverted | Copy | Scattered
 
 
 class Reserve:
@@ -294,12 +208,22 @@ class Recording:
                                         self.written(result)))
         return result
 
-    def scatter_add(self, additions: Sequence[Addition], lanes: int, loops: Sequence[int]) -> None:
-        """As `scatter.scatter_add`; `loops`: of each addition the function on the processor."""
-        self.operations.append(Scattered(tuple(
-            Added(loop, self.place(index), self.place(sums.words[0]), *sums.words[1:], tuple(map(self.place, numbers)),
-                  tuple(map(self.place, sums.addresses)))
-            for loop, (index, numbers, sums) in zip(loops, additions)), self.span(lanes)))
+    def scatter_add(self, groups: Sequence[Sequence[Addition]], lanes: int,
+                    loops: Mapping[tuple[torch.dtype, int], int]) -> None:
+        """As `scatter.scatter_add`.
+
+        Args:
+            groups: of additions that may run side by side.
+            lanes: of all.
+            loops: the functions on the processor, by dtype and number of tables.
+        """
+        def added(addition: Addition) -> Added:
+            index, numbers, sums = addition
+            places = [tuple(map(self.place, part)) for part in (numbers, sums.addresses)]
+            return Added(loops[numbers[0].dtype, len(numbers)], self.place(index), self.place(sums.words[0]),
+                         *sums.words[1:], *places)
+
+        self.operations.append(Scattered(tuple(tuple(map(added, group)) for group in groups), self.span(lanes)))
 
     def copy(self, target: Tensor, source: Tensor, first: int) -> None:
         """Copies all entries of a tensor to those of another from `first` on."""

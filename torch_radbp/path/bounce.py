@@ -92,9 +92,9 @@ class Scattering(NamedTuple):
 class Vertex(NamedTuple):
     """A path vertex as the loop over bounces sees it: its terms, its shadow ray and its continuation."""
 
-    Le: Vec3
-    Ld: Vec3
-    F: Vec3
+    Le: Vec3 | None  # None where nobody asks for light, as the next two
+    Ld: Vec3 | None
+    F: Vec3 | None
     shadow: Ray
     shadow_distance: Tensor  # 0: nothing to connect to
     next: PathState  # of no meaning where the path ends
@@ -209,7 +209,8 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     F = local.sample.weight * local.thinning
     ray = outgoing_ray(local.si, local.sample.wo)
     here = None if state.vantage is None else vantage(local.si)
-    return Vertex(local.Le, local.Ld, F, shadow, distance,
+    terms = (local.Le, local.Ld, F) if settings.shown else (None, None, None)
+    return Vertex(*terms, shadow, distance,
                   PathState(ray, state.beta * F, local.sample.pdf, state.key, state.lane, here,
                             followed_by(local.material, state, settings), cone_after(state, local)), local.survives)
 

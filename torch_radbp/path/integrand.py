@@ -74,6 +74,9 @@ class Stages(NamedTuple):
     cut_course: Callable
     light_eyes: Callable
     light_lobes: Callable
+    picked_vertex: Callable
+    light_samples: Callable
+    meets: Callable
     goes_on: Callable
     ideal_vertex: Callable
     parted: Callable
@@ -123,7 +126,9 @@ class Integrand(NamedTuple):
     stages: Stages
     parts: dict[Event, Part]  # filled when one first happens
     clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
-    differentiated: Tensor | None = None  # () int32, so many lanes of the chunk, the first, are of the derivative; None: all
+    # () int32: so many lanes of the chunk, the first, are of the derivative alone, the others of the image alone. None: all
+    # are of both.
+    differentiated: Tensor | None = None
 
     def with_stages(self, stages: Stages) -> Integrand:
         """The same integrand, evaluated by other functions."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -22,7 +23,8 @@ class Queue(NamedTuple):
     event: Event  # what happens to them
     first: int
     last: int  # the place after its last lane
-    differentiated: int  # the place after its last lane that the backward pass differentiates; such lanes come first
+    image: bool = True  # the light that its lanes find counts in the image
+    derivative: bool = True  # the backward pass differentiates its lanes
 
 
 class ImageLanes(NamedTuple):
@@ -32,13 +34,23 @@ class ImageLanes(NamedTuple):
     first: Tensor  # () int32
 
 
-EMPTY = Queue(Ends.SURROUNDINGS, 0, 0, 0)  # of no lanes
+EMPTY = Queue(Ends.SURROUNDINGS, 0, 0)  # of no lanes
+ALL, APART = ((True, True),), ((False, True), (True, False))  # whether lanes are of the image, and of the derivative
 
 
-def halved(number: Tensor, image_lanes: ImageLanes | None) -> Tensor:
-    """(N,) int32, numbers of queues, each of which has two halves if some lanes are of the image alone: 2 n, and 2 n + 1 of
-    these."""
-    return number if image_lanes is None else 2 * number + (image_lanes.lane >= image_lanes.first).to(torch.int32)
+def numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes | None) -> Tensor:
+    """(N,) int32, numbers of queues: by the appearance of what is met, and then those that meet none. If some lanes are of
+    the image alone, they have queues of their own, behind those of other lanes to which the like happens.
+
+    Args:
+        appearance: (N,) int32; `nothing` where none is met.
+        nothing: () int32, the number of appearances.
+        image_lanes: those of the image alone; None: there are none.
+    """
+    if image_lanes is None:
+        return appearance
+    none, image = appearance == nothing, image_lanes.lane >= image_lanes.first
+    return appearance + nothing * (none | image).to(torch.int32) + (none & image).to(torch.int32)
 
 
 def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
@@ -50,32 +62,41 @@ def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
     """
     if found.dtype == torch.bool:
         order = chosen(found)
-        return order, (Queue(event, 0, len(order), len(order)),)
-    order, (differentiated, others, *_) = partition(found, 4)
-    count = differentiated + others
-    return order[:count], (Queue(event, 0, count, differentiated),)
+        return order, (Queue(event, 0, len(order)),)
+    order, counts = partition(found, 4)
+    queues = in_turn([(event, kind) for kind in APART], counts)
+    return order[:queues[-1].last], queues
 
 
-def queues_by(number: Tensor, appearances: int, surround: bool, halves: bool) -> tuple[Tensor, tuple[Queue, ...]]:
+def queues_by(number: Tensor, appearances: int, surround: bool, apart: bool) -> tuple[Tensor, tuple[Queue, ...]]:
     """`Step.order` and `Step.queues`.
 
     Args:
-        number: (N,) int32, the appearance that each lane meets, `appearances` where it meets none; as of `halved`.
+        number: (N,) int32, of `numbered`.
         appearances: how many there are.
         surround: whether lanes that meet none count.
-        halves: whether some lanes are of the image alone.
+        apart: whether some lanes are of the image alone.
     """
-    kinds = 2 if halves else 1  # of lanes, in each queue
-    order, counts = partition(number, kinds * (appearances + 1))
+    kinds = APART if apart else ALL
+    order, counts = partition(number, len(kinds) * (appearances + 1))
+    events = [(Scatters(appearance), kind) for kind in kinds for appearance in range(appearances)]
+    queues = in_turn([*events, *((Ends.SURROUNDINGS, kind) for kind in kinds if surround)], counts)
+    return order[:queues[-1].last], queues
+
+
+def in_turn(kinds: Sequence[tuple[Event, tuple[bool, bool]]], counts: Sequence[int]) -> tuple[Queue, ...]:
+    """Queues of so many lanes, one behind the other; without empty ones, unless there are no others.
+
+    Args:
+        kinds: of each queue what happens to its lanes, and whether these are of the image, and of the derivative.
+        counts: lanes of each.
+    """
     queues, first = [], 0
-    for appearance in range(appearances + 1):
-        differentiated, *others = counts[kinds * appearance:kinds * (appearance + 1)]
-        last = first + differentiated + sum(others)
-        if last > first and (appearance < appearances or surround):
-            event = Scatters(appearance) if appearance < appearances else Ends.SURROUNDINGS
-            queues.append(Queue(event, first, last, first + differentiated))
-            first = last
-    return order[:first], tuple(queues) or (EMPTY,)
+    for (event, kind), count in zip(kinds, counts):
+        if count:
+            queues.append(Queue(event, first, first + count, *kind))
+            first += count
+    return tuple(queues) or (EMPTY,)
 
 
 def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor,
@@ -89,14 +110,14 @@ def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor,
         image_lanes: those of the image alone; None: there are none.
 
     Returns:
-        Numbers as of `halved`. Also (N,) bool, where that from behind is another; None: nowhere.
+        Numbers as of `numbered`. Also (N,) bool, where that from behind is another; None: nowhere.
     """
     row, met = lookup(scene.triangles.material, hit.prim.clamp_min(0)), hit.prim >= 0
     differs = None if scene.materials.differs is None else met & lookup(scene.materials.differs, row)
-    return halved(torch.where(met, lookup(scene.materials.appearance, row), nothing), image_lanes), differs
+    return numbered(torch.where(met, lookup(scene.materials.appearance, row), nothing), nothing, image_lanes), differs
 
 
-def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor,
+def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor, nothing: Tensor,
              image_lanes: ImageLanes | None) -> tuple[Tensor, Tensor]:
     """The number of the appearance of the side that rays meet, (M,) int32, and whether that is the front, (M,) bool.
 
@@ -104,14 +125,14 @@ def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor,
         scene: detached; any part of it.
         ray, hit: (N,).
         lanes: (M,) int32, those that meet a surface.
-        image_lanes: as for `appearance_met`, (N,).
+        nothing, image_lanes: as for `appearance_met`, (N,).
     """
     ray, hit = rows((ray, hit), lanes)
     front = is_in_front(scene, ray, hit)
     row = lookup(scene.triangles.material, hit.prim)
     number = lookup(scene.materials.appearance, row + (~front).to(row.dtype) * scene.materials.count)
     image_lanes = None if image_lanes is None else image_lanes._replace(lane=rows(image_lanes.lane, lanes))
-    return halved(number, image_lanes), front
+    return numbered(number, nothing, image_lanes), front
 
 
 def shines(scene: SceneTensors, hit: Hit, image_lanes: ImageLanes | None) -> Tensor:
@@ -125,4 +146,4 @@ def shines(scene: SceneTensors, hit: Hit, image_lanes: ImageLanes | None) -> Ten
     met = hit.prim >= 0
     lit = met & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0)
     found = lit | ~met if scene.layout.surround else lit
-    return found if image_lanes is None else halved((~found).to(torch.int32), image_lanes)
+    return found if image_lanes is None else numbered((~found).to(torch.int32), 1, image_lanes)

@@ -18,10 +18,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.board import board
-from torch_radbp.jit.recorded import Recorded, pattern
+from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
-from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY, Queue
 from torch_radbp.path.state import PathState
@@ -39,14 +38,13 @@ UNKNOWN = object()
 class QueueOfCounts(NamedTuple):
     """A `Queue`, of which is known which counts of the recording tell its lanes."""
 
-    event: Event
+    queue: Queue
     first: int
     last: int
-    differentiated: int
 
     def among(self, counts: Sequence[int]) -> Queue:
         """The queue for counts that were found."""
-        return Queue(self.event, counts[self.first], counts[self.last], counts[self.differentiated])
+        return self.queue._replace(first=counts[self.first], last=counts[self.last])
 
 
 class RecordedBounce(NamedTuple):
@@ -96,12 +94,12 @@ class Tables:
         caster = integrand.caster
         scene = tensors_of(integrand.proposal)
         numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
-        self.given: list[Tensor | int] = [*numbers, *scene, *(() if caster is None else caster.reads(dtype))]
+        self.given = Given([*numbers, *scene, *(() if caster is None else caster.reads(dtype))])
         present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
             getattr(caster, name, None) for name in ("balls", "instances")))]
         # Stages have the code that recordings call.
         self.kind = RECORDINGS.kind(integrand.stages, integrand.proposal.layout, type(caster), *present,
-                                    pattern(self.given), lying(scene))
+                                    self.given.pattern, lying(scene))
 
 
 class Recorder:
@@ -120,21 +118,21 @@ class Recorder:
     def __call__(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> tuple[PathState, Step, Onward]:
         """As `bounced`."""
         integrand = self.integrand
-        varying = tensors_of((onward, hit, L, integrand.at(depth)))
+        varying = Given(tensors_of((onward, hit, L, integrand.at(depth))))
         kind = self.kind if hit is None and onward.alive is not None else None
         if kind is None:
             structure: list = []
             flatten((onward, hit, L), [], structure)
             kind = RECORDINGS.kind(self.tables.kind, *structure)
             self.kind = kind if hit is None and onward.alive is not None else None
-        key = kind, pattern(varying), integrand.settings_at(depth), integrand.is_last(depth), depth == 0
+        key = kind, varying.pattern, integrand.settings_at(depth), integrand.is_last(depth), depth == 0
         made = None
-        if all([leaf.is_contiguous() for leaf in varying]):
+        if all([leaf.is_contiguous() for leaf in varying.items]):
             made = RECORDINGS.of(key, partial(self.record, onward, depth, hit, L))
         if made is None:
             return bounced(integrand, onward, depth, hit, L)
-        (state, hit, front, order, visible, survives, onward), counts = made.recorded(
-            [*varying, *self.tables.given], onward.count, self.board)
+        (state, hit, front, order, visible, survives, onward), counts = made.recorded(varying, self.tables.given,
+                                                                                      onward.count, self.board)
         integrand.caster.count(sum([counts[last] - counts[first] for first, last in made.recorded.rays]))
         queues = tuple([queue for queue in [queue.among(counts) for queue in made.queues] if queue.last > queue.first])
         step = Step(hit, front, order, queues or (EMPTY,), visible, survives, None, ((),) * max(1, len(queues)))
@@ -147,13 +145,13 @@ class Recorder:
         paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
         onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
         hit, L = without_contents((hit, L), reserve)
-        given = [*tensors_of((onward, hit, L, integrand.at(depth))), *self.tables.given]
+        given = [*tensors_of((onward, hit, L, integrand.at(depth))), *self.tables.given.items]
         listener = Recording(given, reserve=reserve)
         try:
             with torch.no_grad(), listening(listener):
                 state, step, onward = bounced(integrand, onward, depth, hit, L)
             results = state, step.hit, step.front, step.order, step.visible, step.survives, onward
-            queues = tuple(QueueOfCounts(queue.event, *(listener.points[place] for place in queue[1:]))
+            queues = tuple(QueueOfCounts(queue, listener.points[queue.first], listener.points[queue.last])
                            for queue in step.queues)
             return RecordedBounce(Recorded(listener, given, results), queues)
         except NotRecordable:

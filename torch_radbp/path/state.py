@@ -24,6 +24,7 @@ class Settings(NamedTuple):
     moving: bool = False  # rays carry derivatives
     sampling: str = "detached"  # if they do, which go through the choice of directions: "detached", "hybrid", "attached"
     following: bool = False  # states say whether hybrid sampling has followed a direction of a smooth lobe
+    shown: bool = True  # vertices tell Le, Ld and F, not only where paths go
 
 
 class Position(NamedTuple):

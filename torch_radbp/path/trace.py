@@ -24,7 +24,8 @@ def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathStat
         depth: of the first bounce to take; later ones begin in the middle of a path.
 
     Returns:
-        (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is.
+        (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is. If some lanes are of the derivative alone
+        (`integrand.differentiated`), it is 0 there: nobody asks what these bring to the image.
     """
     L, onward = Vec3.buffer(start.beta.x), Onward(start, None)
     with bounces_taken(integrand, start) as bounce:

@@ -26,7 +26,7 @@ from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.tensors.differentiated import any_differentiated, recording
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.record import joined, leaves_of
+from torch_radbp.tensors.record import joined, leaves_of, rows_between
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
 from torch_radbp.texture.reader import TextureValue
@@ -52,8 +52,7 @@ class Step(NamedTuple):
     @property
     def scattered(self) -> int:
         """K, the number of lanes that meet an appearance."""
-        last = self.queues[-1]
-        return last.last if last.event.scatters else last.first
+        return next((queue.first for queue in self.queues if not queue.event.scatters), self.queues[-1].last)
 
     def arrival(self, state: PathState) -> Arrival:
         """The paths that reach the bounce, and what they meet."""
@@ -64,9 +63,11 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
               hit: Hit | None = None, with_light: bool = True) -> tuple[Vertex, Vec3 | None, Step]:
     """One bounce of every lane; rays are cast only if `step` and `hit` do not hold their answers.
 
+    What lanes bring to the image is found where it counts there and `with_light` asks for it.
+
     Returns:
-        The vertices of the lanes that meet an appearance, the light that the other lanes of `Step.order` meet (None: there
-        are none, or `with_light` does not ask for it), and the decisions.
+        The vertices of the lanes that meet an appearance, the light that those meet that end (None: none do), and the
+        decisions.
     """
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
@@ -75,7 +76,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
         step = Step(hit, *queues, undecided, undecided, picked_lights(integrand, state, hit, depth))
         step = step._replace(texture_values=tuple(
             texture_values_of(integrand, step.arrival(state), depth, queue, step.order)
-            if with_light or queue.event.scatters else None for queue in step.queues))
+            if queue.event.scatters or (with_light and queue.image) else None for queue in step.queues))
         vertex, light = bounce_queues(integrand, state, depth, step, with_light)
         connects = integrand.settings.nee and not integrand.is_last(depth)
         visible = inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)) if connects else (
@@ -97,21 +98,24 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
         return part.scene, part.proposal, reached, step.order[queue.first:queue.last], at, settings, texture_values
 
     *_, last = step.queues
-    ends = with_light and not last.event.scatters
+    ends = with_light and last.image and not last.event.scatters
     light = integrand.part(last.event).evaluate(*arguments(last, arrival, at, settings)) if ends else None
     queues = [queue for queue in step.queues if queue.event.scatters]
     bounces = [integrand.part(queue.event).evaluate for queue in queues]
     if not bounces:
-        return room_for_vertices(state, 0), light
-    same = taken(bounces[0], arrival=arrival, at=at, settings=settings)
+        return room_for_vertices(state, 0, with_light), light
+    reached, at = taken(bounces[0], arrival=arrival, at=at)
+    shows = [with_light and queue.image for queue in queues]
+    kinds = {shown: taken(bounces[0], settings=settings._replace(shown=shown))[0] for shown in set(shows)}
+    prepared = [arguments(queue, reached, at, kinds[shown]) for queue, shown in zip(queues, shows)]
     if len(bounces) == 1 or not hasattr(bounces[0], "into") or inside_dual_level():
-        return joined([bounce(*arguments(queue, *same)) for bounce, queue in zip(bounces, queues)]), light
-    vertices = room_for_vertices(state, step.scattered)
-    room = bounces[0].room(vertices)
-    prepared = [arguments(queue, *same) for queue in queues]
+        return joined([bounce(*of_queue) for bounce, of_queue in zip(bounces, prepared)]), light
+    vertices = room_for_vertices(state, step.scattered, any(shows))
+    rooms = {True: vertices, False: vertices._replace(Le=None, Ld=None, F=None)}
+    rooms = {shown: bounces[0].room(rooms[shown]) for shown in kinds}
     with loops_together():
-        for bounce, queue, of_queue in zip(bounces, queues, prepared):
-            bounce.into(room, queue.first, *of_queue)
+        for bounce, queue, of_queue, shown in zip(bounces, queues, prepared, shows):
+            bounce.into(rooms[shown], queue.first, *of_queue)
     return vertices, light
 
 
@@ -122,7 +126,7 @@ def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queue:
     return texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
 
 
-def room_for_vertices(state: PathState, lanes: int) -> Vertex:
+def room_for_vertices(state: PathState, lanes: int, with_light: bool) -> Vertex:
     """Vertices to write into."""
     def room(part):
         if part is None or isinstance(part, Tensor):
@@ -132,7 +136,7 @@ def room_for_vertices(state: PathState, lanes: int) -> Vertex:
     def number() -> Tensor:
         return state.pdf.new_empty(lanes)
 
-    Le, Ld, F = (Vec3(number(), number(), number()) for _ in range(3))
+    Le, Ld, F = (Vec3(number(), number(), number()) if with_light else None for _ in range(3))
     return Vertex(Le, Ld, F, room(state.ray), number(), room(state), number().new_empty(lanes, dtype=torch.bool))
 
 
@@ -166,7 +170,7 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
     number, differs = part.call(stages.appearance_met, hit, integrand.no_appearance, image_lanes)
     front = None if differs is None else nothing(differs)
     if differs is not None and len(lanes := chosen(differs)):
-        put_rows((number, front), lanes, part.call(stages.side_met, ray, hit, lanes, image_lanes))
+        put_rows((number, front), lanes, part.call(stages.side_met, ray, hit, lanes, integrand.no_appearance, image_lanes))
     return front, *queues_by(number, len(layout.appearances), layout.surround is not None, image_lanes is not None)
 
 
@@ -242,7 +246,7 @@ class Onward(NamedTuple):
 
 
 def bounced(integrand: Integrand, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> tuple[PathState, Step, Onward]:
-    """One bounce of every lane, which adds what it brings to the radiance `L` of all lanes: L += beta_k E_k.
+    """One bounce of every lane, which adds what it brings to the radiance `L` of those of the image: L += beta_k E_k.
 
     Args:
         integrand: the scene and how to step.
@@ -256,10 +260,14 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, hit: Hit | None, L
     """
     state = onward.packed(integrand)
     vertex, light, step = take_step(integrand, state, depth, hit=hit)
-    stages, count, lane = integrand.stages, step.scattered, vertex.next.lane
-    put_rows(L, lane, stages.brightened(L, state.beta, step.order[:count], lane, vertex.Le, vertex.Ld, step.visible))
+    stages, last = integrand.stages, step.queues[-1]
+    shown = [queue for queue in step.queues if queue.image and queue.event.scatters]
+    if shown:
+        order, lane, Le, Ld, visible = rows_between((step.order, vertex.next.lane, vertex.Le, vertex.Ld, step.visible),
+                                                    shown[0].first, shown[-1].last)
+        put_rows(L, lane, stages.brightened(L, state.beta, order, lane, Le, Ld, visible))
     if light is not None:
-        order = step.order[count:]
+        order = step.order[last.first:last.last]
         ended = stages.rows(state.lane, order)
         put_rows(L, ended, stages.brightened(L, state.beta, order, ended, light, None, None))
     return state, step, Onward(vertex.next, surviving(step))

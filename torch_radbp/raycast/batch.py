@@ -12,11 +12,13 @@ from torch_radbp.raycast.runs import MOST
 from torch_radbp.raycast.vectors import ZERO, Vectors
 
 BATCH = 512  # rays: few enough that what is known of them stays in the nearest cache
-INPUTS = ("corners", "triangles", "boxes", "firsts", "run_count_at", "scale_at")  # as `runs.Runs`
-# What is known of the rays of a batch: how they see points; 1 over the direction, of length 1 along the axis; by how much
-# boxes are widened; where the search ends, negative where it has; and in the end t where a ball is met. The flags of
-# `View.axis`; the lane; the triangle that is met, the ball, and row and column of its facet.
-NUMBERS = ("x", "y", "z", "first_slope", "second_slope", "over_x", "over_y", "over_z", "margin", "end", "t")
+# As `runs.Runs`.
+INPUTS = ("corners", "triangles", "by_triangle", "columns_at", "boxes", "firsts", "run_count_at", "scale_at")
+# What is known of the rays of a batch: how they see points; the length of 1 along them; 1 over the direction, of length 1
+# along the axis; by how much boxes are widened; where the search ends, negative where it has; and in the end t where a ball
+# is met. The flags of `View.axis`; the lane; the triangle that is met, the ball, and row and column of its facet.
+NUMBERS = ("x", "y", "z", "first_slope", "second_slope", "unit", "over_x", "over_y", "over_z", "margin", "end", "t")
+VIEW = ("x", "y", "z", "first_slope", "second_slope", "axis")  # what a `View` is made of
 INTEGERS = ("axis", "lane", "prim", "ball", "row", "column")
 WIDER = 2.0**-20  # the margin, of the distance to the farthest corner
 STEEPEST = 2.0**40  # the most of 1 over a direction
@@ -31,7 +33,8 @@ def begin(code: Vectors, balls: bool, columns: int, outputs: int) -> list[str]:
     for number, name in enumerate((*INPUTS, *(every_ball.INPUTS if balls else ())), columns):
         code.lay(f"%{name} = load ptr, ptr {code.at('ptr', '%inputs', number)}")
     found = [code.load("ptr", "%inputs", number) for number in range(columns)]
-    code.lay("%run_count = load i64, ptr %run_count_at", f"%scale = load {code.scalar}, ptr %scale_at")
+    code.lay("%run_count = load i64, ptr %run_count_at", "%columns = load i64, ptr %columns_at",
+             f"%scale = load {code.scalar}, ptr %scale_at")
     code.lay(f"%seen = alloca {code.numbers}, i64 {9 * MOST}, align 64")  # the corners of a run
     vectors = BATCH // code.width + 1  # what is listed is written vector by vector, the last beyond its end
     code.lay(*(f"%ray.{name} = alloca {code.numbers}, i64 {vectors}, align 64" for name in NUMBERS),
@@ -76,7 +79,7 @@ def enter(code: Vectors, rays: Rays, at: str, end: str | None) -> None:
     length = greatest(code, rays.d)
     over = [code.negated_where_negative(code.lesser(code.div(length, code.magnitude(component)),
                                                     code.number(STEEPEST)), component) for component in rays.d]
-    known = (*view.o, *view.slopes, *over, code.mul(far, code.number(WIDER)),
+    known = (*view.o, *view.slopes, unit, *over, code.mul(far, code.number(WIDER)),
              code.choose(rays.valid, end, code.constant(DONE)))
     for name, value in zip(NUMBERS, known):
         code.store(code.numbers, value, code.at(code.scalar, f"%ray.{name}", at))

@@ -10,9 +10,13 @@ Reference: Barringer and Akenine-Moller 2014, "Dynamic ray stream traversal".
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from torch_radbp.raycast import every_ball
 from torch_radbp.raycast.batch import (
     DONE,
+    INTEGERS,
+    VIEW,
     again,
     begin,
     enter,
@@ -22,20 +26,104 @@ from torch_radbp.raycast.batch import (
     loop,
     next_batch,
 )
-from torch_radbp.raycast.every_triangle import View, closer, place_on, struck, view_along
+from torch_radbp.raycast.every_triangle import View, closer, place_on, struck
 from torch_radbp.raycast.queries import Rays, lanes_before, rays_of, write_hidden
+from torch_radbp.raycast.runs import FEW
 from torch_radbp.raycast.vectors import ZERO, Vectors
 
+# What a vector of rays costs beside its triangles, in tests of a triangle: of a list, and of rays that follow each other.
+PICKED, FOLLOWING = 14, 4
 
-def seen_triangle(code: Vectors) -> list[list[str]]:
-    """The corners of the triangle `%triangle.at` of the run, as rays see them."""
-    row = code.at("i32", "%triangles", code.line("mul i64 %triangle.number, 3"))
+
+class Listed(NamedTuple):
+    """The rays of a list, a vector of them from a place in it on: few of the batch."""
+
+    mask: str  # the lanes that are rays
+    ray: str  # their places in the batch
+
+    def view(self, code: Vectors) -> View:
+        """How they see points."""
+        return View.of(code.gather("i32" if name in INTEGERS else code.scalar, f"%ray.{name}", self.ray) for name in VIEW)
+
+    def end(self, code: Vectors) -> str:
+        """Where their search ends."""
+        return code.choose(self.mask, code.gather(code.scalar, "%ray.end", self.ray), code.constant(DONE))
+
+    def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
+        """Stores new values at those with a flag."""
+        code.scatter(kind, value, f"%ray.{name}", self.ray, where)
+
+
+class Following(NamedTuple):
+    """Rays of the batch that follow each other, a vector from a place on, also those that are not in the list."""
+
+    at: str
+
+    def known(self, code: Vectors, name: str) -> str:
+        """A column of what is known of them."""
+        kind = "i32" if name in INTEGERS else code.scalar
+        return code.line(f"load {code.vector(kind)}, ptr {code.at(kind, f'%ray.{name}', self.at)}")
+
+    def view(self, code: Vectors) -> View:
+        """As of `Listed`."""
+        return View.of(self.known(code, name) for name in VIEW)
+
+    def end(self, code: Vectors) -> str:
+        """As of `Listed`."""
+        return self.known(code, "end")
+
+    def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
+        """As of `Listed`."""
+        code.store(code.vector(kind), code.choose(where, value, self.known(code, name), kind),
+                   code.at(kind, f"%ray.{name}", self.at))
+
+
+def seen_triangle(code: Vectors, triangle: str) -> list[list[str]]:
+    """The corners of a triangle of the run, as rays see them."""
+    row = code.at("i32", "%triangles", code.line(f"mul i64 {triangle}, 3"))
     corners = []
     for number in range(3):
         corner = code.line(f"zext i32 {code.load('i32', row, number)} to i64")
         place = code.at(code.numbers, "%seen", code.line(f"mul i64 {code.line(f'sub i64 {corner}, %corner.first')}, 3"))
         corners.append([code.load(code.numbers, place, k) for k in range(3)])
     return corners
+
+
+def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, any_hit: bool) -> None:
+    """Lays the test of a vector of rays against the triangles of a run, from the label `before` to `<name>.tested`."""
+    view = rays.view(code)
+
+    # See the corners of the run.
+    corner, triangle = f"{name}.corner", f"{name}.triangle"
+    loop(code, corner, before, 1)
+    row = code.line(f"mul i64 {code.line(f'add i64 %corner.first, %{corner}.at')}, 3")
+    place, target = code.at(code.scalar, "%corners", row), code.at(code.numbers, "%seen",
+                                                                  code.line(f"mul i64 %{corner}.at, 3"))
+    seen = view.sees(code, [code.splat(code.load(code.scalar, place, k), code.scalar) for k in range(3)])
+    for k, number in enumerate(seen):
+        code.store(code.numbers, number, code.at(code.numbers, target, k))
+    again(code, corner, "%corner.count", f"{name}.seen")
+
+    # Test its triangles.
+    first_end = rays.end(code)
+    end, prim = f"%{name}.least", f"%{name}.met"
+    loop(code, triangle, f"{name}.seen", 1,
+         f"{end} = phi {code.numbers} [ {first_end}, %{name}.seen ], [ {end}.next, %{triangle}.end ]",
+         f"{prim} = phi {code.integers} [ splat (i32 -1), %{name}.seen ], [ {prim}.next, %{triangle}.end ]",
+         f"%{triangle}.number = add i64 %triangle.first, %{triangle}.at")
+    corners = seen_triangle(code, f"%{triangle}.number")
+    if any_hit:
+        hit, found = struck(code, corners, end), code.constant(DONE)
+    else:
+        hit, found = closer(code, corners, end)
+    number = code.splat(code.line(f"trunc i64 %{triangle}.number to i32"), "i32")
+    code.lay(f"{end}.next = select {code.flags} {hit}, {code.numbers} {found}, {code.numbers} {end}",
+             f"{prim}.next = select {code.flags} {hit}, {code.integers} {number}, {code.integers} {prim}")
+    again(code, triangle, "%triangle.count", f"{name}.tested")
+    met = code.line(f"icmp sge {code.integers} {prim}.next, {ZERO}")
+    rays.learn(code, code.scalar, "end", f"{end}.next", met)
+    if not any_hit:
+        rays.learn(code, "i32", "prim", f"{prim}.next", met)
 
 
 def search(code: Vectors, before: str, count: str, any_hit: bool) -> None:
@@ -47,40 +135,17 @@ def search(code: Vectors, before: str, count: str, any_hit: bool) -> None:
             code.lay(f"%{name}.{border} = zext i32 {code.load('i32', at, which)} to i64")
         code.lay(f"%{name}.count = sub i64 %{name}.last, %{name}.first")
     list_of_box(code, "box", "%run.next", "run", count)
-    loop(code, "test", "run.some", code.width)
-    mask, ray = listed_rays(code, "%box.listed", "%test.at")
-    known = {name: code.gather(code.scalar, f"%ray.{name}", ray)
-             for name in ("x", "y", "z", "first_slope", "second_slope", "end")}
-    view = View([known[axis] for axis in "xyz"], [known["first_slope"], known["second_slope"]],
-                code.gather("i32", "%ray.axis", ray))
 
-    # See the corners of the run.
-    loop(code, "corner", "test", 1)
-    row = code.line(f"mul i64 {code.line('add i64 %corner.first, %corner.at')}, 3")
-    place, target = code.at(code.scalar, "%corners", row), code.at(code.numbers, "%seen", code.line("mul i64 %corner.at, 3"))
-    corner = view.sees(code, [code.splat(code.load(code.scalar, place, k), code.scalar) for k in range(3)])
-    for k, number in enumerate(corner):
-        code.store(code.numbers, number, code.at(code.numbers, target, k))
-    again(code, "corner", "%corner.count", "seen_all")
-
-    # Test its triangles.
-    end = code.choose(mask, known["end"], code.constant(DONE))
-    loop(code, "triangle", "seen_all", 1,
-         f"%end = phi {code.numbers} [ {end}, %seen_all ], [ %end.next, %triangle.end ]",
-         f"%prim = phi {code.integers} [ splat (i32 -1), %seen_all ], [ %prim.next, %triangle.end ]",
-         "%triangle.number = add i64 %triangle.first, %triangle.at")
-    if any_hit:
-        hit, end = struck(code, seen_triangle(code), "%end"), code.constant(DONE)
-    else:
-        hit, end = closer(code, seen_triangle(code), "%end")
-    number = code.splat(code.line("trunc i64 %triangle.number to i32"), "i32")
-    code.lay(f"%end.next = select {code.flags} {hit}, {code.numbers} {end}, {code.numbers} %end",
-             f"%prim.next = select {code.flags} {hit}, {code.integers} {number}, {code.integers} %prim")
-    again(code, "triangle", "%triangle.count", "tested")
-    met = code.line(f"icmp sge {code.integers} %prim.next, {ZERO}")
-    code.scatter(code.scalar, "%end.next", "%ray.end", ray, met)
-    if not any_hit:
-        code.scatter("i32", "%prim.next", "%ray.prim", ray, met)
+    # Where many of the batch meet the box, all are tested: to pick some out takes as long as some triangles more.
+    of_listed, of_all = (code.line(f"add i64 %triangle.count, {more}") for more in (PICKED, FOLLOWING))
+    of_listed, of_all = code.line(f"mul i64 %box.listed, {of_listed}"), code.line(f"mul i64 {count}, {of_all}")
+    code.lay(f"%many = icmp sgt i64 {of_listed}, {of_all}", "br i1 %many, label %many_rays, label %few_rays", "many_rays:")
+    loop(code, "all", "many_rays", code.width)
+    test_run(code, "all", Following("%all.at"), "all", any_hit)
+    again(code, "all", count, "all_tested")
+    code.lay("br label %run.end", "few_rays:")
+    loop(code, "test", "few_rays", code.width)
+    test_run(code, "test", Listed(*listed_rays(code, "%box.listed", "%test.at")), "test", any_hit)
     again(code, "test", "%box.listed", "tested_all")
     again(code, "run", "%run_count", "answer")
 
@@ -119,6 +184,22 @@ def search_balls(code: Vectors, before: str, count: str, columns: list[str], any
     again(code, "ball", "%ball_count", "ball_answer")
 
 
+def columns_at(code: Vectors, triangle: str, before: str) -> tuple[list[str], str]:
+    """The nine numbers of the corners of triangles, i32, one a lane; from the label `before` to the one that is given."""
+    starts = [code.at(code.scalar, "%by_triangle", code.line(f"mul i64 %columns, {number}")) for number in range(9)]
+    if not code.permutes:
+        return [code.gather(code.scalar, start, triangle) for start in starts], before
+    name = f"{before}.read"
+    code.lay(f"%{name}.few = icmp sle i64 %columns, {FEW}",
+             f"br i1 %{name}.few, label %{name}.near, label %{name}.far", f"{name}.near:")
+    near = [code.permuted(start, triangle, FEW) for start in starts]
+    code.lay(f"br label %{name}", f"{name}.far:")
+    far = [code.gather(code.scalar, start, triangle) for start in starts]
+    code.lay(f"br label %{name}", f"{name}:")
+    return [code.line(f"phi {code.numbers} [ {one}, %{name}.near ], [ {other}, %{name}.far ]")
+            for one, other in zip(near, far)], name
+
+
 def closest_hit(code: Vectors, balls: bool) -> str:
     """The text of the loop for closest hits: prim, u, v and t of every lane; of several at one distance the first."""
     columns = begin(code, balls, columns=6, outputs=4)
@@ -137,25 +218,20 @@ def closest_hit(code: Vectors, balls: bool) -> str:
 
     # Say where they are hit.
     loop(code, "locate", "ball_answer" if balls else "answer", code.width)
-    mask, rays = rays_at("%locate.at")
-    view, unit = view_along(code, rays)
-    prim = code.line(f"load {code.integers}, ptr {code.at('i32', '%ray.prim', '%locate.at')}")
+    batch = Following("%locate.at")
+    view, prim, unit = batch.view(code), batch.known(code, "prim"), batch.known(code, "unit")
     found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
-    row = code.line(f"mul {code.integers} {code.choose(found, prim, ZERO, 'i32')}, splat (i32 3)")
-    corners = []
-    for number in range(3):
-        corner = code.gather("i32", "%triangles", code.line(f"add {code.integers} {row}, splat (i32 {number})"))
-        at = code.line(f"mul {code.integers} {corner}, splat (i32 3)")
-        corners.append(view.sees(code, [code.gather(code.scalar, "%corners", code.line(
-            f"add {code.integers} {at}, splat (i32 {k})")) for k in range(3)]))
+    numbers, label = columns_at(code, code.choose(found, prim, ZERO, "i32"), "locate")
+    corners = [view.sees(code, numbers[number:number + 3]) for number in (0, 3, 6)]
     answers = (prim, *(code.choose(found, answer, ZERO) for answer in place_on(code, corners, unit)))
+    mask = lanes_before(code, "%count", "%locate.at")
     if balls:
-        ball, row, column = (code.line(f"load {code.integers}, ptr {code.at('i32', f'%ray.{name}', '%locate.at')}")
-                             for name in ("ball", "row", "column"))
-        t = code.line(f"load {code.numbers}, ptr {code.at(code.scalar, '%ray.t', '%locate.at')}")
+        rays = rays_at("%locate.at")[1]
+        ball, row, column = (batch.known(code, name) for name in ("ball", "row", "column"))
+        t = batch.known(code, "t")
         t = code.choose(code.line(f"icmp sge {code.integers} {ball}, {ZERO}"), t, answers[3])
         others = [every_ball.numbers_of(code, prim), *answers[1:3]]
-        answers = every_ball.placed(code, rays, (ball, row, column), t, others, "locate")
+        answers = every_ball.placed(code, rays, (ball, row, column), t, others, label)
     for number, (kind, answer) in enumerate(zip(("i32", *[code.scalar] * 3), answers)):
         code.store_where(mask, kind, answer, code.at(kind, f"%out{number}", "%base"), "%locate.at")
     again(code, "locate", "%count", "located_all")
@@ -181,14 +257,24 @@ def any_hit(code: Vectors, balls: bool) -> str:
              f"%segments = add i64 %segment.found, {code.count(some)}")
     again(code, "segment", "%count", "segments_all")
     code.lay("%some_segments = icmp sgt i64 %segments, 0",
-             "br i1 %some_segments, label %entering, label %answered_all", "entering:")
+             "br i1 %some_segments, label %entering, label %answered_all", "entering:",
+             "%all_segments = icmp eq i64 %segments, %count",
+             "br i1 %all_segments, label %entering_all, label %entering_some", "entering_all:")
 
-    loop(code, "enter", "entering", code.width)
+    # Where all lanes have one, none is picked out.
+    loop(code, "every", "entering_all", code.width)
+    mask = lanes_before(code, "%count", "%every.at")
+    *o_and_d, tmax = (code.load_where(mask, column, "%every.at") for column in (*columns, end))
+    enter(code, Rays(o_and_d[:3], o_and_d[3:], mask), "%every.at", tmax)
+    again(code, "every", "%count", "entered_all")
+    code.lay("br label %entered", "entering_some:")
+    loop(code, "enter", "entering_some", code.width)
     mask = lanes_before(code, "%segments", "%enter.at")
     lanes = code.line(f"load {code.integers}, ptr {code.at('i32', '%ray.lane', '%enter.at')}, align 4")
     *o_and_d, tmax = (code.gather(code.scalar, column, lanes, mask) for column in (*columns, end))
     enter(code, Rays(o_and_d[:3], o_and_d[3:], mask), "%enter.at", tmax)
-    again(code, "enter", "%segments", "entered")
+    again(code, "enter", "%segments", "entered_some")
+    code.lay("br label %entered", "entered:")
     search(code, "entered", "%segments", any_hit=True)
 
     if balls:

@@ -196,7 +196,7 @@ def meet_sphere(code: Vectors, local: Local) -> Sphere:
     """Where rays enter and leave the sphere around a ball: half a chord from the point closest to its centre."""
     o, d = local
     one = code.constant("1.0")
-    shorter = code.rough_div(one, code.dot(d, d))
+    shorter = code.div(one, code.dot(d, d))
     middle = code.negative(code.mul(code.dot(o, d), shorter))
     nearest = local.at(code, middle)
     inside = code.sub(one, code.dot(nearest, nearest))

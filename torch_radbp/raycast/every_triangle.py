@@ -11,6 +11,7 @@ Reference: Woop, Benthin and Wald 2013, "Watertight ray/triangle intersection".
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from torch_radbp.raycast.queries import Rays
@@ -25,6 +26,12 @@ class View(NamedTuple):
     o: list[str]  # the origins
     slopes: list[str]  # what rays go along the two other axes while they go 1 along theirs, negative
     axis: str  # i32, flags: along which they run
+
+    @classmethod
+    def of(cls, numbers: Iterable[str]) -> View:
+        """From the names of all six, one after the other."""
+        x, y, z, first, second, axis = numbers
+        return cls([x, y, z], [first, second], axis)
 
     def sees(self, code: Vectors, p: list[str]) -> list[str]:
         """x, y and the distance along the axis of points."""
@@ -79,7 +86,7 @@ def inside(code: Vectors, weights: list[str]) -> str:
 def closer(code: Vectors, corners: list[list[str]], end: str) -> tuple[str, str]:
     """Flags of rays that hit a triangle before `end`, and how far."""
     weights, total, distance = crossing(code, *corners)
-    distance = code.rough_div(distance, total)
+    distance = code.div(distance, total)
     before_end = code.both(code.compare(distance, "ogt", ZERO), code.compare(distance, "olt", end))
     return code.both(inside(code, weights), before_end), distance
 

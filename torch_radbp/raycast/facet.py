@@ -50,7 +50,7 @@ def angle(code: Vectors, x: str, y: str) -> str:
     wide, high = code.magnitude(x), code.magnitude(y)
     steep = code.compare(high, "ogt", wide)
     least, most = code.choose(steep, wide, high), code.choose(steep, high, wide)
-    ratio = code.rough_div(least, code.add(most, code.number(TINY)))
+    ratio = code.div(least, code.add(most, code.number(TINY)))
     square = code.mul(ratio, ratio)
     fourth = code.mul(square, square)
     even, odd = (polynomial(code, ARC[first::2], fourth) for first in (0, 1))  # side by side: neither waits for the other
@@ -70,10 +70,8 @@ def polynomial(code: Vectors, coefficients: tuple[float, ...], x: str) -> str:
 def cell(code: Vectors, angle: str, per_radian: float, count: int, mask: str) -> str:
     """The number of the cell with an angle, i32 in [0, count); 0 where the mask is not set."""
     scaled = code.choose(mask, code.mul(angle, code.number(per_radian)), ZERO)
-    whole = code.call(f"llvm.fptosi.sat.{code.suffix('i32')}.{code.suffix(code.scalar)}", code.integers,
-                      (code.numbers, scaled))
-    return code.call(f"llvm.smin.{code.suffix('i32')}", code.integers, (code.integers, whole),
-                     (code.integers, f"splat (i32 {count - 1})"))
+    # Of a float that is too great, or none, a processor would have to ask lane by lane.
+    return code.line(f"fptosi {code.numbers} {code.lesser(scaled, code.number(count - 1))} to {code.integers}")
 
 
 def plus(code: Vectors, integers: str, number: int) -> str:
@@ -99,7 +97,7 @@ def place_on_facet(code: Vectors, p: list[str], ball: str, row: str, column: str
     lesser = code.both(code.compare(beyond, "oge", ZERO), code.line(f"icmp ne {code.integers} {row}, {ZERO}"))
     lesser = code.either(lesser, code.line(f"icmp eq {code.integers} {row}, splat (i32 {RINGS - 1})"))
     width = code.choose(lesser, w0, w1)
-    share = code.rough_div(beyond, code.add(width, width))
+    share = code.div(beyond, code.add(width, width))
     # Corners of the lesser half: both angles least, both greatest, and the third; of the other: least, third, greatest.
     v = code.choose(lesser, share, code.add(share, height))
     u = code.choose(lesser, height, code.negative(share))

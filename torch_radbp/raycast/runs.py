@@ -15,6 +15,7 @@ from torch import Tensor
 # of a batch is lost where a vector of rays is not full.
 BOX, VISIT, LOST = 0.4, 3.0, 1 / 64
 MOST, MOST_TRIANGLES = 32, 1000  # triangles of a run, and of a mesh
+FEW = 64  # triangles that a processor which permutes vectors reads without gathers; so long columns are at least
 
 
 class Runs(NamedTuple):
@@ -22,6 +23,8 @@ class Runs(NamedTuple):
 
     corners: Tensor  # (C, 3) numbers in units of the mesh, run by run; corners of a run in the same place are one
     triangles: Tensor  # (F, 3) int32, rows of these
+    by_triangle: Tensor  # (9, max(F, FEW)) the coordinates of the corners, by triangle
+    columns: Tensor  # () int64, how long its rows are
     boxes: Tensor  # (1 + R + B, 6) centres and half extents: of all, of the runs, of B balls
     firsts: Tensor  # (R + 1, 2) int32, the first triangle and the first corner of each; behind the last, how many there are
     count: Tensor  # () int64, R
@@ -98,5 +101,7 @@ def tables(p: Tensor, first: Tensor, scale: Tensor, balls: Tensor | None) -> Run
     corners[rows] = p.flatten(0, 1)
     of_run = torch.searchsorted(names, torch.arange(len(first) + 1, device=p.device) * (int(place.max()) + 1))
     firsts = torch.stack([torch.cat([first, first.new_tensor([len(p)])]), of_run], 1)
-    return Runs(corners, rows.reshape(-1, 3).to(torch.int32), boxes, firsts.to(torch.int32),
+    by_triangle = torch.nn.functional.pad(p.reshape(-1, 9).T, (0, max(0, FEW - len(p)))).contiguous()
+    return Runs(corners, rows.reshape(-1, 3).to(torch.int32), by_triangle,
+                torch.tensor(by_triangle.shape[1], device=p.device), boxes, firsts.to(torch.int32),
                 torch.tensor(len(first), device=p.device), scale)

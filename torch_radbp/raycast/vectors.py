@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 
 from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
+from torch_radbp.jit.machine import host_features
 
 ZERO = "zeroinitializer"
 SIZES = {"i8": 1, "i32": 4, "float": 4, "double": 8}
@@ -29,9 +30,7 @@ class Vectors:
 
     def text(self) -> str:
         """The module; its `lanes_of_job` takes parts of a `team.Job`."""
-        # Where a quotient may be rough (`rough_div`), it is a product with the processor's estimate of the reciprocal.
-        head = ('define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) '
-                '"reciprocal-estimates"="all" {')
+        head = "define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {"
         parts = TAKE_PARTS.format(width=self.width)
         return "\n".join([parts, FEW_LANES, head, *self.lines, "}", *self.declared.values(), ""])
 
@@ -119,10 +118,6 @@ class Vectors:
     def div(self, a: str, b: str) -> str:
         return self.line(f"fdiv {self.numbers} {a}, {b}")
 
-    def rough_div(self, a: str, b: str) -> str:
-        """A quotient that may be wrong in its last bits."""
-        return self.line(f"fdiv arcp contract {self.numbers} {a}, {b}")
-
     def negative(self, a: str) -> str:
         return self.line(f"fneg {self.numbers} {a}")
 
@@ -208,6 +203,23 @@ class Vectors:
         return self.call(f"llvm.masked.gather.{self.suffix(kind)}.v{self.width}p0", self.vector(kind),
                          (self.vector("ptr"), places), ("i32", str(SIZES[kind])), (self.flags, mask),
                          (self.vector(kind), ZERO))
+
+    @property
+    def permutes(self) -> bool:
+        """Whether vectors are those of AVX-512, whose elements the processor permutes."""
+        return self.width == 16 and self.scalar == "float" and bool(host_features().get("avx512f"))
+
+    def permuted(self, base: str, indices: str, entries: int) -> str:
+        """Entries of an array of so many, 32 or 64, at i32 indices."""
+        function = "llvm.x86.avx512.vpermi2var.ps.512"
+        parts = [self.line(f"load {self.numbers}, ptr {self.at(self.scalar, base, first)}, align 4")
+                 for first in range(0, entries, self.width)]
+        found = [self.call(function, self.numbers, (self.numbers, low), (self.integers, indices), (self.numbers, high))
+                 for low, high in zip(parts[::2], parts[1::2])]
+        if len(found) == 1:
+            return found[0]
+        beyond = self.line(f"icmp ugt {self.integers} {indices}, splat (i32 {2 * self.width - 1})")
+        return self.choose(beyond, found[1], found[0])
 
     def scatter(self, kind: str, value: str, base: str, indices: str, mask: str) -> None:
         """Stores values at i32 indices of an array where the mask is set."""

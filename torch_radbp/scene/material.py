@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import torch
@@ -11,7 +12,7 @@ from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, values_for_choice
 from torch_radbp.scene.interaction import SurfaceInteraction
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import settled
-from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.lookup import lookup, untapped
 from torch_radbp.tensors.vec import Vec3, where
 from torch_radbp.texture.reader import Place, TextureValue
 
@@ -46,11 +47,13 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, texture_values: tup
     """
     readers, appearance = scene.layout.readers, scene.layout.scatterer
     values, of_others = [], iter(texture_values)
-    for reader, slot in zip(appearance.readers, scene.materials.slots):
+    still, = scene.layout.still or (itertools.repeat(False),)
+    for reader, slot, is_still in zip(appearance.readers, scene.materials.slots, still):
         if reader.outside:
             values.append(reader.value(next(of_others).at(reader.place(si.p, si.point.uv)), si.point))
         else:
-            values.append(reader.read(scene.textures[readers.index(reader)], lookup(slot, si.material), si.point))
+            bank = scene.textures[readers.index(reader)]
+            values.append(reader.read(untapped(bank) if is_still else bank, lookup(slot, si.material), si.point))
     return Material(appearance.kind, tuple(values))
 
 

@@ -39,6 +39,7 @@ class Materials(NamedTuple):
     bending: bool  # parameters with derivatives steer directions that hybrid sampling follows
     bends_ideally: bool  # by ideal mirrors and glass
     ideal_by_attributes: bool  # attributes of meshes steer such directions
+    still: tuple[tuple[bool, ...], ...]  # see `Layout.still`
     back_sides: bool  # whether a material looks the same from behind as from the front, seen from there
     described: tuple[tuple[BSDF, Kind], ...]  # the materials, one for each side, and how they scatter
 
@@ -78,7 +79,10 @@ def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dty
                             for slot in kind.bending for source in own[slot].sources()) for ideal in (False, True))
     by_attributes = any(look.readers[slot].attributes for look in appearances if look.kind.delta
                         for slot in look.kind.bending)
-    return Materials(table, appearances, read, bending, ideally, by_attributes, any(two_sided),
+    moves = [[any(map(differentiated, texture.sources())) for texture in own] for own in textures]
+    still = tuple(tuple(not any(column) for column in zip(*(own for own, look in zip(moves, looks) if look == appearance)))
+                  for appearance in appearances)
+    return Materials(table, appearances, read, bending, ideally, by_attributes, still, any(two_sided),
                      tuple((bsdf, described[id(bsdf)][0]) for bsdf in {id(bsdf): bsdf for bsdf in sides}.values()))
 
 

@@ -113,7 +113,7 @@ def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiance
         back_sides=materials.back_sides, appearances=materials.appearances,
         readers=materials.readers, radiance=radiances.reader,
         radiance_bitmaps=radiances.has_bitmaps or any(reader.needs_uv for reader in radiances.lit), attributes=attributes,
-        lights=kinds_of(objects.emitters), lit=radiances.lit)
+        lights=kinds_of(objects.emitters), lit=radiances.lit, still=materials.still)
 
 
 def columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) -> Columns:

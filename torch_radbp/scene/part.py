@@ -58,7 +58,7 @@ def layout_of_part(layout: Layout, scatterer: Appearance | None) -> Layout:
     """The features that matter to the part."""
     readers = () if scatterer is None else tuple(dict.fromkeys(scatterer.readers))
     return replace(layout, bending=False, bends_ideally=False, appearances=(), readers=readers, scatterer=scatterer,
-                   attributes=attributes_of_part(layout, scatterer))
+                   attributes=attributes_of_part(layout, scatterer), still=())
 
 
 def attributes_of_part(layout: Layout, scatterer: Appearance | None) -> tuple[str, ...]:

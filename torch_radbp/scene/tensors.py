@@ -36,6 +36,9 @@ class Layout:
     lights: tuple[LightKind, ...]  # kinds of light
     lit: tuple[OutsideReader, ...] = ()  # of those textures of emitters that are read outside
     scatterer: Appearance | None = None  # of a part of a scene, what light is scattered by; None: nothing
+    # Of each value of each of `appearances` whether no parameter that it comes from is differentiated. Of a part: of the
+    # scatterer alone, where that is known; else nothing.
+    still: tuple[tuple[bool, ...], ...] = ()
 
     @property
     def vertex_attributes(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.tensors.differentiated import differentiated
-from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.record import leaves_of, mapped, with_leaves
 from torch_radbp.tensors.vec import gather
 
 
@@ -86,6 +86,11 @@ class GatheredExactly(torch.autograd.Function):
     @staticmethod
     def jvp(ctx, tangent: Tensor, _: None) -> Tensor:
         return gather(tangent, *ctx.saved_tensors)
+
+
+def untapped(record):
+    """A record with the tables themselves where they are tapped."""
+    return mapped(record, lambda leaf: leaf.table if isinstance(leaf, Tap) else leaf)
 
 
 class SummedTable:

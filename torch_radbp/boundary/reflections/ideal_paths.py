@@ -80,7 +80,7 @@ def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> Id
         lanes, vertex = (state.lane[:0], None) if integrand.is_last(depth) else (
             ideally_scattered(integrand, state, hit, depth))
         if len(lanes):
-            goes_on = chosen(torch.isinf(vertex.next.pdf) & vertex.survives & (max_component(vertex.F) > 0))
+            goes_on = chosen(torch.isinf(vertex.next.pdf) & vertex.survives & (max_component(vertex.next.beta) > 0))
             lanes, ahead = lanes[goes_on], integrand.stages.rows(vertex.next, goes_on)
             put_rows(onwards, lanes, ahead.ray.d)
         found.append(Vertices(place, integrand.stages.ideal_vertex(surfaces, state.ray, hit, onwards)))
@@ -115,7 +115,7 @@ def ideally_scattered(integrand: Integrand, state: PathState, hit: Hit, depth: i
     packed, first = [], 0
     for queue in ideal:
         last = first + queue.last - queue.first
-        packed.append(Queue(queue.event, first, last, last))
+        packed.append(Queue(queue.event, first, last))
         first = last
     undecided = hit.prim.new_empty(0, dtype=torch.bool)
     step = Step(hit, front, order, tuple(packed), undecided, undecided, texture_values=(None,) * len(packed))
