@@ -14,6 +14,8 @@ import torch
 import torch_radbp as rb
 from tests.scenes import diffuse, load, look_at, rgb
 from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.scene.nearby import Floor, Nearby, slide_at
+from torch_radbp.tensors.vec import Vec3, dot
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
@@ -80,3 +82,21 @@ def test_no_sample_is_large_next_to_the_line_where_surfaces_meet(name):
     scene = corner(*SCENES[name][:2])
     found = derivative(scene, 1, terms={"interior"}).abs()
     assert found.isfinite().all() and 0 < found.max() < 40 * found.mean()
+
+
+def test_points_slide_past_edges_at_bounded_speed():
+    """A point that stays in a fixed direction moves by r / h where that from which it is seen moves by one, h above its
+    plane, r away. What edges add counts with this over their distance: at most 0.6 / h, in a rise of twice r."""
+    generator = torch.Generator().manual_seed(1)
+    corners = tuple(Vec3(*(torch.full((20000,), at, dtype=torch.float64) for at in corner))
+                    for corner in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    height, over, ahead, u = (size * torch.rand(20000, generator=generator, dtype=torch.float64)**power
+                              for size, power in ((0.1, 3), (0.2, 3), (0.1, 2), (1.0, 1)))
+    u, zero, plain = 0.2 + 0.6 * u * (1.0 - over), torch.zeros_like(u), torch.ones_like(u, dtype=torch.bool)
+    start = Vec3(u, over + ahead, height)
+    reach = Vec3(u, over, zero) - start
+    distance = torch.sqrt(dot(reach, reach))
+    floor = Floor(start, Vec3(zero, zero + 1.0, zero), plain, zero + 1e-9)
+    share = slide_at(Nearby(corners, u, over, reach * (1.0 / distance), distance, plain), floor).share
+    assert (share > 0.3).sum() > 1000 and (distance / height).max() > 100
+    assert (share * (distance / height) / over).mul(height).max() <= 0.6

@@ -16,9 +16,10 @@ Here m is near 1 within some distance of x and away from edges,
 
     m = (1 - r^2 / R^2)^2 s_1 s_2 s_3
 
-with R a share of the least height of the triangle, and s_i rising smoothly from 0 at an edge to 1 at half of r. Edges in the
-plane of x, along which surfaces touch, need no s_i: light along that plane does not count. Triangles at which light jumps
-for other reasons than shadows are *not plain*, and vertices stay glued to them.
+with R a share of the least height of the triangle, and s_i rising smoothly from 0 at an edge to 1 at twice r. The rise must
+be wide: at grazing angles points slide much faster than x, and where a wall that ends stands on a floor they come as near to
+the ends as x does. Edges in the plane of x, along which surfaces touch, need no s_i: light along that plane does not count.
+Triangles at which light jumps for other reasons than shadows are *not plain*, and vertices stay glued to them.
 
 Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4 (any continuous motion of the points serves);
 Bangaru, Li and Durand 2020, "Unbiased Warped-Area Sampling for Differentiable Rendering" (fields that follow edges).
@@ -34,7 +35,7 @@ from torch import Tensor
 from torch_radbp.tensors.vec import TINY, Vec3, cross, dot
 
 REACH = 0.2  # of the least height of a triangle: how near x must be
-BORDER = 0.5  # of the distance of x: how far from an edge the share is less
+BORDER = 2.0  # times the distance of x: how far from an edge the share is less
 
 Corners = tuple[Vec3, Vec3, Vec3]
 

@@ -94,6 +94,15 @@ class Borders(NamedTuple):
     receiver: Hit  # where the border falls
 
 
+class LitEdges(NamedTuple):
+    """N places on edges as M light samples see them, whether their light goes on to a surface or not."""
+
+    passed: Passed  # whose eyes are the light samples
+    draw: LightDraw  # (M,)
+    eyes: Eyes  # (M,)
+    count: int  # of all light samples, also those of lights that are not meant
+
+
 class CastShadows(NamedTuple):
     """N places on borders of shadows, and what is known of them."""
 
@@ -174,18 +183,19 @@ def share_of(scene: SceneTensors) -> int:
     return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
 
 
-def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights,
-               share: int) -> CastShadows | None:
-    """Places on borders of shadows, whether view `number` sees them or not; None: there are none.
+def lit_edges(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights,
+              share: int) -> LitEdges | None:
+    """Places on edges that light samples see as silhouettes; None: they see none.
 
     Args:
         call: detached.
+        number: of the view whose samples these are.
         casting: the edges.
         effort: share of the samples that are taken.
         lights: whose shadows are meant.
         share: one place for so many paths of the image, with all of them.
     """
-    view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
+    view, scene = call.views[number], call.scene
     paths = view.width * view.height * call.spp
     points = light_points(call.stages, scene, view, max(FEWEST, int(effort * min(MOST, paths // share))))
     count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
@@ -193,13 +203,25 @@ def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, l
     if not len(meant):
         return None
     eyes = call.integrand.part(Ends.SURROUNDINGS).call(call.stages.light_eyes, points.draw)
-    passed = places_lit(call.stages, geometry, casting, eyes, salted(view, SALT), count)
-    if passed is None:
+    passed = places_lit(call.stages, geometry_of(scene), casting, eyes, salted(view, SALT), count)
+    return None if passed is None else LitEdges(passed, points.draw, eyes, count)
+
+
+def shadows_cast(geometry: Geometry, lit: LitEdges, passed: Passed, receiver: Hit) -> CastShadows:
+    """The borders of shadows of some places on edges; `receiver`: the surfaces beyond these."""
+    borders = Borders(passed.edge, passed.along, rows(lit.draw, passed.eye), receiver)
+    return CastShadows(borders, passed, passed.outwards * (-BESIDE * extent_of(geometry)), passed.times / lit.count)
+
+
+def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights,
+               share: int) -> CastShadows | None:
+    """Places on borders of shadows, whether view `number` sees them or not; None: there are none. Args as for
+    `lit_edges`."""
+    lit = lit_edges(call, number, casting, effort, lights, share)
+    if lit is None:
         return None
-    passed, receiver = onto_surfaces(call.integrand, passed)
-    borders = Borders(passed.edge, passed.along, rows(points.draw, passed.eye), receiver)
-    inwards = passed.outwards * (-BESIDE * extent_of(geometry))
-    return CastShadows(borders, passed, inwards, passed.times / count) if len(passed.edge) else None
+    passed, receiver = onto_surfaces(call.integrand, lit.passed)
+    return shadows_cast(geometry_of(call.scene), lit, passed, receiver) if len(passed.edge) else None
 
 
 def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey,

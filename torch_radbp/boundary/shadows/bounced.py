@@ -7,7 +7,8 @@ to its surface, what vertex x_k receives from there is
     integral of f |cos x_k| |cos x_{k+1}| / r^2  L(x_{k+1}) dA
 
 and L jumps at the border, which moves over the surface as it does over the film there; the points of a surface close to x_k
-slide (`slid.py`). Each place on a border is connected to one vertex of a path.
+slide (`slid.py`). Each place on a border is connected to one vertex of a path, which says where along the edge it
+lies (`spread_borders.py`).
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.shadows.border import Borders, Lights, borders_of, light_through
+from torch_radbp.boundary.shadows.border import Borders, Lights, light_through, lit_edges, shadows_cast
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace, unhidden
 from torch_radbp.boundary.shadows.slid import less_what_slides
+from torch_radbp.boundary.shadows.spread_borders import spread_borders
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
@@ -102,21 +104,26 @@ def pairs_of(call: RenderCall, number: int, casting: Casting, effort: float, fol
         call, number, casting, effort: as of `border.borders_in_view`.
         following: as for `viewpoints`.
     """
-    found = borders_of(call, number, casting, effort, Lights(sharp=True, soft=False, around=False), SHARE)
-    if found is None:
+    lit = lit_edges(call, number, casting, effort, Lights(sharp=True, soft=False, around=False), SHARE)
+    if lit is None:
         return None
-    borders, passed, inwards, times = rows(found, unhidden(call.integrand, found.passed))
-    if not len(times):
-        return None
-    integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), len(times), following)
+    integrand, geometry, count = integrand_of(call, call.integrand, number), geometry_of(call.scene), len(lit.passed.edge)
+    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), count, following)
     if not len(points.depth):
         return None
-    at = vertex_at(call, geometry_of(call.scene), number, points)
-    place = torch.arange(len(times), dtype=torch.int32, device=call.scene.device)
-    draw = numbers(call.views[number].sample_keys[1], place, SALT, torch.float64)
-    connected = (draw * len(points.depth)).long()
-    return Pairs(rows(points, connected), rows(at, connected), borders, inwards, times * len(points.depth), passed.key)
+    place = torch.arange(count, dtype=torch.int32, device=call.scene.device)
+    pick, choice, turn = (numbers(call.views[number].sample_keys[1], place, SALT + which, torch.float64)
+                          for which in range(3))
+    connected = (pick * len(points.depth)).long()
+    start = rows(vertex_at(call, geometry, number, points), connected)
+    passed = spread_borders(call, casting.outline, lit, start, choice, turn)
+    receiver = call.integrand.caster.intersect(passed.onwards)
+    kept = (receiver.prim >= 0).nonzero().squeeze(1)
+    kept = kept[unhidden(call.integrand, rows(passed, kept))]
+    if not len(kept):
+        return None
+    borders, passed, inwards, times = shadows_cast(geometry, lit, *rows((passed, receiver), kept))
+    return Pairs(rows(points, connected[kept]), rows(start, kept), borders, inwards, times * len(points.depth), passed.key)
 
 
 class Way(NamedTuple):

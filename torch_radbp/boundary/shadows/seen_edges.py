@@ -178,6 +178,13 @@ def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(known, along, turn), torch.where(known, density, 1.0)
 
 
+def density_seen(a: Vec3, b: Vec3, along: Tensor) -> Tensor:
+    """The density that places of `evenly_seen` have at shares of the way, (N,)."""
+    p, normal = a + (b - a) * along, cross(a, b)
+    angle, squared = angle_between(normalize(a), normalize(b)), dot(normal, normal)
+    return torch.where(squared > 0.0, torch.sqrt(squared) / (dot(p, p) * angle).clamp_min(TINY), 1.0)
+
+
 def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int,
                 count: int) -> Passed | None:
     """Places on edges that eyes see as silhouettes, in proportion to the angles of these; None: they see none.
