@@ -67,7 +67,7 @@ OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "chance_of_light"}, {"side_met"}
 OF_JUMPS, OF_SEGMENTS = {"slopes", "swept", "asked_of_places"}, {"segment_weight", "segment_place"}
 OF_CROSSINGS = {"segment_bounds", "segment_found", "segment_passed", "sheets_seen"}
 OF_SHADOWS = {"descended", "edge_found", "edge_passed", "direct_light", "scattered", "border_course", "cut_course",
-              "light_eyes", "light_lobes", "film_sample", *OF_CROSSINGS}
+              "light_eyes", "light_lobes", "light_samples", "picked_vertex", "meets", "film_sample", *OF_CROSSINGS}
 OF_MIRRORS = {"goes_on", "ideal_vertex", "parted", "drawn_by_steps"}
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS},

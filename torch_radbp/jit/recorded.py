@@ -62,7 +62,7 @@ class Recorded:
         places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
         self.assemble: Callable[[list[Tensor]], Any] = assembler(replaced(results, Leaf))
         self.layout = Layout(recording, [place.tensor for place in places if place and place.made])
-        self.empty: list[Tensor] = []
+        self.empty: list[torch.dtype] = []  # of results without lanes, which are new each time
         self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
         writer = Writer(recording, self.layout, len(given))
         text = writer.text()
@@ -74,7 +74,7 @@ class Recorded:
     def where(self, place: Place | None, lanes: Span, dtype: torch.dtype) -> Found:
         """Where a result is found; `place`: None if it has no lanes."""
         if place is None:
-            self.empty.append(torch.empty(0, dtype=dtype, device="cpu"))
+            self.empty.append(dtype)
             return Found(EMPTY, len(self.empty) - 1, WHOLE)
         if not place.made:
             return Found(GIVEN, place.tensor, WHOLE)
@@ -100,7 +100,8 @@ class Recorded:
         self.run(addresses.buffer_info()[0], places.buffer_info()[0], room.data_ptr(), counts.buffer_info()[0],
                  self.functions.buffer_info()[0], board, lanes, row)
         rows = [block.narrow(1, 0, counts[group.last]).unbind(0) for block, group in zip(kept, self.layout.groups)]
-        rows += [given.items, self.empty]  # the places GIVEN and EMPTY
+        # The places GIVEN and EMPTY.
+        rows += [given.items, [torch.empty(0, dtype=dtype, device="cpu") for dtype in self.empty]]
         results = [rows[group][row] if count == WHOLE else rows[group][row][:counts[count]]
                    for group, row, count in self.found]
         return self.assemble(results), counts

@@ -74,6 +74,9 @@ class Stages(NamedTuple):
     cut_course: Callable
     light_eyes: Callable
     light_lobes: Callable
+    picked_vertex: Callable
+    light_samples: Callable
+    meets: Callable
     goes_on: Callable
     ideal_vertex: Callable
     parted: Callable

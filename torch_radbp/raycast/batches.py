@@ -257,14 +257,24 @@ def any_hit(code: Vectors, balls: bool) -> str:
              f"%segments = add i64 %segment.found, {code.count(some)}")
     again(code, "segment", "%count", "segments_all")
     code.lay("%some_segments = icmp sgt i64 %segments, 0",
-             "br i1 %some_segments, label %entering, label %answered_all", "entering:")
+             "br i1 %some_segments, label %entering, label %answered_all", "entering:",
+             "%all_segments = icmp eq i64 %segments, %count",
+             "br i1 %all_segments, label %entering_all, label %entering_some", "entering_all:")
 
-    loop(code, "enter", "entering", code.width)
+    # Where all lanes have one, none is picked out.
+    loop(code, "every", "entering_all", code.width)
+    mask = lanes_before(code, "%count", "%every.at")
+    *o_and_d, tmax = (code.load_where(mask, column, "%every.at") for column in (*columns, end))
+    enter(code, Rays(o_and_d[:3], o_and_d[3:], mask), "%every.at", tmax)
+    again(code, "every", "%count", "entered_all")
+    code.lay("br label %entered", "entering_some:")
+    loop(code, "enter", "entering_some", code.width)
     mask = lanes_before(code, "%segments", "%enter.at")
     lanes = code.line(f"load {code.integers}, ptr {code.at('i32', '%ray.lane', '%enter.at')}, align 4")
     *o_and_d, tmax = (code.gather(code.scalar, column, lanes, mask) for column in (*columns, end))
     enter(code, Rays(o_and_d[:3], o_and_d[3:], mask), "%enter.at", tmax)
-    again(code, "enter", "%segments", "entered")
+    again(code, "enter", "%segments", "entered_some")
+    code.lay("br label %entered", "entered:")
     search(code, "entered", "%segments", any_hit=True)
 
     if balls:

@@ -70,10 +70,8 @@ def polynomial(code: Vectors, coefficients: tuple[float, ...], x: str) -> str:
 def cell(code: Vectors, angle: str, per_radian: float, count: int, mask: str) -> str:
     """The number of the cell with an angle, i32 in [0, count); 0 where the mask is not set."""
     scaled = code.choose(mask, code.mul(angle, code.number(per_radian)), ZERO)
-    whole = code.call(f"llvm.fptosi.sat.{code.suffix('i32')}.{code.suffix(code.scalar)}", code.integers,
-                      (code.numbers, scaled))
-    return code.call(f"llvm.smin.{code.suffix('i32')}", code.integers, (code.integers, whole),
-                     (code.integers, f"splat (i32 {count - 1})"))
+    # Of a float that is too great, or none, a processor would have to ask lane by lane.
+    return code.line(f"fptosi {code.numbers} {code.lesser(scaled, code.number(count - 1))} to {code.integers}")
 
 
 def plus(code: Vectors, integers: str, number: int) -> str:

@@ -101,10 +101,9 @@ class Renderer(nn.Module):
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, edges that surfaces, not the camera, see by reflection; a `SilhouetteWarning` says so, once, if edges may be slid
     over by directions that follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal
-    mirrors and glass). With attached sampling they also lack soft shadows and those of indirect light, and without the terms
-    of edges what these contribute: it says so if silhouettes or shadows that move are in view. The samplings that are not
-    attached miss a jump of GGX rough glass; a `JumpWarning` says so. No warning tells of edges that surfaces see move in
-    mirrors that do not.
+    mirrors and glass). Without the terms of edges they lack what these contribute: it says so if silhouettes or shadows that
+    move are in view. The samplings that are not attached miss a jump of GGX rough glass; a `JumpWarning` says so. No warning
+    tells of edges that surfaces see move in mirrors that do not.
 
     Several threads may render with one renderer. Each call takes the parameters as it finds them, and its image keeps the
     geometry that it shows: what moves later changes neither it nor its derivatives. `torch.autocast` and torch's default

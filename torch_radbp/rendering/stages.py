@@ -25,13 +25,14 @@ from torch_radbp.boundary.reflections.differences import parted
 from torch_radbp.boundary.reflections.ideal_paths import ideal_vertex
 from torch_radbp.boundary.reflections.surfaces import goes_on
 from torch_radbp.boundary.segments import segment_place, segment_weight
-from torch_radbp.boundary.shadows.border import border_course, film_sample
+from torch_radbp.boundary.shadows.border import border_course, film_sample, meets
 from torch_radbp.boundary.shadows.crossed_surfaces import sheets_seen
 from torch_radbp.boundary.shadows.edge_tree import descended, edge_bounds, merged_bounds
 from torch_radbp.boundary.shadows.hidden_light import cut_course
-from torch_radbp.boundary.shadows.light_points import light_eyes, light_lobes
+from torch_radbp.boundary.shadows.light_points import light_eyes, light_lobes, light_samples
 from torch_radbp.boundary.shadows.seen_edges import edge_found, edge_passed
 from torch_radbp.boundary.shadows.segment_tree import segment_bounds, segment_found, segment_passed
+from torch_radbp.boundary.shadows.viewpoints import picked_vertex
 from torch_radbp.film.splat import asked, deposited
 from torch_radbp.jit import LaneFunction, UnknownOperation
 from torch_radbp.jit.allocator import keep_freed_memory
@@ -55,8 +56,8 @@ EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, loca
                material_value, edge_weight, edge_place, crosses, contour_length, contour_place, segment_weight,
                segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, boxes_around,
                edge_bounds, merged_bounds, descended, edge_found, edge_passed, segment_bounds, segment_found,
-               segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, goes_on, ideal_vertex,
-               parted, film_sample, drawn_by_steps)
+               segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, picked_vertex,
+               light_samples, meets, goes_on, ideal_vertex, parted, film_sample, drawn_by_steps)
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
@@ -79,7 +80,8 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     segment_found=("geometry", "segments", "tree", "eyes"),
     segment_passed=("geometry", "segments", "eyes", "lot", "found", "eye"), sheets_seen=("geometry", "segments", "at"),
     border_course=("scene", *OUTLINE, "camera"),
-    cut_course=(*OUTLINE, "at"), light_eyes=("scene",), light_lobes=("scene",), goes_on=("geometry",),
+    cut_course=(*OUTLINE, "at"), light_eyes=("scene",), light_lobes=("scene",),
+    picked_vertex=("picked", "reached"), light_samples=("choice", "kind"), meets=("geometry",), goes_on=("geometry",),
     ideal_vertex=("surfaces",), parted=("surfaces", "vertices"), film_sample=("camera",), drawn_by_steps=())
 
 

@@ -84,7 +84,7 @@ def looks_of(searched: Searched, count: int) -> LightLooks | None:
     if not searched.shadows:
         return None
     scene = searched.call.scene
-    points = light_points(scene, searched.call.views[searched.number], count)
+    points = light_points(searched.call.stages, scene, searched.call.views[searched.number], count)
     return LightLooks(points.draw, Lights(sharp=True, soft=False, around=False).of(scene)[points.kind])
 
 

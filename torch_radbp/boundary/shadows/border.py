@@ -182,7 +182,7 @@ def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, l
     """
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     paths = view.width * view.height * call.spp
-    points = light_points(scene, view, max(FEWEST, int(effort * min(MOST, paths // share))))
+    points = light_points(call.stages, scene, view, max(FEWEST, int(effort * min(MOST, paths // share))))
     count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
     points = rows(points, meant)
     if not len(meant):
@@ -297,10 +297,13 @@ def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
 
 def sees(integrand: Integrand, ray: Ray, receiver: Hit, p: Vec3) -> Tensor:
     """True where camera rays meet what the borders fall on, (N,) bool; `p` (N,) these."""
-    hit = first_hit(integrand, ray, 0)
+    return integrand.stages.meets(geometry_of(integrand.proposal), ray, first_hit(integrand, ray, 0), receiver, p)
+
+
+def meets(geometry: Geometry, ray: Ray, hit: Hit, receiver: Hit, p: Vec3) -> Tensor:
+    """True where what rays hit is what borders fall on, (N,) bool; `p` (N,) world, these."""
     reach = p - ray.o.map(torch.Tensor.double)
     distance = torch.sqrt(dot(reach, reach))
-    geometry = geometry_of(integrand.proposal)
     n = [unit_normal(corners[1] - corners[0], corners[2] - corners[0])
          for corners in (corners_of(geometry, hit), corners_of(geometry, receiver))]
     near = ((hit.t - distance).abs() < BEFORE * distance) & (dot(*n).abs() > ALIKE)

@@ -190,7 +190,7 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     corners = corners_of(geometry_of(call.scene), points.hit)
     lobes = (points.lobe,)
     if call.scene.layout.lights:
-        lights = light_points(call.scene, call.views[number], len(points.depth))
+        lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
         meant = ((points.depth > 0) | first.meant(call.scene)[lights.kind]) & ~without_extent(call.scene)[lights.kind]
         lobe = integrand.part(Ends.SURROUNDINGS).call(call.stages.light_lobes, at, lights.draw)
         lobes += (lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),)

@@ -12,11 +12,13 @@ from torch_radbp.boundary.shadows.seen_edges import salted
 from torch_radbp.call.view import View
 from torch_radbp.path.bounce import light_numbers
 from torch_radbp.path.direct_light import LightDraw
-from torch_radbp.sampling.sampler import bounce_key, fine_unit, lane_key, unit
+from torch_radbp.path.integrand import Stages
+from torch_radbp.sampling.alias import AliasTable
+from torch_radbp.sampling.sampler import SampleKey, bounce_key, fine_unit, lane_key, unit
 from torch_radbp.scene.light import Aims, among, light_aims
 from torch_radbp.scene.light_choice import LightPick, TreeChoice
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import TINY, Vec3, masked, normalize, where
+from torch_radbp.tensors.vec import TINY, Vec3, masked, normalize, rows, where
 
 BEHIND = 0.05  # how much edges count behind a light: interpolated normals may let some light go there
 SALT = 0x1F83D9AC  # tells the random numbers of these samples from others
@@ -29,24 +31,34 @@ class LightPoints(NamedTuple):
     kind: Tensor  # (M,) int64, of the light, its number in `Layout.lights`
 
 
-def light_points(scene: SceneTensors, view: View, count: int) -> LightPoints:
+def light_points(stages: Stages, scene: SceneTensors, view: View, count: int) -> LightPoints:
     """So many light samples, picked by the probabilities with which lights are picked that are the same everywhere."""
-    key, device = salted(view, SALT), scene.device
-    number = torch.arange(count, dtype=torch.int32, device=device)
+    key, number = salted(view, SALT), torch.arange(count, dtype=torch.int32, device=scene.device)
+    return stages.light_samples(scene.lights.choice, scene.lights.kind, key, number)
+
+
+def light_samples(choice: AliasTable | TreeChoice, kind: Tensor, key: SampleKey, number: Tensor) -> LightPoints:
+    """The light samples of these numbers, (M,) int32.
+
+    Args:
+        choice: of elements of the light table.
+        kind: (E,) of each element the number of its kind.
+        key: of random numbers.
+    """
     key = key._replace(shared=torch.full_like(key.shared, -1))
     numbers = light_numbers(bounce_key(lane_key(key, torch.zeros_like(number), number), SALT))
-    choice = scene.lights.choice
     if isinstance(choice, TreeChoice):
-        emitters = int(choice.cumulative[-1].round())
+        last = torch.zeros_like(number).long() + choice.last
+        emitters = rows(choice.cumulative, last).round()
         emitter = (fine_unit(numbers.choice) * emitters).floor()
         element = torch.searchsorted(choice.cumulative, emitter + fine_unit(numbers.split), right=True)
-        element = torch.minimum(element, choice.last).to(torch.int32)
-        pmf = choice.pmf[element.long()] / emitters
+        element = torch.minimum(element, last).to(torch.int32)
+        pmf = rows(choice.pmf, element) / emitters.to(choice.pmf.dtype)
     else:
-        element = choice.sample(numbers.choice, unit(numbers.split, scene.dtype))
-        pmf = choice.pmf[element.long()]
+        element = choice.sample(numbers.choice, unit(numbers.split, choice.pmf.dtype))
+        pmf = rows(choice.pmf, element)
     draw = LightDraw(numbers, LightPick(element, pmf, torch.zeros_like(pmf)))
-    return LightPoints(draw, scene.lights.kind[element.long()].long())
+    return LightPoints(draw, rows(kind, element).long())
 
 
 def light_eyes(scene: SceneTensors, draw: LightDraw) -> Eyes:

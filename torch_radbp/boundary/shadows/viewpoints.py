@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -14,15 +15,17 @@ from torch_radbp.boundary.shadows.seen_edges import corners_of, numbers, salted
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.bounce import CameraSample, sample_camera
 from torch_radbp.path.event import Scatters
-from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.integrand import Integrand, number
+from torch_radbp.path.recorded_bounce import bounces_taken
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import bounces
+from torch_radbp.path.wavefront import Onward, put_rows
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import LaneKey
+from torch_radbp.sampling.sampler import LaneKey, SampleKey
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.nearby import slides_from
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others
@@ -41,6 +44,39 @@ class Viewpoints(NamedTuple):
     beta: Vec3  # throughput before it, over the probability of this vertex
     key: LaneKey
     lobe: Lobe  # around a direction in which light is scattered
+
+
+class Picked(NamedTuple):
+    """The vertices of M paths that are picked so far, and what they are picked by."""
+
+    total: Tensor  # (M,) throughput of all vertices that might be picked, summed
+    promise: Tensor  # (M,) throughput of the vertex that is; 0: there is none yet
+    depth: Tensor  # (M,) int32; -1: likewise
+    slides: Tensor  # (M,) bool: not all of the ray's direction is left to chance
+    onwards: Vec3  # (M,) the direction that is scattered
+    density: Tensor  # (M,) its; 0: the path ends there
+    ray: Ray  # that meets it
+    beta: Vec3  # throughput before it
+    hit: Hit
+
+    @staticmethod
+    def nothing(state: PathState, instanced: bool) -> Picked:
+        """No vertices of the paths that start; `instanced`: whether hits tell instances."""
+        none = torch.full_like(state.lane, -1)
+        zero, vector = partial(torch.zeros_like, state.pdf), partial(Vec3.buffer, state.pdf)
+        hit = Hit(none.clone(), zero(), zero(), zero(), none.clone() if instanced else None)
+        return Picked(zero(), zero(), none.clone(), torch.zeros_like(none, dtype=torch.bool), vector(), zero(),
+                      Ray(vector(), vector()), vector(), hit)
+
+
+class Reached(NamedTuple):
+    """What happens to the paths that reach a bounce: of `wavefront.Step` and `wavefront.Onward`."""
+
+    state: PathState  # (N,)
+    hit: Hit  # (N,)
+    order: Tensor  # int32, the path of each vertex
+    survives: Tensor  # bool, whether it goes on from there,
+    onwards: PathState  # and how
 
 
 def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, following: bool = False) -> Viewpoints:
@@ -63,53 +99,69 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
     camera = call.stages.sample_camera(view.camera, view.numbered, pixel, sample, key, call.scene.layout.traces_cones)
     place = Vec2(column - view.window.columns.before + camera.place.x.double(),
                  row - view.window.rows.before + camera.place.y.double())
-    state = started(call, camera)
-    zero = torch.zeros_like(state.pdf)
-    total, depth = zero.clone(), torch.full((count,), -1, dtype=torch.int64, device=device)
-    nothing = torch.zeros_like(sample)
-    instance = None if call.scene.triangles.instances is None else nothing.clone()
-    hit = Hit(nothing - 1, *(zero.clone() for _ in range(3)), instance)
-    ray, beta, promise = Ray(Vec3.buffer(zero), Vec3.buffer(zero)), Vec3.buffer(zero), zero.clone()
-    slides = torch.zeros_like(depth, dtype=torch.bool)
-    onwards, density = Vec3.buffer(zero), zero.clone()
-    for bounce in bounces(integrand, state):
-        for queue in bounce.step.queues:
-            if not queue.event.scatters or not scatters_as(integrand, queue.event, following):
-                continue
-            own = bounce.step.order[queue.first:queue.last].long()
-            lane = bounce.state.lane[own].long()
-            weight = max_component(bounce.state.beta)[own]
-            total[lane] += weight
-            draw = numbers(key, lane.to(torch.int32), SALT + 1 + bounce.depth, zero.dtype)
-            taken = draw * total[lane] < weight
-            own, lane = own[taken], lane[taken]
-            scattered = torch.arange(queue.first, queue.last, device=device)[taken]  # among the vertices
-            density[lane] = bounce.vertex.next.pdf[scattered] * bounce.vertex.survives[scattered]
-            for target, found in zip(onwards, bounce.vertex.next.ray.d):
-                target[lane] = found[scattered]
-            followed = bounce.state.followed
-            depth[lane] = bounce.depth
-            slides[lane] = torch.isinf(bounce.state.pdf[own]) | (integrand.settings.sampling == "attached")
-            if followed is not None:
-                slides[lane] |= followed[own]
-            for target, found in zip((*ray.o, *ray.d, *beta, promise, *hit[:4]),
-                                     (*bounce.state.ray.o, *bounce.state.ray.d, *bounce.state.beta,
-                                      max_component(bounce.state.beta), *bounce.step.hit[:4])):
-                target[lane] = found[own]
-            if hit.instance is not None:
-                hit.instance[lane] = bounce.step.hit.instance[own]
+    picked = picked_vertices(integrand, started(call, camera), key, following)
     area = cells / count  # of the film, for which each path stands
-    beta = beta * (area * total / promise.clamp_min(TINY))
+    beta = picked.beta * (area * picked.total / picked.promise.clamp_min(TINY))
     if camera.weight is not None:
         beta = beta * camera.weight
-    found = Viewpoints(pixel, sample, place, depth, ray, hit, slides, beta, camera.key,
-                       lobe_around(onwards, density))
-    found = rows(found, (depth >= 0).nonzero().squeeze(1))
+    found = Viewpoints(pixel, sample, place, picked.depth.long(), picked.ray, picked.hit, picked.slides, beta, camera.key,
+                       lobe_around(picked.onwards, picked.density))
+    found = rows(found, (found.depth >= 0).nonzero().squeeze(1))
     if call.scene.triangles.plain is None:
         return found
     geometry = geometry_of(call.scene)
     near = slides_from(corners_of(geometry, found.hit), found.hit.t.double(), is_plain(geometry, found.hit))
     return found._replace(slides=found.slides | (near & (found.depth > 0)))
+
+
+def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, following: bool) -> Picked:
+    """One vertex each of some paths; where the last rays end is no vertex.
+
+    Args:
+        integrand: of the detached scene.
+        start: of the paths.
+        key: of random numbers.
+        following: as for `viewpoints`.
+    """
+    picked = Picked.nothing(start, integrand.proposal.triangles.instances is not None)
+    stages, onward, L, depth = integrand.stages, Onward(start, None), Vec3.buffer(start.pdf), 0
+    attached = integrand.settings.sampling == "attached"
+    with bounces_taken(integrand, start) as bounce:
+        while onward.count and not integrand.is_last(depth):
+            state, step, onward = bounce(onward, depth, None, L)
+            meant = [torch.arange(queue.first, queue.last, dtype=torch.int32, device=key.seed.device)
+                     for queue in step.queues if queue.event.scatters and scatters_as(integrand, queue.event, following)]
+            if meant:
+                reached = Reached(state, step.hit, step.order, step.survives, onward.paths)
+                at = number(SALT + 1 + depth, key.seed.device)
+                put_rows(picked, *stages.picked_vertex(picked, reached, torch.cat(meant), key, at, attached))
+            depth += 1
+    return picked
+
+
+def picked_vertex(picked: Picked, reached: Reached, vertex: Tensor, key: SampleKey, counter: Tensor,
+                  attached: bool) -> tuple[Tensor, Picked]:
+    """The paths of some vertices of a bounce, (N,) int32, and what is picked of them then.
+
+    Args:
+        picked: of all paths.
+        reached: the bounce.
+        vertex: (N,) int32, which vertices.
+        key, counter: of random numbers, the latter () int32.
+        attached: whether rays are never left to chance.
+    """
+    state, hit = rows((reached.state, reached.hit), rows(reached.order, vertex))
+    before, weight = rows(picked, state.lane), max_component(state.beta)
+    total = before.total + weight
+    taken = numbers(key, state.lane, counter, weight.dtype) * total < weight
+    slides = torch.isinf(state.pdf) if state.followed is None else torch.isinf(state.pdf) | state.followed
+    density = rows(reached.onwards.pdf, vertex) * rows(reached.survives, vertex).to(weight.dtype)
+    depth = (counter - (SALT + 1)) + torch.zeros_like(state.lane)
+    here = Picked(total, weight, depth, slides | attached, rows(reached.onwards.ray.d, vertex), density, state.ray,
+                  state.beta, hit)
+    found = [torch.where(taken, new, old) if isinstance(new, Tensor) else None
+             for new, old in zip(leaves_of(here), leaves_of(before))]
+    return state.lane, with_leaves(here, found)._replace(total=total)
 
 
 def is_plain(geometry: Geometry, hit: Hit) -> Tensor:
@@ -148,9 +200,9 @@ def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: boo
     def begun(chosen: Viewpoints) -> CameraSample:
         return sample_camera(view.camera, view.numbered, chosen.pixel, chosen.sample, salted(view, SALT), cones)
 
-    first = points.depth == 0
-    ray = begun(points).ray
-    ray = Ray(*(where(first, *parts) for parts in zip(ray, points.ray)))
+    first, ray = points.depth == 0, points.ray
+    if any_differentiated(view.camera):
+        ray = Ray(*(where(first, *parts) for parts in zip(begun(points).ray, ray)))
     later = ((points.slides | all_of_them) & ~first).nonzero().squeeze(1)
     integrand = call.make_integrand(call.scene)
     if not len(later) or not integrand.settings.moving or not any_differentiated((call.scene, view.camera)):
