@@ -14,7 +14,7 @@ from torch_radbp.jit.board import Board
 from torch_radbp.jit.lane_operations import Outside, Place, Span
 from torch_radbp.jit.machine import MachineCode, cached_code
 from torch_radbp.jit.recorded_text import Layout, Writer
-from torch_radbp.jit.recording import Recording
+from torch_radbp.jit.recording import NotRecordable, Recording
 from torch_radbp.jit.structure import Leaf, assembler, flatten, replaced
 
 RECORDED = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, ctypes.c_int64, ctypes.c_int64)
@@ -92,7 +92,11 @@ class Recorded:
         if not place.made:
             return Found(GIVEN, place.tensor, WHOLE)
         group, row = self.layout.rows[place.tensor]
-        return Found(group, row, WHOLE if lanes.last == self.layout.groups[group].last else lanes.last)
+        if lanes == self.layout.groups[group].lanes:
+            return Found(group, row, WHOLE)
+        if place.first or lanes.first:
+            raise NotRecordable("a result is a part of a tensor that does not begin where it does")
+        return Found(group, row, lanes.last)
 
     def __call__(self, given: Given, others: Given, lanes: int, board: Board, known: Sequence[int] = (),
                  contexts: Sequence[Any] = ()) -> tuple[Any, array]:
@@ -120,8 +124,9 @@ class Recorded:
             if outside is not None:
                 board.close()
                 self.do(outside, contexts, memory, counts)
-        rows = [(block if group.handed else block.narrow(1, 0, counts[group.last])).unbind(0)
-                for block, group in zip(kept, self.layout.groups)]
+        lengths = [counts[last] - counts[first] for _, (first, last), *_ in self.layout.groups]
+        rows = [(block if group.handed else block.narrow(1, 0, length)).unbind(0)
+                for block, group, length in zip(kept, self.layout.groups, lengths)]
         # The places GIVEN and EMPTY.
         rows += [given.items, [torch.empty(0, dtype=dtype, device="cpu") for dtype in self.empty]]
         results = [rows[group][row] if count == WHOLE else rows[group][row][:counts[count]]

@@ -67,7 +67,7 @@ class Group(NamedTuple):
     """Results of one dtype and one number of lanes, which are rows of one tensor."""
 
     dtype: torch.dtype
-    last: int  # the number of the count of their lanes
+    lanes: Span
     tensors: list[int]  # numbers of what was made
     handed: bool = False  # a tensor that somebody outside hands over, as it is
 
@@ -88,14 +88,14 @@ class Layout:
             for place in operation.outputs if isinstance(operation, Outside) else ():
                 dtype, lanes = recording.made[place.tensor]
                 self.rows[place.tensor] = len(self.groups), 0
-                self.groups.append(Group(dtype, lanes.last, [place.tensor], True))
+                self.groups.append(Group(dtype, lanes, [place.tensor], True))
         for number in dict.fromkeys(results):
             if number in self.rows:
                 continue
             dtype, lanes = recording.made[number]
-            group = next((group for group in self.groups if group[:2] == (dtype, lanes.last) and not group.handed), None)
+            group = next((group for group in self.groups if group[:2] == (dtype, lanes) and not group.handed), None)
             if group is None:
-                self.groups.append(group := Group(dtype, lanes.last, []))
+                self.groups.append(group := Group(dtype, lanes, []))
             self.rows[number] = self.groups.index(group), len(group.tensors)
             group.tensors.append(number)
         self.bytes = 0  # of all rows of the rest, for each lane
