@@ -42,10 +42,10 @@ class Found(NamedTuple):
 
     group: int  # of `Layout.groups`; GIVEN: it was given; EMPTY: it has no lanes
     row: int  # of the group, or its number among those
-    count: int  # the number of the count of its entries; WHOLE: as of the group
+    lanes: Span | None = None  # None: all that the group has
 
 
-GIVEN, EMPTY, WHOLE = -2, -1, -1
+GIVEN, EMPTY = -2, -1
 
 
 class Memory(NamedTuple):
@@ -88,11 +88,12 @@ class Recorded:
         """Where a result is found; `place`: None if it has no lanes."""
         if place is None:
             self.empty.append(dtype)
-            return Found(EMPTY, len(self.empty) - 1, WHOLE)
+            return Found(EMPTY, len(self.empty) - 1)
         if not place.made:
-            return Found(GIVEN, place.tensor, WHOLE)
-        group, row = self.layout.rows[place.tensor]
-        return Found(group, row, WHOLE if lanes.last == self.layout.groups[group].last else lanes.last)
+            return Found(GIVEN, place.tensor)
+        number, row = self.layout.rows[place.tensor]
+        group = self.layout.groups[number]
+        return Found(number, row, None if group.handed or lanes == (0, group.last) else lanes)
 
     def __call__(self, given: Given, others: Given, lanes: int, board: Board, known: Sequence[int] = (),
                  contexts: Sequence[Any] = ()) -> tuple[Any, array]:
@@ -124,8 +125,8 @@ class Recorded:
                 for block, group in zip(kept, self.layout.groups)]
         # The places GIVEN and EMPTY.
         rows += [given.items, [torch.empty(0, dtype=dtype, device="cpu") for dtype in self.empty]]
-        results = [rows[group][row] if count == WHOLE else rows[group][row][:counts[count]]
-                   for group, row, count in self.found]
+        results = [rows[group][row] if span is None else rows[group][row][:counts[span.last] - counts[span.first]]
+                   for group, row, span in self.found]
         return self.assemble(results), counts
 
     def do(self, outside: Outside, contexts: Sequence[Any], memory: Memory, counts: array) -> None:
