@@ -1,4 +1,4 @@
-"""The tree over edges: it rules out no silhouette, and finds each as often as its probability says."""
+"""The tree over edges: it rules out no silhouette, and finds each as often as its probability says; so does trying edges."""
 
 import pytest
 import torch
@@ -9,6 +9,7 @@ from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.edge_tree import angle_of_node, rounded
+from torch_radbp.boundary.shadows.edges_tried import FEWEST, edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
 from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_of, places_seen
 from torch_radbp.io.transform import rotate, scale, translate
@@ -133,3 +134,32 @@ def test_what_is_found_adds_up_to_all_that_is_seen(casting, stages):
     error = sums.std(0) / len(sums) ** 0.5
     off = (sums.mean(0) - angle.sum(1)) / error.clamp_min(1e-9)
     assert angle.sum() > 1 and (error < 0.2 * angle.sum(1) + 1e-2).all() and off.abs().max() < 5
+
+
+@pytest.mark.parametrize("stages", [EAGER, compiled()], ids=["eager", "compiled"])
+def test_edges_that_are_tried_add_up_to_all_that_is_seen(casting, stages):
+    geometry, casting = casting
+    eyes, outline, sums = rows(eyes_around(), torch.arange(40)), casting.outline, []
+    edges = len(outline.crease)
+    slot = casting.tree.slots.argsort()[-edges:]  # of each edge
+    angle = angles(geometry, casting, eyes)[:, slot]
+    for seed, each in [(0, len(eyes.w)), *((seed, 16) for seed in range(1, 64))]:
+        key = SampleKey(torch.tensor(seed, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
+        found, eye = edges_tried(stages, geometry, outline, eyes, key, each, extent_of(geometry))
+        assert len(eye) and (found.edge.diff() >= 0).all()
+        assert torch.allclose(found.angle, angle[eye.long(), found.edge.long()], rtol=1e-6)
+        sums.append(torch.zeros(edges, dtype=torch.float64).index_add(0, found.edge.long(), found.times * found.angle))
+    whole, sums = angle.sum(0), torch.stack(sums)
+    assert whole.sum() > 1 and torch.allclose(sums[0], whole, rtol=1e-6)  # each from every eye
+    error = sums[1:].std(0) / len(sums[1:]) ** 0.5
+    off = (sums[1:].mean(0) - whole) / error.clamp_min(1e-9)
+    assert (error < 0.2 * whole + 1e-2).all() and off.abs().max() < 5
+
+
+def test_edges_are_tried_from_as_many_eyes_as_ways_would_look_at_edges(casting):
+    eyes, outline, looks = eyes_around(), casting[1].outline, 4
+    each = eyes_for_each(outline, eyes, looks)
+    assert each == min(len(eyes.w), looks * GROUP * len(eyes.w) // len(outline.crease)) >= FEWEST
+    few = rows(eyes, torch.arange(FEWEST))
+    assert eyes_for_each(outline, few, looks) in (0, FEWEST)
+    assert eyes_for_each(outline, few, 0) == 0

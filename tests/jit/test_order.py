@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp
-from torch_radbp.jit.order import chosen, partition, put
+from torch_radbp.jit.order import chosen, in_order, partition, put
 
 COUNTS = [0, 1, 15, 17, 100_003]
 
@@ -66,3 +66,14 @@ def test_no_machine_code_is_kept_where_a_second_thread_could_free_it():
     assert len(files) > 4
     wrong = [str(path) for path in files if path.name != "machine.py" and "functools.cache" in path.read_text()]
     assert not wrong, wrong
+
+
+@pytest.mark.parametrize("lanes, queues", [(0, 3), (1, 1), (1000, 7), (5000, 1300)])
+def test_lanes_come_in_the_order_of_two_numbers_and_else_in_their_own(lanes, queues):
+    """In few queues lanes are so many that they are partitioned twice; in many each queue is sorted by itself."""
+    generator = torch.Generator().manual_seed(lanes)
+    major, minor = torch.randint(queues, (2, lanes), generator=generator, dtype=torch.int32)
+    order, *sorted_numbers = in_order(major, minor, queues)
+    expected = sorted(range(lanes), key=lambda lane: (int(major[lane]), int(minor[lane]), lane))
+    assert order.dtype == torch.int32 and order.tolist() == expected
+    assert all(torch.equal(found, number[expected]) for found, number in zip(sorted_numbers, (major, minor)))

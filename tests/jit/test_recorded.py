@@ -9,7 +9,7 @@ from torch_radbp.jit.addition import Addition, Sums
 from torch_radbp.jit.board import board
 from torch_radbp.jit.order import chosen, inverted, nothing, partition, put
 from torch_radbp.jit.recorded import Given, Recorded
-from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening
+from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening, outside
 from torch_radbp.jit.scatter import scatter_add
 from torch_radbp.jit.team import alone_in_torch
 
@@ -17,19 +17,19 @@ QUEUES = 5
 LANES = (1, 3, 17, 1000, 10_001, 70_000)
 
 
-def recorded(function, *tensors: Tensor, tables: tuple[Tensor | int, ...] = ()) -> Recorded:
+def recorded(function, *tensors: Tensor, tables: tuple[Tensor | int, ...] = (), contexts: tuple = ()) -> Recorded:
     """A function of lanes like these, recorded."""
     given = [torch.empty(ALL, dtype=tensor.dtype) for tensor in tensors]
-    listener = Recording([*given, *tables])
+    listener = Recording([*given, *tables], contexts=contexts)
     with torch.no_grad(), listening(listener):
         results = function(*given)
     return Recorded(listener, [*given, *tables], results)
 
 
-def again(made: Recorded, *tensors: Tensor, tables: tuple[Tensor | int, ...] = (), threads: int = 2):
+def again(made: Recorded, *tensors: Tensor, tables: tuple[Tensor | int, ...] = (), threads: int = 2, contexts: tuple = ()):
     """What was recorded, done for these lanes."""
-    with alone_in_torch(threads=threads), board() as address:
-        return made(Given(tensors), Given(tables), len(tensors[0]), address)[0]
+    with alone_in_torch(threads=threads), board() as own:
+        return made(Given(tensors), Given(tables), len(tensors[0]), own, contexts=contexts)[0]
 
 
 TWICE = LaneFunction(lambda x, y: (x + y, x - y, y))
@@ -122,6 +122,50 @@ def test_what_is_scattered_goes_to_the_totals_of_the_call(lanes):
     assert bool(mine.any()) == (lanes > 0) and torch.equal(mine, total) and torch.equal(mine_touched, touched)
 
 
+GATHERED = LaneFunction(lambda x, lanes: torch.index_select(x, 0, lanes), ("x",))
+
+
+def asking(context, number: Tensor, x: Tensor):
+    """Lanes queue by queue, for each of which someone outside is asked, and a loop over what was found."""
+    order, counts = partition(number, QUEUES)
+    found, first = [], 0
+    for count in counts:
+        if count:
+            own = GATHERED(x, order[first:first + count])
+            answers = outside(lambda context, row, x: (context["factor"] * x, x.max() - x), context, (own, own), 2)
+            found += [*answers, *TWICE(*answers)]
+        first += count
+    return found
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+@pytest.mark.parametrize("lanes", LANES)
+def test_what_is_done_outside_is_done_in_the_context_of_the_call(lanes, threads):
+    contexts = {"factor": 2.0}, {"factor": 3.0}
+    number, x = torch.randint(QUEUES, (lanes,), dtype=torch.int32), torch.rand(lanes)
+    made = recorded(lambda number, x: asking(contexts[0], number, x), number, x, contexts=contexts[:1])
+    for context in contexts:
+        found = again(made, number, x, threads=threads, contexts=(context,))
+        expected = asking(context, number, x)
+        assert expected[0].abs().max() > 0
+        assert all(map(torch.equal, [part for part in found if len(part)], expected))
+
+
+def test_what_is_done_outside_with_what_a_call_is_not_told_is_refused():
+    with pytest.raises(NotRecordable, match="more than is told"):
+        recorded(lambda number, x: asking({"factor": 2.0}, number, x), torch.zeros(1, dtype=torch.int32), torch.zeros(1))
+
+
+def test_errors_outside_are_raised_and_let_the_helpers_go():
+    number, x = torch.zeros(20_000, dtype=torch.int32), torch.rand(20_000)
+    context = {"factor": 2.0}
+    made = recorded(lambda number, x: asking(context, number, x), number, x, contexts=(context,))
+    for _ in range(50):
+        with pytest.raises(KeyError, match="factor"):
+            again(made, number, x, threads=3, contexts=({},))
+    assert torch.equal(again(made, number, x, threads=3, contexts=(context,))[0], 2 * x)
+
+
 AS_INDEX = LaneFunction(lambda table, index: torch.index_select(table, 0, index), ("table",))
 
 
@@ -135,8 +179,8 @@ def test_counts_that_the_function_is_told_may_differ():
         made = Recorded(listener, [given], ended(given))
     x = torch.rand(5000)
     for count in (0, 1, 300, 5000):
-        with board() as address:
-            found, counts = made(Given([x]), Given([]), len(x), address, [count])
+        with board() as own:
+            found, counts = made(Given([x]), Given([]), len(x), own, [count])
         assert counts[2] == count
         assert all(map(torch.equal, found, looped(x[:count], x[:count]) if count else (x[:0],) * 3))
 
@@ -165,7 +209,8 @@ def test_what_is_given_twice_is_told():
 
 def test_an_error_lets_the_helpers_go():
     for _ in range(50):
-        with pytest.raises(KeyError), alone_in_torch(threads=3), board():
+        with pytest.raises(KeyError), alone_in_torch(threads=3), board() as own:
+            own.open()
             raise KeyError
     made, x = recorded(looped, torch.empty(1), torch.empty(1)), torch.rand(20_000)
     assert torch.equal(again(made, x, x, threads=3)[0], 2 * x)

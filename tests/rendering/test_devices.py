@@ -63,18 +63,21 @@ def trace_on_cuda(stage, arguments: tuple) -> set[torch.device]:
         return {leaf.device for leaf in leaves_of(stage(*with_leaves(arguments, moved))) if isinstance(leaf, Tensor)}
 
 
-OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "chance_of_light"}, {"side_met"}
+OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "emitter_met", "chance_of_light"}, {"side_met"}
 OF_JUMPS, OF_SEGMENTS = {"slopes", "swept", "asked_of_places"}, {"segment_weight", "segment_place"}
 OF_CROSSINGS = {"segment_bounds", "segment_found", "segment_passed", "sheets_seen"}
-OF_SHADOWS = {"descended", "edge_found", "edge_passed", "direct_light", "scattered", "border_course", "cut_course",
-              "light_eyes", "light_lobes", "light_samples", "picked_vertex", "meets", "film_sample", *OF_CROSSINGS}
+OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_light", "scattered", "border_course",
+              "cut_course", "light_eyes", "light_lobes", "light_samples", "picked_vertex", "meets", "film_sample",
+              *OF_CROSSINGS}
 OF_MIRRORS = {"goes_on", "ideal_vertex", "parted", "drawn_by_steps"}
+OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
 # Stages that a scene does without.
-NOT_IN = {"materials": {"places", *OF_MANY_LAMPS}, "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS},
-          "shapes": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS},
-          "networks": {"ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS},
+NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
+          "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},
+          "shapes": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
+          "networks": {"ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
           "shining networks": {"shines", "cut_course", "scattered", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SEGMENTS,
-                               *OF_CROSSINGS, *OF_MIRRORS}}
+                               *OF_CROSSINGS, *OF_MIRRORS, *OF_FEW_EDGES}}
 
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))

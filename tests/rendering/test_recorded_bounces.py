@@ -4,10 +4,11 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.deep import deep_but
+from tests.deep import deep, deep_but
 from tests.derivatives.everything import build_everything
 from tests.gradients import cotangent, unwarned_renderer
 from tests.scenes import cornell, diffuse, load, parameters, rectangle, rgb, sensor, sky_and_points, textured, two_sided
+from tests.texture.networks import Function, lit_room, mlp, room
 from torch_radbp.adjoint import recorded_sweep
 from torch_radbp.io.transform import translate
 from torch_radbp.jit.recorded import Recorded
@@ -36,9 +37,9 @@ def calls(monkeypatch) -> list[int]:
     """The lanes of each call of what was recorded, as they come."""
     found, call = [], Recorded.__call__
 
-    def noting(self, given, lanes, *rest):
+    def noting(self, given, lanes, *rest, **more):
         found.append(lanes)
-        return call(self, given, lanes, *rest)
+        return call(self, given, lanes, *rest, **more)
 
     monkeypatch.setattr(Recorded, "__call__", noting)
     return found
@@ -91,7 +92,7 @@ def test_so_they_have_with_other_settings(settings, calls, monkeypatch):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-@pytest.mark.parametrize("name", deep_but(["shapes"], ["materials", "shapes", "textures"]))
+@pytest.mark.parametrize("name", deep_but(["shapes"], ["materials", "shapes", "textures", "lamps"]))
 def test_so_they_have_with_every_plugin(name, dtype, calls, monkeypatch):
     def build() -> rb.Scene:
         scene = build_everything(name).to(dtype)
@@ -132,18 +133,51 @@ def test_rays_are_counted(monkeypatch):
     assert found == rays() > 0
 
 
-def test_what_asks_networks_is_not_recorded(calls):
+@pytest.mark.parametrize("settings", [{"sampling": "detached"}, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)},
+                                      *map(deep, [{"sampling": "attached"}, {"nee": False}, {"adjoint": rb.ReplayAdjoint()},
+                                                  {"chunk": 40}, {"share_samples": True}])], ids=str)
+@pytest.mark.parametrize("build", [room, lit_room], ids=lambda build: build.__name__)
+def test_so_they_have_with_networks(build, settings, calls, monkeypatch):
+    assert_same_bits(lambda: build(dtype=torch.float32), calls, monkeypatch, **settings)
+
+
+@pytest.mark.parametrize("sampling", ["detached", "attached"])
+def test_so_they_have_where_only_networks_are_wanted(sampling, calls, monkeypatch):
+    def build() -> rb.Scene:
+        scene = room(torch.float32)
+        for name, parameter in scene.named_parameters():
+            parameter.requires_grad_("module" in name)
+        return scene
+
+    assert_same_bits(build, calls, monkeypatch, sampling=sampling)
+
+
+def test_recordings_serve_other_networks(calls):
+    renderers = [rb.Renderer(cornell(torch.float32), **SETTINGS) for _ in range(2)]
+    for seed, renderer in enumerate(renderers):
+        renderer.scene.white.reflectance = rb.NeuralTexture(mlp(2, 3, seed, width=4 + seed))
+    images = [renderers[0](seed=1).detach()]
+    known = len(recorded_bounce.RECORDINGS.known)
+    images.append(renderers[1](seed=1).detach())
+    assert calls and len(recorded_bounce.RECORDINGS.known) == known
+    with pytest.MonkeyPatch.context() as patch:
+        singly(patch)
+        for image, renderer in zip(images, renderers):
+            assert torch.equal(image, renderer(seed=1).detach()) and image.std() > 0
+    assert not torch.equal(*images)
+
+
+def test_errors_of_networks_are_told(calls):
     scene = cornell(torch.float32)
-    scene.white.reflectance = rb.NeuralTexture(torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.Sigmoid()))
-    with torch.no_grad():
-        assert rb.Renderer(scene, **SETTINGS)(seed=1).std() > 0
-    assert not calls
+    scene.white.reflectance = rb.NeuralTexture(Function(lambda uv: torch.where(uv[:, :1] > 0.5, -1.0, 0.5)))
+    with pytest.raises(ValueError, match="white.reflectance"):
+        rb.Renderer(scene, **SETTINGS)(seed=1)
+    assert calls
 
 
-def test_neither_are_lamps_that_are_picked_by_place(calls):
-    with torch.no_grad():
-        assert rb.Renderer(build_everything("lamps", torch.float32), **SETTINGS)(seed=1).std() > 0
-    assert not calls
+@pytest.mark.parametrize("sampling", deep_but(["detached"], ["detached", "attached"]))
+def test_so_they_have_where_lamps_are_picked_by_place(sampling, calls, monkeypatch):
+    assert_same_bits(lambda: lit_room(lamps=9, dtype=torch.float32), calls, monkeypatch, sampling=sampling)
 
 
 def test_a_far_plane_is_heeded_though_the_scene_was_recorded_without_it(calls):
@@ -151,4 +185,7 @@ def test_a_far_plane_is_heeded_though_the_scene_was_recorded_without_it(calls):
     cut.sensors[0].far_clip = 3.6  # before the back wall
     with torch.no_grad():
         whole, seen = (rb.Renderer(own, **SETTINGS)(seed=1) for own in (scene, cut))
-    assert calls and seen.std() > 0 and not torch.equal(whole, seen)
+    assert len(calls) == 2 * SETTINGS["max_depth"] and seen.std() > 0 and not torch.equal(whole, seen)
+    with pytest.MonkeyPatch.context() as patch, torch.no_grad():
+        singly(patch)
+        assert torch.equal(seen, rb.Renderer(cut, **SETTINGS)(seed=1))

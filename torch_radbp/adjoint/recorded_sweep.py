@@ -11,7 +11,7 @@ import torch
 
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
-from torch_radbp.jit.board import board
+from torch_radbp.jit.board import Board, board
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
@@ -20,10 +20,12 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
 from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, recordable, tensors_of, without_contents
 from torch_radbp.path.state import PathState
+from torch_radbp.path.texture_networks import number_outside
 from torch_radbp.path.wavefront import Step
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import Vec3
+from torch_radbp.texture.reader import TextureValue
 
 
 class RecordedSweep(Sweep):
@@ -33,7 +35,7 @@ class RecordedSweep(Sweep):
         board: of the helpers; the rest is a `Sweep`'s.
     """
 
-    def __init__(self, board: int, integrand: Integrand, record: PathRecord, adj_L: Vec3, numbered: SceneTensors,
+    def __init__(self, board: Board, integrand: Integrand, record: PathRecord, adj_L: Vec3, numbered: SceneTensors,
                  gradients: Gradients):
         super().__init__(integrand, record, adj_L, numbered, gradients)
         tables = Tables(integrand, adj_L.x.dtype)
@@ -44,27 +46,40 @@ class RecordedSweep(Sweep):
         self.board, self.others, self.tables = board, Given([*tables.given.items, *sums]), (tables.kind, sizes)
         self.kind: int | None = None  # of bounces
 
+    def advance(self, state: PathState, depth: int) -> PathState:
+        self.board.close()
+        return super().advance(state, depth)
+
+    def adjoint(self, state: PathState, depth: int) -> None:
+        if depth not in self.record.steps:
+            self.board.close()
+        super().adjoint(state, depth)
+
     def differentiate(self, state: PathState, step: Step, depth: int) -> None:
         events, integrand = self.events(depth), self.integrand
-        lanes = tensors_of((state, step.hit, step.front, step.order, step.visible, step.survives))
+        lanes = tensors_of((state, step.hit, step.front, step.picked, step.order, step.visible, step.survives))
         varying = Given([*lanes, *tensors_of((self.memo, self.adj_L, integrand.at(depth)))])
+        known = self.known_values(step, events)
+        values = tensors_of(known)
         if self.kind is None:
             structure: list = []
-            flatten((state, step.hit, self.memo, self.adj_L), [], structure)
+            flatten((state, step.hit, step.picked, self.memo, self.adj_L), [], structure)
             self.kind = RECORDINGS.kind(*self.tables, *structure)
-        key = (self.kind, varying.pattern, step.front is None, integrand.settings_at(depth),
-               integrand.is_last(depth), depth == 0)
+        key = (self.kind, varying.pattern, step.front is None, integrand.settings_at(depth), integrand.is_last(depth),
+               depth == 0, tuple([own is None for own in known]))
         made = None
-        if all([leaf.is_contiguous() for leaf in lanes]):
-            made = RECORDINGS.of(key, partial(self.record_bounce, state, step, depth, events))
+        if all([leaf.is_contiguous() for leaf in (*lanes, *values)]):
+            made = RECORDINGS.of(key, partial(self.record_bounce, state, step, depth, events, known))
         if made is None:
+            self.board.close()
             super().differentiate(state, step, depth)
             return
         queues, borders, last = {queue.event: queue for queue in step.queues if queue.derivative}, [], 0
         for event in events:
             queue = queues.get(event)
             borders += [last, last] if queue is None else [queue.first, last := queue.last]
-        made(varying, self.others, len(state.lane), self.board, borders)
+        varying = Given([*varying.items, *values]) if values else varying
+        made(varying, self.others, len(state.lane), self.board, borders, (integrand.scene, self.modules))
 
     def events(self, depth: int) -> list[Event]:
         """What may happen at a bounce."""
@@ -73,20 +88,41 @@ class RecordedSweep(Sweep):
             return [Ends.LAST_BOUNCE]
         return [*map(Scatters, range(len(layout.appearances))), *([] if layout.surround is None else [Ends.SURROUNDINGS])]
 
-    def record_bounce(self, state: PathState, step: Step, depth: int, events: list[Event]) -> Recorded | None:
+    def known_values(self, step: Step, events: list[Event]) -> list[tuple[Vec3, ...] | None]:
+        """The values of textures that were read outside, for each of the events; None: not known, or not asked for."""
+        integrand = self.integrand
+        if self.moving or not integrand.scene.layout.reads_outside:
+            return [None] * len(events)
+        found, nothing = [], self.adj_L.map(lambda channel: channel[:0])
+        known = {queue.event: values for queue, values in zip(step.queues, step.texture_values) if queue.derivative}
+        for event in events:
+            if event in known:
+                values = known[event]
+                found.append(None if values is None else tuple([texture.value for texture in values]))
+            else:
+                number = number_outside(integrand.scene.layout, integrand.scatterer(event), integrand.settings.nee)
+                found.append((nothing,) * number)
+        return found
+
+    def record_bounce(self, state: PathState, step: Step, depth: int, events: list[Event],
+                      known: list[tuple[Vec3, ...] | None]) -> Recorded | None:
         """Records the derivatives of such a bounce; None if that is not possible."""
         borders = Recording([]).borders(2 * len(events) + 1, ALL)[1:-1]
         queues = tuple(map(Queue, events, borders[::2], borders[1::2]))
         lanes, scattered = queues[-1].last, [0, *(queue.last for queue in queues if queue.event.scatters)][-1]
         reserve, other = Reserve(), copy(self)
-        state, hit, front = without_contents((state, step.hit, step.front), reserve)
-        step = step._replace(hit=hit, front=front, order=reserve.tensor(torch.int32, lanes), queues=queues,
-                             visible=reserve.tensor(torch.bool, scattered), survives=reserve.tensor(torch.bool, scattered),
-                             texture_values=((),) * len(queues))
+        texture_values = tuple([
+            None if values is None else tuple([TextureValue(Vec3(*[reserve.tensor(channel.dtype, queue.last - queue.first)
+                                                                   for channel in value])) for value in values])
+            for queue, values in zip(queues, known)])
+        state, hit, front, picked = without_contents((state, step.hit, step.front, step.picked), reserve)
+        step = Step(hit, front, reserve.tensor(torch.int32, lanes), queues, reserve.tensor(torch.bool, scattered),
+                    reserve.tensor(torch.bool, scattered), picked, texture_values)
         other.memo, other.adj_L = without_contents((self.memo, self.adj_L), reserve)
-        given = [*tensors_of((state, hit, front, step.order, step.visible, step.survives)),
-                 *tensors_of((other.memo, other.adj_L, self.integrand.at(depth))), *self.others.items]
-        listener = Recording(given, borders, reserve)
+        given = [*tensors_of((state, hit, front, picked, step.order, step.visible, step.survives)),
+                 *tensors_of((other.memo, other.adj_L, self.integrand.at(depth))), *tensors_of(texture_values),
+                 *self.others.items]
+        listener = Recording(given, borders, reserve, (self.integrand.scene, self.modules))
         try:
             with torch.no_grad(), listening(listener):
                 Sweep.differentiate(other, state, step, depth)
@@ -101,5 +137,5 @@ def sweep_of(integrand: Integrand, *arguments) -> Iterator[Sweep]:
     if not recordable(integrand):
         yield Sweep(integrand, *arguments)
         return
-    with board() as address:
-        yield RecordedSweep(address, integrand, *arguments)
+    with board() as own:
+        yield RecordedSweep(own, integrand, *arguments)

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.bounce import empty_memo
 from torch_radbp.adjoint.local_map import Verdict
-from torch_radbp.adjoint.outside import add_adjoint, values_that_move
+from torch_radbp.adjoint.outside import ModuleGradients, add_adjoint, values_that_move
 from torch_radbp.adjoint.scatter import Contribution, Gradients
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.integrand import Integrand, knowing, taken
@@ -85,6 +85,7 @@ class Sweep:
                  gradients: Gradients):
         self.integrand, self.record, self.adj_L = integrand, record, adj_L
         self.numbered, self.gradients = numbered, gradients
+        self.modules = ModuleGradients(integrand.scene, numbered, gradients)
         self.adjoints: dict[Event, Adjoint] = {}
         positions = numbered.triangles.vertices.p
         twice = self.moving and integrand.settings.sampling != "attached" and positions.x is not None
@@ -134,18 +135,19 @@ class Sweep:
             if queue.first == queue.last or not queue.derivative:
                 continue
             here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue.event)
+            scatterer = integrand.scatterer(queue.event)
             lanes = step.order[here]
             verdict = Verdict(step.visible[here], step.survives[here]) if queue.event.scatters else None
             places = integrand.places(queue.event, arrival, lanes, depth)
             if self.moving:
-                texture_values = values_that_move(integrand, queue.event, places)
+                texture_values = values_that_move(integrand.scene, scatterer, places)
             elif known is None:
-                texture_values = texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
+                texture_values = texture_values_at(integrand.scene, scatterer, places)
             else:
                 texture_values = rows_between(known, 0, len(lanes))
             above, tables, adj_values = adjoint.of_bounce(adjoint.scene, adjoint.wanted, adjoint.still, reached, lanes,
                                                           verdict, *of_chunk, at, settings, texture_values)
-            add_adjoint(integrand, self.numbered, queue.event, places, adj_values, self.gradients)
+            add_adjoint(self.modules, scatterer, places, adj_values)
             found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
             if depth == 0 and above.adj_corners is not None:  # no bounce aims at what the camera sees
                 corners = integrand.part(Ends.SURROUNDINGS).call(integrand.stages.corner_rows, above.hit)

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from torch_radbp.boundary.junctions import cut_at_vertices
 from torch_radbp.jit.order import chosen as chosen_lanes
-from torch_radbp.jit.order import partition
-from torch_radbp.shape.welding import cells_of, weld_size, welded
+from torch_radbp.jit.order import in_order
+from torch_radbp.shape.welding import HASH, cells_of, weld_size, welded
 from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.vec import rows
 
-HASH, SLOTS = 0x1E3779B97F4A7C15, 1 << 22  # the multiplier of a hash, and how many values it has
+SLOTS = 1 << 22  # values of the hash of a cell
 MANY = 1 << 16  # triangles of a shape of which all are looked at
 SOME = 1 << 14  # triangles of a larger shape that are looked at
 MOST_MEETING = 8  # triangles at an edge that are told apart
@@ -164,9 +164,7 @@ class Meeting(NamedTuple):
 
 def met(sides: Sides, vertices: int) -> Meeting:
     """Which sides of triangles meet, in the order of their vertices, of which there are so many."""
-    order, _ = partition(sides.high, vertices)
-    order = rows(order, partition(rows(sides.low, order), vertices)[0])
-    low, high = rows(sides.low, order), rows(sides.high, order)
+    order, low, high = in_order(sides.low, sides.high, vertices)
     begins = torch.ones_like(sides.forward)
     begins[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
     first = chosen_lanes(begins)

@@ -30,20 +30,22 @@ def inward_faces(rendering: Rendering) -> SceneWarning | None:
     Such a surface encloses a negative volume, and the camera rays that meet it meet it from behind, but for some at the rim,
     where normals of vertices turn back. A room that is seen from inside faces inwards, too, but is met from the front.
     """
+    one_sided = [number for number, shape in enumerate(rendering.shapes) if is_one_sided(shape)]
+    if not one_sided:
+        return None
     tensors, ends = proposal_of(rendering.tensors), list(accumulate(rendering.sizes))
     ranges = [range(last - size, last) for last, size in zip(ends, rendering.sizes)]
-    inward = [number for number, (shape, own) in enumerate(zip(rendering.shapes, ranges))
-              if is_one_sided(shape) and has_negative_volume(tensors.triangles, own)]
-    if not inward:
-        return None
     o, d, seen = (torch.cat(part) for part in zip(*map(rays_of, rendering.sights)))
     ray = ray_from(o[seen], d[seen])
     hit = rendering.caster.intersect(ray)
     dtype = rendering.scene.dtype
     front = is_in_front(tensors, ray._replace(d=ray.d.map(lambda part: part.to(dtype))),
                         hit._replace(u=hit.u.to(dtype), v=hit.v.to(dtype)))
-    shape = torch.where(hit.prim >= 0, rendering.shape_of[hit.prim.clamp_min(0).long()], -1)
-    black = [number for number in inward if (shape == number).any() and front[shape == number].double().mean() < RIM
+    met = hit.prim >= 0
+    shape = rendering.shape_of[hit.prim.clamp_min(0).long()]
+    times, in_front = (shape[own].bincount(minlength=len(ranges)) for own in (met, met & front))
+    behind = ((times > 0) & (in_front < RIM * times)).tolist()
+    black = [number for number in one_sided if behind[number] and has_negative_volume(tensors.triangles, ranges[number])
              and is_closed(rendering.caster.vertices, rendering.caster.faces[ranges[number].start:ranges[number].stop])]
     if not black:
         return None

@@ -56,9 +56,9 @@ class JumpFunction(torch.autograd.Function):
         tables, lens = ctx.slopes
         gradients = Gradients(ctx.leaves)
         everything = torch.zeros_like(jumps.shown)
-        for leaf, reads in enumerate(tables):
-            gradients.add([Contribution(leaf, read.index, read.adjoint * asked) for read in reads])
-        gradients.add([Contribution(len(tables) + number, everything, slope * asked) for number, slope in enumerate(lens)])
+        found = [Contribution(leaf, *read) for leaf, reads in enumerate(tables) for read in reads]
+        found += [Contribution(len(tables) + number, everything, slope) for number, slope in enumerate(lens)]
+        gradients.add([part._replace(adjoint=part.adjoint * asked) for part in found])
         results, _ = gradients_of([gradients])
         return None, None, None, None, None, *results
 

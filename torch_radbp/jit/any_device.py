@@ -55,6 +55,12 @@ class AnyDevice:
         ends = torch.searchsorted(numbers, queue, right=True).tolist()
         return order.to(torch.int32), [end - first for first, end in zip([0, *ends], ends)]
 
+    def in_order(self, major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Waits for the device as `partition` does."""
+        order, _ = self.partition(minor, queues)
+        order = order.index_select(0, self.partition(major.index_select(0, order), queues)[0])
+        return order, major.index_select(0, order), minor.index_select(0, order)
+
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         for target, entry in zip(targets, entries):
             target.index_copy_(0, place.long(), entry)

@@ -142,15 +142,38 @@ def resting() -> tuple[object, int, int, int]:
     return library, *[ctypes.cast(function, ctypes.c_void_p).value for function in functions], time
 
 
+class Board:
+    """A board, which helpers look at as long as it is open; then they are not free for other work.
+
+    Args:
+        words: its own; `DONE` while it is closed.
+        call: calls the helpers.
+    """
+
+    def __init__(self, words: array, call: Callable[[], None]):
+        self.words, self.address, self.call = words, words.buffer_info()[0], call
+
+    def open(self) -> None:
+        """Calls the helpers, unless they have been called."""
+        if self.words[DONE]:
+            self.words[DONE] = 0
+            self.call()
+
+    def close(self) -> None:
+        """Lets the helpers go; waits for none."""
+        self.words[DONE] = 1
+
+
 @contextmanager
-def board() -> Iterator[int]:
-    """The address of a board that the helpers of this thread look at, as long as the context is open."""
+def board() -> Iterator[Board]:
+    """A board for the helpers of this thread, not yet open."""
     words = array("q", [0] * WORDS)
     _, words[YIELD], words[SLEEP], words[TIME] = resting()
+    words[DONE] = 1
     address, help = words.buffer_info()[0], helping()
 
     def finish() -> None:
         words[DONE] = 1
 
-    with assisted(lambda task: help(address), finish):
-        yield address
+    with assisted(lambda task: help(address), finish) as call:
+        yield Board(words, call)

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 
 import torch
 
-from torch_radbp.jit import cpu_order, cpu_scatter
+from torch_radbp.jit import cpu_order, cpu_runs, cpu_scatter
 from torch_radbp.jit.emit import Body, emit
 from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.instructions import alignment
@@ -63,6 +63,7 @@ class Cpu:
 
     chosen = staticmethod(cpu_order.chosen)
     partition = staticmethod(cpu_order.partition)
+    in_order = staticmethod(cpu_runs.in_order)
     inverted = staticmethod(cpu_order.inverted)
     nothing = staticmethod(cpu_order.nothing)
     put = staticmethod(cpu_order.put)

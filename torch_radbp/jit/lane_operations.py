@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -96,6 +97,16 @@ class Scattered(NamedTuple):
     lanes: Span
 
 
+class Outside(NamedTuple):
+    """What is done by others than machine code, see `recording.outside`."""
+
+    work: Callable
+    context: int  # which of those that the recording is told
+    lanes: Span
+    inputs: tuple[Place, ...]
+    outputs: tuple[Place, ...]
+
+
 class Made(NamedTuple):
     """A tensor that was made while recording."""
 
@@ -103,4 +114,4 @@ class Made(NamedTuple):
     lanes: Span
 
 
-Operation = Loop | Partition | Chosen | Put | Inverted | Copy | Scattered
+Operation = Loop | Partition | Chosen | Put | Inverted | Copy | Scattered | Outside

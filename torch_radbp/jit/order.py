@@ -40,6 +40,18 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     return target_of(number.device).partition(number, queues)
 
 
+def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Lanes in the order of one number, those of which it is equal in that of another one, the rest as they are.
+
+    Args:
+        major, minor: (N,) int32 from 0 to `queues` - 1, which is not checked; `queues` is at least 1.
+
+    Returns:
+        (N,) int32 the lanes; and both numbers in this order.
+    """
+    return target_of(major.device).in_order(major, minor, queues)
+
+
 def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
     """Overwrites entries of some tensors.
 

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.lane_operations import Place, Span
+from torch_radbp.jit.board import Board
+from torch_radbp.jit.lane_operations import Outside, Place, Span
 from torch_radbp.jit.machine import MachineCode, cached_code
 from torch_radbp.jit.recorded_text import Layout, Writer
 from torch_radbp.jit.recording import Recording
@@ -47,6 +48,16 @@ class Found(NamedTuple):
 GIVEN, EMPTY, WHOLE = -2, -1, -1
 
 
+class Memory(NamedTuple):
+    """Where a call of what was recorded reads and writes."""
+
+    given: Sequence[Tensor | int]
+    kept: list[Tensor]  # of each group
+    places: array  # where these lie
+    room: Tensor  # bytes of the rest
+    row: int  # entries from one tensor of the rest to the next
+
+
 class Recorded:
     """What was recorded, to be done again.
 
@@ -66,8 +77,10 @@ class Recorded:
         self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
         writer = Writer(recording, self.layout, len(given))
         text = writer.text()
-        self.code: MachineCode = cached_code(text, entry="recorded")
-        self.run = RECORDED(self.code.address)
+        self.code: MachineCode = cached_code(text, entry="recorded0")
+        self.outside = [operation for operation in recording.operations if isinstance(operation, Outside)]
+        self.parts = [RECORDED(self.code.address_of(f"recorded{number}")) for number in range(1 + len(self.outside))]
+        self.dtypes = [made.dtype for made in recording.made]
         self.rays, self.called = recording.rays, recording.code  # the latter so that it stays where it is
         self.functions, self.counts = array("q", writer.functions), recording.counts
 
@@ -81,27 +94,58 @@ class Recorded:
         group, row = self.layout.rows[place.tensor]
         return Found(group, row, WHOLE if lanes.last == self.layout.groups[group].last else lanes.last)
 
-    def __call__(self, given: Given, others: Given, lanes: int, board: int,
-                 known: Sequence[int] = ()) -> tuple[Any, array]:
+    def __call__(self, given: Given, others: Given, lanes: int, board: Board, known: Sequence[int] = (),
+                 contexts: Sequence[Any] = ()) -> tuple[Any, array]:
         """The results, and all counts.
 
         Args:
             given, others: one after the other, as for the constructor; no result is one of the others.
             lanes: how many, at least 1.
-            board: of the helpers.
+            board: of the helpers; it is open afterwards.
             known: the counts that the function is told.
+            contexts: of what is done outside.
         """
         row = -(-lanes // 64) * 64
         addresses = given.addresses + others.addresses + given.lengths + others.lengths
-        kept = [torch.empty((len(group.tensors), row), dtype=group.dtype, device="cpu") for group in self.layout.groups]
+        kept = [torch.empty((len(group.tensors), 0 if group.handed else row), dtype=group.dtype, device="cpu")
+                for group in self.layout.groups]
         room = torch.empty(max(1, self.layout.bytes * row), dtype=torch.uint8, device="cpu")
         places, counts = array("q", [block.data_ptr() for block in kept]), array("q", [0, lanes, *known])
         counts.extend([0] * (self.counts - len(counts)))
-        self.run(addresses.buffer_info()[0], places.buffer_info()[0], room.data_ptr(), counts.buffer_info()[0],
-                 self.functions.buffer_info()[0], board, lanes, row)
-        rows = [block.narrow(1, 0, counts[group.last]).unbind(0) for block, group in zip(kept, self.layout.groups)]
+        memory = Memory((*given.items, *others.items), kept, places, room, row)
+        for part, outside in zip(self.parts, [*self.outside, None]):
+            board.open()
+            part(addresses.buffer_info()[0], places.buffer_info()[0], room.data_ptr(), counts.buffer_info()[0],
+                 self.functions.buffer_info()[0], board.address, lanes, row)
+            if outside is not None:
+                board.close()
+                self.do(outside, contexts, memory, counts)
+        rows = [(block if group.handed else block.narrow(1, 0, counts[group.last])).unbind(0)
+                for block, group in zip(kept, self.layout.groups)]
         # The places GIVEN and EMPTY.
         rows += [given.items, [torch.empty(0, dtype=dtype, device="cpu") for dtype in self.empty]]
         results = [rows[group][row] if count == WHOLE else rows[group][row][:counts[count]]
                    for group, row, count in self.found]
         return self.assemble(results), counts
+
+    def do(self, outside: Outside, contexts: Sequence[Any], memory: Memory, counts: array) -> None:
+        """Has done what is done outside, if there are lanes."""
+        lanes = counts[outside.lanes.last] - counts[outside.lanes.first]
+        if not lanes:
+            return
+        inputs = [self.tensor(place, memory, counts, lanes) for place in outside.inputs]
+        for place, result in zip(outside.outputs, outside.work(contexts[outside.context], *inputs), strict=True):
+            group, _ = self.layout.rows[place.tensor]
+            memory.kept[group] = result.contiguous().unsqueeze(0)
+            memory.places[group] = memory.kept[group].data_ptr()
+
+    def tensor(self, place: Place, memory: Memory, counts: array, lanes: int) -> Tensor:
+        """(lanes,) what lies at a place."""
+        first = counts[place.first]
+        if not place.made:
+            return memory.given[place.tensor][first:first + lanes]
+        if place.tensor in self.layout.rows:
+            group, row = self.layout.rows[place.tensor]
+            return memory.kept[group][row, first:first + lanes]
+        start = self.layout.at[place.tensor] * memory.row + first * place.size
+        return memory.room[start:start + lanes * place.size].view(self.dtypes[place.tensor])

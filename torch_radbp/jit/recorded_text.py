@@ -1,10 +1,11 @@
 """The text of the machine code of a recording, and where what was made lies; see `recorded.py`.
 
-    void recorded(ptr given, ptr kept, ptr room, ptr counts, ptr functions, ptr board, i64 lanes, i64 row)
+    void recorded0(ptr given, ptr kept, ptr room, ptr counts, ptr functions, ptr board, i64 lanes, i64 row)
 
 `given` holds addresses and, behind them, lengths; `kept` and `room` the memory of what is made, in rows of `row` entries:
 that of results, and that of what nobody asks for afterwards. Counts are read from `counts` and written there. `functions`
-holds the addresses of whatever is called.
+holds the addresses of whatever is called. Where something is done outside, the code is left: what comes then is the next
+function, `recorded1`, which finds the same memory and counts, and in `kept` what was handed over.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from torch_radbp.jit.lane_operations import (
     Inverted,
     Loop,
     Operation,
+    Outside,
     Partition,
     Place,
     Put,
@@ -34,7 +36,8 @@ from torch_radbp.jit.recording import Recording
 from torch_radbp.jit.team import PART
 
 HEAD = """\
-define void @recorded(ptr %given, ptr %kept, ptr %room, ptr %counts, ptr %functions, ptr %board, i64 %lanes, i64 %row) {"""
+define void @recorded{number}(ptr %given, ptr %kept, ptr %room, ptr %counts, ptr %functions, ptr %board,
+                              i64 %lanes, i64 %row) {{"""
 SIZES = (1, 4, 8)
 # Runs of lanes abreast, as `cpu_order.partition` takes them.
 PARTITION = """\
@@ -66,10 +69,12 @@ class Group(NamedTuple):
     dtype: torch.dtype
     last: int  # the number of the count of their lanes
     tensors: list[int]  # numbers of what was made
+    handed: bool = False  # a tensor that somebody outside hands over, as it is
 
 
 class Layout:
-    """Where what was made lies: results in groups, the rest in rows that are used again once nobody reads them.
+    """Where what was made lies: results in groups, what others hand over by itself, the rest in rows that are used again
+    once nobody reads them.
 
     Args:
         recording: whose.
@@ -79,9 +84,16 @@ class Layout:
     def __init__(self, recording: Recording, results: Sequence[int]):
         self.groups: list[Group] = []
         self.rows: dict[int, tuple[int, int]] = {}  # of each result the group and the row
+        for operation in recording.operations:
+            for place in operation.outputs if isinstance(operation, Outside) else ():
+                dtype, lanes = recording.made[place.tensor]
+                self.rows[place.tensor] = len(self.groups), 0
+                self.groups.append(Group(dtype, lanes.last, [place.tensor], True))
         for number in dict.fromkeys(results):
+            if number in self.rows:
+                continue
             dtype, lanes = recording.made[number]
-            group = next((group for group in self.groups if group[:2] == (dtype, lanes.last)), None)
+            group = next((group for group in self.groups if group[:2] == (dtype, lanes.last) and not group.handed), None)
             if group is None:
                 self.groups.append(group := Group(dtype, lanes.last, []))
             self.rows[number] = self.groups.index(group), len(group.tensors)
@@ -122,11 +134,8 @@ class Writer:
     def __init__(self, recording: Recording, layout: Layout, given: int):
         self.recording, self.layout, self.given = recording, layout, given
         self.functions: list[int] = []
-        self.lines: list[str] = []
-        self.counts = {0: "0", 1: "%lanes"}
-        for number in range(2, 2 + recording.given_counts):
-            at = self.line(f"getelementptr i64, ptr %counts, i64 {number}")
-            self.counts[number] = self.line(f"load i64, ptr {at}, align 8")
+        self.lines: list[str] = []  # of the function that is being written
+        self.counts = {0: "0", 1: "%lanes", **dict.fromkeys(range(2, 2 + recording.given_counts), "")}
 
     def line(self, text: str) -> str:
         """Adds an instruction and returns the name of its result."""
@@ -249,14 +258,29 @@ class Writer:
             self.functions.append(cpu_order.addresses()[function])
             loads += [f"%{name}_at = getelementptr ptr, ptr %functions, i64 {len(self.functions) - 1}",
                       f"%{name} = load ptr, ptr %{name}_at, align 8"]
-        write = {Loop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put, Inverted: self.inverted,
-                 Copy: self.copy, Scattered: self.scattered}
+        parts: list[list[Operation]] = [[]]
         for operation in self.recording.operations:
-            write[type(operation)](operation)
-        for number, name in list(self.counts.items())[2 + self.recording.given_counts:]:
-            at = self.line(f"getelementptr i64, ptr %counts, i64 {number}")
-            self.lines.append(f"store i64 {name}, ptr {at}, align 8")
+            if isinstance(operation, Outside):
+                parts.append([])
+            else:
+                parts[-1].append(operation)
+        functions = [self.part(number, operations) for number, operations in enumerate(parts)]
         abreast = cpu_order.ABREAST
         helpers = PARTITION.format(bytes=8 * abreast, abreast=abreast, before=8 * (abreast - 1), loads="\n  ".join(loads))
+        return "".join([*functions, helpers])
+
+    def part(self, number: int, operations: Sequence[Operation]) -> str:
+        """The function of some operations, which come one after the other."""
+        write = {Loop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put, Inverted: self.inverted,
+                 Copy: self.copy, Scattered: self.scattered}
+        self.lines, known = [], len(self.counts)
+        for count in range(2, known):
+            at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")
+            self.counts[count] = self.line(f"load i64, ptr {at}, align 8")
+        for operation in operations:
+            write[type(operation)](operation)
+        for count in range(known, len(self.counts)):
+            at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")
+            self.lines.append(f"store i64 {self.counts[count]}, ptr {at}, align 8")
         body = "\n".join(f"  {line}" for line in self.lines)
-        return f"{HEAD}\n{body}\n  ret void\n}}\n{helpers}"
+        return f"{HEAD.format(number=number)}\n{body}\n  ret void\n}}\n"

@@ -10,8 +10,9 @@ from __future__ import annotations
 import mmap
 import random
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,6 +26,7 @@ from torch_radbp.jit.lane_operations import (
     Loop,
     Made,
     Operation,
+    Outside,
     Partition,
     Place,
     Put,
@@ -70,10 +72,12 @@ class Recording:
         counts: numbers of lanes that the function is told, in ascending order; as `borders` draws them. `ALL` lanes are
             always known.
         reserve: that the tensors without contents are from.
+        contexts: of what is done outside.
     """
 
-    def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = (), reserve: Reserve | None = None):
-        self.reserve = reserve or Reserve()
+    def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = (), reserve: Reserve | None = None,
+                 contexts: Sequence[Any] = ()):
+        self.reserve, self.contexts = reserve or Reserve(), contexts
         self.given: dict[int, int] = {}  # numbers of what is given, by address
         for number, item in enumerate(given):
             self.given.setdefault(address_of(item), number)
@@ -225,6 +229,17 @@ class Recording:
 
         self.operations.append(Scattered(tuple(tuple(map(added, group)) for group in groups), self.span(lanes)))
 
+    def outside(self, work: Callable, context: Any, given: Sequence[Tensor], results: int) -> list[Tensor]:
+        """As the function `outside`."""
+        known = [number for number, own in enumerate(self.contexts) if own is context]
+        if not known:
+            raise NotRecordable("what is done outside depends on more than is told")
+        lanes = given[0].numel()
+        found = [given[-1].new_empty(lanes) for _ in range(results)]
+        self.operations.append(Outside(work, known[0], self.span(lanes), tuple(map(self.place, given)),
+                                       tuple(map(self.written, found))))
+        return found
+
     def copy(self, target: Tensor, source: Tensor, first: int) -> None:
         """Copies all entries of a tensor to those of another from `first` on."""
         self.operations.append(Copy(self.place(source), self.written(target, first), self.span(source.numel())))
@@ -277,6 +292,20 @@ HERE = Here()
 def recording() -> Recording | None:
     """What listens to this thread."""
     return HERE.recording
+
+
+def outside(work: Callable, context: Any, given: Sequence[Tensor], results: int) -> Sequence[Tensor]:
+    """What `work(context, *given)` returns: what no lane function can do, such as asking a network.
+
+    It is not recorded but done each time, if there are lanes, and the context is then one that what was recorded is told.
+
+    Args:
+        work: what it does depends on nothing but what it is given.
+        given: (N,) each, of the lanes.
+        results: how many tensors are returned, (N,) each, of the dtype of the last that is given.
+    """
+    listener = recording()
+    return work(context, *given) if listener is None else listener.outside(work, context, given, results)
 
 
 @contextmanager

@@ -70,6 +70,9 @@ class Target(Protocol):
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
         """See `order.partition`."""
 
+    def in_order(self, major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
+        """See `order.in_order`."""
+
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         """See `order.put`; of at least 1 entry each, all contiguous."""
 

@@ -185,13 +185,16 @@ def together(work: Callable[[Task], None], threads: int) -> None:
 
 
 @contextmanager
-def assisted(work: Callable[[Task], None], finish: Callable[[], None]) -> Iterator[None]:
-    """The helpers of this thread do `work`, as they awake, until `finish`, which is called in the end, lets them return."""
+def assisted(work: Callable[[Task], None], finish: Callable[[], None]) -> Iterator[Callable[[], None]]:
+    """What calls the helpers of this thread to do `work`, perhaps again; `finish`, called in the end, lets them return."""
     task, number = Task(work), threads()
-    try:
+
+    def call() -> None:
         if number > 1:
             TEAM.call(task, number - 1)
-        yield
+
+    try:
+        yield call
     finally:
         finish()
         task.close()

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
@@ -49,7 +50,7 @@ from torch_radbp.scene.light import (
     shadow_ray,
     vantage,
 )
-from torch_radbp.scene.light_choice import LightNumbers, TreeChoice, chance_of_emitter, drawn_element
+from torch_radbp.scene.light_choice import LightNumbers, LightPick, TreeChoice, chance_of_emitter, drawn_element
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
 from torch_radbp.scene.outgoing_ray import outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
@@ -303,6 +304,18 @@ def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Po
     """
     seen = vantage(surface_met(scene, arrival, Settings()))
     return drawn_element(choice, seen, light_numbers(bounce_key(arrival.state.key, at.counter)))
+
+
+def emitter_met(scene: SceneTensors, hit: Hit) -> tuple[Tensor, LightPick]:
+    """Where rays meet an emitter, (N,) bool, and that no light is picked anywhere, (N,).
+
+    Args:
+        scene: detached; any part of it.
+        hit: (N,).
+    """
+    zero = torch.zeros_like(hit.t)
+    lit = (hit.prim >= 0) & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0)
+    return lit, LightPick(torch.zeros_like(hit.prim), zero, zero)
 
 
 def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, lanes: Tensor) -> Tensor:

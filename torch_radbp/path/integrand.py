@@ -36,6 +36,7 @@ class Stages(NamedTuple):
     bounce_adjoint: Callable
     places: Callable
     pick_light: Callable
+    emitter_met: Callable
     chance_of_light: Callable
     appearance_met: Callable
     side_met: Callable
@@ -65,6 +66,7 @@ class Stages(NamedTuple):
     merged_bounds: Callable
     descended: Callable
     edge_found: Callable
+    edge_tried: Callable
     edge_passed: Callable
     segment_bounds: Callable
     segment_found: Callable
@@ -79,7 +81,10 @@ class Stages(NamedTuple):
     meets: Callable
     goes_on: Callable
     ideal_vertex: Callable
+    no_direction: Callable
+    scattered_ideally: Callable
     parted: Callable
+    unparted: Callable
     film_sample: Callable
     drawn_by_steps: Callable
 
@@ -168,6 +173,11 @@ class Integrand(NamedTuple):
         if self.differentiated is None:
             return None
         return ImageLanes(state.lane, self.differentiated)
+
+    @property
+    def rejects_hits(self) -> bool:
+        """True if the camera may not see the closest surface."""
+        return self.clipping is not None or (self.settings.hide_emitters and self.proposal.layout.lit_surfaces)
 
     @property
     def no_appearance(self) -> Tensor:

@@ -17,14 +17,14 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.board import board
+from torch_radbp.jit.board import Board, board
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY, Queue
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Onward, Step, bounced
+from torch_radbp.path.wavefront import Onward, Step, bounced, first_hit
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.torch_internals import inside_dual_level
@@ -50,7 +50,7 @@ class QueueOfCounts(NamedTuple):
 class RecordedBounce(NamedTuple):
     """A bounce that was recorded."""
 
-    recorded: Recorded  # the paths that reach it, hit, front, order, visible, survives, the paths that go on
+    recorded: Recorded  # of the paths that reach it, what `Step` has of them but its queues, and those that go on
     queues: tuple[QueueOfCounts, ...]
 
 
@@ -111,13 +111,16 @@ class Recorder:
         dtype: of the rays.
     """
 
-    def __init__(self, integrand: Integrand, board: int, dtype: torch.dtype):
+    def __init__(self, integrand: Integrand, board: Board, dtype: torch.dtype):
         self.integrand, self.board, self.tables = integrand, board, Tables(integrand, dtype)
         self.kind: int | None = None  # of the bounces after the first
 
     def __call__(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> tuple[PathState, Step, Onward]:
         """As `bounced`."""
         integrand = self.integrand
+        if depth == 0 and hit is None and integrand.rejects_hits:
+            self.board.close()
+            hit = first_hit(integrand, onward.packed(integrand).ray, depth)  # who knows how many rays it casts
         varying = Given(tensors_of((onward, hit, L, integrand.at(depth))))
         kind = self.kind if hit is None and onward.alive is not None else None
         if kind is None:
@@ -130,12 +133,15 @@ class Recorder:
         if all([leaf.is_contiguous() for leaf in varying.items]):
             made = RECORDINGS.of(key, partial(self.record, onward, depth, hit, L))
         if made is None:
+            self.board.close()
             return bounced(integrand, onward, depth, hit, L)
-        (state, hit, front, order, visible, survives, onward), counts = made.recorded(varying, self.tables.given,
-                                                                                      onward.count, self.board)
+        (state, hit, front, order, visible, survives, picked, values, onward), counts = made.recorded(
+            varying, self.tables.given, onward.count, self.board, contexts=(integrand.scene,))
         integrand.caster.count(sum([counts[last] - counts[first] for first, last in made.recorded.rays]))
-        queues = tuple([queue for queue in [queue.among(counts) for queue in made.queues] if queue.last > queue.first])
-        step = Step(hit, front, order, queues or (EMPTY,), visible, survives, None, ((),) * max(1, len(queues)))
+        queues = [(queue, own) for queue, own in zip([queue.among(counts) for queue in made.queues], values)
+                  if queue.last > queue.first]
+        queues, values = zip(*queues) if queues else ((EMPTY,), ((),))
+        step = Step(hit, front, order, queues, visible, survives, picked, values)
         return state, step, onward
 
     def record(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> RecordedBounce | None:
@@ -146,16 +152,34 @@ class Recorder:
         onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
         hit, L = without_contents((hit, L), reserve)
         given = [*tensors_of((onward, hit, L, integrand.at(depth))), *self.tables.given.items]
-        listener = Recording(given, reserve=reserve)
+        listener = Recording(given, reserve=reserve, contexts=(integrand.scene,))
         try:
             with torch.no_grad(), listening(listener):
                 state, step, onward = bounced(integrand, onward, depth, hit, L)
-            results = state, step.hit, step.front, step.order, step.visible, step.survives, onward
+            results = (state, step.hit, step.front, step.order, step.visible, step.survives, step.picked,
+                       step.texture_values, onward)
             queues = tuple(QueueOfCounts(queue, listener.points[queue.first], listener.points[queue.last])
                            for queue in step.queues)
             return RecordedBounce(Recorded(listener, given, results), queues)
         except NotRecordable:
             return None
+
+
+def recorded(given: Sequence[Tensor | int], reserve: Reserve, function: Callable[[], Any]) -> Recorded | None:
+    """What a function does with what it is given, and returns, recorded; None if that is not possible.
+
+    Args:
+        given: all that it reads; what has an entry for each lane is without contents.
+        reserve: from which such is.
+        function: nested tuples of tensors are returned.
+    """
+    listener = Recording(given, reserve=reserve)
+    try:
+        with torch.no_grad(), listening(listener):
+            found = function()
+        return Recorded(listener, given, found)
+    except NotRecordable:
+        return None
 
 
 def tensors_of(record) -> list[Tensor]:
@@ -190,15 +214,13 @@ def bounces_taken(integrand: Integrand, start: PathState) -> Iterator[Bounce]:
     if not recordable(integrand):
         yield partial(bounced, integrand)
         return
-    with board() as address:
-        yield Recorder(integrand, address, start.pdf.dtype)
+    with board() as own:
+        yield Recorder(integrand, own, start.pdf.dtype)
 
 
 def recordable(integrand: Integrand) -> bool:
-    """True if bounces may be recorded: those of compiled stages, on the CPU, that ask nobody outside."""
-    layout = integrand.proposal.layout
+    """True if bounces may be recorded: those of compiled stages, on the CPU."""
     return (hasattr(integrand.stages.rows, "into") and integrand.scene is integrand.proposal
             and (integrand.caster is None or hasattr(integrand.caster, "reads"))
-            and not inside_dual_level() and not layout.reads_outside
-            and not (integrand.settings.nee and integrand.proposal.lights.by_place)
+            and not inside_dual_level()
             and integrand.proposal.lights.choice.pmf.device.type == "cpu")

@@ -25,7 +25,6 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.tensors.differentiated import any_differentiated, recording
-from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
@@ -146,13 +145,12 @@ def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) 
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:
         return None
     part, arrival = integrand.part(Ends.SURROUNDINGS), Arrival(state, hit, None)
-    chance = torch.zeros_like(state.pdf)
-    lit = chosen((hit.prim >= 0) & (lookup(part.proposal.triangles.emitter, hit.prim.clamp_min(0)) >= 0))
-    if len(lit) and depth > 0:
-        chance.index_copy_(0, lit.long(), part.call(integrand.stages.chance_of_light, choice, arrival, lit))
+    lit, none = part.call(integrand.stages.emitter_met, hit)
+    if depth > 0 and len(lanes := chosen(lit)):
+        put_rows((none.chance,), lanes, (part.call(integrand.stages.chance_of_light, choice, arrival, lanes),))
     if integrand.is_last(depth):
-        return LightPick(torch.zeros_like(hit.prim), chance, chance)
-    return LightPick(*part.call(integrand.stages.pick_light, choice, arrival, integrand.at(depth)), chance)
+        return none
+    return LightPick(*part.call(integrand.stages.pick_light, choice, arrival, integrand.at(depth)), none.chance)
 
 
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
@@ -164,14 +162,23 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
         last: whether only what is emitted counts.
         image_lanes: those of the image alone; None: there are none.
     """
-    layout, part, stages = integrand.proposal.layout, integrand.part(Ends.SURROUNDINGS), integrand.stages
+    layout, part = integrand.proposal.layout, integrand.part(Ends.SURROUNDINGS)
     if last:
-        return None, *one_queue(Ends.LAST_BOUNCE, part.call(stages.shines, hit, image_lanes))
+        return None, *one_queue(Ends.LAST_BOUNCE, part.call(integrand.stages.shines, hit, image_lanes))
+    number, front = appearances_met(integrand, ray, hit, image_lanes)
+    return front, *queues_by(number, len(layout.appearances), layout.surround is not None, image_lanes is not None)
+
+
+def appearances_met(integrand: Integrand, ray: Ray, hit: Hit,
+                    image_lanes: ImageLanes | None = None) -> tuple[Tensor, Tensor | None]:
+    """The numbers of the appearances that rays met, (N,) int32 as `queues_by` takes them, and `Step.front`; args as for
+    `queued`."""
+    part, stages = integrand.part(Ends.SURROUNDINGS), integrand.stages
     number, differs = part.call(stages.appearance_met, hit, integrand.no_appearance, image_lanes)
     front = None if differs is None else nothing(differs)
     if differs is not None and len(lanes := chosen(differs)):
         put_rows((number, front), lanes, part.call(stages.side_met, ray, hit, lanes, integrand.no_appearance, image_lanes))
-    return front, *queues_by(number, len(layout.appearances), layout.surround is not None, image_lanes is not None)
+    return number, front
 
 
 def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:

@@ -21,13 +21,14 @@ from torch_radbp.boundary.intersections import boxes_around
 from torch_radbp.boundary.motion import asked_of_places, slopes, swept
 from torch_radbp.boundary.places import rays_beside
 from torch_radbp.boundary.reflections.crossings import drawn_by_steps
-from torch_radbp.boundary.reflections.differences import parted
-from torch_radbp.boundary.reflections.ideal_paths import ideal_vertex
+from torch_radbp.boundary.reflections.differences import parted, unparted
+from torch_radbp.boundary.reflections.ideal_steps import ideal_vertex, no_direction, scattered_ideally
 from torch_radbp.boundary.reflections.surfaces import goes_on
 from torch_radbp.boundary.segments import segment_place, segment_weight
 from torch_radbp.boundary.shadows.border import border_course, film_sample, meets
 from torch_radbp.boundary.shadows.crossed_surfaces import sheets_seen
 from torch_radbp.boundary.shadows.edge_tree import descended, edge_bounds, merged_bounds
+from torch_radbp.boundary.shadows.edges_tried import edge_tried
 from torch_radbp.boundary.shadows.hidden_light import cut_course
 from torch_radbp.boundary.shadows.light_points import light_eyes, light_lobes, light_samples
 from torch_radbp.boundary.shadows.seen_edges import edge_found, edge_passed
@@ -40,7 +41,16 @@ from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.dual import DualFunction
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.target import Target
-from torch_radbp.path.bounce import bounce, chance_of_light, ending, film_place, pick_light, places, sample_camera
+from torch_radbp.path.bounce import (
+    bounce,
+    chance_of_light,
+    emitter_met,
+    ending,
+    film_place,
+    pick_light,
+    places,
+    sample_camera,
+)
 from torch_radbp.path.direct_light import direct_light, scattered
 from torch_radbp.path.integrand import Stages
 from torch_radbp.path.queues import appearance_met, shines, side_met
@@ -51,13 +61,13 @@ from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import rows
 
 EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, local_map, bounce_adjoint, places, pick_light,
-               chance_of_light, appearance_met, side_met, corner_rows, shines, rows, brightened, direct_light, scattered,
-               surface_values,
-               material_value, edge_weight, edge_place, crosses, contour_length, contour_place, segment_weight,
-               segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places, boxes_around,
-               edge_bounds, merged_bounds, descended, edge_found, edge_passed, segment_bounds, segment_found,
-               segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, picked_vertex,
-               light_samples, meets, goes_on, ideal_vertex, parted, film_sample, drawn_by_steps)
+               emitter_met, chance_of_light, appearance_met, side_met, corner_rows, shines, rows, brightened, direct_light,
+               scattered, surface_values, material_value, edge_weight, edge_place, crosses, contour_length, contour_place,
+               segment_weight, segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places,
+               boxes_around, edge_bounds, merged_bounds, descended, edge_found, edge_tried, edge_passed, segment_bounds,
+               segment_found, segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, picked_vertex,
+               light_samples, meets, goes_on, ideal_vertex, no_direction, scattered_ideally, parted, unparted, film_sample,
+               drawn_by_steps)
 
 
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
@@ -65,9 +75,9 @@ OUTLINE = "geometry", "outline"
 TABLES = Stages(  # of each stage the arguments that are read at indices
     sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels", "place"), bounce=PATH,
     ending=PATH, local_map=("scene", "proposal"), bounce_adjoint=("scene", "arrival", "adj_L", "memo"),
-    places=("scene", "arrival"), pick_light=("scene", "choice"), chance_of_light=("scene", "choice", "arrival"),
-    appearance_met=("scene",), side_met=("scene", "ray", "hit", "image_lanes"), corner_rows=("scene",), shines=("scene",),
-    rows=("record",),
+    places=("scene", "arrival"), pick_light=("scene", "choice"), emitter_met=("scene",),
+    chance_of_light=("scene", "choice", "arrival"), appearance_met=("scene",),
+    side_met=("scene", "ray", "hit", "image_lanes"), corner_rows=("scene",), shines=("scene",), rows=("record",),
     brightened=("L", "beta"), direct_light=("scene", "arrival", "draw"), scattered=("scene", "arrival", "d"),
     surface_values=("scene",), material_value=("scene",), edge_weight=CURVES, edge_place=(*CURVES, "outline", "lot"),
     crosses=CURVES, contour_length=CURVES, contour_place=(*CURVES, "faces", "lot"),
@@ -76,13 +86,15 @@ TABLES = Stages(  # of each stage the arguments that are read at indices
     paths_beside=("places", "chosen", "sent", "times", "shown"), swept=MOTION, slopes=MOTION,
     asked_of_places=("camera", "pixels", "film"), boxes_around=("geometry",), edge_bounds=(*OUTLINE, "slots"),
     merged_bounds=("below",), descended=("nodes", "eyes"), edge_found=(*OUTLINE, "tree", "eyes"),
+    edge_tried=(*OUTLINE, "eyes"),
     edge_passed=(*OUTLINE, "eyes", "lot", "found", "eye"), segment_bounds=("geometry", "segments", "slots"),
     segment_found=("geometry", "segments", "tree", "eyes"),
     segment_passed=("geometry", "segments", "eyes", "lot", "found", "eye"), sheets_seen=("geometry", "segments", "at"),
     border_course=("scene", *OUTLINE, "camera"),
     cut_course=(*OUTLINE, "at"), light_eyes=("scene",), light_lobes=("scene",),
     picked_vertex=("picked", "reached"), light_samples=("choice", "kind"), meets=("geometry",), goes_on=("geometry",),
-    ideal_vertex=("surfaces",), parted=("surfaces", "vertices"), film_sample=("camera",), drawn_by_steps=())
+    ideal_vertex=("surfaces",), no_direction=(), scattered_ideally=(), parted=("surfaces", "vertices"), unparted=(),
+    film_sample=("camera",), drawn_by_steps=())
 
 
 def fused(target: Target | None = None) -> Stages:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 WELDED = 1e-5  # vertices nearer than about this share of the mesh's extent count as one
+HASH, SLOTS_OF_VERTEX = 0x1E3779B97F4A7C15, 4  # the multiplier of a hash, and how many values it has for each vertex
 AT_ONCE = 1 << 16  # vertices, so that little memory is touched for the first time
 
 
@@ -36,10 +37,22 @@ def cells_of(vertices: Tensor, size: float) -> tuple[Tensor, Tensor]:
 
 def welded(cells: tuple[Tensor, Tensor]) -> Tensor | None:
     """For each vertex the first one at the same place, (V,) int32, by the cells from `cells_of`; None: all lie apart."""
-    own = label = torch.arange(len(cells[0]), dtype=torch.int32, device=cells[0].device)
-    groups = [torch.unique(cell, return_inverse=True) for cell in cells]
+    # Most vertices lie apart: only those are sorted that the numbers of their cells do not tell from others at once.
+    near = (may_be_shared(cells[0]) | may_be_shared(cells[1])).nonzero().squeeze(1)
+    own = label = torch.arange(len(near), device=near.device)
+    groups = [torch.unique(cell[near], return_inverse=True) for cell in cells]
     if all(len(found) == len(own) for found, _ in groups):
         return None
     for _, group in groups * 2:
         label = torch.full_like(own, len(own)).scatter_reduce(0, group, label, "amin")[group]
-    return None if torch.equal(label, own) else label
+    if torch.equal(label, own):
+        return None
+    every = torch.arange(len(cells[0]), dtype=torch.int32, device=near.device)
+    return every.index_copy(0, near, near[label].int())
+
+
+def may_be_shared(cell: Tensor) -> Tensor:
+    """True of vertices in cells, (V,) int64, that may be those of other vertices too; surely where they are; (V,) bool."""
+    slots = 1 << (SLOTS_OF_VERTEX * len(cell)).bit_length()
+    slot = ((cell * HASH) >> 32) & (slots - 1)
+    return (torch.bincount(slot, minlength=slots) > 1)[slot]

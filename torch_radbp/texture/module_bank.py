@@ -139,7 +139,7 @@ class ModuleBank(NamedTuple):
         order, counts = partition(row + 1, len(self.functions) + 1)
         batches, first = [], counts[0]
         for module, count in enumerate(counts[1:]):
-            size, last = int(min(self.size(module, row.device, parameters), max(1, count))), first + count
+            size, last = length_of_batches(count, self.size(module, row.device, parameters)), first + count
             batches += [Batch(module, start, min(start + size, last)) for start in range(first, last, size)]
             first = last
         return Sorted(None if len(row) in counts else order, batches)
@@ -149,6 +149,20 @@ class ModuleBank(NamedTuple):
         if device.type != "cpu":
             return torch.inf
         return max(BATCH, sum(map(Tensor.numel, self.parameters[module])) / parameters)
+
+
+def length_of_batches(count: int, most: float) -> int:
+    """The length of all batches of so many places but perhaps the last.
+
+    They are equally long, and an even number of them if there are several, or one alone that is long: two threads then have
+    equally much to do. The number of threads itself must not matter, for sums of gradients would be other ones.
+
+    Args:
+        most: places of a batch.
+    """
+    if 2 * count <= most:
+        return max(1, count)
+    return -(-count // (2 * -(-count // int(2 * most))))
 
 
 def threads_for(lanes: Tensor) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import torch
@@ -20,9 +21,20 @@ def uv_matrix(to_uv: Tensor | None) -> Tensor:
 
 def uv_rows(matrices: Sequence[Tensor | None], dtype: torch.dtype, device: torch.device) -> tuple[Vec3, Vec3]:
     """The rows of X transforms that give u and v, (X,) each, attached; None stands for the identity."""
+    if all(matrix is None for matrix in matrices):
+        one, zero = ones_and_zeros(len(matrices), dtype, device)
+        # Tables that share memory are one table to what is compiled, and would be so in some scenes only.
+        return Vec3(one.clone(), zero.clone(), zero.clone()), Vec3(zero.clone(), one.clone(), zero.clone())
     same = torch.eye(4, dtype=dtype, device=device)
     stacked = torch.stack([same if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in matrices])
     return tuple(Vec3(*(stacked[:, row, column].contiguous() for column in (0, 1, 3))) for row in (0, 1))
+
+
+@functools.lru_cache(maxsize=64)
+def ones_and_zeros(count: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """So many of each."""
+    with torch.inference_mode(False):  # they are kept, for renderings that are differentiated
+        return torch.ones(count, dtype=dtype, device=device), torch.zeros(count, dtype=dtype, device=device)
 
 
 def jump_lines(to_uv: Tensor, cells: tuple[int, int], inside: bool = False) -> tuple[JumpLines, ...]:

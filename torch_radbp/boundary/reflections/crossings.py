@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.reflections.differences import BENT, CHANCE, HORIZON, RIM, SHADOW, SURFACE, Difference, Pairing
-from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, Reached, along, begins, extended, some_of
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, along, begins, extended, some_of
+from torch_radbp.boundary.reflections.ideal_steps import Reached
 from torch_radbp.boundary.reflections.scans import (
     SALT,
     FilmPoints,

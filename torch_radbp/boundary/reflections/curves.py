@@ -14,7 +14,8 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, geometry_of, positions, vertex_normals
 from torch_radbp.boundary.reflections import differences
 from torch_radbp.boundary.reflections.crossings import Crossings
-from torch_radbp.boundary.reflections.ideal_paths import LIT, to_light
+from torch_radbp.boundary.reflections.ideal_paths import to_light
+from torch_radbp.boundary.reflections.ideal_steps import LIT
 from torch_radbp.boundary.reflections.scans import Searched
 from torch_radbp.boundary.reflections.surfaces import LineTable, level_of_line
 from torch_radbp.boundary.shadows.film_jumps import attached_geometry

@@ -7,22 +7,22 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.reflections.ideal_paths import (
-    FRONT,
-    LIT,
-    ONWARDS,
-    OUTSIDE,
-    THROUGH,
-    IdealPath,
-    Reached,
-    Vertices,
-)
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, Vertices
+from torch_radbp.boundary.reflections.ideal_steps import FRONT, LIT, ONWARDS, OUTSIDE, THROUGH, Reached
 from torch_radbp.boundary.reflections.surfaces import Surfaces
+from torch_radbp.jit.arguments import Taken
+from torch_radbp.jit.board import board
 from torch_radbp.jit.order import chosen
+from torch_radbp.jit.recorded import Given, Recorded
+from torch_radbp.jit.recording import Reserve
+from torch_radbp.jit.structure import flatten
 from torch_radbp.path.integrand import Stages
+from torch_radbp.path.integrand import number as number_of
+from torch_radbp.path.recorded_bounce import RECORDINGS, lying, recorded, tensors_of, without_contents
 from torch_radbp.path.wavefront import put_rows
 from torch_radbp.scene.interaction import triangle_normal
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
 
 # How two paths part: one meets another surface; they meet different sides of a surface, by its shading normals; a texture
@@ -62,19 +62,43 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
         path: the paths.
         pairs: of them.
     """
-    device, count = pairs.first.device, len(pairs.first)
-    nothing = torch.zeros(count, dtype=torch.int32, device=device)
-    found = Difference(nothing, nothing.clone(), torch.zeros(count, dtype=torch.float64, device=device),
-                       torch.ones(count, dtype=torch.bool, device=device))
-    whole = None
-    for number, vertices in enumerate(path):
-        depth = torch.full((), number, dtype=torch.int32, device=device)
+    depths = tuple([number_of(depth, pairs.first.device) for depth in range(len(path))])
+    made = None
+    if isinstance(surfaces, Taken) and len(pairs.first) and pairs.first.device.type == "cpu" and not inside_dual_level():
+        structure: list = []
+        flatten((pairs, path, depths), [], structure)
+        tables = Given(tensors_of((path, depths, surfaces.argument)))
+        key = stages, surfaces.form.structure, lying(tables.items), tables.pattern, *structure
+
+        def record() -> Recorded | None:
+            own = without_contents(pairs, reserve := Reserve())
+            return recorded([*own, *tables.items], reserve, lambda: depth_by_depth(stages, surfaces, path, own, depths))
+
+        made = RECORDINGS.of(key, record)
+    if made is None:
+        return depth_by_depth(stages, surfaces, path, pairs, depths)
+    with board() as address:
+        return made(Given(pairs), tables, len(pairs.first), address)[0]
+
+
+def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,
+                   depths: tuple[Tensor, ...]) -> Difference:
+    """As `difference`; `depths`: the numbers of the vertices."""
+    found, whole = stages.unparted(pairs), None
+    for depth, vertices in zip(depths, path):
         found = stages.parted(surfaces, vertices, pairs, found, depth)
         if whole is None:  # what parts at once, or meets nothing ideal, needs no further look
             whole, onwards = found, chosen(found.alike)
             pairs, found = stages.rows((pairs, found), onwards)
     put_rows(whole, onwards, found)
     return whole
+
+
+def unparted(pairs: Pairing) -> Difference:
+    """Paths of which nothing is known."""
+    nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
+    return Difference(nothing, nothing, torch.zeros_like(nothing, dtype=torch.float64),
+                      torch.ones_like(nothing, dtype=torch.bool))
 
 
 def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:

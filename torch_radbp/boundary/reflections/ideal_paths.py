@@ -7,37 +7,22 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.reflections.surfaces import Surfaces, cells_met
+from torch_radbp.boundary.reflections.ideal_steps import LIT, ONWARDS, Reached, steps_taken
+from torch_radbp.boundary.reflections.surfaces import Surfaces
 from torch_radbp.boundary.shadows.light_points import light_line
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, FAR
-from torch_radbp.jit.order import chosen
-from torch_radbp.path.bounce import Vertex
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Step, bounce_queues, first_hit, put_rows, queued
+from torch_radbp.path.wavefront import Onward
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.interaction import shading_normal, surface_interaction, triangle_normal
+from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import joined
-from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component, rows
+from torch_radbp.tensors.vec import Ray, dot, rows
 
 MOST_VERTICES = 16  # of a path that are looked at
 NO_ROULETTE = 1 << 30
-# What is known of a vertex, bits of a number: the path meets the side of the shading normal; it is scattered ideally, and
-# goes on; to the other side of the shading normal; on the side of the triangle's own normal; it ends, on a surface that the
-# light of a sample reaches.
-FRONT, ONWARDS, THROUGH, OUTSIDE, LIT = (1 << bit for bit in range(5))
-
-
-class Reached(NamedTuple):
-    """What paths meet after as many ideal vertices each, (M,); detached."""
-
-    ray: Ray
-    hit: Hit
-    what: Tensor  # (M,) int32, FRONT + ...
-    cells: tuple[Tensor, ...]  # (M,) each, from `cells_met`
 
 
 class Vertices(NamedTuple):
@@ -71,56 +56,18 @@ def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> Id
         start: (N,) of the paths, lanes in order.
         surfaces: of the scene, prepared for the stages.
     """
-    found, state, place = [], start, start.lane
-    for depth in range(integrand.max_depth):
-        if not len(state.lane):
-            break
-        hit = first_hit(integrand, state.ray, depth)
-        onwards = Vec3.buffer(state.pdf)
-        lanes, vertex = (state.lane[:0], None) if integrand.is_last(depth) else (
-            ideally_scattered(integrand, state, hit, depth))
-        if len(lanes):
-            goes_on = chosen(torch.isinf(vertex.next.pdf) & vertex.survives & (max_component(vertex.next.beta) > 0))
-            lanes, ahead = lanes[goes_on], integrand.stages.rows(vertex.next, goes_on)
-            put_rows(onwards, lanes, ahead.ray.d)
-        found.append(Vertices(place, integrand.stages.ideal_vertex(surfaces, state.ray, hit, onwards)))
-        if not len(lanes):
-            break
-        state = ahead
-        place = torch.full_like(start.lane, -1)
-        place[state.lane.long()] = torch.arange(len(state.lane), dtype=torch.int32, device=place.device)
+    found, onward = [], Onward(start, None)
+    with steps_taken(integrand, surfaces, start) as step:
+        for depth in range(integrand.max_depth):
+            if onward is None or not onward.count:
+                break
+            lane, met, onward = step(onward, depth)
+            place = lane
+            if depth:
+                place = torch.full_like(start.lane, -1)
+                place[lane.long()] = torch.arange(len(lane), dtype=torch.int32, device=lane.device)
+            found.append(Vertices(place, met))
     return tuple(found)
-
-
-def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reached:
-    """What is known of vertices that rays meet, (N,); `onwards`: the directions in which paths go on ideally; 0: in none."""
-    n = triangle_normal(surfaces, hit)
-    shading = shading_normal(surfaces, hit, n)
-    cosine, met = dot(shading, ray.d), hit.prim >= 0
-    goes_on = dot(onwards, onwards) > 0.0
-    what = torch.zeros_like(hit.prim)
-    for bit, holds in ((FRONT, (cosine < 0.0) | ~met), (ONWARDS, goes_on), (THROUGH, dot(shading, onwards) * cosine > 0.0),
-                       (OUTSIDE, dot(n, onwards) > 0.0)):
-        what = what + torch.where(holds, bit, 0).to(what.dtype)
-    return Reached(ray, hit, what, cells_met(surfaces, hit))
-
-
-def ideally_scattered(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> tuple[Tensor, Vertex | None]:
-    """The lanes that may be scattered ideally, (M,) int32, and their vertices; None if there are none."""
-    front, order, queues = queued(integrand, state.ray, hit, last=False)
-    ideal = [queue for queue in queues if queue.event.scatters and integrand.scatterer(queue.event).kind.delta]
-    if not ideal:
-        return order[:0], None
-    order = torch.cat([order[queue.first:queue.last] for queue in ideal])
-    packed, first = [], 0
-    for queue in ideal:
-        last = first + queue.last - queue.first
-        packed.append(Queue(queue.event, first, last))
-        first = last
-    undecided = hit.prim.new_empty(0, dtype=torch.bool)
-    step = Step(hit, front, order, tuple(packed), undecided, undecided, texture_values=(None,) * len(packed))
-    vertex, _ = bounce_queues(integrand, state, depth, step, with_light=False)
-    return order, vertex
 
 
 def some_of(path: IdealPath, chosen: Tensor) -> IdealPath:

@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.function import asks_for_gradient, first_derivatives_only
+from torch_radbp.adjoint.recorded_sweep import sweep_of
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
-from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
+from torch_radbp.adjoint.sweep import PathRecord, numbered_leaves
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
@@ -73,11 +74,12 @@ def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted:
         gradients: added to.
     """
     record = PathRecord(lambda: chains.states[0], None, chains.states, chains.steps, len(chains.steps))
-    sweep = Sweep(integrand, record, Vec3.buffer(adj_ray.d.x), numbered_leaves(integrand.scene, wanted), gradients)
-    for number in reversed(range(len(chains.steps))):
-        own = (chains.depth == number + 1).nonzero().squeeze(1).int()
-        put_rows(sweep.memo.adj_ray, own, rows(adj_ray, own))
-        sweep.adjoint(chains.states[number], number)
+    numbered = numbered_leaves(integrand.scene, wanted)
+    with sweep_of(integrand, record, Vec3.buffer(adj_ray.d.x), numbered, gradients) as sweep:
+        for number in reversed(range(len(chains.steps))):
+            own = (chains.depth == number + 1).nonzero().squeeze(1).int()
+            put_rows(sweep.memo.adj_ray, own, rows(adj_ray, own))
+            sweep.adjoint(chains.states[number], number)
     return sweep.memo.adj_ray
 
 

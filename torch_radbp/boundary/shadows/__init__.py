@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST, taken_by
@@ -41,6 +42,7 @@ from torch_radbp.tensors.differentiated import any_differentiated, detached
 
 BYTES_OF_EDGE = 400  # nodes of the tree, and what they are made of
 BYTES_OF_WAY = 120  # down the tree: where it is, and what it has found
+BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
 BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
 
@@ -71,15 +73,16 @@ def bytes_of_shadows(call: RenderCall) -> int:
     edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
     vertices = max(hidden_light.FEWEST_PATHS, min(hidden_light.MOST, paths // hidden_light.SHARE))
     samples = max(FEWEST, min(border.MOST, paths // border.share_of(call.scene)))
-    ways, places = (max((samples * of_sample, vertices * of_vertex)) for of_sample, of_vertex in (
-        (border.LOOKS, hidden_light.LOOKS), (1, hidden_light.PLACES)))
+    tried = BYTES_OF_TRIED[not hasattr(call.stages.edge_tried, "into")]
+    ways = max(samples * border.LOOKS * GROUP * tried, vertices * hidden_light.LOOKS * BYTES_OF_WAY)
+    places = max(samples, vertices * hidden_light.PLACES)
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
     if not glues(call) or call.integrand.settings.following:
         places += vertices * followed_light.PLACES * followed_light.TIMES_AS_LARGE
     places += bool(pictures.lines_of_pictures(call)) * samples
     kept = places + int(2 * crossed_surfaces.PLACES * crossed_surfaces.PATHS * vertices)  # fewer than others while found
     of_places = places * BYTES_OF_PLACE + kept * BYTES_OF_JUMP * len(call.views)
-    return edges * BYTES_OF_EDGE + ways * BYTES_OF_WAY + taken_by(call.stages, of_places)
+    return edges * BYTES_OF_EDGE + ways + taken_by(call.stages, of_places)
 
 
 def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) -> Tensor:

@@ -11,7 +11,8 @@ light's point y through the point p of the edge meets the plane of the receiver,
 for moving lights, blockers, receivers and cameras, and for all samplings but those whose directions towards a light of some
 extent carry derivatives.
 
-From each light sample edges that are silhouettes from there are looked for by a tree (`edge_tree.py`).
+From each light sample edges that are silhouettes from there are looked for by a tree (`edge_tree.py`), unless edges are so
+few that all can be tried (`edges_tried.py`).
 
 References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
 Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5 (samples that start at edges).
@@ -27,6 +28,7 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import APART, APERTURE_COUNTER, FEWEST, counts_somewhere, on_film
+from torch_radbp.boundary.shadows.edges_tried import edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.light_points import light_line, light_points
@@ -41,20 +43,22 @@ from torch_radbp.boundary.shadows.seen_edges import (
     finite_normal,
     onto_surfaces,
     pace,
+    places_on,
     places_seen,
     point_of_edge,
     salted,
     unhidden,
 )
+from torch_radbp.boundary.shadows.ways_down import picked_ones
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
-from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.wavefront import first_hit
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import LaneKey, bounce_key, fine_unit, random_bits
+from torch_radbp.sampling.sampler import LaneKey, SampleKey, bounce_key, fine_unit, random_bits
 from torch_radbp.scene.cone import camera_cone
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
@@ -199,7 +203,7 @@ def lit_edges(call: RenderCall, number: int, casting: Casting, effort: float, li
     if not len(meant):
         return None
     eyes = call.integrand.part(Ends.SURROUNDINGS).call(call.stages.light_eyes, points.draw)
-    passed = places_seen(call.stages, geometry_of(scene), casting, eyes, salted(view, SALT), LOOKS, count)
+    passed = places_lit(call.stages, geometry_of(scene), casting, eyes, salted(view, SALT), count)
     return None if passed is None else LitEdges(passed, points.draw, eyes, count)
 
 
@@ -218,6 +222,16 @@ def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, l
         return None
     passed, receiver = onto_surfaces(call.integrand, lit.passed)
     return shadows_cast(geometry_of(call.scene), lit, passed, receiver) if len(passed.edge) else None
+
+
+def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey,
+               count: int) -> Passed | None:
+    """As `places_seen`, of light samples."""
+    each, outline = eyes_for_each(casting.outline, eyes, LOOKS), casting.outline
+    if not each:
+        return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
+    found, eye = edges_tried(stages, geometry, outline, eyes, seed, each, extent_of(geometry))
+    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, eye, 1, count), count)
 
 
 def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights) -> BordersInView | None:

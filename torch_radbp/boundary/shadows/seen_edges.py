@@ -15,7 +15,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, picked
 from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
-from torch_radbp.boundary.shadows.ways_down import Found, found_among, picked_ones, ways_down
+from torch_radbp.boundary.shadows.ways_down import Found, PickedOnes, found_among, picked_ones, ways_down
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
 from torch_radbp.path.integrand import Integrand, Stages
@@ -202,9 +202,15 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
     extent = extent_of(geometry)
     at = ways_down(stages, tree, eyes, seed, each, extent)
     found = picked_ones(stages.edge_found(geometry, outline, tree, eyes, at, extent), at.eye, each, count)
+    return places_on(stages, geometry, outline, eyes, seed, found, count)
+
+
+def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, found: PickedOnes | None,
+              count: int) -> Passed | None:
+    """So many places on edges that were `found`; None: there are none. The other args as for `places_seen`."""
     if found is None:
         return None
-    return stages.edge_passed(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent,
+    return stages.edge_passed(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent_of(geometry),
                               numbers_to(count, found.eye))
 
 

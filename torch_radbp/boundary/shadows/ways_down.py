@@ -48,7 +48,7 @@ def picked_ones(found: Found, eye: Tensor, each: int, count: int) -> PickedOnes 
     found, eye = rows((found._replace(times=found.times / each), eye), order)
     weight = found.times * found.angle
     total = running_sum(weight)
-    return PickedOnes(found, eye, lot_of(weight, count, total)) if float(total[-1]) > 0.0 else None
+    return PickedOnes(found, eye, lot_of(weight, count, total)) if len(total) and float(total[-1]) > 0.0 else None
 
 
 class Found(NamedTuple):

@@ -1,0 +1,191 @@
+"""The loop over ideal vertices: all paths take one step together, and those go on that are scattered into one direction.
+
+What is done with lanes on a step is recorded once for scenes of one kind, and then done again, as bounces are; see
+`path/recorded_bounce.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.reflections.surfaces import Surfaces, cells_met
+from torch_radbp.jit.arguments import Taken
+from torch_radbp.jit.board import board
+from torch_radbp.jit.order import chosen, partition
+from torch_radbp.jit.recorded import Given, Recorded
+from torch_radbp.jit.recording import ALL, Reserve
+from torch_radbp.jit.structure import flatten
+from torch_radbp.path.bounce import Vertex
+from torch_radbp.path.event import Scatters
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.queues import Queue
+from torch_radbp.path.recorded_bounce import (
+    RECORDINGS,
+    Tables,
+    lying,
+    recordable,
+    recorded,
+    tensors_of,
+    without_contents,
+)
+from torch_radbp.path.state import PathState
+from torch_radbp.path.wavefront import Onward, Step, appearances_met, bounce_queues, first_hit, put_rows
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.interaction import shading_normal, triangle_normal
+from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component
+
+# What is known of a vertex, bits of a number: the path meets the side of the shading normal; it is scattered ideally, and
+# goes on; to the other side of the shading normal; on the side of the triangle's own normal; it ends, on a surface that the
+# light of a sample reaches.
+FRONT, ONWARDS, THROUGH, OUTSIDE, LIT = (1 << bit for bit in range(5))
+
+
+class Reached(NamedTuple):
+    """What paths meet after as many ideal vertices each, (M,); detached."""
+
+    ray: Ray
+    hit: Hit
+    what: Tensor  # (M,) int32, FRONT + ...
+    cells: tuple[Tensor, ...]  # (M,) each, from `cells_met`
+
+
+class Ideal(NamedTuple):
+    """The appearances of a scene that scatter ideally."""
+
+    numbers: tuple[int, ...]
+    queue_of: Tensor  # (A + 1,) int32: of each appearance its place among them, of others and of none their number
+
+
+def ideal_of(integrand: Integrand) -> Ideal:
+    """The appearances that scatter ideally."""
+    appearances = integrand.proposal.layout.appearances
+    numbers = tuple(number for number, appearance in enumerate(appearances) if appearance.kind.delta)
+    places = [numbers.index(number) if number in numbers else len(numbers) for number in range(len(appearances) + 1)]
+    return Ideal(numbers, torch.tensor(places, dtype=torch.int32, device=integrand.proposal.device))
+
+
+IdealStep = Callable[[Onward, int], tuple[Tensor, Reached, Onward | None]]
+
+
+def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: Onward,
+               depth: int) -> tuple[Tensor, Reached, Onward | None]:
+    """One step of every path.
+
+    Args:
+        integrand: from `only_ideal`, of a detached scene.
+        surfaces: of the scene, prepared for the stages.
+        ideal: of the integrand.
+        onward: the paths that take it.
+        depth: of the vertex.
+
+    Returns:
+        The lanes of the paths, what they meet, and those that go on; None: none does.
+    """
+    state, stages = onward.packed(integrand), integrand.stages
+    hit = first_hit(integrand, state.ray, depth)
+    onwards, ahead = stages.no_direction(state.ray.d), None
+    order, vertex = (state.lane[:0], None) if integrand.is_last(depth) else (
+        ideally_scattered(integrand, ideal, state, hit, depth))
+    if vertex is not None:
+        goes_on = chosen(stages.scattered_ideally(vertex.next.pdf, vertex.survives, vertex.next.beta))
+        put_rows(onwards, *stages.rows((order, vertex.next.ray.d), goes_on))
+        ahead = Onward(vertex.next, goes_on)
+    return state.lane, stages.ideal_vertex(surfaces, state.ray, hit, onwards), ahead
+
+
+def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit: Hit,
+                      depth: int) -> tuple[Tensor, Vertex | None]:
+    """The lanes that may be scattered ideally, (M,) int32, and their vertices; None if there are none."""
+    number, front = appearances_met(integrand, state.ray, hit)
+    order, counts = partition(integrand.stages.rows(ideal.queue_of, number), len(ideal.numbers) + 1)
+    queues, first = [], 0
+    for appearance, count in zip(ideal.numbers, counts):
+        if count:
+            queues.append(Queue(Scatters(appearance), first, first + count))
+        first += count
+    if not queues:
+        return order[:0], None
+    undecided = hit.prim.new_empty(0, dtype=torch.bool)
+    step = Step(hit, front, order[:first], tuple(queues), undecided, undecided, texture_values=(None,) * len(queues))
+    vertex, _ = bounce_queues(integrand, state, depth, step, with_light=False)
+    return step.order, vertex
+
+
+def no_direction(d: Vec3) -> Vec3:
+    """(N,) zeros, to write directions into."""
+    return d * 0.0
+
+
+def scattered_ideally(pdf: Tensor, survives: Tensor, beta: Vec3) -> Tensor:
+    """(N,) bool: paths go on from vertices, in directions of such densities that are not left to chance."""
+    return torch.isinf(pdf) & survives & (max_component(beta) > 0)
+
+
+def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reached:
+    """What is known of vertices that rays meet, (N,); `onwards`: the directions in which paths go on ideally; 0: in none."""
+    n = triangle_normal(surfaces, hit)
+    shading = shading_normal(surfaces, hit, n)
+    cosine, met = dot(shading, ray.d), hit.prim >= 0
+    goes_on = dot(onwards, onwards) > 0.0
+    what = torch.zeros_like(hit.prim)
+    for bit, holds in ((FRONT, (cosine < 0.0) | ~met), (ONWARDS, goes_on), (THROUGH, dot(shading, onwards) * cosine > 0.0),
+                       (OUTSIDE, dot(n, onwards) > 0.0)):
+        what = what + torch.where(holds, bit, 0).to(what.dtype)
+    return Reached(ray, hit, what, cells_met(surfaces, hit))
+
+
+class Recorder:
+    """Takes the steps of some paths by machine code, where they can be recorded.
+
+    Args:
+        board: of the helpers.
+        integrand, surfaces, ideal: as for `ideal_step`.
+        dtype: of the rays.
+    """
+
+    def __init__(self, board: int, integrand: Integrand, surfaces: Taken, ideal: Ideal, dtype: torch.dtype):
+        self.integrand, self.board, self.ideal, self.surfaces = integrand, board, ideal, surfaces
+        tables, read = Tables(integrand, dtype), tensors_of(surfaces.argument)
+        self.given = Given([*tables.given.items, ideal.queue_of, *read])
+        self.kind = RECORDINGS.kind(tables.kind, surfaces.form.structure, self.given.pattern, lying(read))
+
+    def __call__(self, onward: Onward, depth: int) -> tuple[Tensor, Reached, Onward | None]:
+        """As `ideal_step`."""
+        integrand = self.integrand
+        varying = Given(tensors_of((onward, integrand.at(depth))))
+        structure: list = []
+        flatten(onward, [], structure)
+        key = (self.kind, *structure, varying.pattern, integrand.settings_at(depth), integrand.is_last(depth), depth == 0)
+        made = None
+        if all([leaf.is_contiguous() for leaf in varying.items]):
+            made = RECORDINGS.of(key, partial(self.record, onward, depth))
+        if made is None:
+            return ideal_step(integrand, self.surfaces, self.ideal, onward, depth)
+        found, counts = made(varying, self.given, onward.count, self.board)
+        integrand.caster.count(sum([counts[last] - counts[first] for first, last in made.rays]))
+        return found
+
+    def record(self, onward: Onward, depth: int) -> Recorded | None:
+        """Records a step like this one; None if that is not possible."""
+        reserve = Reserve()
+        paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
+        onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
+        given = [*tensors_of((onward, self.integrand.at(depth))), *self.given.items]
+        return recorded(given, reserve, lambda: ideal_step(self.integrand, self.surfaces, self.ideal, onward, depth))
+
+
+@contextmanager
+def steps_taken(integrand: Integrand, surfaces: Surfaces | Taken, start: PathState) -> Iterator[IdealStep]:
+    """What takes one step after the other: `ideal_step`, or machine code that does the same. Args as for `ideal_path`."""
+    ideal = ideal_of(integrand)
+    if not recordable(integrand):
+        yield partial(ideal_step, integrand, surfaces, ideal)
+        return
+    with board() as address:
+        yield Recorder(address, integrand, surfaces, ideal, start.pdf.dtype)

@@ -1,0 +1,80 @@
+"""Silhouettes that are found by trying all edges from light samples.
+
+A way down a tree (`edge_tree.py`) ends at a silhouette or at none, by chances that only roughly follow the angles under
+which silhouettes are seen. Light samples look at the whole scene: where edges are few beside them, it costs less to try each
+edge from several, and what is found then counts by its angle alone.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.edge_order import GROUP
+from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.shadows.edge_tree import numbers_to
+from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.boundary.shadows.seen_edges import angle_seen
+from torch_radbp.boundary.shadows.ways_down import STEPS, Found
+from torch_radbp.jit.order import chosen
+from torch_radbp.path.integrand import Stages
+from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
+from torch_radbp.tensors.vec import rows
+
+FEWEST = 8  # eyes from which each edge is tried
+
+
+def eyes_for_each(outline: Outline, eyes: Eyes, looks: int) -> int:
+    """From how many eyes each edge is tried: in all as many edges as where each eye looks so often down a tree; 0: these are
+    too few for each edge."""
+    count = len(eyes.w)
+    each = min(count, looks * GROUP * count // len(outline.crease))
+    return each if each >= min(FEWEST, count) else 0
+
+
+class Tried(NamedTuple):
+    """N edges as eyes see them."""
+
+    eye: Tensor  # (N,) int32
+    angle: Tensor  # (N,) float64, under which the edge is seen; 0: it is no silhouette from there
+
+
+def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, each: int,
+                extent: Tensor) -> tuple[Found, Tensor]:
+    """The silhouettes among all edges, and the eyes that see them, (K,) int32; edge by edge.
+
+    Args:
+        stages, geometry, eyes, seed: as for `seen_edges.places_seen`.
+        outline: the edges.
+        each: from how many eyes, which follow each other, an edge is tried.
+        extent: () of the scene.
+    """
+    count = len(eyes.w)
+    lane = numbers_to(each * len(outline.crease), eyes.w)
+    numbers = (torch.full((), value, dtype=torch.int32, device=lane.device) for value in (each, count))
+    tried = stages.edge_tried(geometry, outline, eyes, seed, *numbers, extent, lane)
+    kept = chosen(tried.angle > 0.0)
+    eye, angle = rows(tried, kept)
+    return Found(torch.div(kept, each, rounding_mode="floor"), torch.full_like(angle, count / each), angle), eye
+
+
+def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, each: Tensor, count: Tensor,
+               extent: Tensor, lane: Tensor) -> Tried:
+    """What eyes see of edges.
+
+    Args:
+        geometry, outline, extent: as for `seen_edges.angle_seen`.
+        eyes: that may look.
+        seed: of random numbers.
+        each: () int32, how many eyes try an edge.
+        count: () int32, how many there are.
+        lane: (N,) int32, so many times the number of the edge, plus that of the eye among these.
+    """
+    edge = torch.div(lane, each, rounding_mode="floor")
+    first = (fine_unit(edge * STEPS[0] + hash32(seed.seed)) * count).floor().to(torch.int32)
+    eye = first.clamp_max(count - 1) + (lane - edge * each)
+    eye = eye - count * (eye >= count).to(torch.int32)
+    return Tried(eye, angle_seen(geometry, outline, edge, rows(eyes, eye), extent))
