@@ -27,7 +27,7 @@ def gradient(objects: dict) -> torch.Tensor:
 @pytest.mark.parametrize("name", SCENES)
 def test_gradients_have_the_same_bits(name, monkeypatch):
     called, call = [], Recorded.__call__
-    monkeypatch.setattr(Recorded, "__call__", lambda self, *rest: called.append(self) or call(self, *rest))
+    monkeypatch.setattr(Recorded, "__call__", lambda *given, **named: called.append(given) or call(*given, **named))
     recorded, steps, parting = gradient(SCENES[name]), [], []
     once, step, none = len(called), ideal_steps.ideal_step, Recordings()
     none.of = lambda key, make: parting.append(key)
