@@ -60,46 +60,36 @@ from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import rows
 
-EAGER = Stages(sample_camera, film_place, deposited, asked, bounce, ending, local_map, bounce_adjoint, places, pick_light,
-               emitter_met, chance_of_light, appearance_met, side_met, corner_rows, shines, rows, brightened, direct_light,
-               scattered, surface_values, material_value, edge_weight, edge_place, crosses, contour_length, contour_place,
-               segment_weight, segment_place, rays_beside, in_sight, paths_beside, swept, slopes, asked_of_places,
-               boxes_around, edge_bounds, merged_bounds, descended, edge_found, edge_tried, edge_passed, segment_bounds,
-               segment_found, segment_passed, sheets_seen, border_course, cut_course, light_eyes, light_lobes, picked_vertex,
-               light_samples, meets, goes_on, ideal_vertex, no_direction, scattered_ideally, parted, unparted, film_sample,
-               drawn_by_steps)
-
-
 PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), ("geometry", "camera", "places")
 OUTLINE = "geometry", "outline"
-TABLES = Stages(  # of each stage the arguments that are read at indices
-    sample_camera=("camera",), film_place=(), deposited=("values", "place"), asked=("pixels", "place"), bounce=PATH,
-    ending=PATH, local_map=("scene", "proposal"), bounce_adjoint=("scene", "arrival", "adj_L", "memo"),
-    places=("scene", "arrival"), pick_light=("scene", "choice"), emitter_met=("scene",),
-    chance_of_light=("scene", "choice", "arrival"), appearance_met=("scene",),
-    side_met=("scene", "ray", "hit", "image_lanes"), corner_rows=("scene",), shines=("scene",), rows=("record",),
-    brightened=("L", "beta"), direct_light=("scene", "arrival", "draw"), scattered=("scene", "arrival", "d"),
-    surface_values=("scene",), material_value=("scene",), edge_weight=CURVES, edge_place=(*CURVES, "outline", "lot"),
-    crosses=CURVES, contour_length=CURVES, contour_place=(*CURVES, "faces", "lot"),
-    segment_weight=CURVES, segment_place=(*CURVES, "segments", "lot"),
-    rays_beside=("sight", "places", "chosen"), in_sight=("geometry", "places", "sent"),
-    paths_beside=("places", "chosen", "sent", "times", "shown"), swept=MOTION, slopes=MOTION,
-    asked_of_places=("camera", "pixels", "film"), boxes_around=("geometry",), edge_bounds=(*OUTLINE, "slots"),
-    merged_bounds=("below",), descended=("nodes", "eyes"), edge_found=(*OUTLINE, "tree", "eyes"),
-    edge_tried=(*OUTLINE, "eyes"),
-    edge_passed=(*OUTLINE, "eyes", "lot", "found", "eye"), segment_bounds=("geometry", "segments", "slots"),
-    segment_found=("geometry", "segments", "tree", "eyes"),
-    segment_passed=("geometry", "segments", "eyes", "lot", "found", "eye"), sheets_seen=("geometry", "segments", "at"),
-    border_course=("scene", *OUTLINE, "camera"),
-    cut_course=(*OUTLINE, "at"), light_eyes=("scene",), light_lobes=("scene",),
-    picked_vertex=("picked", "reached"), light_samples=("choice", "kind"), meets=("geometry",), goes_on=("geometry",),
-    ideal_vertex=("surfaces",), no_direction=(), scattered_ideally=(), parted=("surfaces", "vertices"), unparted=(),
-    film_sample=("camera",), drawn_by_steps=())
+STAGES = {  # of each the arguments that are read at indices
+    sample_camera: ("camera",), film_place: (), deposited: ("values", "place"), asked: ("pixels", "place"), bounce: PATH,
+    ending: PATH, local_map: ("scene", "proposal"), bounce_adjoint: ("scene", "arrival", "adj_L", "memo"),
+    places: ("scene", "arrival"), pick_light: ("scene", "choice"), emitter_met: ("scene",),
+    chance_of_light: ("scene", "choice", "arrival"), appearance_met: ("scene",),
+    side_met: ("scene", "ray", "hit", "image_lanes"), corner_rows: ("scene",), shines: ("scene",), rows: ("record",),
+    brightened: ("L", "beta"), direct_light: ("scene", "arrival", "draw"), scattered: ("scene", "arrival", "d"),
+    surface_values: ("scene",), material_value: ("scene",), edge_weight: CURVES, edge_place: (*CURVES, "outline", "lot"),
+    crosses: CURVES, contour_length: CURVES, contour_place: (*CURVES, "faces", "lot"), segment_weight: CURVES,
+    segment_place: (*CURVES, "segments", "lot"), rays_beside: ("sight", "places", "chosen"),
+    in_sight: ("geometry", "places", "sent"), paths_beside: ("places", "chosen", "sent", "times", "shown"), swept: MOTION,
+    slopes: MOTION, asked_of_places: ("camera", "pixels", "film"), boxes_around: ("geometry",),
+    edge_bounds: (*OUTLINE, "slots"), merged_bounds: ("below",), descended: ("nodes", "eyes"),
+    edge_found: (*OUTLINE, "tree", "eyes"), edge_tried: (*OUTLINE, "eyes"),
+    edge_passed: (*OUTLINE, "eyes", "lot", "found", "eye"), segment_bounds: ("geometry", "segments", "slots"),
+    segment_found: ("geometry", "segments", "tree", "eyes"),
+    segment_passed: ("geometry", "segments", "eyes", "lot", "found", "eye"), sheets_seen: ("geometry", "segments", "at"),
+    border_course: ("scene", *OUTLINE, "camera"), cut_course: (*OUTLINE, "at"), light_eyes: ("scene",),
+    light_lobes: ("scene",), picked_vertex: ("picked", "reached"), light_samples: ("choice", "kind"), meets: ("geometry",),
+    goes_on: ("geometry",), ideal_vertex: ("surfaces",), no_direction: (), scattered_ideally: (),
+    parted: ("surfaces", "vertices"), unparted: (), film_sample: ("camera",), drawn_by_steps: (),
+}
+EAGER = Stages(**{stage.__name__: stage for stage in STAGES})
 
 
 def fused(target: Target | None = None) -> Stages:
     """The stages as fused loops for `target`; None: for the device that the tensors of a call lie on."""
-    return Stages(*(CompiledStage(stage, tables, target) for stage, tables in zip(EAGER, TABLES)))
+    return Stages(**{stage.__name__: CompiledStage(stage, tables, target) for stage, tables in STAGES.items()})
 
 
 @made_once
