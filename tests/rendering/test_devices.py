@@ -69,7 +69,7 @@ OF_CROSSINGS = {"segment_bounds", "segment_found", "segment_passed", "sheets_see
 OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_light", "scattered", "border_course",
               "cut_course", "light_eyes", "light_lobes", "light_samples", "picked_vertex", "meets", "film_sample",
               *OF_CROSSINGS}
-OF_MIRRORS = {"goes_on", "ideal_vertex", "parted", "drawn_by_steps"}
+OF_MIRRORS = {"goes_on", "ideal_vertex", "no_direction", "scattered_ideally", "parted", "unparted", "drawn_by_steps"}
 OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},

@@ -35,6 +35,14 @@ def inward_faces(rendering: Rendering) -> SceneWarning | None:
         return None
     tensors, ends = proposal_of(rendering.tensors), list(accumulate(rendering.sizes))
     ranges = [range(last - size, last) for last, size in zip(ends, rendering.sizes)]
+
+    def has_few_triangles(number: int) -> bool:
+        return len(ranges[number]) <= BLOCK  # their volume is known sooner than what the camera meets
+
+    suspects = [number for number in one_sided
+                if not has_few_triangles(number) or has_negative_volume(tensors.triangles, ranges[number])]
+    if not suspects:
+        return None
     o, d, seen = (torch.cat(part) for part in zip(*map(rays_of, rendering.sights)))
     ray = ray_from(o[seen], d[seen])
     hit = rendering.caster.intersect(ray)
@@ -45,7 +53,8 @@ def inward_faces(rendering: Rendering) -> SceneWarning | None:
     shape = rendering.shape_of[hit.prim.clamp_min(0).long()]
     times, in_front = (shape[own].bincount(minlength=len(ranges)) for own in (met, met & front))
     behind = ((times > 0) & (in_front < RIM * times)).tolist()
-    black = [number for number in one_sided if behind[number] and has_negative_volume(tensors.triangles, ranges[number])
+    black = [number for number in suspects if behind[number]
+             and (has_few_triangles(number) or has_negative_volume(tensors.triangles, ranges[number]))
              and is_closed(rendering.caster.vertices, rendering.caster.faces[ranges[number].start:ranges[number].stop])]
     if not black:
         return None
