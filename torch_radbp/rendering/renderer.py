@@ -355,7 +355,7 @@ class Renderer(nn.Module):
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
         still = detached(scene)
-        integrand = Integrand(still, still, caster, settings, self.depth_limit, self.rr_depth, stages, {})
+        integrand = Integrand(still, proposal_of(still), caster, settings, self.depth_limit, self.rr_depth, stages, {})
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return integrand._replace(scene=tensors, proposal=proposal_of(tensors), parts={})
