@@ -85,10 +85,8 @@ class Texture(Plugin):
     of_module: typing.ClassVar[type[Texture]]  # makes a texture of a plain module: `NeuralTexture`
 
     def sources(self) -> tuple[Tensor, ...]:
-        """All tensors that its values are computed from, attached; the transform of the coordinates among them."""
-        values = tuple(source for part in self.parts() for source in part.sources()) or (self.texels(),)
-        to_uv = getattr(self, "to_uv", None)
-        return values if to_uv is None else (*values, to_uv)
+        """All tensors that its values are computed from, attached."""
+        return tuple(source for part in self.parts() for source in part.sources()) or (self.texels(),)
 
     def parts(self) -> tuple[Texture, ...]:
         """The textures that its values are taken from; none: they are its own."""

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.kind import Kind
+from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.appearance import Appearance
@@ -79,11 +80,20 @@ def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dty
                             for slot in kind.bending for source in own[slot].sources()) for ideal in (False, True))
     by_attributes = any(look.readers[slot].attributes for look in appearances if look.kind.delta
                         for slot in look.kind.bending)
-    moves = [[any(map(differentiated, texture.sources())) for texture in own] for own in textures]
+    moves = [[is_differentiated(texture) for texture in own] for own in textures]
     still = tuple(tuple(not any(column) for column in zip(*(own for own, look in zip(moves, looks) if look == appearance)))
                   for appearance in appearances)
     return Materials(table, appearances, read, bending, ideally, by_attributes, still, any(two_sided),
                      tuple((bsdf, described[id(bsdf)][0]) for bsdf in {id(bsdf): bsdf for bsdf in sides}.values()))
+
+
+def is_differentiated(texture: Texture) -> bool:
+    """True if a parameter that the values of a texture come from has a derivative; what moves them over surfaces is one."""
+    if any(map(differentiated, texture.sources())):
+        return True
+    texture = texture.texture if isinstance(texture, NumberOf) else texture
+    to_uv = getattr(texture, "to_uv", None)
+    return (to_uv is not None and differentiated(to_uv)) or any(map(is_differentiated, texture.parts()))
 
 
 def column(values: tuple[int | bool, ...] | int, kind: torch.dtype, device: torch.device) -> Tensor:
