@@ -46,6 +46,19 @@ def test_values_are_still_if_they_are_so_in_all_materials_of_an_appearance():
     assert still_of(scene).count(False) == moving + 1
 
 
+@pytest.mark.parametrize("inside", [False, True], ids=["bitmap", "colour of a checkerboard"])
+def test_a_bitmap_that_moves_over_a_surface_is_not_still(inside):
+    bitmap = {"type": "bitmap", "data": torch.rand(4, 4, 1), "raw": True}
+    alpha = {"type": "checkerboard", "color0": bitmap, "color1": 0.3} if inside else bitmap
+    scene = load(torch.float32, eye=sensor(12), sky={"type": "constant", "radiance": 1.0},
+                 plate=rectangle((0, 0, 0), 1.0, (0, 1, 0), 20, bsdf=ROUGH | {"alpha": alpha}))
+    scene.requires_grad_(False)
+    assert all(still_of(scene))
+    name, = [name for name, _ in scene.named_parameters() if name.endswith("to_uv")]
+    scene.get_parameter(name).requires_grad_()
+    assert not all(still_of(scene))
+
+
 @pytest.mark.parametrize("compile", [True, False])
 def test_gradients_are_the_same_whatever_else_is_differentiated(compile):
     few = gradients(unwarned_renderer(plates(), spp=4, compile=compile), ALPHA.format("left"))

@@ -3,7 +3,8 @@
 A tree spends most of its time on branches that a processor cannot foresee, and on vectors of rays of which few want to know
 what is looked at. Here a batch of some hundred rays takes the runs one by one: all are tested against the box of a run,
 vector by vector, those that meet it are listed, and the listed ones are tested against its triangles, again in full vectors.
-What a ray meets does not depend on the others of its batch.
+Where most of a batch meet a box, all are tested where they lie, which is sooner done than picking some out. What a ray meets
+does not depend on the others of its batch.
 
 Reference: Barringer and Akenine-Moller 2014, "Dynamic ray stream traversal".
 """
