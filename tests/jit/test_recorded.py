@@ -132,7 +132,8 @@ def asking(context, number: Tensor, x: Tensor):
     for count in counts:
         if count:
             own = GATHERED(x, order[first:first + count])
-            answers = outside(lambda context, row, x: (context["factor"] * x, x.max() - x), context, (own, own), 2)
+            answers, = outside(lambda context, given: [(context["factor"] * x, x.max() - x) for _, x in given], context,
+                               [(own, own)], [2])
             found += [*answers, *TWICE(*answers)]
         first += count
     return found

@@ -3,85 +3,114 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.scatter import Gradients
-from torch_radbp.jit.recording import outside
-from torch_radbp.path.texture_networks import banks_outside, coordinates
+from torch_radbp.path.texture_networks import (
+    Asking,
+    Given,
+    asked_outside,
+    banks_asked,
+    coordinates,
+    module_banks,
+    of_banks,
+)
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import Vec3
+from torch_radbp.tensors.vec import Vec2, Vec3
+from torch_radbp.texture.module_bank import ModuleBank
 from torch_radbp.texture.reader import Place, TextureValue
 
-
-class ModuleGradients(NamedTuple):
-    """The modules of a scene, and the gradients of their parameters."""
-
-    scene: SceneTensors  # detached
-    numbered: SceneTensors  # with the numbers of the wanted leaves, as `Gradients` counts them, and None for the rest
-    gradients: Gradients  # added to
-
-    def numbers(self, scatterer: Appearance | None, number: int) -> Sequence[Sequence[int | None]]:
-        """Those of the parameters of the modules of one texture; args as for `add_adjoint`."""
-        return banks_outside(self.numbered._replace(layout=self.scene.layout), scatterer)[number].parameters
-
-    def wanted(self, scatterer: Appearance | None, number: int) -> list[list[bool]]:
-        """Which of these have one."""
-        return [[leaf is not None for leaf in leaves] for leaves in self.numbers(scatterer, number)]
+HELD = 1 << 17  # lanes that have reached a bounce, whose adjoints are held back at the most, but for one bounce
 
 
-def values_that_move(scene: SceneTensors, scatterer: Appearance | None,
-                     places: tuple[Place, ...]) -> tuple[TextureValue, ...]:
-    """The values of textures for one queue of a bounce, with their derivatives by the places.
+class ModuleAdjoint(NamedTuple):
+    """The adjoints of values of modules."""
+
+    bank: int  # see `banks_asked`
+    row: Tensor  # (N,) int32, which module of it; -1: none
+    at: Vec2 | Vec3  # (N,) where
+    adjoint: Vec3  # (N,) of the values there
+
+
+class ModuleGradients:
+    """Adds up what adjoints of values contribute to the gradients of modules' parameters.
+
+    The values are computed once more: between the passes nothing is kept of modules but values. Adjoints of several bounces
+    are held back until modules run on all of them at once, in fewer batches.
 
     Args:
         scene: detached.
-        scatterer: what the lanes are scattered by; None: they end.
-        places: of the values.
+        numbered: with the numbers of the wanted leaves, as `Gradients` counts them, and None for the rest.
+        gradients: added to.
     """
-    found = []
-    for number, place in enumerate(places):
-        values, *slopes = triples(outside(partial(moving_values_of, scatterer, number), scene, (place.row, *place.at),
-                                          3 * (1 + len(place.at))))
-        found.append(TextureValue(values, tuple(slopes)))
-    return tuple(found)
+
+    def __init__(self, scene: SceneTensors, numbered: SceneTensors, gradients: Gradients):
+        self.scene, self.numbered, self.gradients = scene, numbered, gradients
+        self.held: list[ModuleAdjoint] = []
+        self.lanes = 0  # that reached the bounces of which something is held
+
+    def numbers(self, bank: int) -> Sequence[Sequence[int | None]]:
+        """Those of the parameters of the modules of a bank."""
+        return module_banks(self.numbered)[bank].parameters
+
+    def wanted(self, bank: int) -> list[list[bool]]:
+        """Which of these have one."""
+        return [[leaf is not None for leaf in leaves] for leaves in self.numbers(bank)]
+
+    def adjoints(self, scatterer: Appearance | None, places: tuple[Place, ...],
+                 adj_values: tuple[Vec3, ...]) -> tuple[ModuleAdjoint, ...]:
+        """Those of which gradients are wanted.
+
+        Args:
+            scatterer, places: as for `texture_values_at`.
+            adj_values: of the values.
+        """
+        asked = zip(banks_asked(self.scene.layout, scatterer), places, adj_values)
+        return tuple(ModuleAdjoint(bank, place.row, place.at, adjoint) for bank, place, adjoint in asked
+                     if any(map(any, self.wanted(bank))))
+
+    def hold(self, adjoints: Sequence[ModuleAdjoint], lanes: int) -> None:
+        """Holds back adjoints of a bounce that so many lanes have reached."""
+        if adjoints:
+            self.held += adjoints
+            self.lanes += lanes
+
+    def add_held(self) -> None:
+        """Runs the modules on what is held back, and adds what it contributes."""
+        held, self.held, self.lanes = self.held, [], 0
+        for bank in dict.fromkeys(part.bank for part in held):
+            parts = [(part.row, *part.adjoint, *part.at) for part in held if part.bank == bank]
+            row, *channels = map(torch.cat, zip(*parts))
+            own, adjoint, at = self.numbers(bank), Vec3(*channels[:3]), coordinates(channels[3:])
+            for module, parameter, gradient in module_banks(self.scene)[bank].gradients(self.wanted(bank), row, at, adjoint):
+                self.gradients.add_whole(own[module][parameter], gradient)
 
 
-def moving_values_of(scatterer: Appearance | None, number: int, scene: SceneTensors, row: Tensor,
-                     *at: Tensor) -> list[Tensor]:
-    """The values of one of these textures and their derivatives, channel by channel; args as for `values_that_move`."""
-    found = banks_outside(scene, scatterer)[number].values_and_slopes(row, coordinates(at))
-    return [channel for values in found for channel in values]
+def values_that_move(scene: SceneTensors, asking: Sequence[Asking]) -> list[tuple[TextureValue, ...]]:
+    """The values of textures for queues of a bounce, with their derivatives by the places.
+
+    Args:
+        scene: detached.
+        asking: of each queue.
+    """
+    found = asked_outside(moving_values_of, scene, asking, lambda place: 3 * (1 + len(place.at)))
+    return [tuple(TextureValue(values, tuple(slopes)) for values, *slopes in map(triples, own)) for own in found]
+
+
+def moving_values_of(banks: Sequence[int], scene: SceneTensors, given: Given) -> list[Sequence[Tensor]]:
+    """The values of modules and their derivatives, channel by channel; args as for `values_of`."""
+    return of_banks(banks, scene, given, channels_that_move)
+
+
+def channels_that_move(bank: ModuleBank, row: Tensor, at: Vec2 | Vec3) -> list[Tensor]:
+    """As `ModuleBank.values_and_slopes`, channel by channel."""
+    return [channel for values in bank.values_and_slopes(row, at) for channel in values]
 
 
 def triples(channels: Sequence[Tensor]) -> list[Vec3]:
     """Three channels each."""
     return [Vec3(*channels[first:first + 3]) for first in range(0, len(channels), 3)]
-
-
-def add_adjoint(modules: ModuleGradients, scatterer: Appearance | None, places: tuple[Place, ...],
-                adj_values: tuple[Vec3, ...]) -> None:
-    """Adds what the adjoints of such values contribute to the gradients of the parameters behind them.
-
-    They are computed once more, batch by batch: between the passes nothing is kept but values.
-
-    Args:
-        scatterer, places: as for `values_that_move`.
-        adj_values: of the values.
-    """
-    for number, (place, adjoint) in enumerate(zip(places, adj_values)):
-        if any(map(any, modules.wanted(scatterer, number))):
-            outside(partial(add_adjoint_of, scatterer, number), modules, (place.row, *place.at, *adjoint), 0)
-
-
-def add_adjoint_of(scatterer: Appearance | None, number: int, modules: ModuleGradients, row: Tensor,
-                   *at_and_adjoint: Tensor) -> tuple[()]:
-    """As `add_adjoint`, of one of these textures."""
-    at, adjoint = coordinates(at_and_adjoint[:-3]), Vec3(*at_and_adjoint[-3:])
-    bank, own = banks_outside(modules.scene, scatterer)[number], modules.numbers(scatterer, number)
-    for module, parameter, gradient in bank.gradients(modules.wanted(scatterer, number), row, at, adjoint):
-        modules.gradients.add_whole(own[module][parameter], gradient)
-    return ()

@@ -9,6 +9,7 @@ from functools import partial
 
 import torch
 
+from torch_radbp.adjoint.outside import ModuleAdjoint
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.jit.board import Board, board
@@ -50,12 +51,16 @@ class RecordedSweep(Sweep):
         self.board.close()
         return super().advance(state, depth)
 
+    def finish(self) -> None:
+        self.board.close()
+        super().finish()
+
     def adjoint(self, state: PathState, depth: int) -> None:
         if depth not in self.record.steps:
             self.board.close()
         super().adjoint(state, depth)
 
-    def differentiate(self, state: PathState, step: Step, depth: int) -> None:
+    def differentiate(self, state: PathState, step: Step, depth: int) -> tuple[ModuleAdjoint, ...]:
         events, integrand = self.events(depth), self.integrand
         lanes = tensors_of((state, step.hit, step.front, step.picked, step.order, step.visible, step.survives))
         varying = Given([*lanes, *tensors_of((self.memo, self.adj_L, integrand.at(depth)))])
@@ -72,14 +77,14 @@ class RecordedSweep(Sweep):
             made = RECORDINGS.of(key, partial(self.record_bounce, state, step, depth, events, known))
         if made is None:
             self.board.close()
-            super().differentiate(state, step, depth)
-            return
+            return super().differentiate(state, step, depth)
         queues, borders, last = {queue.event: queue for queue in step.queues if queue.derivative}, [], 0
         for event in events:
             queue = queues.get(event)
             borders += [last, last] if queue is None else [queue.first, last := queue.last]
         varying = Given([*varying.items, *values]) if values else varying
-        made(varying, self.others, len(state.lane), self.board, borders, (integrand.scene, self.modules))
+        asked_of_modules, _ = made(varying, self.others, len(state.lane), self.board, borders, (integrand.scene,))
+        return asked_of_modules
 
     def events(self, depth: int) -> list[Event]:
         """What may happen at a bounce."""
@@ -122,20 +127,23 @@ class RecordedSweep(Sweep):
         given = [*tensors_of((state, hit, front, picked, step.order, step.visible, step.survives)),
                  *tensors_of((other.memo, other.adj_L, self.integrand.at(depth))), *tensors_of(texture_values),
                  *self.others.items]
-        listener = Recording(given, borders, reserve, (self.integrand.scene, self.modules))
+        listener = Recording(given, borders, reserve, (self.integrand.scene,))
         try:
             with torch.no_grad(), listening(listener):
-                Sweep.differentiate(other, state, step, depth)
-            return Recorded(listener, given, ())
+                asked_of_modules = Sweep.differentiate(other, state, step, depth)
+            return Recorded(listener, given, asked_of_modules)
         except NotRecordable:
             return None
 
 
 @contextmanager
 def sweep_of(integrand: Integrand, *arguments) -> Iterator[Sweep]:
-    """The `Sweep` with these arguments, whose bounces are differentiated by machine code where that is possible."""
+    """The `Sweep` with these arguments, whose bounces are differentiated by machine code where that is possible; all
+    gradients are complete afterwards."""
     if not recordable(integrand):
-        yield Sweep(integrand, *arguments)
+        yield (sweep := Sweep(integrand, *arguments))
+        sweep.finish()
         return
     with board() as own:
-        yield RecordedSweep(own, integrand, *arguments)
+        yield (sweep := RecordedSweep(own, integrand, *arguments))
+        sweep.finish()

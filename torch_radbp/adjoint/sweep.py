@@ -24,12 +24,12 @@ from torch import Tensor
 
 from torch_radbp.adjoint.bounce import empty_memo
 from torch_radbp.adjoint.local_map import Verdict
-from torch_radbp.adjoint.outside import ModuleGradients, add_adjoint, values_that_move
+from torch_radbp.adjoint.outside import HELD, ModuleAdjoint, ModuleGradients, values_that_move
 from torch_radbp.adjoint.scatter import Contribution, Gradients
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.integrand import Integrand, knowing, taken
 from torch_radbp.path.state import PathState
-from torch_radbp.path.texture_networks import texture_values_at
+from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
@@ -123,31 +123,39 @@ class Sweep:
         step = self.record.steps.get(depth)
         if step is None:
             step = take_step(self.integrand, state, depth, with_light=False)[-1]
-        self.differentiate(state, step, depth)
+        self.modules.hold(self.differentiate(state, step, depth), len(state.lane))
+        if self.modules.lanes > HELD:
+            self.finish()
 
-    def differentiate(self, state: PathState, step: Step, depth: int) -> None:
-        """As `adjoint`, of a bounce whose decisions are known."""
+    def finish(self) -> None:
+        """Adds what is still missing to the gradients."""
+        self.modules.add_held()
+
+    def differentiate(self, state: PathState, step: Step, depth: int) -> tuple[ModuleAdjoint, ...]:
+        """As `adjoint`, of a bounce whose decisions are known, but for the gradients of modules: returns the adjoints."""
         integrand, arrival = self.integrand, step.arrival(state)
         same = taken(integrand.stages.bounce_adjoint, arrival=arrival, adj_L=self.adj_L, memo=self.memo,
                      at=integrand.at(depth), settings=integrand.settings_at(depth))
         reached, *of_chunk, at, settings = same
-        for queue, known in zip(step.queues, step.texture_values):
-            if queue.first == queue.last or not queue.derivative:
-                continue
+        queues = [(queue, known) for queue, known in zip(step.queues, step.texture_values)
+                  if queue.first < queue.last and queue.derivative]
+        asking = [(integrand.scatterer(queue.event),
+                   integrand.places(queue.event, arrival, step.order[queue.first:queue.last], depth)) for queue, _ in queues]
+        if self.moving:
+            values = values_that_move(integrand.scene, asking)
+        else:
+            unknown = [own for own, (_, known) in zip(asking, queues) if known is None]
+            found = iter(values_of_queues(integrand.scene, unknown))
+            values = [next(found) if known is None else rows_between(known, 0, queue.last - queue.first)
+                      for queue, known in queues]
+        asked_of_modules: tuple[ModuleAdjoint, ...] = ()
+        for (queue, _), (scatterer, places), texture_values in zip(queues, asking, values):
             here, adjoint = slice(queue.first, queue.last), self.adjoint_of(queue.event)
-            scatterer = integrand.scatterer(queue.event)
             lanes = step.order[here]
             verdict = Verdict(step.visible[here], step.survives[here]) if queue.event.scatters else None
-            places = integrand.places(queue.event, arrival, lanes, depth)
-            if self.moving:
-                texture_values = values_that_move(integrand.scene, scatterer, places)
-            elif known is None:
-                texture_values = texture_values_at(integrand.scene, scatterer, places)
-            else:
-                texture_values = rows_between(known, 0, len(lanes))
             above, tables, adj_values = adjoint.of_bounce(adjoint.scene, adjoint.wanted, adjoint.still, reached, lanes,
                                                           verdict, *of_chunk, at, settings, texture_values)
-            add_adjoint(self.modules, scatterer, places, adj_values)
+            asked_of_modules += self.modules.adjoints(scatterer, places, adj_values)
             found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
             if depth == 0 and above.adj_corners is not None:  # no bounce aims at what the camera sees
                 corners = integrand.part(Ends.SURROUNDINGS).call(integrand.stages.corner_rows, above.hit)
@@ -155,3 +163,4 @@ class Sweep:
                           for leaf, part in zip(self.of_positions, adj_p)]
             self.gradients.add(found)
             put_rows(self.memo, integrand.stages.rows(state.lane, lanes), above)
+        return asked_of_modules

@@ -53,11 +53,11 @@ def bitmap(texture: NeuralTexture, resolution: int | Sequence[int], shape: Surfa
     else:
         places = positions(shape, height, width)
     like = next((value for value in texture.module.parameters()), torch.empty(0))
-    function, found = texture.function(), []
+    function, found = texture.function().with_parameters(list(texture.module.parameters())), []
     with torch.no_grad():
         for part in places.view(height * width, -1).split(PLACES):
             part = part.to(like)
-            found.append(function.run(list(texture.module.parameters()), part))
+            found.append(function.run(part))
             function.check(found[-1], part)
     return Bitmap(data=torch.cat(found).view(height, width, -1), wrap_mode="clamp").to(like)
 

@@ -97,14 +97,25 @@ class Scattered(NamedTuple):
     lanes: Span
 
 
+class Given(NamedTuple):
+    """What is given outside of some lanes, and handed back for them."""
+
+    lanes: Span
+    inputs: tuple[Place, ...]
+    outputs: tuple[Place, ...]
+
+
 class Outside(NamedTuple):
     """What is done by others than machine code, see `recording.outside`."""
 
     work: Callable
     context: int  # which of those that the recording is told
-    lanes: Span
-    inputs: tuple[Place, ...]
-    outputs: tuple[Place, ...]
+    parts: tuple[Given, ...]
+
+    @property
+    def outputs(self) -> tuple[Place, ...]:
+        """Of all parts."""
+        return tuple(place for part in self.parts for place in part.outputs)
 
 
 class Made(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 from array import array
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -135,11 +136,13 @@ class Recorded:
 
     def do(self, outside: Outside, contexts: Sequence[Any], memory: Memory, counts: array) -> None:
         """Has done what is done outside, if there are lanes."""
-        lanes = counts[outside.lanes.last] - counts[outside.lanes.first]
-        if not lanes:
+        lanes = [counts[part.lanes.last] - counts[part.lanes.first] for part in outside.parts]
+        if not any(lanes):
             return
-        inputs = [self.tensor(place, memory, counts, lanes) for place in outside.inputs]
-        for place, result in zip(outside.outputs, outside.work(contexts[outside.context], *inputs), strict=True):
+        given = [[self.tensor(place, memory, counts, number) for place in part.inputs]
+                 for part, number in zip(outside.parts, lanes)]
+        found = outside.work(contexts[outside.context], given)
+        for place, result in zip(outside.outputs, itertools.chain.from_iterable(found), strict=True):
             group, _ = self.layout.rows[place.tensor]
             memory.kept[group] = result.contiguous().unsqueeze(0)
             memory.places[group] = memory.kept[group].data_ptr()

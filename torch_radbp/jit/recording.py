@@ -22,6 +22,7 @@ from torch_radbp.jit.lane_operations import (
     Added,
     Chosen,
     Copy,
+    Given,
     Inverted,
     Loop,
     Made,
@@ -229,15 +230,16 @@ class Recording:
 
         self.operations.append(Scattered(tuple(tuple(map(added, group)) for group in groups), self.span(lanes)))
 
-    def outside(self, work: Callable, context: Any, given: Sequence[Tensor], results: int) -> list[Tensor]:
+    def outside(self, work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
+                results: Sequence[int]) -> list[list[Tensor]]:
         """As the function `outside`."""
         known = [number for number, own in enumerate(self.contexts) if own is context]
         if not known:
             raise NotRecordable("what is done outside depends on more than is told")
-        lanes = given[0].numel()
-        found = [given[-1].new_empty(lanes) for _ in range(results)]
-        self.operations.append(Outside(work, known[0], self.span(lanes), tuple(map(self.place, given)),
-                                       tuple(map(self.written, found))))
+        found = [[part[-1].new_empty(part[0].numel()) for _ in range(count)] for part, count in zip(given, results)]
+        self.operations.append(Outside(work, known[0], tuple(
+            Given(self.span(part[0].numel()), tuple(map(self.place, part)), tuple(map(self.written, own)))
+            for part, own in zip(given, found))))
         return found
 
     def copy(self, target: Tensor, source: Tensor, first: int) -> None:
@@ -294,18 +296,19 @@ def recording() -> Recording | None:
     return HERE.recording
 
 
-def outside(work: Callable, context: Any, given: Sequence[Tensor], results: int) -> Sequence[Tensor]:
-    """What `work(context, *given)` returns: what no lane function can do, such as asking a network.
+def outside(work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
+            results: Sequence[int]) -> Sequence[Sequence[Tensor]]:
+    """What `work(context, given)` returns: what no lane function can do, such as asking a network.
 
     It is not recorded but done each time, if there are lanes, and the context is then one that what was recorded is told.
 
     Args:
         work: what it does depends on nothing but what it is given.
-        given: (N,) each, of the lanes.
-        results: how many tensors are returned, (N,) each, of the dtype of the last that is given.
+        given: for each of some queues of lanes, (N,) each; N may be 0 for some.
+        results: how many tensors are returned for each, (N,), of the dtype of the last that is given.
     """
     listener = recording()
-    return work(context, *given) if listener is None else listener.outside(work, context, given, results)
+    return work(context, given) if listener is None else listener.outside(work, context, given, results)
 
 
 @contextmanager

@@ -1,17 +1,26 @@
-"""Values that are computed outside of the functions of a bounce, and handed to them: those of modules."""
+"""Values that are computed outside of the functions of a bounce, and handed to them: those of modules.
+
+All lanes of a bounce that read the same modules ask them together, whatever queues they are in: a module takes its time for
+each call, not only for each place.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
+import torch
 from torch import Tensor
 
 from torch_radbp.jit.recording import outside
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import Layout, SceneTensors
 from torch_radbp.tensors.vec import Vec2, Vec3
+from torch_radbp.texture.module_bank import ModuleBank
 from torch_radbp.texture.reader import Place, TextureValue
+
+Asking = tuple[Appearance | None, tuple[Place, ...]]  # of some lanes, as for `texture_values_at`
+Given = Sequence[Sequence[Tensor]]  # the rows and the coordinates of places, see `outside`
 
 
 def texture_values_at(scene: SceneTensors, scatterer: Appearance | None,
@@ -23,13 +32,63 @@ def texture_values_at(scene: SceneTensors, scatterer: Appearance | None,
         scatterer: what the lanes are scattered by; None: they end.
         places: one for each of these textures, attached or detached.
     """
-    return tuple(TextureValue(Vec3(*outside(partial(values_of, scatterer, number), scene, (place.row, *place.at), 3)))
-                 for number, place in enumerate(places))
+    return values_of_queues(scene, [(scatterer, places)])[0]
 
 
-def values_of(scatterer: Appearance | None, number: int, scene: SceneTensors, row: Tensor, *at: Tensor) -> Vec3:
-    """The values of one of the textures that are read outside; args as for `texture_values_at`."""
-    return banks_outside(scene, scatterer)[number].values(row, coordinates(at))
+def values_of_queues(scene: SceneTensors, asking: Sequence[Asking]) -> list[tuple[TextureValue, ...]]:
+    """`texture_values_at` for each of several queues.
+
+    Args:
+        scene: the whole scene; attached or detached.
+        asking: of each queue.
+    """
+    found = asked_outside(values_of, scene, asking, lambda place: 3)
+    return [tuple(TextureValue(Vec3(*channels)) for channels in own) for own in found]
+
+
+def values_of(banks: Sequence[int], scene: SceneTensors, given: Given) -> list[Sequence[Tensor]]:
+    """The values of modules, channel by channel.
+
+    Args:
+        banks: of which bank each of `given` asks; see `banks_asked`.
+    """
+    return of_banks(banks, scene, given, ModuleBank.values)
+
+
+def asked_outside(work: Callable, scene: SceneTensors, asking: Sequence[Asking],
+                  results: Callable[[Place], int]) -> list[list[Sequence[Tensor]]]:
+    """What is found outside for each place of each queue, in one turn.
+
+    Args:
+        work: from the banks that are asked, `scene` and what is given to what is found; as for `outside`.
+        scene, asking: as for `values_of_queues`.
+        results: how many tensors are found at a place.
+    """
+    places = [place for _, own in asking for place in own]
+    if not places:
+        return [[] for _ in asking]
+    banks = tuple(bank for scatterer, own in asking for bank, _ in zip(banks_asked(scene.layout, scatterer), own))
+    found = iter(outside(partial(work, banks), scene, [(place.row, *place.at) for place in places],
+                         [results(place) for place in places]))
+    return [[next(found) for _ in own] for _, own in asking]
+
+
+def of_banks(banks: Sequence[int], scene: SceneTensors, given: Given, find: Callable) -> list[Sequence[Tensor]]:
+    """What is found at some places, each bank once for all that ask it.
+
+    Args:
+        banks: as for `values_of`.
+        find: from a bank, rows and places to tensors, (N,) each, in nested or plain tuples of three channels.
+    """
+    answers: dict[int, Sequence[Tensor]] = {}
+    for bank in dict.fromkeys(banks):
+        asking = [number for number, other in enumerate(banks) if other == bank]
+        row, *at = (channels[0] if len(asking) == 1 else torch.cat(channels)
+                    for channels in zip(*(given[number] for number in asking)))
+        found = find(module_banks(scene)[bank], row, coordinates(at))
+        parts = [channel.split([len(given[number][0]) for number in asking]) for channel in found]
+        answers.update(zip(asking, zip(*parts)))
+    return [answers[number] for number in range(len(banks))]
 
 
 def coordinates(at: Sequence[Tensor]) -> Vec2 | Vec3:
@@ -44,10 +103,17 @@ def number_outside(layout: Layout, scatterer: Appearance | None, nee: bool) -> i
     return len(scatterer.outside) + (2 if nee else 1) * len(layout.lit)
 
 
-def banks_outside(scene: SceneTensors, scatterer: Appearance | None) -> list:
-    """The banks of the textures that are read outside, in the order of `path.bounce.places_of`.
+def banks_asked(layout: Layout, scatterer: Appearance | None) -> list[int]:
+    """The numbers of the banks, as `module_banks` counts them, of the textures that are read outside, in the order of
+    `path.bounce.places_of`."""
+    readers = () if scatterer is None else scatterer.outside
+    lit = range(len(layout.readers), len(layout.readers) + len(layout.lit))
+    return [*map(layout.readers.index, readers), *lit, *lit]
+
+
+def module_banks(scene: SceneTensors) -> tuple:
+    """The banks of the textures of materials and of emitters, whatever reads them.
 
     `scene` may be any record of a scene's structure.
     """
-    readers = () if scatterer is None else scatterer.outside
-    return [*(scene.textures[scene.layout.readers.index(reader)] for reader in readers), *scene.lit, *scene.lit]
+    return (*scene.textures, *scene.lit)

@@ -7,7 +7,7 @@ The loop is the same forwards, where `trace.py` sums the image, and wherever a b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -20,7 +20,7 @@ from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand, taken
 from torch_radbp.path.queues import ImageLanes, Queue, one_queue, queues_by
 from torch_radbp.path.state import Arrival, PathState
-from torch_radbp.path.texture_networks import texture_values_at
+from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
@@ -77,9 +77,9 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
         queues = queued(integrand, state.ray, hit, integrand.is_last(depth), integrand.image_lanes(state))
         step = Step(hit, *queues, undecided, undecided, picked_lights(integrand, state, hit, depth))
-        step = step._replace(texture_values=tuple(
-            texture_values_of(integrand, step.arrival(state), depth, queue, step.order)
-            if queue.event.scatters or (with_light and queue.image) else None for queue in step.queues))
+        asking = [queue for queue in step.queues if queue.event.scatters or (with_light and queue.image)]
+        known = dict(zip(asking, texture_values_of(integrand, step.arrival(state), depth, asking, step.order)))
+        step = step._replace(texture_values=tuple(map(known.get, step.queues)))
         vertex, light = bounce_queues(integrand, state, depth, step, with_light)
         connects = integrand.settings.nee and not integrand.is_last(depth)
         visible = inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)) if connects else (
@@ -97,7 +97,7 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     def arguments(queue: Queue, reached, at, settings) -> tuple:
         part, texture_values = integrand.part(queue.event), known[queue]
         if texture_values is None:
-            texture_values = texture_values_of(integrand, arrival, depth, queue, step.order)
+            texture_values, = texture_values_of(integrand, arrival, depth, [queue], step.order)
         return part.scene, part.proposal, reached, step.order[queue.first:queue.last], at, settings, texture_values
 
     *_, last = step.queues
@@ -123,11 +123,12 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     return vertices, light
 
 
-def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queue: Queue,
-                      order: Tensor) -> tuple[TextureValue, ...]:
-    """The values of the textures that the lanes of a queue read outside; `order`: see `Step`."""
-    places = integrand.places(queue.event, arrival, order[queue.first:queue.last], depth)
-    return texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
+def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queues: Sequence[Queue],
+                      order: Tensor) -> list[tuple[TextureValue, ...]]:
+    """The values of the textures that the lanes of each of some queues read outside; `order`: see `Step`."""
+    return values_of_queues(integrand.scene, [
+        (integrand.scatterer(queue.event), integrand.places(queue.event, arrival, order[queue.first:queue.last], depth))
+        for queue in queues])
 
 
 def room_for_vertices(state: PathState, lanes: int, with_light: bool) -> Vertex:

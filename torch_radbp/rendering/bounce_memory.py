@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 from torch_radbp.adjoint.attached import trace_attached
-from torch_radbp.adjoint.outside import ModuleGradients, add_adjoint, values_that_move
+from torch_radbp.adjoint.outside import ModuleGradients, values_that_move
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
 from torch_radbp.jit.team import alone_in_torch
@@ -141,14 +141,16 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         with torch.no_grad():
             step = take_step(integrand, state, 0)[-1]
             gradients, _ = sweep_of(state, step, numbered)
+            modules = ModuleGradients(integrand.scene, numbered, gradients)
             for queue in step.queues:
                 places = integrand.places(queue.event, step.arrival(state), step.order[queue.first:queue.last], 0)
                 scatterer = integrand.scatterer(queue.event)
                 with AllocatedBytes() as allocated:
                     if integrand.settings.moving:
-                        values_that_move(integrand.scene, scatterer, places)
+                        values_that_move(integrand.scene, [(scatterer, places)])
                     ones = tuple(Vec3.full(place.at.x, 1.0) for place in places)
-                    add_adjoint(ModuleGradients(integrand.scene, numbered, gradients), scatterer, places, ones)
+                    modules.hold(modules.adjoints(scatterer, places, ones), lanes)
+                    modules.add_held()
                 peak = max(peak, allocated.peak)
         return peak
 

@@ -121,7 +121,8 @@ class NetworkCheck:
 
     def run(self, parameters: list[Tensor], places: Tensor):
         """What the module returns for some places with these parameters, recorded."""
-        return ModuleFunction(self.module, Use(self.texture, ())).run(parameters, places.clone().requires_grad_())
+        return ModuleFunction(self.module, Use(self.texture, ())).with_parameters(parameters).run(
+            places.clone().requires_grad_())
 
     def check_graph(self, first: Tensor, again: Tensor, copies: list[Tensor]) -> None:
         """Checks that autograd finds parameters among the copies, and nowhere else.

@@ -8,6 +8,7 @@ a core (`python -m benchmarks.networks`). So a queue of lanes is computed batch 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from threading import get_ident
 from typing import NamedTuple
 
 import torch
@@ -49,6 +50,26 @@ class Sorted(NamedTuple):
         return found.index_select(-1, torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order)))
 
 
+class Copies:
+    """Functions of modules with other parameters: a copy of each for each thread, made when it is first asked for.
+
+    Args:
+        functions: of modules.
+        parameters: of each, in the module's order.
+    """
+
+    def __init__(self, functions: Sequence[ModuleFunction], parameters: Sequence[Sequence[Tensor]]):
+        self.functions, self.parameters = functions, parameters
+        self.made: dict[tuple[int, int], ModuleFunction] = {}
+
+    def of(self, module: int) -> ModuleFunction:
+        """That of a module for this thread."""
+        key = module, get_ident()
+        if key not in self.made:
+            self.made[key] = self.functions[module].with_parameters(self.parameters[module])
+        return self.made[key]
+
+
 class ModuleBank(NamedTuple):
     """Some modules, with the tensors that they are differentiated with respect to."""
 
@@ -62,8 +83,10 @@ class ModuleBank(NamedTuple):
             row: (N,) int32, which of the modules gives each lane its value; -1: none, and the value is 0.
             at: (N,) where.
         """
+        functions = Copies(self.functions, self.parameters)
+
         def of_batch(module: int, place: Tensor) -> Tensor:
-            return self.functions[module](self.parameters[module], place).t()
+            return functions.of(module)(place).t()
 
         return Vec3(*self.found(row, at, of_batch, (3,)))
 
@@ -72,10 +95,12 @@ class ModuleBank(NamedTuple):
 
         Each value must depend on its own place only.
         """
+        functions = Copies(self.functions, [[parameter.detach() for parameter in own] for own in self.parameters])
+
         def of_batch(module: int, place: Tensor) -> Tensor:
             place = place.detach().requires_grad_()
             with torch.enable_grad():
-                values = self.functions[module]([parameter.detach() for parameter in self.parameters[module]], place)
+                values = functions.of(module)(place)
             return torch.stack([values.detach(), *slopes(values, place)]).transpose(1, 2)
 
         return tuple(Vec3(*part) for part in self.found(row, at, of_batch, (1 + len(at), 3)))
@@ -93,13 +118,13 @@ class ModuleBank(NamedTuple):
         own = [[parameter.detach().requires_grad_(want) for parameter, want in zip(*pair)]
                for pair in zip(self.parameters, wanted)]
         leaves = [[parameter for parameter in parameters if parameter.requires_grad] for parameters in own]
-        lanes = self.sorted(row, PARAMETERS)
+        lanes, functions = self.sorted(row, PARAMETERS), Copies(self.functions, own)
         at, adjoint = lanes.rows((at, adjoint))
 
         def of_batch(batch: Batch) -> Sequence[Tensor | None]:
             module, *between = batch
             with torch.enable_grad():
-                values = self.functions[module](own[module], rows_between(at, *between).stack(), known=True)
+                values = functions.of(module)(rows_between(at, *between).stack(), known=True)
             if not values.requires_grad:
                 return [None for _ in leaves[module]]
             return torch.autograd.grad(values, leaves[module], rows_between(adjoint, *between).stack(), allow_unused=True)

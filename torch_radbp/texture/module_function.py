@@ -1,9 +1,9 @@
-"""A module as a function of its parameters and of places, whose results are checked."""
+"""A module as a function of places, whose results are checked."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -25,18 +25,22 @@ class Use(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ModuleFunction:
-    """The values of a module as a function of its parameters and of places."""
+    """The values of a module as a function of places."""
 
     module: nn.Module
     use: Use
     as_number: bool = False  # values are read as numbers: the luminance if there are three channels, as in Mitsuba
     as_slope: bool = False  # their derivatives by the place are read instead
 
-    def __call__(self, parameters: Sequence[Tensor], place: Tensor, known: bool = False) -> Tensor:
+    def with_parameters(self, parameters: Sequence[Tensor]) -> ModuleFunction:
+        """The same of a copy of the module, which no other thread sees, with other parameters, in the module's order."""
+        standing_in = dict(zip(map(id, self.module.parameters()), parameters))
+        return replace(self, module=with_parameters(self.module, standing_in, {}))
+
+    def __call__(self, place: Tensor, known: bool = False) -> Tensor:
         """(N, 3) values, attached; of slopes the derivatives of the first channel by the place, and zeros.
 
         Args:
-            parameters: instead of those of the module, in their order.
             place: (N, 2) or (N, 3).
             known: its values at these places have been checked.
 
@@ -44,9 +48,9 @@ class ModuleFunction:
             TypeError: if the module returns no tensor, or one of another dtype or device.
             ValueError: if it returns a wrong shape, or a value is not finite or not in its domain.
         """
-        return self.slopes(parameters, place, known) if self.as_slope else self.values(parameters, place, known)
+        return self.slopes(place, known) if self.as_slope else self.values(place, known)
 
-    def slopes(self, parameters: Sequence[Tensor], place: Tensor, known: bool) -> Tensor:
+    def slopes(self, place: Tensor, known: bool) -> Tensor:
         """(N, 3) derivatives of the first channel by the place. Args as for a call.
 
         Raises:
@@ -55,7 +59,7 @@ class ModuleFunction:
         recorded = torch.is_grad_enabled()
         with torch.enable_grad():
             step = torch.zeros_like(place).requires_grad_()  # not the place itself, which may be a dual tensor
-            height = self.values(parameters, place + step, known)[:, 0]
+            height = self.values(place + step, known)[:, 0]
             found = torch.autograd.grad(height.sum(), step, create_graph=recorded, allow_unused=True)[0] if (
                 height.requires_grad) else None
         if found is None:
@@ -68,24 +72,23 @@ class ModuleFunction:
                              f"{bad} of {found.numel()} values that are NaN or infinite; {SMOOTH}")
         return torch.cat([found, found.new_zeros(len(found), 3 - found.shape[1])], 1)
 
-    def values(self, parameters: Sequence[Tensor], place: Tensor, known: bool) -> Tensor:
+    def values(self, place: Tensor, known: bool) -> Tensor:
         """(N, 3) values of the module. Args as for a call."""
-        values = self.run(parameters, place)
+        values = self.run(place)
         if not known:
             self.check(values, place)
         if self.as_number and values.shape[1] == 3:
             values = (values * values.new_tensor(LUMINANCE)).sum(1, keepdim=True)
         return values.expand(-1, 3)
 
-    def run(self, parameters: Sequence[Tensor], place: Tensor):
+    def run(self, place: Tensor):
         """What the module returns. Args as for a call.
 
         Raises:
             RuntimeError: naming the texture, if the module raises anything but lack of memory.
         """
-        standing_in = dict(zip(map(id, self.module.parameters()), parameters))
         try:
-            return with_parameters(self.module, standing_in, {})(place)
+            return self.module(place)
         except torch.OutOfMemoryError:
             raise
         except Exception as error:
@@ -112,7 +115,7 @@ class ModuleFunction:
 
 
 def with_parameters(module: nn.Module, parameters: dict[int, Tensor], known: dict[int, nn.Module]) -> nn.Module:
-    """A shallow copy of a module with other parameters, which other threads do not see.
+    """A shallow copy of a module with other parameters.
 
     Args:
         module: left as it is.
