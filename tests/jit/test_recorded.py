@@ -152,6 +152,37 @@ def test_what_is_done_outside_is_done_in_the_context_of_the_call(lanes, threads)
         assert all(map(torch.equal, [part for part in found if len(part)], expected))
 
 
+def asking_together(context, number: Tensor, x: Tensor):
+    """As `asking`, all queues in one turn."""
+    order, counts = partition(number, QUEUES)
+    given, first = [], 0
+    for count in counts:
+        if count:
+            own = GATHERED(x, order[first:first + count])
+            given.append((own, own))
+        first += count
+
+    def work(context, given):
+        context["turns"] = context.get("turns", 0) + 1
+        most = max(float(x.max()) for _, x in given if len(x))
+        return [(context["factor"] * x, most - x) for _, x in given]
+
+    answers = outside(work, context, given, [2] * len(given))
+    return [part for own in answers for part in (*own, *TWICE(*own))]
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+@pytest.mark.parametrize("lanes", LANES)
+def test_queues_ask_outside_in_one_turn_whether_or_not_all_have_lanes(lanes, threads):
+    number, x = torch.randint(QUEUES - 1, (lanes,), dtype=torch.int32), torch.rand(lanes)  # the last has none
+    context = {"factor": 2.0}
+    made = recorded(lambda number, x: asking_together(context, number, x), number, x, contexts=(context,))
+    found, turns = again(made, number, x, threads=threads, contexts=(own := {"factor": 3.0},)), own["turns"]
+    expected = asking_together({"factor": 3.0}, number, x)
+    assert turns == 1 and expected[0].abs().max() > 0
+    assert all(map(torch.equal, [part for part in found if len(part)], expected))
+
+
 def test_what_is_done_outside_with_what_a_call_is_not_told_is_refused():
     with pytest.raises(NotRecordable, match="more than is told"):
         recorded(lambda number, x: asking({"factor": 2.0}, number, x), torch.zeros(1, dtype=torch.int32), torch.zeros(1))

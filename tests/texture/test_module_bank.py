@@ -8,6 +8,7 @@ import torch_radbp as rb
 from tests.deep import deep_but
 from tests.gradients import MEMOIZED, QUADRATIC, relative_error
 from tests.texture.networks import mlp, room
+from torch_radbp.adjoint import sweep
 from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture import module_bank
 from torch_radbp.texture.module_bank import ModuleBank
@@ -138,6 +139,32 @@ def test_a_module_runs_once_for_the_values_of_a_path_and_once_for_its_gradients(
     whole, _ = evaluated(rb.MemoizedAdjoint(), share_samples=True)
     assert 0 < gradients <= whole
     assert values == whole if adjoint.keep_hits else values > whole
+
+
+def test_a_module_is_called_once_a_bounce_for_image_and_derivative_and_once_for_all_gradients(monkeypatch):
+    monkeypatch.setattr(module_bank, "BATCH", 1 << 12)
+    scene, calls = room(), []
+    renderer = rb.Renderer(scene, **SETTINGS, compile=False)
+    renderer(seed=0)  # looks at the modules
+    hook = scene.floor.bsdf.reflectance.module.register_forward_hook(
+        lambda module, given, values: calls.append((torch.is_grad_enabled(), len(values))))
+    renderer(seed=0).sum().backward()
+    hook.remove()
+    assert [recorded for recorded, _ in calls] == [False] * (SETTINGS["max_depth"] - 1) + [True]
+    assert min(lanes for _, lanes in calls) > 0
+
+
+@pytest.mark.parametrize("compile", [False, True])
+def test_gradients_do_not_depend_on_how_many_adjoints_are_held_back(monkeypatch, compile):
+    found = []
+    for held in (0, 60, 1 << 16):
+        monkeypatch.setattr(sweep, "HELD", held)
+        scene = room()
+        rb.Renderer(scene, **SETTINGS, compile=compile)(seed=0).sum().backward()
+        found.append([parameter.grad for _, parameter in scene.named_parameters() if parameter.grad is not None])
+    assert len(found[0]) == 16 and all(bool(gradient.any()) for gradient in found[0])
+    for other in found[1:]:
+        assert max(map(relative_error, other, found[0])) < 1e-12  # sums of some hundred numbers in another order
 
 
 def test_samples_of_the_derivative_cost_their_values_once_more():

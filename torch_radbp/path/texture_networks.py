@@ -78,7 +78,7 @@ def of_banks(banks: Sequence[int], scene: SceneTensors, given: Given, find: Call
 
     Args:
         banks: as for `values_of`.
-        find: from a bank, rows and places to tensors, (N,) each, in nested or plain tuples of three channels.
+        find: from a bank, rows and places to tensors, (N,) each.
     """
     answers: dict[int, Sequence[Tensor]] = {}
     for bank in dict.fromkeys(banks):

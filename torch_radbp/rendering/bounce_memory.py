@@ -22,6 +22,7 @@ from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
 from torch_radbp.jit.team import alone_in_torch
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
+from torch_radbp.path.texture_networks import number_outside
 from torch_radbp.path.wavefront import Step, take_step
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.torch_internals import TorchDispatchMode, tree_flatten, tree_map_only
@@ -56,6 +57,7 @@ class BounceMemory(NamedTuple):
     tape: LinearSize | None  # that autograd keeps of whole paths; None if nothing is recorded
     outside: LinearSize = NOTHING  # that modules need beside, of the lanes that they compute at a time,
     at_once: float = 0.0  # which are so many at the most, in each thread
+    held: float = 0.0  # of a lane's adjoints that are held back before modules run on them, see `outside.HELD`
     tables: Tables = Tables()
 
 
@@ -163,7 +165,8 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
         return alive
 
     with alone_in_torch(threads=1):  # what others allocate is not counted
-        outside = (linear_size(of_outside), at_once(integrand.scene)) if integrand.scene.layout.reads_outside else ()
+        outside = (linear_size(of_outside), at_once(integrand.scene), held_of(integrand)) if (
+            integrand.scene.layout.reads_outside) else ()
         return BounceMemory(linear_size(of_bounce), linear_size(of_adjoint),
                             None if attached is None else linear_size(of_tape), *outside)
 
@@ -175,6 +178,13 @@ def without_modules(numbered: SceneTensors) -> SceneTensors:
             isinstance(bank, ModuleBank)) else bank
 
     return numbered._replace(textures=tuple(map(emptied, numbered.textures)), lit=tuple(map(emptied, numbered.lit)))
+
+
+def held_of(integrand: Integrand) -> float:
+    """Bytes of the adjoints of values of modules of a lane, at the most: rows, places and adjoints."""
+    layout = integrand.scene.layout
+    values = max(number_outside(layout, scatterer, integrand.settings.nee) for scatterer in (None, *layout.appearances))
+    return values * (torch.int32.itemsize + 2 * len(Vec3._fields) * integrand.scene.lights.choice.pmf.dtype.itemsize)
 
 
 def at_once(scene: SceneTensors) -> float:

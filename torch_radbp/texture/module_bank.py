@@ -16,7 +16,6 @@ from torch import Tensor
 
 from torch_radbp.jit.order import partition
 from torch_radbp.jit.team import each, threads
-from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 from torch_radbp.texture.module_function import ModuleFunction
 
@@ -86,7 +85,7 @@ class ModuleBank(NamedTuple):
         functions = Copies(self.functions, self.parameters)
 
         def of_batch(module: int, place: Tensor) -> Tensor:
-            return functions.of(module)(place).t()
+            return functions.of(module)(place)
 
         return Vec3(*self.found(row, at, of_batch, (3,)))
 
@@ -101,7 +100,7 @@ class ModuleBank(NamedTuple):
             place = place.detach().requires_grad_()
             with torch.enable_grad():
                 values = functions.of(module)(place)
-            return torch.stack([values.detach(), *slopes(values, place)]).transpose(1, 2)
+            return torch.stack([values.detach(), *slopes(values, place)], 1)
 
         return tuple(Vec3(*part) for part in self.found(row, at, of_batch, (1 + len(at), 3)))
 
@@ -119,15 +118,15 @@ class ModuleBank(NamedTuple):
                for pair in zip(self.parameters, wanted)]
         leaves = [[parameter for parameter in parameters if parameter.requires_grad] for parameters in own]
         lanes, functions = self.sorted(row, PARAMETERS), Copies(self.functions, own)
-        at, adjoint = lanes.rows((at, adjoint))
+        place, adj_values = (part.stack() for part in lanes.rows((at, adjoint)))
 
         def of_batch(batch: Batch) -> Sequence[Tensor | None]:
-            module, *between = batch
+            module, first, last = batch
             with torch.enable_grad():
-                values = functions.of(module)(rows_between(at, *between).stack(), known=True)
+                values = functions.of(module)(place[first:last], known=True)
             if not values.requires_grad:
                 return [None for _ in leaves[module]]
-            return torch.autograd.grad(values, leaves[module], rows_between(adjoint, *between).stack(), allow_unused=True)
+            return torch.autograd.grad(values, leaves[module], adj_values[first:last], allow_unused=True)
 
         batches = [batch for batch in lanes.batches if leaves[batch.module]]
         found = each(of_batch, batches, threads_for(row))
@@ -145,14 +144,14 @@ class ModuleBank(NamedTuple):
 
         Args:
             row, at: as for `values`.
-            of_batch: from a module and M places, (M, 2) or (M, 3), to (*shape, M).
+            of_batch: from a module and M places, (M, 2) or (M, 3), to (M, *shape).
         """
         lanes = self.sorted(row)
-        at = lanes.rows(at)
-        parts = each(lambda batch: of_batch(batch.module, rows_between(at, *batch[1:]).stack()).contiguous(), lanes.batches,
-                     threads_for(row))
+        place = lanes.rows(at).stack()
+        parts = each(lambda batch: of_batch(batch.module, place[batch.first:batch.last]), lanes.batches, threads_for(row))
         nothing = lanes.batches[0].first if lanes.batches else len(row)
-        return lanes.back(torch.cat([at.x.new_zeros(*shape, nothing), *parts], -1))
+        found = torch.cat([place.new_zeros(nothing, *shape), *parts])
+        return lanes.back(found.movedim(0, -1).contiguous())
 
     def sorted(self, row: Tensor, parameters: float = torch.inf) -> Sorted:
         """Lanes module by module, in batches.
