@@ -5,9 +5,9 @@ from torch.nn.utils.parametrize import register_parametrization
 
 import torch_radbp as rb
 
-asset, views = rb.load("assets/pot/pot.glb", light=0.0, resolution=40), [f"view_{number}" for number in range(8)]
+asset, views = rb.load(rb.asset("pot/pot.glb"), light=0.0, resolution=40), [f"view_{number}" for number in range(8)]
 scene = rb.load_dict({"type": "scene", "glaze": asset.glaze, "pot": asset.pot, **{v: getattr(asset, v) for v in views},
-                      "sky": {"type": "envmap", "filename": "assets/lit_balls/sky.exr"}})
+                      "sky": {"type": "envmap", "filename": str(rb.asset("lit_balls/sky.exr"))}})
 target, pot, glaze = rb.render(scene, spp=256, max_depth=3, seed=10**6), scene.pot, scene.glaze
 
 # Unknown: two maps from grey, an even sky, a shape that is too small, and cameras that are off by about a degree: turned

@@ -7,7 +7,7 @@ import torch_radbp as rb
 
 steps = 80
 torch.manual_seed(0)
-scene = rb.load("assets/cornell_box/scene.xml", resolution=64)
+scene = rb.load(rb.asset("cornell_box/scene.xml"), resolution=64)
 target = rb.render(scene, spp=512, max_depth=4, seed=10**6)
 green = scene.get_parameter("green.reflectance.value").requires_grad_()
 truth, found = green.detach().clone(), {}

@@ -9,7 +9,7 @@ import torch_radbp as rb
 
 epochs = 60
 torch.manual_seed(0)
-scene = rb.load("assets/pot/pot.glb", light=0.15, resolution=48)
+scene = rb.load(rb.asset("pot/pot.glb"), light=0.15, resolution=48)
 views = [f"view_{number}" for number in range(8)]
 colour = scene.get_parameter("glaze.base_color.data")
 truth = colour.detach().clone()

@@ -3,7 +3,7 @@
 Stable means: a program that uses these names as their docstrings say runs under every later version with the same minor
 number; what another minor number changes is in CHANGELOG.md.
 
-    scenes                 Scene, load, load_dict, save, save_image, NeuralTexture
+    scenes                 Scene, load, load_dict, asset, save, save_image, NeuralTexture
     poses and cameras      look_at, se3, camera_from_opencv, cameras_from_colmap, cameras_from_kornia, cameras_from_nerf
     photographs            Photographs, Photograph, Exposure, LensFalloff, ToneCurve
     images                 Renderer, render, contact_sheet
@@ -31,6 +31,7 @@ from torch_radbp.call.finite import NonFiniteError
 from torch_radbp.check import GradientCheck, check_gradient
 from torch_radbp.formats.contact_sheet import contact_sheet
 from torch_radbp.formats.image import save_image
+from torch_radbp.io.asset import asset
 from torch_radbp.io.colmap import cameras_from_colmap
 from torch_radbp.io.gltf.document import GltfWarning
 from torch_radbp.io.load import load, load_dict
@@ -50,6 +51,6 @@ from torch_radbp.texture.neural import NeuralTexture
 __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff",
            "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "Photograph", "Photographs", "QuadraticAdjoint",
            "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
-           "SilhouetteWarning", "TapeAdjoint", "ToneCurve", "camera_from_opencv", "cameras_from_colmap",
+           "SilhouetteWarning", "TapeAdjoint", "ToneCurve", "asset", "camera_from_opencv", "cameras_from_colmap",
            "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "contact_sheet", "jvp", "load", "load_dict",
            "look_at", "render", "save", "save_image", "se3"]

@@ -26,7 +26,7 @@ def show(**images):
 # A scene is a tree of modules, read from Mitsuba's XML. What a parameter is called, `radbp info scene.xml` says.
 
 # %%
-scene = rb.load("assets/cornell_box/scene.xml", resolution=48)
+scene = rb.load(rb.asset("cornell_box/scene.xml"), resolution=48)
 target = rb.render(scene, spp=256, max_depth=5, seed=1)[0]
 green = scene.get_parameter("green.reflectance.value")
 truth = green.detach().clone()

@@ -11,7 +11,7 @@ import torch
 
 import torch_radbp as rb
 
-scene = rb.load("assets/cornell_box/scene.xml", resolution=32)
+scene = rb.load(rb.asset("cornell_box/scene.xml"), resolution=32)
 target = rb.render(scene, spp=1024, max_depth=4, seed=1)
 red = scene.get_parameter("red.reflectance.value")
 truth = red.detach().clone()

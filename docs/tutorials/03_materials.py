@@ -23,7 +23,7 @@ def show(**images):
 
 
 # %%
-scene = rb.load("assets/pot/pot.glb", light=0.15, max_depth=3, resolution=40)
+scene = rb.load(rb.asset("pot/pot.glb"), light=0.15, max_depth=3, resolution=40)
 training, kept_back = [0, 1, 2, 4, 5, 6], [3, 7]
 colour = scene.get_parameter("glaze.base_color.data")  # (16, 32, 3), linear
 truth = colour.detach().clone()

@@ -38,7 +38,7 @@ class Exponential(torch.nn.Module):
         return value.log()
 
 
-scene = rb.load("assets/lit_balls/scene.xml", resolution=40)
+scene = rb.load(rb.asset("lit_balls/scene.xml"), resolution=40)
 truth = scene.sky.data.detach().clone()
 targets = rb.render(scene, spp=512, seed=1).detach()
 scene.sky.data.data.fill_(0.5)
@@ -71,7 +71,7 @@ show(found=scene.sky.data.permute(2, 0, 1), truth=truth.permute(2, 0, 1))
 # that was not there.
 
 # %%
-other = rb.load("assets/lit_balls/scene.xml", resolution=40)
+other = rb.load(rb.asset("lit_balls/scene.xml"), resolution=40)
 other.get_parameter("metal_ball.bsdf.alpha.value").data.fill_(0.3)  # another metal, much rougher
 relit = []
 for sky in truth, scene.sky.data.detach():
@@ -88,7 +88,7 @@ print(f"the light on another metal is off by {100 * relighting:.1f} percent")
 # like everything else.
 
 # %%
-room = rb.load("assets/point_light/scene.xml", resolution=40)
+room = rb.load(rb.asset("point_light/scene.xml"), resolution=40)
 view = rb.render(room, spp=512, seed=1).detach()
 position = room.get_parameter("lamp.position")
 place = position.detach().clone()

@@ -29,7 +29,7 @@ def show(**images):
 # block moves to the right? Without the term of shadows the answer is nothing at all.
 
 # %%
-scene = rb.load("assets/shadow/scene.xml", resolution=48)
+scene = rb.load(rb.asset("shadow/scene.xml"), resolution=48)
 right = torch.zeros(4, 4)
 right[0, 3] = 1.0
 settings = {"spp": 64, "seed": 0}
@@ -85,7 +85,7 @@ print(f"the block: off by {angle:.2f} degrees and {distance:.4f}")
 # The same six numbers, for a camera in a round room. Where it looks has a derivative by everything that it sees.
 
 # %%
-room = rb.load("assets/round_room/scene.xml", resolution=48)
+room = rb.load(rb.asset("round_room/scene.xml"), resolution=48)
 camera_angle, camera_distance = recover(room, "sensor.to_world", [0.05, -0.07, 0.03], [0.12, -0.1, 0.1], steps=240, lr=0.02)
 print(f"the camera: off by {camera_angle:.2f} degrees and {camera_distance:.4f}")
 assert angle < 3 and distance < 0.01 and camera_angle < 0.2 and camera_distance < 0.01

@@ -22,7 +22,7 @@ def show(**images):
     plt.show()
 
 # %%
-scene = rb.load("assets/textured_room/scene.xml", resolution=64, max_depth=4)
+scene = rb.load(rb.asset("textured_room/scene.xml"), resolution=64, max_depth=4)
 target = rb.render(scene, spp=256, seed=1).detach()
 painting = scene.painting.bsdf.reflectance.data.detach().clone()  # (64, 64, 3), to compare with
 

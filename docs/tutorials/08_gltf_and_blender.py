@@ -25,7 +25,7 @@ def show(**images):
     plt.show()
 
 # %%
-scene = rb.load("assets/pot/pot.glb", light=0.15, max_depth=3, resolution=64)
+scene = rb.load(rb.asset("pot/pot.glb"), light=0.15, max_depth=3, resolution=64)
 for name, parameter in scene.named_parameters():
     if name.startswith("glaze"):
         print(f"{name:36} {tuple(parameter.shape)}")

@@ -26,7 +26,7 @@ import torch_radbp as rb
 # agree to rounding.
 
 # %%
-box = rb.load("assets/cornell_box/scene.xml", resolution=32)
+box = rb.load(rb.asset("cornell_box/scene.xml"), resolution=32)
 good = rb.check_gradient(box, "red.reflectance.value", spp=256, max_depth=5)
 print(good)
 
@@ -40,7 +40,7 @@ print(good)
 # this image.
 
 # %%
-shadow = rb.load("assets/shadow/scene.xml", resolution=32)
+shadow = rb.load(rb.asset("shadow/scene.xml"), resolution=32)
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", rb.SilhouetteWarning)  # which says that shadows are missing: we know
     bad = rb.check_gradient(shadow, "block.to_world", spp=256, terms=("interior", "primary"))

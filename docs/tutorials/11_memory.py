@@ -26,7 +26,7 @@ import torch
 
 import torch_radbp as rb
 
-scene = rb.load("assets/cornell_box/scene.xml", resolution=96)
+scene = rb.load(rb.asset("cornell_box/scene.xml"), resolution=96)
 white = scene.get_parameter("white.reflectance.value").requires_grad_()
 strategies = {
     "stride 1": rb.MemoizedAdjoint(stride=1),

@@ -67,26 +67,19 @@ def test_a_tutorial_uses_public_names_only(tutorial):
     assert used and used <= allowed, f"{tutorial.name} uses {used - allowed}"
 
 
-@pytest.fixture
-def elsewhere(tmp_path) -> Path:
-    """A folder with the assets, for what a script writes."""
-    (tmp_path / "assets").symlink_to(ROOT / "assets")
-    return tmp_path
-
-
 SCRIPTS = [(deep if path.stem in SLOW else pytest.param)(path, id=path.stem) for path in (*TUTORIALS, *EXAMPLES)]
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_a_script_runs_in_its_smallest_form(script, elsewhere):
-    run("-m", "tests.docs.quick_run", script, cwd=elsewhere)
+def test_a_script_runs_in_its_smallest_form(script, tmp_path):
+    run("-m", "tests.docs.quick_run", script, cwd=tmp_path)
 
 
-def test_the_first_example_of_readme_runs_in_its_smallest_form(elsewhere):
+def test_the_first_example_of_readme_runs_in_its_smallest_form(tmp_path):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     example, = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    (elsewhere / "example.py").write_text(example)
-    run("-m", "tests.docs.quick_run", "example.py", cwd=elsewhere)
+    (tmp_path / "example.py").write_text(example)
+    run("-m", "tests.docs.quick_run", "example.py", cwd=tmp_path)
 
 
 @pytest.mark.deep
@@ -101,29 +94,29 @@ def number(text: str, after: str) -> float:
 
 
 @pytest.mark.deep
-def test_an_asset_is_found_from_views(elsewhere):
+def test_an_asset_is_found_from_views(tmp_path):
     """Its look, its shape and its cameras; how far these are along their line of sight, small images hardly tell."""
-    text = run(ROOT / "examples" / "asset_from_views.py", cwd=elsewhere)
+    text = run(ROOT / "examples" / "asset_from_views.py", cwd=tmp_path)
     for name, share in {"images": 0.06, "shape": 0.15, "across": 0.5, "turned": 0.6, "along": 0.8}.items():
         before, after = map(float, re.search(rf"{name} +off by ([\d.]+) before, ([\d.]+) after", text).groups())
         assert 0 < after < share * before, name
-    assert (elsewhere / "asset_from_views.png").exists()
+    assert (tmp_path / "asset_from_views.png").exists()
 
 
 @pytest.mark.deep
-def test_colours_and_exposures_are_found(elsewhere):
-    text = run(ROOT / "examples" / "unknown_exposure.py", cwd=elsewhere)
+def test_colours_and_exposures_are_found(tmp_path):
+    text = run(ROOT / "examples" / "unknown_exposure.py", cwd=tmp_path)
     assert number(text, "colour off by") < 0.4 * number(text, "grey by")
     assert number(text, r"1\.\d+, off by") < 5
 
 
 @pytest.mark.deep
-def test_every_loop_finds_the_colour(elsewhere):
-    text = run(ROOT / "examples" / "training_loops.py", cwd=elsewhere)
+def test_every_loop_finds_the_colour(tmp_path):
+    text = run(ROOT / "examples" / "training_loops.py", cwd=tmp_path)
     errors = [float(error) for error in re.findall(r"off by ([\d.]+)", text)]
     assert len(errors) == 4 and max(errors) < 0.04
 
 
 @pytest.mark.deep
-def test_a_recipe_of_ones_own_converges(elsewhere):
-    assert "converged: " in run(ROOT / "examples" / "own_recipe.py", cwd=elsewhere)
+def test_a_recipe_of_ones_own_converges(tmp_path):
+    assert "converged: " in run(ROOT / "examples" / "own_recipe.py", cwd=tmp_path)

@@ -170,8 +170,9 @@ def test_the_demo_and_another_recipe_run_elsewhere(elsewhere):
 
 @pytest.mark.deep
 def test_a_gltf_file_is_rendered_elsewhere(elsewhere):
-    assets = elsewhere("python", "-c", "import torch_radbp.assets; print(*torch_radbp.assets.__path__)").strip()
-    shutil.copy(Path(assets) / "pot" / "pot.glb", elsewhere.folder / "pot.glb")
+    found = elsewhere("python", "-c", "import torch_radbp as rb; print(rb.asset('pot/pot.glb'))").strip()
+    assert Path(found).is_relative_to(elsewhere.folder.parent)
+    shutil.copy(found, elsewhere.folder / "pot.glb")
     elsewhere("radbp", "render", "pot.glb", "-o", "pot.png", "-D", "light=0.15", "-D", "resolution=24", "--spp", "2")
     images = sorted(path.name for path in elsewhere.folder.glob("pot_view_*.png"))
     assert len(images) == 8

@@ -1,5 +1,6 @@
 """A user's script with every public name, and the types that a checker must see; `test_types.py` has it read by mypy."""
 
+from pathlib import Path
 from typing import assert_type
 
 import torch
@@ -15,6 +16,7 @@ scene = rb.load("scene.xml", resolution=64)
 assert_type(scene, rb.Scene)
 assert_type(rb.load("asset.glb", allow_outside=True), rb.Scene)
 assert_type(rb.load_dict({"type": "scene"}, base_dir="."), rb.Scene)
+assert_type(rb.asset("cornell_box/scene.xml"), Path)
 rb.save(scene, "found.glb", strict=True)
 rb.save_image("image.png", torch.zeros(3, 8, 8), curve="linear", white=2.0)
 assert_type(rb.contact_sheet({"target": torch.zeros(2, 3, 8, 8)}, views=["left", "right"]), Tensor)
