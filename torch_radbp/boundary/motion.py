@@ -83,8 +83,8 @@ def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_
 
 
 def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], film: Vec2, strength: tuple[Tensor, ...],
-                    chosen: Tensor) -> Tensor:
-    """The derivative of the loss by swept areas, (K,) float64.
+                    chosen: Tensor, slopes: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """The derivative of the loss by numbers that swept areas have some derivatives by, (K,) float64 each.
 
     Args:
         camera: detached.
@@ -92,9 +92,10 @@ def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], film: Vec2, stre
         film: of all places.
         strength: (K,) of each channel, by how much it jumps at places.
         chosen: (K,) int32, the places that are meant.
+        slopes: (K,) each, the derivatives of swept areas.
     """
     total = torch.zeros_like(strength[0])
     for pixel, count in camera.film.around(rows(film, chosen)):
         for channel, jump in zip(pixels, strength):
             total = total + jump * count * rows(channel, pixel)
-    return total
+    return tuple(slope * total for slope in slopes)
