@@ -85,11 +85,13 @@ class Gradients:
 
     def add(self, contributions: Iterable[Contribution]) -> None:
         """Adds what reads of equally many lanes contribute."""
-        together: dict[tuple[int, int], list[Contribution]] = {}  # those of tables of equal length at the same index
+        # Those at the same index of tables of equal length, whose totals lie alike.
+        together: dict[tuple[int, int, int], list[Contribution]] = {}
         for part in contributions:
-            together.setdefault((id(part.index), self.tables[part.leaf].numel()), []).append(part)
+            key = id(part.index), self.tables[part.leaf].numel(), self.totals[part.leaf].stride(0)
+            together.setdefault(key, []).append(part)
         additions = []
-        for (_, entries), parts in together.items():
+        for (_, entries, _), parts in together.items():
             for first in range(0, len(parts), MOST_TABLES):
                 some = parts[first:first + MOST_TABLES]
                 additions.append(Addition(some[0].index, [part.adjoint for part in some],

@@ -23,17 +23,21 @@ def creases(edges: Edges, triangles: TriangleTable, shape: Tensor | None) -> Ten
         triangles: of the scene, detached.
         shape: (T,) int32, that each triangle belongs to; None: all to the same.
     """
-    here, there = (torch.div(corner, 3, rounding_mode="floor") for corner in edges.corner[:2])
+    def of_both(column: Tensor) -> tuple[Tensor, Tensor]:
+        """What a column of all triangles says of the two at each edge."""
+        return tuple(rows(column, torch.div(corner, 3, rounding_mode="floor")) for corner in edges.corner[:2])
+
     known = (edges.count == 2) if not triangles.attributes else torch.zeros_like(edges.count, dtype=torch.bool)
     if shape is not None:
-        known &= rows(shape, here) == rows(shape, there)
+        known &= torch.eq(*of_both(shape))
     smooth = torch.full_like(known, triangles.vertices.n is not None)
     if triangles.smooth is not None:
-        smooth &= rows(triangles.smooth, here) & rows(triangles.smooth, there)
+        smooth &= torch.logical_and(*of_both(triangles.smooth))
     if edges.seam is not None:
         reads = triangles.vertices.uv is not None or bool(triangles.vertices.attributes)
         known &= ~edges.seam if reads else ~(edges.seam & smooth)
-    fold = FOLD + edges.alike.int() * (TURNED - FOLD)
-    emits = (rows(triangles.emitter, here) >= 0) & (rows(triangles.emitter, there) >= 0)
-    inside = torch.where(emits, NONE, SHADED).to(fold.dtype)
-    return torch.where(known, torch.where(smooth, inside, fold), WHOLE)
+    jump = FOLD + edges.alike.int() * (TURNED - FOLD)
+    if triangles.vertices.n is not None:
+        here, there = of_both(triangles.emitter)
+        jump = torch.where(smooth, torch.where((here >= 0) & (there >= 0), NONE, SHADED).int(), jump)
+    return torch.where(known, jump, WHOLE)

@@ -78,8 +78,17 @@ def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_
         area = signed_area(attached, with_leaves(camera, numbers), places, kinds)
         reads = [read.leaf for tap in taps for read in tap.reads]
         adjoints = iter(vector_jacobian_product([area], [*reads, *lens], [torch.ones_like(area)]))
-    tables = [table_adjoints(tap, adjoints) for tap in taps]
+    tables = [by_index(table_adjoints(tap, adjoints)) for tap in taps]
     return Slopes(tables, [zeros_unless(next(adjoints), leaf) for leaf in lens])
+
+
+def by_index(reads: list[TableAdjoint]) -> list[TableAdjoint]:
+    """The adjoints of the reads of a table, those at one index summed in float64."""
+    found: dict[int, TableAdjoint] = {}
+    for index, adjoint in reads:
+        known = found.get(id(index))
+        found[id(index)] = TableAdjoint(index, adjoint.double() if known is None else known.adjoint + adjoint.double())
+    return list(found.values())
 
 
 def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], film: Vec2, strength: tuple[Tensor, ...],

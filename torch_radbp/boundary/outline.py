@@ -22,7 +22,7 @@ from torch_radbp.boundary.edges import joined as joined_edges
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import geometry_of, in_world
 from torch_radbp.boundary.moving import Moving, chosen_instances, faces_of
-from torch_radbp.boundary.passing import Passing, remember
+from torch_radbp.boundary.passing import Passing, key_of, remember
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.segments import joined as joined_segments
@@ -102,6 +102,7 @@ class Outlines:
     def __init__(self) -> None:
         self.known: dict[object, OutlinedMesh] = {}
         self.shown: dict[Moving, Shown] = {}
+        self.faces: dict[Moving, tuple[tuple, Faces | None]] = {}  # with what they depend on
         self.order: tuple[tuple[Tensor, ...], Tensor] | None = None
         self.passing = Passing()
 
@@ -124,7 +125,7 @@ class Outlines:
 
         def jumps(moves: Moving, turns: Moving, slides: Moving) -> Jumps:
             outline = self.of(scene, sizes, moves, generator)
-            faces = faces_of(scene, sizes, turns, generator)
+            faces = self.faces_of(scene, sizes, turns, generator)
             patterned = faces_of(scene, sizes, slides, generator) if any(lines) else None
             segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
             segments += self.passing.segments(rendering, call, moves, self.of_bodies(scene, sizes, moves), seed)
@@ -132,6 +133,17 @@ class Outlines:
 
         found = {three: jumps(*three) for three in dict.fromkeys(wanted)}
         return [found[three] for three in wanted]
+
+    def faces_of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving,
+                 generator: torch.Generator) -> Faces | None:
+        """The triangles of all that moves, found anew only if there are others; args as for `of`."""
+        key, known = key_of(scene, counts), self.faces.get(moving)
+        if known is not None and known[0] == key:
+            return known[1]
+        faces = faces_of(scene, counts, moving, generator)
+        if faces is None or faces.share is None:  # otherwise of some instances: others in the next call
+            remember(self.faces, moving, (key, faces))
+        return faces
 
     def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
         """The edges of all shapes; None: there are none. Args as for `of_views`."""

@@ -75,7 +75,7 @@ class Passing:
             known = Looked(tuple(meshes), may, bodies_once(scene, rendering.sizes, meshes, may), None)
         known = known._replace(found=self_crossings(call, scene, rendering.sizes, known, seed))
         remember(self.looked, moving, known)
-        key, last = key_of(scene, rendering), self.shown.get(moving)
+        key, last = key_of(scene, rendering.sizes), self.shown.get(moving)
         if last is not None and last.found is known.found and last.key == key:
             return last.segments
         segments = shown_by_all(known.found.segments, scene, rendering.sizes, moving, seed)
@@ -86,7 +86,7 @@ class Passing:
     def of_pairs(self, rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving,
                  generator: torch.Generator) -> Segments | None:
         """Those of two bodies each; args as for `segments`, and the scene of the call, detached."""
-        instances, key = scene.triangles.instances, key_of(scene, rendering)
+        instances, key = scene.triangles.instances, key_of(scene, rendering.sizes)
         known = self.known.get(moving)
         if known is None or known.key != key:
             known = Known(key, bodies_of(scene, rendering.sizes, moving, generator), (), None)
@@ -101,10 +101,10 @@ class Passing:
         return known.segments
 
 
-def key_of(scene: SceneTensors, rendering: Rendering) -> tuple:
-    """Equal of scenes with the same triangles and instances, wherever these are."""
+def key_of(scene: SceneTensors, counts: Sequence[int]) -> tuple:
+    """Equal of scenes with the same triangles and instances, wherever these are; `counts`: as for `Outlines.of`."""
     casting = scene.triangles.casting_instances
-    return scene.device, tuple(rendering.sizes), None if casting is None else (
+    return scene.device, tuple(counts), None if casting is None else (
         *casting.first_triangle.tolist(), *casting.first_instance.tolist())
 
 
