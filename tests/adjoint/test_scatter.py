@@ -125,7 +125,7 @@ def test_other_devices_get_torch_operations():
 def test_totals_of_small_tables_and_of_parts_of_rows_lie_together():
     small = [torch.zeros(10) for _ in range(5)]
     of_rows = list(torch.zeros(2000, 8)[:, 1:7].unbind(1))
-    tables = [*small, *of_rows, torch.zeros(2000), torch.zeros(2000, dtype=torch.float64)]
+    tables = [*small, *of_rows, torch.zeros(2000), torch.zeros(2001, dtype=torch.float64)]
     assert [block.width for block in blocks_of(tables)] == [5, 6, 1, 1]
     gradients, parts = Gradients(tables), contributions(tables, 3000, 0)
     gradients.add(parts)
