@@ -106,7 +106,7 @@ def test_the_width_of_vectors_changes_nothing(width, dtype):
     vertices, faces, balls = mesh_of(THINGS["several"] + [FLOOR], dtype)
     ray, caster = take(rays_near(vertices), slice(0, 5003)), Direct(vertices, faces, balls)
     hit = [torch.empty(5003, dtype=torch.int32), *(torch.empty(5003, dtype=dtype) for _ in range(3))]
-    read = [*ray.o, *ray.d, *caster.tables(dtype)]
+    read = [*ray.o, *ray.d, *caster.tables(dtype, batches.closest_hit)]
     run_lanes(machine_code(batches.closest_hit, dtype, True, width).address, 5003, addresses(read), addresses(hit))
     found = Hit(*hit) if dtype == torch.float32 else refined(vertices, faces, ray, Hit(*hit))
     assert all(torch.equal(a, b) for a, b in zip(found[:4], caster.intersect(ray)))

@@ -1,5 +1,8 @@
 """The caster that tests every triangle: vectors of any width, edges, and the range of numbers."""
 
+import math
+from functools import cache
+
 import pytest
 import torch
 
@@ -8,7 +11,8 @@ from tests.raycast.test_hits import DTYPES, crossing
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import Ray, batches, make_caster
 from torch_radbp.raycast.direct import Direct, addresses, machine_code
-from torch_radbp.raycast.runs import BOX, LOST, MOST, VISIT, area, runs_of
+from torch_radbp.raycast.faces import faces_of
+from torch_radbp.raycast.runs import CORNER, LOST, MOST, OF_RAYS, OF_SEGMENTS, PARALLELOGRAM, Costs, area, divisions
 from torch_radbp.tensors.vec import Vec3
 
 LANES = 5003
@@ -16,12 +20,13 @@ LANES = 5003
 
 def answers(width: int, dtype: torch.dtype, vertices, faces, ray: Ray, tmax) -> list[torch.Tensor]:
     """prim, u, v, t and whether hidden, by vectors of a width."""
-    tables = Direct(vertices, faces).tables(dtype)
+    caster = Direct(vertices, faces)
     hit = [torch.empty(LANES, dtype=torch.int32), *(torch.empty(LANES, dtype=dtype) for _ in range(3))]
     hidden = torch.empty(LANES, dtype=torch.bool)
     rays = [*ray.o, *ray.d]
     for loop, columns, results in ((batches.closest_hit, rays, hit), (batches.any_hit, [*rays, tmax], [hidden])):
-        run_lanes(machine_code(loop, dtype, False, width).address, LANES, addresses([*columns, *tables]), addresses(results))
+        inputs = [*columns, *caster.tables(dtype, loop)]
+        run_lanes(machine_code(loop, dtype, False, width).address, LANES, addresses(inputs), addresses(results))
     return [*hit, hidden]
 
 
@@ -64,38 +69,75 @@ def test_no_ray_slips_through_an_edge_or_a_corner(name, dtype, separate):
 @pytest.mark.parametrize("shift", [0.0, 300.0], ids=["around the origin", "far from it"])
 @pytest.mark.parametrize("distance", [0.0, 3.0, 1000.0, 1e6])
 def test_how_triangles_are_divided_into_runs_changes_nothing(distance, shift, dtype):
-    """Rays at edges and corners, which a box that is a rounding too small would lose: each triangle by itself, as rays
-    cost least, and as many together as may be."""
+    """Rays at edges and corners, which a box that is a rounding too small would lose: each face by itself, as rays cost
+    least, and as many together as may be."""
     vertices, faces = mesh("sphere in a box", dtype)
     vertices = vertices + shift
     ray = at_edges(vertices - shift, faces, 50_000, dtype)
     o, d = ray.o.stack() + shift - distance * ray.d.stack(), ray.d.stack()
     ray, tmax = Ray(Vec3.of(o), Vec3.of(d)), torch.full((50_000,), distance + 0.9, dtype=dtype)
     caster = Direct(vertices, faces)
+    count, of_box = len(caster._faces.prims), caster._faces.parallelogram
+    assert of_box.sum() == 6 and bool(of_box[-6:].all())
+    many = torch.cat([torch.arange(0, count - 6, MOST), torch.tensor([count - 6])])
     found = []
-    for runs in (caster._runs, torch.arange(len(faces)), torch.arange(0, len(faces), MOST)):
+    for runs in (None, torch.arange(count), many):
         divided = Direct(vertices, faces)
-        divided._runs = runs
+        if runs is not None:
+            divided._runs = dict.fromkeys(divided._runs, runs)
         found.append([*divided.intersect(ray)[:4], divided.occluded(ray, tmax)])
-    assert 2 < len(caster._runs) < len(faces)
+    assert all(2 < len(runs) < count for runs in caster._runs.values())
     assert 0.1 < (found[0][0] >= 0).float().mean()
     assert all(torch.equal(a, b) for others in found[1:] for a, b in zip(others, found[0]))
 
 
 def test_runs_are_the_cheapest_division():
-    """Against all divisions of ten triangles, one by one."""
-    p = soup(10, torch.float64)[0].reshape(10, 3, 3)
+    """Against all divisions of ten triangles and a parallelogram, one by one, of which no part may have both."""
+    square = torch.tensor([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=torch.float64)
+    p = torch.cat([soup(10, torch.float64)[0].reshape(10, 3, 3), square])
+    p[3, 1] = p[2, 0]  # a corner of two triangles
+    faces = faces_of(p)
+    assert faces.parallelogram.tolist() == [*[False] * 10, True]
+    corners, count = faces.points[faces.corners], len(faces.corners)
 
-    def cost(firsts: list[int]) -> float:
-        low, high = p.amin(1), p.amax(1)
-        scene = area(high.amax(0) - low.amin(0))
-        return sum(float(BOX + (area(high[a:b].amax(0) - low[a:b].amin(0)) / scene + LOST) * (VISIT + b - a))
-                   for a, b in zip(firsts, firsts[1:]))
+    scene = area(corners.amax((0, 1)) - corners.amin((0, 1)))
 
-    divisions = [[0, *(place for place in range(1, 10) if bits >> place & 1), 10] for bits in range(0, 1 << 10, 2)]
-    firsts, least = runs_of(p)
-    assert least == pytest.approx(min(map(cost, divisions)), rel=1e-12) == cost(firsts)
-    assert 2 < len(firsts)
+    @cache
+    def run(a: int, b: int, costs: Costs) -> float:
+        tests = b - a if b < count else PARALLELOGRAM if a == count - 1 else math.inf
+        met = area(corners[a:b].amax((0, 1)) - corners[a:b].amin((0, 1))) / scene + LOST
+        return float(costs.box + met * (costs.visit + tests + CORNER * len(faces.corners[a:b].unique())))
+
+    def cost(firsts: list[int], costs: Costs) -> float:
+        return sum(run(a, b, costs) for a, b in zip(firsts, firsts[1:]))
+
+    every = [[0, *(place for place in range(1, count) if bits >> place & 1), count] for bits in range(0, 1 << count, 2)]
+    for costs, (firsts, least) in zip((OF_RAYS, OF_SEGMENTS), divisions(faces, (OF_RAYS, OF_SEGMENTS)), strict=True):
+        assert least == pytest.approx(min(cost(each, costs) for each in every), rel=1e-12) == cost(firsts, costs)
+        assert 2 < len(firsts) < count + 1
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["along axes", "turned"])
+def test_triangles_of_a_parallelogram_are_one_face(turned):
+    """Six sides of a box; a square of which a corner is off, two triangles that share a shorter edge, and three at one edge
+    are faces of their own."""
+    vertices, faces = mesh("box")
+    if turned:
+        vertices = vertices @ torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(2))).Q
+    found = faces_of(vertices[faces.long()])
+    assert bool(found.parallelogram.all()) and len(found.prims) == 6
+    assert sorted(found.prims.flatten().tolist()) == list(range(12))
+    for corners, (first, second) in zip(found.points[found.corners], found.prims.tolist()):
+        for prim, places in ((first, [0, 1, 2]), (second, [0, 2, 3])):
+            assert {*map(tuple, corners[places].tolist())} == {*map(tuple, vertices[faces[prim].long()].tolist())}
+
+    square = torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    off = square + torch.tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 1e-4]])
+    halves = torch.tensor([[0, 1, 2], [0, 2, 3]])
+    kite = torch.tensor([[0.0, 0, 0], [1, 3, 0], [0, 1, 0], [-1, -2, 0]])  # of which the diagonal is no longest edge
+    for p in (off[halves], kite[halves], torch.cat([square[halves], square[torch.tensor([[0, 2, 1]])]])):
+        alone = faces_of(p)
+        assert not bool(alone.parallelogram.any()) and alone.prims.tolist() == [[k, k] for k in range(len(p))]
 
 
 @pytest.mark.parametrize("axis", range(3))

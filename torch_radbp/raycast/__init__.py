@@ -20,7 +20,7 @@ __all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 CASTERS = {"embree": "Embree", "direct": "Direct", "brute": "Brute", "warp": "Warp"}
 # What a path's rays cost at most, in tests of a triangle, to be cast faster without a tree: scattered boxes are three to
 # eight times as fast, even a thousand triangles of them; scattered triangles, whose runs are not compact, begin to lose.
-FEW_TESTS = 160
+FEW_TESTS = 230
 FEW_BALLS = 128  # likewise; of incoherent rays, 256 take half of the time that a tree of their triangles does
 
 

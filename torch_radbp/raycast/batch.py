@@ -13,7 +13,7 @@ from torch_radbp.raycast.vectors import ZERO, Vectors
 
 BATCH = 512  # rays: few enough that what is known of them stays in the nearest cache
 # As `runs.Runs`.
-INPUTS = ("corners", "triangles", "by_triangle", "columns_at", "boxes", "firsts", "run_count_at", "scale_at")
+INPUTS = ("corners", "faces", "by_triangle", "columns_at", "boxes", "firsts", "run_count_at", "scale_at")
 # What is known of the rays of a batch: how they see points; the length of 1 along them; 1 over the direction, of length 1
 # along the axis; by how much boxes are widened; where the search ends, negative where it has; and in the end t where a ball
 # is met. The flags of `View.axis`; the lane; the triangle that is met, the ball, and row and column of its facet.
@@ -35,7 +35,7 @@ def begin(code: Vectors, balls: bool, columns: int, outputs: int) -> list[str]:
     found = [code.load("ptr", "%inputs", number) for number in range(columns)]
     code.lay("%run_count = load i64, ptr %run_count_at", "%columns = load i64, ptr %columns_at",
              f"%scale = load {code.scalar}, ptr %scale_at")
-    code.lay(f"%seen = alloca {code.numbers}, i64 {9 * MOST}, align 64")  # the corners of a run
+    code.lay(f"%seen = alloca {code.numbers}, i64 {12 * MOST}, align 64")  # the corners of a run
     vectors = BATCH // code.width + 1  # what is listed is written vector by vector, the last beyond its end
     code.lay(*(f"%ray.{name} = alloca {code.numbers}, i64 {vectors}, align 64" for name in NUMBERS),
              *(f"%ray.{name} = alloca {code.integers}, i64 {vectors}, align 64" for name in INTEGERS),

@@ -2,7 +2,7 @@
 
 A tree spends most of its time on branches that a processor cannot foresee, and on vectors of rays of which few want to know
 what is looked at. Here a batch of some hundred rays takes the runs one by one: all are tested against the box of a run,
-vector by vector, those that meet it are listed, and the listed ones are tested against its triangles, again in full vectors.
+vector by vector, those that meet it are listed, and the listed ones are tested against its faces, again in full vectors.
 Where most of a batch meet a box, all are tested where they lie, which is sooner done than picking some out. What a ray meets
 does not depend on the others of its batch.
 
@@ -27,12 +27,12 @@ from torch_radbp.raycast.batch import (
     loop,
     next_batch,
 )
-from torch_radbp.raycast.every_triangle import View, closer, place_on, struck
+from torch_radbp.raycast.every_triangle import View, closer, crossing, crossing_of_both, place_on, struck
 from torch_radbp.raycast.queries import Rays, lanes_before, rays_of, write_hidden
 from torch_radbp.raycast.runs import FEW
 from torch_radbp.raycast.vectors import ZERO, Vectors
 
-# What a vector of rays costs beside its triangles, in tests of a triangle: of a list, and of rays that follow each other.
+# What a vector of rays costs beside the faces of a run, in tests of one: of a list, and of rays that follow each other.
 PICKED, FOLLOWING = 14, 4
 
 
@@ -79,23 +79,38 @@ class Following(NamedTuple):
                    code.at(kind, f"%ray.{name}", self.at))
 
 
-def seen_triangle(code: Vectors, triangle: str) -> list[list[str]]:
-    """The corners of a triangle of the run, as rays see them."""
-    row = code.at("i32", "%triangles", code.line(f"mul i64 {triangle}, 3"))
-    corners = []
-    for number in range(3):
+def seen_face(code: Vectors, row: str, corners: int) -> list[list[str]]:
+    """The corners of a face of the run, as rays see them; `row`: of `Runs.faces`."""
+    found = []
+    for number in range(corners):
         corner = code.line(f"zext i32 {code.load('i32', row, number)} to i64")
         place = code.at(code.numbers, "%seen", code.line(f"mul i64 {code.line(f'sub i64 {corner}, %corner.first')}, 3"))
-        corners.append([code.load(code.numbers, place, k) for k in range(3)])
-    return corners
+        found.append([code.load(code.numbers, place, k) for k in range(3)])
+    return found
+
+
+def tested(code: Vectors, row: str, parallelogram: bool, end: str, any_hit: bool) -> tuple[str, str, str]:
+    """Flags of rays that hit a face, how far, and the triangle that is hit, i32."""
+    first = code.splat(code.load("i32", row, 4), "i32")
+    if parallelogram:
+        found, between = crossing_of_both(code, *seen_face(code, row, 4))
+    else:
+        found = crossing(code, *seen_face(code, row, 3))
+    if any_hit:
+        return struck(code, found, end), code.constant(DONE), first
+    hit, distance = closer(code, found, end)
+    if not parallelogram:
+        return hit, distance, first
+    beyond = code.compare(code.negated_where_negative(between, found.total), "olt", ZERO)
+    return hit, distance, code.choose(beyond, code.splat(code.load("i32", row, 5), "i32"), first, "i32")
 
 
 def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, any_hit: bool) -> None:
-    """Lays the test of a vector of rays against the triangles of a run, from the label `before` to `<name>.tested`."""
+    """Lays the test of a vector of rays against the faces of a run, from the label `before` to `<name>.tested`."""
     view = rays.view(code)
 
     # See the corners of the run.
-    corner, triangle = f"{name}.corner", f"{name}.triangle"
+    corner = f"{name}.corner"
     loop(code, corner, before, 1)
     row = code.line(f"mul i64 {code.line(f'add i64 %corner.first, %{corner}.at')}, 3")
     place, target = code.at(code.scalar, "%corners", row), code.at(code.numbers, "%seen",
@@ -105,40 +120,45 @@ def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, an
         code.store(code.numbers, number, code.at(code.numbers, target, k))
     again(code, corner, "%corner.count", f"{name}.seen")
 
-    # Test its triangles.
+    # Test its faces.
     first_end = rays.end(code)
-    end, prim = f"%{name}.least", f"%{name}.met"
-    loop(code, triangle, f"{name}.seen", 1,
-         f"{end} = phi {code.numbers} [ {first_end}, %{name}.seen ], [ {end}.next, %{triangle}.end ]",
-         f"{prim} = phi {code.integers} [ splat (i32 -1), %{name}.seen ], [ {prim}.next, %{triangle}.end ]",
-         f"%{triangle}.number = add i64 %triangle.first, %{triangle}.at")
-    corners = seen_triangle(code, f"%{triangle}.number")
-    if any_hit:
-        hit, found = struck(code, corners, end), code.constant(DONE)
-    else:
-        hit, found = closer(code, corners, end)
-    number = code.splat(code.line(f"trunc i64 %{triangle}.number to i32"), "i32")
-    code.lay(f"{end}.next = select {code.flags} {hit}, {code.numbers} {found}, {code.numbers} {end}",
-             f"{prim}.next = select {code.flags} {hit}, {code.integers} {number}, {code.integers} {prim}")
-    again(code, triangle, "%triangle.count", f"{name}.tested")
-    met = code.line(f"icmp sge {code.integers} {prim}.next, {ZERO}")
-    rays.learn(code, code.scalar, "end", f"{end}.next", met)
+    code.lay(f"br i1 %parallelograms, label %{name}.two, label %{name}.one")
+    for kind in ("one", "two"):
+        face = f"{name}.{kind}.face"
+        end, prim = f"%{face}.least", f"%{face}.met"
+        code.lay(f"{name}.{kind}:")
+        loop(code, face, f"{name}.{kind}", 1,
+             f"{end} = phi {code.numbers} [ {first_end}, %{name}.{kind} ], [ {end}.next, %{face}.end ]",
+             f"{prim} = phi {code.integers} [ splat (i32 -1), %{name}.{kind} ], [ {prim}.next, %{face}.end ]")
+        row = code.at("[6 x i32]", "%faces", code.line(f"add i64 %face.first, %{face}.at"))
+        hit, found, number = tested(code, row, kind == "two", end, any_hit)
+        code.lay(f"{end}.next = select {code.flags} {hit}, {code.numbers} {found}, {code.numbers} {end}",
+                 f"{prim}.next = select {code.flags} {hit}, {code.integers} {number}, {code.integers} {prim}")
+        again(code, face, "%face.count", f"{name}.{kind}.all")
+        code.lay(f"br label %{name}.tested")
+    code.lay(f"{name}.tested:")
+    end, prim = (code.line(f"phi {kind} [ %{name}.one.face.{which}.next, %{name}.one.all ], "
+                           f"[ %{name}.two.face.{which}.next, %{name}.two.all ]")
+                 for kind, which in ((code.numbers, "least"), (code.integers, "met")))
+    met = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    rays.learn(code, code.scalar, "end", end, met)
     if not any_hit:
-        rays.learn(code, "i32", "prim", f"{prim}.next", met)
+        rays.learn(code, "i32", "prim", prim, met)
 
 
 def search(code: Vectors, before: str, count: str, any_hit: bool) -> None:
     """Lays the search for what the rays of the batch meet, `count` of them, from the label `before` to `answer`."""
     loop(code, "run", before, 1)
-    for name, which in (("triangle", 0), ("corner", 1)):
-        for border, run in (("first", "%run.at"), ("last", "%run.next")):
-            at = code.at("[2 x i32]", "%firsts", run)
+    this, following = (code.at("[3 x i32]", "%firsts", run) for run in ("%run.at", "%run.next"))
+    for which, name in enumerate(("face", "corner")):
+        for border, at in (("first", this), ("last", following)):
             code.lay(f"%{name}.{border} = zext i32 {code.load('i32', at, which)} to i64")
         code.lay(f"%{name}.count = sub i64 %{name}.last, %{name}.first")
+    code.lay(f"%parallelograms = icmp ne i32 {code.load('i32', this, 2)}, 0")
     list_of_box(code, "box", "%run.next", "run", count)
 
     # Where many of the batch meet the box, all are tested: to pick some out takes as long as some triangles more.
-    of_listed, of_all = (code.line(f"add i64 %triangle.count, {more}") for more in (PICKED, FOLLOWING))
+    of_listed, of_all = (code.line(f"add i64 %face.count, {more}") for more in (PICKED, FOLLOWING))
     of_listed, of_all = code.line(f"mul i64 %box.listed, {of_listed}"), code.line(f"mul i64 {count}, {of_all}")
     code.lay(f"%many = icmp sgt i64 {of_listed}, {of_all}", "br i1 %many, label %many_rays, label %few_rays", "many_rays:")
     loop(code, "all", "many_rays", code.width)

@@ -15,6 +15,7 @@ from torch_radbp.jit.recording import recording
 from torch_radbp.jit.team import PART, run_lanes
 from torch_radbp.raycast import ball, batches, runs
 from torch_radbp.raycast.ball import other_triangles
+from torch_radbp.raycast.faces import faces_of
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
@@ -49,11 +50,15 @@ class Direct:
         if len(self._others) > MOST_TRIANGLES:
             raise ValueError(f"the ray caster 'direct' takes at most {MOST_TRIANGLES} triangles, got {len(self._others)}; "
                              "use 'embree'")
-        firsts, self.cost = runs.runs_of(self.vertices[self._others.long()])
-        self._runs = torch.tensor(firsts[:-1], device=CPU)
+        self._faces = faces_of(self.vertices[self._others.long()])
+        divisions = runs.divisions(self._faces, (runs.OF_RAYS, runs.OF_SEGMENTS))
+        self.cost = divisions[0][1]
+        self._runs = {loop: torch.tensor(firsts[:-1], device=CPU)
+                      for loop, (firsts, _) in zip((batches.closest_hit, batches.any_hit), divisions)}
         self.rays_cast = 0
         self._counting = Lock()
-        self._meshes: dict[torch.dtype, tuple[Tensor, ...]] = {}  # by the dtype of rays, made when it is first needed
+        # By the dtype of rays and the loop, made when they are first needed.
+        self._meshes: dict[tuple[torch.dtype, Callable], tuple[Tensor, ...]] = {}
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, CPU)
@@ -74,7 +79,7 @@ class Direct:
     def _run(self, loop: Callable, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
         """Runs a loop of `batches` over all lanes."""
         dtype, lanes = columns[0].dtype, columns[0].numel()
-        inputs = [*columns_of(columns, dtype), *self.tables(dtype)]
+        inputs = [*columns_of(columns, dtype), *self.tables(dtype, loop)]
         body = machine_code(loop, dtype, self.balls is not None).address
         if (listener := recording()) is not None:
             listener.cast(body, lanes, PART, inputs, list(answers))
@@ -89,17 +94,18 @@ class Direct:
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
         """What the loops read beside rays of a dtype, as a `Recording` is given it."""
-        return self.tables(dtype)
+        return [*self.tables(dtype, batches.closest_hit), *self.tables(dtype, batches.any_hit)]
 
-    def tables(self, dtype: torch.dtype) -> tuple[Tensor, ...]:
-        """What the loops read of the mesh, for rays of a dtype."""
-        if dtype not in self._meshes:
+    def tables(self, dtype: torch.dtype, loop: Callable) -> tuple[Tensor, ...]:
+        """What a loop of `batches` reads of the mesh, for rays of a dtype."""
+        if (dtype, loop) not in self._meshes:
             p = self.vertices.to(dtype)[self._others.long()]
+            faces = self._faces._replace(points=self._faces.points.to(dtype))
             placements, of_balls = (None, ()) if self.balls is None else (self.balls.placement, (
                 *ball.tables(self.balls, dtype), self._numbers))
-            made = *runs.tables(p, self._runs, unit_of(p.flatten(0, 1)), placements), *of_balls
-            self._meshes.setdefault(dtype, made)  # those of the first thread serve all
-        return self._meshes[dtype]
+            made = *runs.tables(p, faces, self._runs[loop], unit_of(p.flatten(0, 1)), placements), *of_balls
+            self._meshes.setdefault((dtype, loop), made)  # those of the first thread serve all
+        return self._meshes[dtype, loop]
 
     def __reduce__(self):
         return Direct, (self.vertices, self.faces, self.balls)

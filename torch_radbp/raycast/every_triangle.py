@@ -68,35 +68,47 @@ def view_along(code: Vectors, rays: Rays) -> tuple[View, str]:
     return View(o, slopes, axis), code.mul(code.magnitude(greatest), scale)
 
 
-def crossing(code: Vectors, a: list[str], b: list[str], c: list[str]) -> tuple[list[str], str, str]:
-    """The edge functions opposite to the corners, their sum, and the distance times that sum."""
-    weights = [code.determinant(c, b), code.determinant(a, c), code.determinant(b, a)]
-    total = code.add(code.add(weights[0], weights[1]), weights[2])
-    return weights, total, code.dot(weights, [a[2], b[2], c[2]])
+class Crossing(NamedTuple):
+    """Where rays cross the plane of a face."""
+
+    edges: list[str]  # the edge functions: on which side of each edge
+    total: str  # twice the area of the triangle, as rays see it
+    distance: str  # along the axis, times that
 
 
-def inside(code: Vectors, weights: list[str]) -> str:
-    """Flags of rays that pass through the triangle: no two weights have opposite signs."""
-    low, high = weights[0], weights[0]
-    for weight in weights[1:]:
-        low, high = code.lesser(low, weight), code.greater(high, weight)
+def crossing(code: Vectors, a: list[str], b: list[str], c: list[str]) -> Crossing:
+    """Of a triangle; the edge functions are of the edges opposite to the corners."""
+    edges = [code.determinant(c, b), code.determinant(a, c), code.determinant(b, a)]
+    total = code.add(code.add(edges[0], edges[1]), edges[2])
+    return Crossing(edges, total, code.dot(edges, [a[2], b[2], c[2]]))
+
+
+def crossing_of_both(code: Vectors, a: list[str], b: list[str], c: list[str], d: list[str]) -> tuple[Crossing, str]:
+    """Of the triangles a, b, c and a, c, d, which make up a parallelogram, and the edge function between them."""
+    half = crossing(code, a, b, c)
+    return half._replace(edges=[half.edges[0], half.edges[2], code.determinant(d, c), code.determinant(a, d)]), half.edges[1]
+
+
+def inside(code: Vectors, edges: list[str]) -> str:
+    """Flags of rays that pass through the face: no two edge functions have opposite signs."""
+    low, high = edges[0], edges[0]
+    for edge in edges[1:]:
+        low, high = code.lesser(low, edge), code.greater(high, edge)
     return code.either(code.compare(low, "oge", ZERO), code.compare(high, "ole", ZERO))
 
 
-def closer(code: Vectors, corners: list[list[str]], end: str) -> tuple[str, str]:
-    """Flags of rays that hit a triangle before `end`, and how far."""
-    weights, total, distance = crossing(code, *corners)
-    distance = code.div(distance, total)
+def closer(code: Vectors, found: Crossing, end: str) -> tuple[str, str]:
+    """Flags of rays that hit a face before `end`, and how far."""
+    distance = code.div(found.distance, found.total)
     before_end = code.both(code.compare(distance, "ogt", ZERO), code.compare(distance, "olt", end))
-    return code.both(inside(code, weights), before_end), distance
+    return code.both(inside(code, found.edges), before_end), distance
 
 
-def struck(code: Vectors, corners: list[list[str]], end: str) -> str:
-    """Flags of rays that hit a triangle not beyond `end`."""
-    weights, total, distance = crossing(code, *corners)
-    distance = code.negated_where_negative(distance, total)  # and so is what it is compared to: no division
-    before_end = code.compare(distance, "ole", code.mul(end, code.magnitude(total)))
-    return code.both(inside(code, weights), code.both(code.compare(distance, "ogt", ZERO), before_end))
+def struck(code: Vectors, found: Crossing, end: str) -> str:
+    """Flags of rays that hit a face not beyond `end`."""
+    distance = code.negated_where_negative(found.distance, found.total)  # so is what it is compared to: no division
+    before_end = code.compare(distance, "ole", code.mul(end, code.magnitude(found.total)))
+    return code.both(inside(code, found.edges), code.both(code.compare(distance, "ogt", ZERO), before_end))
 
 
 def place_on(code: Vectors, corners: list[list[str]], unit: str) -> tuple[str, str, str]:

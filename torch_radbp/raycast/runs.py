@@ -1,60 +1,109 @@
-"""Runs: a small mesh in parts of triangles that follow each other, each with a box, for `batches.py`.
+"""Runs: a small mesh in parts of faces that follow each other, each with a box, for `batches.py`.
 
 Files list the triangles of a thing one after the other, so that such parts are compact without a search for better ones.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-# What a ray costs, in tests of a triangle: the box of a run; a run whose box it meets, beside its triangles; and what part
-# of a batch is lost where a vector of rays is not full.
-BOX, VISIT, LOST = 0.4, 3.0, 1 / 64
-MOST, MOST_TRIANGLES = 32, 1000  # triangles of a run, and of a mesh
+from torch_radbp.raycast.faces import Faces
+
+# What a ray costs, in tests of a triangle: a parallelogram, a corner that is seen along it; and what part of a batch is lost
+# where a vector of rays is not full.
+PARALLELOGRAM, CORNER, LOST = 1.3, 0.2, 1 / 64
+
+
+class Costs(NamedTuple):
+    """Of a run, in tests of a triangle."""
+
+    box: float  # what all rays are tested against
+    visit: float  # if it is met, beside faces and corners
+
+
+# Rays without an end meet whatever is around them. Segments end before what is around them, so that boxes spare more.
+OF_RAYS, OF_SEGMENTS = Costs(box=0.8, visit=2.0), Costs(box=0.4, visit=1.5)
+MOST, MOST_TRIANGLES = 32, 1000  # faces of a run, and triangles of a mesh
 FEW = 64  # triangles that a processor which permutes vectors reads without gathers; so long columns are at least
 
 
 class Runs(NamedTuple):
-    """What loops over batches of rays read of a mesh of F triangles in R runs."""
+    """What loops over batches of rays read of a mesh of F triangles, P faces, in R runs."""
 
     corners: Tensor  # (C, 3) numbers in units of the mesh, run by run; corners of a run in the same place are one
-    triangles: Tensor  # (F, 3) int32, rows of these
+    faces: Tensor  # (P, 6) int32, four rows of these and two triangles, as of `Faces`
     by_triangle: Tensor  # (9, max(F, FEW)) the coordinates of the corners, by triangle
     columns: Tensor  # () int64, how long its rows are
     boxes: Tensor  # (1 + R + B, 6) centres and half extents: of all, of the runs, of B balls
-    firsts: Tensor  # (R + 1, 2) int32, the first triangle and the first corner of each; behind the last, how many there are
+    firsts: Tensor  # (R + 1, 3) int32, the first face and the first corner of each; behind the last, how many there are;
+    # and 1 if the faces are parallelograms, else 0
     count: Tensor  # () int64, R
     scale: Tensor  # () the length of 1 in units of the mesh
 
 
-def runs_of(p: Tensor) -> tuple[list[int], float]:
-    """The first triangle of each run, behind them F, and about what a ray costs: of all divisions the cheapest.
+def divisions(faces: Faces, costs: Iterable[Costs]) -> list[tuple[list[int], float]]:
+    """For each kind of rays the first face of each run, behind them P, and about what a ray costs: the cheapest of all.
 
-    A ray is taken to meet boxes in proportion to their area.
-
-    Args:
-        p: (F, 3, 3) the corners of triangles.
+    A ray is taken to meet boxes in proportion to their area. The faces of a run are all triangles, or all parallelograms.
     """
+    p, kind = faces.points[faces.corners], faces.parallelogram.to(faces.points.dtype)
     most = min(MOST, len(p))
-    low, high = (torch.cat([found, found[-1:].expand(most - 1, 3)]).unfold(0, most, 1) for found in (p.amin(1), p.amax(1)))
-    extent = (high.cummax(2).values - low.cummin(2).values).transpose(1, 2)  # (F, most, 3) by first triangle and number
+    low, high = (beginning_at_each(found, most) for found in (p.amin(1), p.amax(1)))
+    extent = (high.cummax(2).values - low.cummin(2).values).transpose(1, 2)  # (P, most, 3) by first face and number
     scene = area(p.amax((0, 1)) - p.amin((0, 1))).clamp_min(torch.finfo(p.dtype).tiny)
     met = area(extent) / scene + LOST
-    costs = (BOX + met * (VISIT + torch.arange(1, most + 1, device=p.device))).numpy()
-    least, following = np.zeros(len(p) + most), [0] * len(p)  # of what follows a triangle
-    least[len(p) + 1:] = np.inf
-    for first in reversed(range(len(p))):
-        found = costs[first] + least[first + 1:first + 1 + most]
-        following[first] = first + 1 + int(found.argmin())
-        least[first] = found[following[first] - first - 1]
-    firsts = [0]
-    while firsts[-1] < len(p):
-        firsts.append(following[firsts[-1]])
-    return firsts, float(least[0])
+    tests = (1 + (PARALLELOGRAM - 1) * kind)[:, None] * torch.arange(1, most + 1, device=p.device)
+    tests = tests + CORNER * corners_from(faces.corners, most).to(p.dtype)
+    mixed = (beginning_at_each(kind[:, None], most)[:, 0] != kind[:, None]).cummax(1).values
+    found = [torch.where(mixed, torch.inf, box + met * (visit + tests)) for box, visit in costs]
+    return cheapest(torch.stack(found).numpy())
+
+
+def cheapest(costs: np.ndarray) -> list[tuple[list[int], float]]:
+    """For each of K kinds of rays the first face of each run of the cheapest division, behind them P, and its cost.
+
+    Args:
+        costs: (K, P, most) of a run, by its first face and the number of its faces.
+    """
+    kinds, count, most = costs.shape
+    least = np.zeros((kinds, count + most))  # of what follows a face
+    least[:, count + 1:] = np.inf
+    following = np.zeros((kinds, count), np.int64)
+    for first in reversed(range(count)):
+        found = costs[:, first] + least[:, first + 1:first + 1 + most]
+        following[:, first] = found.argmin(1)
+        least[:, first] = found.min(1)
+    divisions = []
+    for steps, cost in zip((following + 1 + np.arange(count)).tolist(), least[:, 0].tolist()):
+        firsts = [0]
+        while firsts[-1] < count:
+            firsts.append(steps[firsts[-1]])
+        divisions.append((firsts, cost))
+    return divisions
+
+
+def corners_from(corners: Tensor, most: int) -> Tensor:
+    """(P, most) int64: how many different corners faces have, by the first of them and their number.
+
+    Args:
+        corners: (P, 4) of faces.
+        most: the greatest number.
+    """
+    place, order = corners.flatten().sort(stable=True)
+    before = torch.full_like(place, -1)  # the last face that had a corner
+    before[order[1:]] = torch.where(place[1:] == place[:-1], order[:-1] // 4, -1)
+    first = torch.arange(len(corners), device=corners.device)[:, None, None]
+    return (beginning_at_each(before.reshape(-1, 4), most) < first).sum(1).cumsum(1)
+
+
+def beginning_at_each(rows: Tensor, count: int) -> Tensor:
+    """(P, K, count): of each of (P, K) rows as many that follow from it on, at the end the last one again."""
+    return torch.cat([rows, rows[-1:].expand(count - 1, *rows.shape[1:])]).unfold(0, count, 1)
 
 
 def area(extent: Tensor) -> Tensor:
@@ -75,33 +124,33 @@ def box_of_ball(placement: Tensor) -> tuple[Tensor, Tensor]:
     return centre - half, centre + half
 
 
-def tables(p: Tensor, first: Tensor, scale: Tensor, balls: Tensor | None) -> Runs:
+def tables(p: Tensor, faces: Faces, first: Tensor, scale: Tensor, balls: Tensor | None) -> Runs:
     """What loops read of triangles.
 
     Args:
         p: (F, 3, 3) their corners.
-        first: (R,) the first triangle of each run.
+        faces: that they make up, of the same dtype.
+        first: (R,) the first face of each run.
         scale: () the length of 1 in units of the mesh.
         balls: (B, 3, 4) the placements of balls beside them; None: none.
     """
-    p = p * scale
-    lengths = torch.cat([first, first.new_tensor([len(p)])]).diff()
-    borders = [torch.segment_reduce(found, how, lengths=lengths) for found, how in ((p.amin(1), "min"), (p.amax(1), "max"))]
+    points = faces.points * scale
+    corner = points[faces.corners]
+    lengths = torch.cat([first, first.new_tensor([len(corner)])]).diff()
+    borders = [torch.segment_reduce(found, how, lengths=lengths)
+               for found, how in ((corner.amin(1), "min"), (corner.amax(1), "max"))]
     if balls is not None:
         borders = [torch.cat(pair) for pair in zip(borders, box_of_ball(balls.to(p.dtype) * scale))]
     low, high = borders
     boxes = boxes_around(torch.cat([low.amin(0, keepdim=True), low]), torch.cat([high.amax(0, keepdim=True), high]))
-    run = torch.zeros(len(p), dtype=torch.int64, device=p.device)
+    run = torch.zeros(len(corner), dtype=torch.int64, device=p.device)
     run[first[1:]] = 1
-    run = run.cumsum(0)
-    _, place = torch.unique(p.flatten(0, 1), dim=0, return_inverse=True)
-    named = run.repeat_interleave(3) * (int(place.max()) + 1) + place
+    named = run.cumsum(0)[:, None] * len(points) + faces.corners
     names, rows = torch.unique(named, return_inverse=True)  # sorted, and so run by run
-    corners = p.new_empty(len(names), 3)
-    corners[rows] = p.flatten(0, 1)
-    of_run = torch.searchsorted(names, torch.arange(len(first) + 1, device=p.device) * (int(place.max()) + 1))
-    firsts = torch.stack([torch.cat([first, first.new_tensor([len(p)])]), of_run], 1)
-    by_triangle = torch.nn.functional.pad(p.reshape(-1, 9).T, (0, max(0, FEW - len(p)))).contiguous()
-    return Runs(corners, rows.reshape(-1, 3).to(torch.int32), by_triangle,
+    of_run = torch.searchsorted(names, torch.arange(len(first) + 1, device=p.device) * len(points))
+    kinds = torch.cat([faces.parallelogram[first].long(), first.new_zeros(1)])
+    firsts = torch.stack([torch.cat([first, first.new_tensor([len(corner)])]), of_run, kinds], 1)
+    by_triangle = torch.nn.functional.pad((p * scale).reshape(-1, 9).T, (0, max(0, FEW - len(p)))).contiguous()
+    return Runs(points[names % len(points)], torch.cat([rows.to(torch.int32), faces.prims], 1), by_triangle,
                 torch.tensor(by_triangle.shape[1], device=p.device), boxes, firsts.to(torch.int32),
                 torch.tensor(len(first), device=p.device), scale)
