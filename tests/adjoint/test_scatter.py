@@ -7,7 +7,7 @@ import sys
 import pytest
 import torch
 
-from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
+from torch_radbp.adjoint.scatter import Contribution, Gradients, blocks_of, gradients_of
 from torch_radbp.jit.cpu import SMALL
 from torch_radbp.texture.interleaved import LEAST, are_columns, columns_of_rows
 
@@ -120,3 +120,17 @@ def test_other_devices_get_torch_operations():
     gradients = Gradients([torch.empty(1000, device="meta")])
     gradients.add([Contribution(0, torch.zeros(9, dtype=torch.int32, device="meta"), torch.zeros(9, device="meta"))])
     assert gradients.totals[0].device.type == "meta"
+
+
+def test_totals_of_small_tables_and_of_parts_of_rows_lie_together():
+    small = [torch.zeros(10) for _ in range(5)]
+    of_rows = list(torch.zeros(2000, 8)[:, 1:7].unbind(1))
+    tables = [*small, *of_rows, torch.zeros(2000), torch.zeros(2001, dtype=torch.float64)]
+    assert [block.width for block in blocks_of(tables)] == [5, 6, 1, 1]
+    gradients, parts = Gradients(tables), contributions(tables, 3000, 0)
+    gradients.add(parts)
+    found, finite = gradients_of([gradients])
+    assert finite
+    for own, table, total in zip(found, tables, expected(tables, parts)):
+        assert own.shape == table.shape and own.dtype == table.dtype and total.any()
+        torch.testing.assert_close(own.double(), total, rtol=1e-6, atol=1e-6)

@@ -20,6 +20,7 @@ from torch_radbp.boundary.pierced import BodyEdges, Probes, probes, self_interse
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.io.transform import rotate
 from torch_radbp.raycast.brute import Brute
+from torch_radbp.rendering.stages import EAGER
 
 RADIANCE = {"type": "bitmap", "raw": True, "filter_type": "nearest", "bitmap": torch.tensor([[[3, 2, 1], [0.25] * 3]])}
 CELL = 2.0 / SIZE
@@ -58,7 +59,7 @@ def pairs_of(segments: Segments) -> list[tuple[int, int]]:
 def of_edges(geometry: Geometry, looked_at: Callable[[int], Probes], sizes: torch.Tensor) -> Segments:
     p, corners = geometry.triangles.vertices.p.stack(), torch.stack(geometry.triangles.corners, 1)
     edges = edges_of(p, corners)
-    return self_intersections(Brute(p, corners), geometry, BodyEdges(edges, None), looked_at(len(edges.a)),
+    return self_intersections(Brute(p, corners), EAGER, geometry, BodyEdges(edges, None), looked_at(len(edges.a)),
                               sizes.cumsum(0))
 
 

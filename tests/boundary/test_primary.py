@@ -311,6 +311,21 @@ def test_only_creases_and_seams_of_a_smooth_surface_may_jump():
     assert 0 < int((ball > 0).sum()) < 0.01 * len(ball)
 
 
+def test_edges_that_instances_show_are_kept_until_others_do():
+    shown = {f"shown{k}": {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}} for k in range(3)}
+    scene = load(camera=parallel(), sky=DARK, group={"type": "shapegroup", "square": rectangle((0, 0, 0), 0.25)}, **shown)
+    outlines = Outlines()
+
+    def found(*moving: bool) -> list[int]:
+        edges = outlines.of(pack(scene), [2], Moving((False,), moving), torch.Generator())
+        kept = outlines.of(pack(scene), [2], Moving((False,), moving), torch.Generator())
+        assert kept is edges and len(edges.edges.a) == len(edges.instance)
+        return edges.instance.unique().tolist()
+
+    assert found(True, False, True) == [1, 3]
+    assert found(False, True, False) == [2]
+
+
 def test_nothing_is_traced_where_nothing_moves(monkeypatch):
     scene = solid()
     scene.get_parameter("cube.bsdf.reflectance.value").requires_grad_()

@@ -57,6 +57,24 @@ def test_equal_indices_reflect_nothing_and_a_perfect_mirror_everything():
     assert (conductor(cos_i, 0.0, 1.0) - 1).abs().max() < 1e-12
 
 
+@pytest.mark.parametrize("eta, k", [(0.0, 1e6), (0.0, 1e9), (1e-3, 1e9), (1e9, 0.0), (1e9, 1e9)])
+def test_huge_indices_reflect_nearly_everything_in_float32(eta, k):
+    """Reflectance differs from 1 by less than 4 / |index|, and larger indices than 1e6 count as that."""
+    cos_i = torch.cos(ANGLES[:150]).float()
+    assert (conductor(cos_i, eta, k) - 1).abs().max() < 1e-5
+
+
+@pytest.mark.parametrize("eta, k", [(0.0, 0.0), (1.0, 0.0), (1e-8, 1e-8), (0.2, 3.9), (1.5, 0.0)])
+def test_reflectances_and_their_derivatives_are_finite_in_float32_up_to_grazing(eta, k):
+    cos_i = torch.cat([torch.zeros(1), torch.logspace(-12, 0, 100)]).requires_grad_()
+    index = [torch.full_like(cos_i, value).requires_grad_() for value in (eta, k)]
+    reflectance = conductor_reflectance(cos_i, *(Vec3(value, value, value) for value in index)).x
+    rounding = 1e-6  # of a difference that vanishes where the index is 1
+    assert (reflectance > -rounding).all() and (reflectance < 1 + rounding).all()
+    slopes = torch.autograd.grad(reflectance.sum(), [cos_i, *index])
+    assert all(slope.isfinite().all() for slope in slopes)
+
+
 def test_a_perfect_mirror_has_the_derivative_that_differences_show():
     """eta = 0 is where the textbook's root has no derivative, and the default of Mitsuba's conductor."""
     eta = torch.zeros(1, dtype=torch.float64, requires_grad=True)

@@ -17,10 +17,13 @@ import torch
 from torch_radbp.jit import LaneFunction, team
 from torch_radbp.jit.team import (
     HERE,
+    LEAST,
+    PART,
     after_loops,
     alone_in_torch,
     each,
     loops_together,
+    part_for_all,
     threads,
     together,
     until_none_is_left,
@@ -334,3 +337,15 @@ def test_after_an_error_no_loop_runs_that_waited_and_later_ones_run_at_once():
     assert not room.any()
     double.into(room, 0, x)
     assert torch.equal(room, 2 * x)
+
+
+@pytest.mark.parametrize("lanes", [PART + 1, 5000, 3 * PART, 7 * PART + 5])
+def test_loops_of_few_parts_give_each_thread_equally_many(lanes):
+    part = part_for_all(lanes, PART)
+    parts = -(-lanes // part)
+    assert LEAST <= part <= PART and parts % NUMBER == 0 and part * parts - lanes < 64 * parts
+
+
+@pytest.mark.parametrize("lanes", [1, PART, 1000 * PART])
+def test_loops_of_one_part_or_many_are_divided_as_asked(lanes):
+    assert part_for_all(lanes, PART) == PART

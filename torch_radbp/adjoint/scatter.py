@@ -19,10 +19,10 @@ from torch import Tensor
 from torch_radbp.call.zeroed_memory import ZeroedMemory, zeros
 from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, Sums, copies, scatter_add
 from torch_radbp.jit.team import threads, together, until_none_is_left
-from torch_radbp.texture.interleaved import are_columns
 
 PAGE = 1 << PAGE_BITS  # entries
 PIECE = 1 << 16  # totals that a thread sums at a time: half a megabyte, which its cache holds
+FEW = 1 << 8  # entries of a table below which it takes less to sum several in one go than each
 
 
 class Contribution(NamedTuple):
@@ -34,7 +34,7 @@ class Contribution(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Tables whose totals lie together: the columns of the same rows, or a single one."""
+    """Tables whose totals lie together: columns of the same rows, several of few entries, or a single one."""
 
     first: int  # table
     width: int  # how many there are
@@ -44,12 +44,21 @@ def blocks_of(tables: Sequence[Tensor]) -> list[Block]:
     """All tables, block by block."""
     found, first = [], 0
     while first < len(tables):
-        table = tables[first]
-        width = max(1, table.stride(0)) if table.dim() == 1 else 1
-        width = width if are_columns(tables[first:first + width], torch.Size((table.numel(), width))) else 1
+        width = 1
+        while first + width < len(tables) and lie_together(tables[first], tables[first + width]):
+            width += 1
         found.append(Block(first, width))
         first += width
     return found
+
+
+def lie_together(one: Tensor, other: Tensor) -> bool:
+    """True if the totals of two tables lie together, of which the first is the first of a block."""
+    if one.dim() != 1 or other.shape != one.shape or (other.dtype, other.device) != (one.dtype, one.device):
+        return False
+    stride, apart = one.stride(0), other.storage_offset() - one.storage_offset()
+    return one.numel() < FEW or (other.stride(0) == stride and 0 < apart < stride
+                                 and other.untyped_storage().data_ptr() == one.untyped_storage().data_ptr())
 
 
 class Gradients:
@@ -76,11 +85,13 @@ class Gradients:
 
     def add(self, contributions: Iterable[Contribution]) -> None:
         """Adds what reads of equally many lanes contribute."""
-        together: dict[tuple[int, int], list[Contribution]] = {}  # those of tables of equal length at the same index
+        # Those at the same index of tables of equal length, whose totals lie alike.
+        together: dict[tuple[int, int, int], list[Contribution]] = {}
         for part in contributions:
-            together.setdefault((id(part.index), self.tables[part.leaf].numel()), []).append(part)
+            key = id(part.index), self.tables[part.leaf].numel(), self.totals[part.leaf].stride(0)
+            together.setdefault(key, []).append(part)
         additions = []
-        for (_, entries), parts in together.items():
+        for (_, entries, _), parts in together.items():
             for first in range(0, len(parts), MOST_TABLES):
                 some = parts[first:first + MOST_TABLES]
                 additions.append(Addition(some[0].index, [part.adjoint for part in some],

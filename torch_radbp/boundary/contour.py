@@ -123,28 +123,33 @@ def beyond_far(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tenso
 LEVELS: dict[int, Level] = {RIM: facing, NEAR: beyond_near, FAR: beyond_far}
 
 
-def crosses(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> Tensor:
-    """True for triangles in which there may be a curve of a kind, in view from somewhere on the lens; (F,) bool.
+def crosses(geometry: Geometry, sight: Sight, faces: Faces, kinds: tuple[int, ...]) -> tuple[Tensor, ...]:
+    """True for triangles in which there may be a curve of a kind, in view from somewhere on the lens; (F,) bool for each.
 
     Args:
         geometry: of the scene, detached.
         sight: of the camera.
         faces: (F,).
-        kind: of the curve: RIM, NEAR or FAR.
+        kinds: of the curves: RIM, NEAR or FAR.
     """
     between, triangles = faces.between(geometry), geometry.triangles
     aperture = middle(sight, geometry, between)
-    found = net(geometry, sight.camera, between, faces.instance, kind, aperture).crosses(
-        sight.eye.radius if kind == RIM and sight.eye.radius is not None else 0.0)
-    if kind == RIM and triangles.smooth is not None:
-        found = found & lookup(triangles.smooth, faces.triangle)
-    return found & ~sight.frustum.misses(positions(geometry, between, faces.instance))
+    in_view = ~sight.frustum.misses(positions(geometry, between, faces.instance))
+
+    def of_kind(kind: int) -> Tensor:
+        found = net(geometry, sight.camera, between, faces.instance, kind, aperture).crosses(
+            sight.eye.radius if kind == RIM and sight.eye.radius is not None else 0.0)
+        if kind == RIM and triangles.smooth is not None:
+            found = found & lookup(triangles.smooth, faces.triangle)
+        return found & in_view
+
+    return tuple(of_kind(kind) for kind in kinds)
 
 
 def contour_length(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Tensor, Tensor]:
     """The lengths on the film of curves in triangles, in view and on the whole, by some lines through each; (F,) pixels.
 
-    Args: as for `crosses`.
+    Args: as for `crosses`, and one kind.
     """
     camera, film = sight.camera, sight.camera.film
     between, _ = from_apex(geometry, sight, faces, kind)
@@ -167,7 +172,7 @@ def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, coun
     """Places on the curves of one kind, in proportion to lengths on the film.
 
     Args:
-        geometry, sight, faces, kind: as for `crosses`.
+        geometry, sight, faces, kind: as for `contour_length`.
         lot: of the triangles.
         count: () int32, how many lines there are.
         lane: (2 N,) int32, first the first place of each line, then the second.

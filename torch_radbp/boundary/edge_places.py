@@ -8,8 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.creases import FOLD, SHADED, TURNED, WHOLE
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, point_at
-from torch_radbp.boundary.outline import FOLD, SHADED, TURNED, WHOLE, Outline
+from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import (
     CREASE,
     SILHOUETTE,

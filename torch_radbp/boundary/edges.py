@@ -78,9 +78,9 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
         faces: (F, 3) integers, F > 0.
         chosen: (C,) rows of `faces`, distinct; None: all.
     """
-    first = int(faces.min())
-    faces = faces.int() - first
-    vertices = vertices[first:first + int(faces.max()) + 1]
+    first, last = map(int, faces.aminmax())
+    faces = faces.int() - first if first else faces.int()
+    vertices = vertices[first:last + 1]
     size = weld_size(vertices)
     cells = cells_of(vertices, size)
     near = vertex = None
@@ -135,13 +135,21 @@ def sides_between(start: Tensor, end: Tensor, corner: Tensor) -> Sides:
 
 def sides_of(faces: Tensor) -> Sides:
     """The sides of the triangles among some, (F, 3) int32, that are not degenerate."""
-    number = 3 * torch.arange(len(faces), dtype=torch.int32, device=faces.device)
+    number = torch.arange(0, 3 * len(faces), 3, dtype=torch.int32, device=faces.device)
     one, two, three = faces.unbind(1)
     proper = (one != two) & (two != three) & (three != one)
     if not proper.all():
         one, two, three, number = (column[proper] for column in (one, two, three, number))
-    parts = (one, two, number + 2), (two, three, number), (three, one, number + 1)
-    return Sides(*map(torch.cat, zip(*(sides_between(*part) for part in parts))))
+    # Written where they stay: of a large mesh this takes half as long as to put them together.
+    sides = Sides(*(torch.empty(3, len(one), dtype=dtype, device=faces.device)
+                    for dtype in (torch.int32, torch.int32, torch.bool, torch.int32)))
+    for place, (start, end, corner) in enumerate(((one, two, 2), (two, three, 0), (three, one, 1))):
+        low, high, forward, own = (side[place] for side in sides)
+        torch.minimum(start, end, out=low)
+        torch.maximum(start, end, out=high)
+        torch.lt(start, end, out=forward)
+        torch.add(number, corner, out=own)
+    return Sides(*(side.flatten() for side in sides))
 
 
 class Meeting(NamedTuple):

@@ -52,13 +52,14 @@ class JumpFunction(torch.autograd.Function):
     @public_call
     def backward(ctx, grad_image: Tensor):
         jumps, pixels = ctx.jumps, tuple(channel.contiguous() for channel in grad_image.flatten(1))
-        asked = ctx.stages.asked_of_places(ctx.camera, pixels, ctx.film, jumps.strength, jumps.shown)
         tables, lens = ctx.slopes
         gradients = Gradients(ctx.leaves)
         everything = torch.zeros_like(jumps.shown)
         found = [Contribution(leaf, *read) for leaf, reads in enumerate(tables) for read in reads]
         found += [Contribution(len(tables) + number, everything, slope) for number, slope in enumerate(lens)]
-        gradients.add([part._replace(adjoint=part.adjoint * asked) for part in found])
+        asked = ctx.stages.asked_of_places(ctx.camera, pixels, ctx.film, jumps.strength, jumps.shown,
+                                           tuple([part.adjoint for part in found]))
+        gradients.add([Contribution(leaf, index, adjoint) for (leaf, index, _), adjoint in zip(found, asked)])
         results, _ = gradients_of([gradients])
         return None, None, None, None, None, *results
 

@@ -78,13 +78,22 @@ def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_
         area = signed_area(attached, with_leaves(camera, numbers), places, kinds)
         reads = [read.leaf for tap in taps for read in tap.reads]
         adjoints = iter(vector_jacobian_product([area], [*reads, *lens], [torch.ones_like(area)]))
-    tables = [table_adjoints(tap, adjoints) for tap in taps]
+    tables = [by_index(table_adjoints(tap, adjoints)) for tap in taps]
     return Slopes(tables, [zeros_unless(next(adjoints), leaf) for leaf in lens])
 
 
+def by_index(reads: list[TableAdjoint]) -> list[TableAdjoint]:
+    """The adjoints of the reads of a table, those at one index summed in float64."""
+    found: dict[int, TableAdjoint] = {}
+    for index, adjoint in reads:
+        known = found.get(id(index))
+        found[id(index)] = TableAdjoint(index, adjoint.double() if known is None else known.adjoint + adjoint.double())
+    return list(found.values())
+
+
 def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], film: Vec2, strength: tuple[Tensor, ...],
-                    chosen: Tensor) -> Tensor:
-    """The derivative of the loss by swept areas, (K,) float64.
+                    chosen: Tensor, slopes: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """The derivative of the loss by numbers that swept areas have some derivatives by, (K,) float64 each.
 
     Args:
         camera: detached.
@@ -92,9 +101,10 @@ def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], film: Vec2, stre
         film: of all places.
         strength: (K,) of each channel, by how much it jumps at places.
         chosen: (K,) int32, the places that are meant.
+        slopes: (K,) each, the derivatives of swept areas.
     """
     total = torch.zeros_like(strength[0])
     for pixel, count in camera.film.around(rows(film, chosen)):
         for channel, jump in zip(pixels, strength):
             total = total + jump * count * rows(channel, pixel)
-    return total
+    return tuple(slope * total for slope in slopes)

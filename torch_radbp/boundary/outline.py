@@ -15,13 +15,14 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.creases import FOLD, creases
 from torch_radbp.boundary.edge_order import slots_of
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.edges import joined as joined_edges
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import geometry_of, in_world
 from torch_radbp.boundary.moving import Moving, chosen_instances, faces_of
-from torch_radbp.boundary.passing import Passing
+from torch_radbp.boundary.passing import Passing, key_of, remember
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.segments import joined as joined_segments
@@ -32,15 +33,9 @@ from torch_radbp.raycast.caster_cache import same
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances
-from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined as joined_records
-from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.record import mapped
 from torch_radbp.tensors.vec import rows
-
-# How much of a jump an edge may be that is no silhouette. At a fold by the normals of two triangles, of which one may be
-# turned round.
-NONE, WHOLE, FOLD, TURNED = range(4)
-SHADED = -1  # none, but that the light of a lamp may end there: inside of smooth surfaces that are no lamps themselves
 
 
 class Outline(NamedTuple):
@@ -71,11 +66,43 @@ class OutlinedMesh(NamedTuple):
     outline: Outline  # without instances
 
 
+class MeshShown(NamedTuple):
+    """The edges of some triangles, and what shows them."""
+
+    mesh: Outline | None  # without instances, never written into; None: there are none
+    chosen: Tensor | None  # (C,) int64, instances from 0; None: it is in the world
+    part: float  # which share these are of those that are meant
+
+    def equals(self, other: MeshShown) -> bool:
+        """True if the other shows the same."""
+        return self.mesh is other.mesh and self.part == other.part and unchanged(self.chosen, other.chosen)
+
+    def outline(self, instanced: bool) -> Outline:
+        """The edges in the world; `instanced`: the scene has instances."""
+        outline = self.mesh
+        if self.chosen is None:
+            return outline._replace(instance=torch.zeros_like(outline.crease)) if instanced else outline
+        size, count = len(outline.crease), len(self.chosen)
+        shows = (self.chosen.to(outline.crease.device, torch.int32) + 1).repeat_interleave(size)
+        edges = mapped(outline.edges, lambda column: None if column is None else column.repeat(count))
+        share = None if self.part == 1.0 else torch.full_like(shows, self.part, dtype=torch.float64)
+        return Outline(edges, shows, outline.crease.repeat(count), outline.folds, share)
+
+
+class Shown(NamedTuple):
+    """The edges of all that moves, and what they depend on."""
+
+    meshes: list[MeshShown]
+    outline: Outline | None
+
+
 class Outlines:
     """Finds outlines, and remembers the edges of meshes whose triangles have not changed."""
 
     def __init__(self) -> None:
         self.known: dict[object, OutlinedMesh] = {}
+        self.shown: dict[Moving, Shown] = {}
+        self.faces: dict[Moving, tuple[tuple, Faces | None]] = {}  # with what they depend on
         self.order: tuple[tuple[Tensor, ...], Tensor] | None = None
         self.passing = Passing()
 
@@ -87,7 +114,7 @@ class Outlines:
             call: of which something moves.
             seed: of the choice of instances.
         """
-        scene, generator = detached(call.scene), torch.Generator("cpu").manual_seed(seed % (1 << 63))
+        scene, generator = call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         own = moving_in(rendering)
         turning, sliding = (own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, more)))
                             for more in (rendering.turners, rendering.sliders))
@@ -98,7 +125,7 @@ class Outlines:
 
         def jumps(moves: Moving, turns: Moving, slides: Moving) -> Jumps:
             outline = self.of(scene, sizes, moves, generator)
-            faces = faces_of(scene, sizes, turns, generator)
+            faces = self.faces_of(scene, sizes, turns, generator)
             patterned = faces_of(scene, sizes, slides, generator) if any(lines) else None
             segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
             segments += self.passing.segments(rendering, call, moves, self.of_bodies(scene, sizes, moves), seed)
@@ -107,17 +134,28 @@ class Outlines:
         found = {three: jumps(*three) for three in dict.fromkeys(wanted)}
         return [found[three] for three in wanted]
 
+    def faces_of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving,
+                 generator: torch.Generator) -> Faces | None:
+        """The triangles of all that moves, found anew only if there are others; args as for `of`."""
+        key, known = key_of(scene, counts), self.faces.get(moving)
+        if known is not None and known[0] == key:
+            return known[1]
+        faces = faces_of(scene, counts, moving, generator)
+        if faces is None or faces.share is None:  # otherwise of some instances: others in the next call
+            remember(self.faces, moving, (key, faces))
+        return faces
+
     def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
         """The edges of all shapes; None: there are none. Args as for `of_views`."""
         everything = Moving(*((True,) * len(part) for part in (rendering.movers, rendering.moving_instances)))
         generator, sizes = torch.Generator("cpu").manual_seed(seed % (1 << 63)), rendering.sizes
-        found = self.of(detached(call.scene), sizes, everything, generator)
+        found = self.of(call.still_scene, sizes, everything, generator)
         if found is None:
             return None
         shape = torch.repeat_interleave(torch.tensor(sizes, device=found.crease.device)).int()
         body = rows(shape, torch.div(found.edges.corner[0], 3, rounding_mode="floor"))
         body = body if found.instance is None else body + found.instance * len(sizes)
-        return found._replace(slots=self.order_of(detached(call.scene), found, body))
+        return found._replace(slots=self.order_of(call.still_scene, found, body))
 
     def order_of(self, scene: SceneTensors, outline: Outline, body: Tensor) -> Tensor:
         """The slots of all edges, found anew only if these have changed; `body`: (E,) whose they are."""
@@ -138,11 +176,17 @@ class Outlines:
         """
         triangles = scene.triangles
         instances = triangles.casting_instances
-        parts = [self.in_world(triangles, counts, in_the_world(scene, counts, moving))]
+        meshes = [MeshShown(self.mesh(triangles, counts, in_the_world(scene, counts, moving)), None, 1.0)]
         if instances is not None:
-            parts += [self.in_group(triangles, counts, moving, instances, group, generator)
-                      for group in range(len(instances.first_triangle) - 1)]
-        return joined([part for part in parts if part is not None])
+            meshes += [self.in_group(triangles, counts, moving, instances, group, generator)
+                       for group in range(len(instances.first_triangle) - 1)]
+        meshes = [shown for shown in meshes if shown.mesh is not None]
+        known = self.shown.get(moving)
+        if known is None or len(known.meshes) != len(meshes) or not all(map(MeshShown.equals, meshes, known.meshes)):
+            known = Shown(meshes, joined([shown.outline(triangles.instances is not None) for shown in meshes]))
+        if all(shown.part == 1.0 for shown in meshes):  # otherwise some instances: others in the next call
+            remember(self.shown, moving, known)
+        return known.outline
 
     def crossing(self, rendering: Rendering, call: RenderCall, seed: int) -> Segments | None:
         """Where bodies of which one moves pass through each other, or through themselves; None: nowhere. Args as for
@@ -150,7 +194,7 @@ class Outlines:
         moving = moving_in(rendering)
         if not any(moving.shapes) and not any(moving.instances):
             return None
-        meshes = self.of_bodies(detached(call.scene), rendering.sizes, moving)
+        meshes = self.of_bodies(call.still_scene, rendering.sizes, moving)
         return joined_segments(self.passing.segments(rendering, call, moving, meshes, seed))
 
     def of_bodies(self, scene: SceneTensors, counts: Sequence[int], moving: Moving) -> list[MeshOfBodies]:
@@ -166,35 +210,21 @@ class Outlines:
 
     def of_meshes(self, rendering: Rendering, call: RenderCall) -> list[Outline]:
         """The edges of all shapes of the world, and of each group, in the frames of their vertices."""
-        triangles, counts = detached(call.scene).triangles, rendering.sizes
+        triangles, counts = call.still_scene.triangles, rendering.sizes
         instances, firsts = triangles.casting_instances, list(accumulate(rendering.sizes, initial=0))
         starts = [firsts[-1]] if instances is None else [int(first) for first in instances.first_triangle]
         parts = [tuple(number for number, start in enumerate(firsts[:-1]) if first <= start < last)
                  for first, last in zip([0, *starts], [*starts, firsts[-1]])]
         return [outline for part in parts if (outline := self.mesh(triangles, counts, part)) is not None]
 
-    def in_world(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Outline | None:
-        """The edges of some shapes that are in the world."""
-        outline = self.mesh(triangles, counts, shapes)
-        if outline is None or triangles.instances is None:
-            return outline
-        return outline._replace(instance=torch.zeros_like(outline.crease))
-
     def in_group(self, triangles: TriangleTable, counts: Sequence[int], moving: Moving, instances: Instances, group: int,
-                 generator: torch.Generator) -> Outline | None:
-        """The edges of a group, as its instances show them."""
+                 generator: torch.Generator) -> MeshShown:
+        """The edges of a group, and the instances that show them."""
         members, everywhere, moves = of_group(instances, counts, moving, group)
-        outline = self.mesh(triangles, counts, members) if everywhere or moves else None
-        if outline is None:
-            return None
-        size = len(outline.crease)
-        chosen, part = chosen_instances(instances, group, moving, everywhere, size, generator)
-        chosen = chosen.to(outline.crease.device, torch.int32)
-        columns = leaves_of(outline.edges)
-        edges = with_leaves(outline.edges, [None if column is None else column.repeat(len(chosen)) for column in columns])
-        share = None if part == 1.0 else torch.full((len(chosen) * size,), part, dtype=torch.float64, device=chosen.device)
-        return Outline(edges, (chosen + 1).repeat_interleave(size), outline.crease.repeat(len(chosen)), outline.folds,
-                       share)
+        mesh = self.mesh(triangles, counts, members) if everywhere or moves else None
+        if mesh is None:
+            return MeshShown(None, None, 1.0)
+        return MeshShown(mesh, *chosen_instances(instances, group, moving, everywhere, len(mesh.crease), generator))
 
     def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Outline | None:
         """The edges of some shapes, found anew only if triangles of the scene have changed; None: there are none."""
@@ -267,27 +297,3 @@ def joined(parts: Sequence[Outline]) -> Outline | None:
     return Outline(joined_edges([part.edges for part in parts]),
                    joined_records([part.instance for part in parts]), torch.cat([part.crease for part in parts]),
                    any(part.folds for part in parts), joined_records(shares))
-
-
-def creases(edges: Edges, triangles: TriangleTable, shape: Tensor | None) -> Tensor:
-    """Where edges are creases; see `Outline.crease`.
-
-    Args:
-        edges: of triangles of this table.
-        triangles: of the scene, detached.
-        shape: (T,) int32, that each triangle belongs to; None: all to the same.
-    """
-    here, there = (torch.div(corner, 3, rounding_mode="floor") for corner in edges.corner[:2])
-    known = (edges.count == 2) if not triangles.attributes else torch.zeros_like(edges.count, dtype=torch.bool)
-    if shape is not None:
-        known &= rows(shape, here) == rows(shape, there)
-    smooth = torch.full_like(known, triangles.vertices.n is not None)
-    if triangles.smooth is not None:
-        smooth &= rows(triangles.smooth, here) & rows(triangles.smooth, there)
-    if edges.seam is not None:
-        reads = triangles.vertices.uv is not None or bool(triangles.vertices.attributes)
-        known &= ~edges.seam if reads else ~(edges.seam & smooth)
-    fold = FOLD + edges.alike.int() * (TURNED - FOLD)
-    emits = (rows(triangles.emitter, here) >= 0) & (rows(triangles.emitter, there) >= 0)
-    inside = torch.where(emits, NONE, SHADED).to(fold.dtype)
-    return torch.where(known, torch.where(smooth, inside, fold), WHOLE)

@@ -13,11 +13,10 @@ from torch_radbp.boundary.intersections import Bodies, intersections
 from torch_radbp.boundary.moving import Moving, faces_of
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.single_bodies import Looked, MeshOfBodies, bodies_once, self_crossings, shown_by_all
+from torch_radbp.boundary.single_bodies import FoundOnce, Looked, MeshOfBodies, bodies_once, self_crossings, shown_by_all
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import rows
 
@@ -33,12 +32,21 @@ class Known(NamedTuple):
     segments: Segments | None
 
 
+class ShownByAll(NamedTuple):
+    """Where bodies pass through themselves, in all places, and what that depends on."""
+
+    key: tuple  # of the bodies
+    found: FoundOnce  # in the first place of each
+    segments: Segments | None
+
+
 class Passing:
     """Finds where bodies pass through each other and through themselves."""
 
     def __init__(self) -> None:
         self.known: dict[Moving, Known] = {}
         self.looked: dict[Moving, Looked] = {}  # at single bodies
+        self.shown: dict[Moving, ShownByAll] = {}
 
     def segments(self, rendering: Rendering, call: RenderCall, moving: Moving, meshes: Sequence[MeshOfBodies],
                  seed: int) -> list[Segments]:
@@ -51,7 +59,7 @@ class Passing:
             meshes: of that.
             seed: of the choice of instances and edges where there are too many.
         """
-        scene, generator = detached(call.scene), torch.Generator("cpu").manual_seed(seed % (1 << 63))
+        scene, generator = call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         found = (self.of_pairs(rendering, call, scene, moving, generator),
                  self.of_single(rendering, call, scene, moving, meshes, seed))
         return [own for own in found if own is not None]
@@ -67,14 +75,18 @@ class Passing:
             known = Looked(tuple(meshes), may, bodies_once(scene, rendering.sizes, meshes, may), None)
         known = known._replace(found=self_crossings(call, scene, rendering.sizes, known, seed))
         remember(self.looked, moving, known)
-        return shown_by_all(known.found.segments, scene, rendering.sizes, moving, seed)
+        key, last = key_of(scene, rendering.sizes), self.shown.get(moving)
+        if last is not None and last.found is known.found and last.key == key:
+            return last.segments
+        segments = shown_by_all(known.found.segments, scene, rendering.sizes, moving, seed)
+        if segments is None or segments.share is None:  # otherwise of some instances: others in the next call
+            remember(self.shown, moving, ShownByAll(key, known.found, segments))
+        return segments
 
     def of_pairs(self, rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving,
                  generator: torch.Generator) -> Segments | None:
         """Those of two bodies each; args as for `segments`, and the scene of the call, detached."""
-        instances, casting = scene.triangles.instances, scene.triangles.casting_instances
-        key = scene.device, tuple(rendering.sizes), None if casting is None else (
-            *casting.first_triangle.tolist(), *casting.first_instance.tolist())
+        instances, key = scene.triangles.instances, key_of(scene, rendering.sizes)
         known = self.known.get(moving)
         if known is None or known.key != key:
             known = Known(key, bodies_of(scene, rendering.sizes, moving, generator), (), None)
@@ -87,6 +99,13 @@ class Passing:
         if known.bodies.faces.share is None:  # otherwise some instances: others in the next call
             remember(self.known, moving, known)
         return known.segments
+
+
+def key_of(scene: SceneTensors, counts: Sequence[int]) -> tuple:
+    """Equal of scenes with the same triangles and instances, wherever these are; `counts`: as for `Outlines.of`."""
+    casting = scene.triangles.casting_instances
+    return scene.device, tuple(counts), None if casting is None else (
+        *casting.first_triangle.tolist(), *casting.first_instance.tolist())
 
 
 def remember(known: dict[Moving, Any], moving: Moving, found: Any) -> None:

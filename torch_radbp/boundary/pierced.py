@@ -23,6 +23,7 @@ from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.intersections import Pairs, segments_between
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.path.integrand import Stages
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.tensors.vec import Ray, rows
 
@@ -60,22 +61,34 @@ def probes(count: int, most: int, generator: torch.Generator) -> Probes:
     return Probes((place * (count / most)).long().clamp_max(count - 1), most / count)
 
 
-def self_intersections(caster: RayCaster, geometry: Geometry, bodies: BodyEdges, looked_at: Probes,
+def ray_along_edge(geometry: Geometry, bodies: BodyEdges, chosen: Tensor) -> Ray:
+    """Rays along some edges, in the dtype of the scene: from one end, t = 0, to the other, t = 1.
+
+    Args:
+        geometry: of the scene, detached.
+        bodies: their edges.
+        chosen: (N,) int64, which.
+    """
+    edges = bodies.edges
+    a, b = in_world(geometry, (rows(edges.a, chosen), rows(edges.b, chosen)), rows(bodies.instance, chosen))
+    dtype = geometry.triangles.vertices.p.x.dtype
+    return Ray(*(part.map(lambda c: c.to(dtype)) for part in (a + (b - a) * ENDS, (b - a) * (1.0 - 2.0 * ENDS))))
+
+
+def self_intersections(caster: RayCaster, stages: Stages, geometry: Geometry, bodies: BodyEdges, looked_at: Probes,
                        ends: Tensor) -> Segments | None:
     """The segments along which bodies meet themselves; None: none was found.
 
     Args:
         caster: of the scene.
+        stages: the functions of lanes.
         geometry: of the scene, detached.
         bodies: their edges.
         looked_at: some of them.
         ends: (S,) int64, how many triangles there are up to the end of each shape.
     """
     chosen = looked_at.edge.to(ends.device)
-    a, b = in_world(geometry, *rows(((bodies.edges.a, bodies.edges.b), bodies.instance), chosen))
-    dtype = geometry.triangles.vertices.p.x.dtype
-    ray = Ray(*(part.map(lambda c: c.to(dtype).contiguous()) for part in (a + (b - a) * ENDS, (b - a) * (1.0 - 2.0 * ENDS))))
-    found = list(pierced(caster, ray))
+    found = list(pierced(caster, stages.ray_along_edge(geometry, bodies, chosen)))
     if not found:
         return None
     edge, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*found))
@@ -91,7 +104,7 @@ def self_intersections(caster: RayCaster, geometry: Geometry, bodies: BodyEdges,
     parts = [rows((one, instance, other, shown_by), (own & (place < edges.count)).nonzero().squeeze(1))
              for place, one in enumerate(ones)]
     one, instance, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*parts))
-    each = torch.full((2 * len(one),), 2.0 * looked_at.share, dtype=a.x.dtype, device=one.device)
+    each = torch.full((2 * len(one),), 2.0 * looked_at.share, dtype=torch.float64, device=one.device)
     both = Faces(torch.cat([one, other]), None if instance is None else torch.cat([instance, shown_by]), each)
     first = torch.arange(len(one), device=one.device)
     segments = segments_between(geometry, both, Pairs(first, first + len(one)))

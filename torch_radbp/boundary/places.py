@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -93,12 +94,21 @@ class Sight(NamedTuple):
 
 def sight_of(view: View, lamps: tuple[Eye, ...]) -> Sight:
     """What a detached view shows of a scene with these lamps."""
-    camera, film = view.camera, view.camera.film
-    reach = film.kernel.radius
-    x, y = (torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
-            for crop, size, pixels in ((film.crop_x, film.size_x, view.width), (film.crop_y, film.size_y, view.height)))
-    eye = Eye.of(camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
-    return Sight(camera, eye, camera.kind.frustum(camera.lens, x, y), view.sample_keys[1], lamps)
+    return Sight(view.camera, *known_view(view.camera, view.width, view.height), view.sample_keys[1], lamps)
+
+
+def eye_and_frustum(camera: Camera, width: int, height: int) -> tuple[Eye, Frustum]:
+    """From where a detached camera sees images of so many pixels, and what contains all that counts there."""
+    film, reach = camera.film, camera.film.kernel.radius
+    with torch.inference_mode(False):  # they may be kept, for renderings that are differentiated
+        x, y = (torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
+                for crop, size, pixels in ((film.crop_x, film.size_x, width), (film.crop_y, film.size_y, height)))
+        eye = Eye.of(camera.kind.eye(camera.lens), camera.kind.aperture_radius(camera.lens))
+        return eye, camera.kind.frustum(camera.lens, x, y)
+
+
+# Tensors of cameras are compared by identity; of one that has not changed they are those of the last rendering.
+known_view = functools.lru_cache(maxsize=16)(eye_and_frustum)
 
 
 def taken_by(stages: Stages, size: int) -> int:

@@ -156,12 +156,21 @@ def places_of(call: RenderCall, number: int, viewed: Viewed, jumps: Jumps, rims:
         found.append(lines_in_view(viewed, jumps.outline, stages.edge_weight, stages.edge_place))
     if jumps.faces is not None:
         kinds = [RIM] * (rims and call.scene.triangles.vertices.n is not None) + [NEAR] + [FAR] * call.views[number].clips
-        found += [contours_in_view(viewed, jumps.faces, kind) for kind in kinds]
+        flags = stages.crosses(viewed.geometry, viewed.sight, jumps.faces, tuple(kinds))
+        found += [contours_in_view(viewed, jumps.faces, kind, chosen(own)) for kind, own in zip(kinds, flags)]
     if jumps.segments is not None:
         found.append(lines_in_view(viewed, jumps.segments, stages.segment_weight, stages.segment_place))
     found = [curves for curves in found if curves is not None]
     counts = numbers_of_places([curves.length for curves in found], call, call.views[number])
     return [curves.places(count) for curves, count in zip(found, counts)]
+
+
+class InView(NamedTuple):
+    """Places in a view, of which some are asked about."""
+
+    places: Places
+    table: Places | Any  # the same, prepared for the stages
+    kinds: tuple[int, ...]  # of curves inside of triangles that move on these, among them
 
 
 class CurvesInView(NamedTuple):
@@ -190,10 +199,9 @@ def lines_in_view(viewed: Viewed, lines: Outline | Segments, weigh: Callable, pl
     return CurvesInView(length, places) if length > 0.0 else None
 
 
-def contours_in_view(viewed: Viewed, faces: Faces, kind: int) -> CurvesInView | None:
-    """What is seen of the curves of one kind inside of triangles; None: nothing."""
+def contours_in_view(viewed: Viewed, faces: Faces, kind: int, crossed: Tensor) -> CurvesInView | None:
+    """What is seen of the curves of one kind inside of triangles, `crossed` (K,) int32 among them; None: nothing."""
     stages, geometry, sight, camera = viewed
-    crossed = chosen(stages.crosses(geometry, sight, faces, kind))
     if not len(crossed):
         return None
     faces, aperture = rows(faces, crossed), camera.kind.has_aperture
@@ -234,41 +242,44 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Pl
     most = max(FEWEST, max(wavefront.lanes for wavefront in call.wavefronts) // 2)
     blocks = counted.split(max(FEWEST, -(-len(counted) // -(-len(counted) // most))))
 
+    found = InView(places, *taken(viewed.stages.in_sight, places=places), kinds_of(places))
+
     def work(share: Iterable[int]) -> list[tuple[Tensor, Tensor]]:
-        return [differences(call, integrand, viewed, places, blocks[block], seen) for block in share]
+        return [differences(call, integrand, viewed, found, blocks[block], seen) for block in share]
 
     shares = in_turns(len(blocks), call.workers, work)
     parts = [shares[block % len(shares)][block // len(shares)] for block in range(len(blocks))]
     shown = torch.cat([own for own, _ in parts])
     if not len(shown):
         return None
-    return Jumping(places, shown, tuple(torch.cat([jump for _, jump in parts], 1)), kinds_of(places))
+    return Jumping(places, shown, tuple(torch.cat([jump for _, jump in parts], 1)), found.kinds)
 
 
 def kinds_of(places: Places) -> tuple[int, ...]:
     """The kinds of curves inside of triangles that move on these, among some places."""
-    return tuple(kind for kind in (RIM, NEAR, FAR, TEXTURE, INTERSECTION) if bool((places.kind == kind).any()))
+    counts = torch.bincount(places.kind, minlength=INTERSECTION + 1).tolist()
+    return tuple(kind for kind in (RIM, NEAR, FAR, TEXTURE, INTERSECTION) if counts[kind])
 
 
-def differences(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Places, asked: Tensor,
+def differences(call: RenderCall, integrand: Integrand, viewed: Viewed, found: InView, asked: Tensor,
                 seen: Seen) -> tuple[Tensor, Tensor]:
     """Of some places, `asked` (M,) int32, those that nothing hides, (K,) int32, and what is seen behind less what is seen
     ahead of the curve, (C, K) float64; the rest as for `strengths`."""
     stages, geometry, sight, _ = viewed
-    sent, kinds = torch.full((), len(asked), dtype=torch.int32, device=asked.device), kinds_of(places)
-    table, = taken(stages.in_sight, places=places)
+    places, table, kinds = found
+    sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)
     lane = lanes(3 * len(asked), asked)
     sample = stages.rays_beside(sight, table, asked, sent, lane, call.scene.layout.traces_cones)
     rays = Sent(sample, first_hit(integrand, sample.ray, 0))
     times = stages.in_sight(geometry, table, asked, rays, sent, lane[:len(asked)], kinds)
-    found = chosen(times != 0)
-    counts = sent, torch.full_like(sent, len(found))
-    start: PathsBeside = stages.paths_beside(table, asked, rays, times, found, counts, lanes(2 * len(found), asked))
+    clear = chosen(times != 0)
+    counts = sent, torch.full_like(sent, len(clear))
+    start: PathsBeside = stages.paths_beside(table, asked, rays, times, clear, counts, lanes(2 * len(clear), asked))
     values = seen.evaluate(integrand, started(call, start.sample), start.hit)
     weight = start.sample.weight
     values = torch.stack([value if weight is None else value * weight for value in values]).double()
     behind, ahead = values.view(len(values), 2, -1).unbind(1)
-    shown, jump = rows(asked, found), (behind - ahead) * rows(times, found)
+    shown, jump = rows(asked, clear), (behind - ahead) * rows(times, clear)
     if all(seen.turns):
         return shown, jump
     turns = torch.tensor(seen.turns, device=jump.device)

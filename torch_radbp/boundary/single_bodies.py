@@ -102,7 +102,8 @@ def self_crossings(call: RenderCall, scene: SceneTensors, counts: Sequence[int],
     if last is not None and last.seed == chosen_by and all(map(same, last.vertices, vertices)):
         return last
     looked_at = probes(count, most, torch.Generator("cpu").manual_seed(seed % (1 << 63)))
-    found = self_intersections(call.caster, geometry_of(scene), known.bodies, looked_at, shape_ends(scene, counts))
+    found = self_intersections(call.caster, call.stages, geometry_of(scene), known.bodies, looked_at,
+                               shape_ends(scene, counts))
     return FoundOnce(vertices, chosen_by, found)
 
 

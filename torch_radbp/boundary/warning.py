@@ -38,6 +38,7 @@ FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
 # How many times as far from the origin as it is large a shape may lie: its own vertices are rounded, or those of rays.
 FARTHEST = {torch.float32: 5e3, torch.float64: 4e4}
 CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below which a surface is closed
+AT_ONCE = 1 << 16  # corners of triangles, so that little memory is touched for the first time
 
 
 OF_RAYS = ("A single ray has no area that they sweep, but a mean over rays, such as irradiance, has a biased gradient. "
@@ -274,8 +275,10 @@ class JumpWatch:
         limit, far = FARTHEST[rendering.scene.dtype], {}
         for movers, own in zip(rendering.movers, faces.split(counts)):
             if movers and len(own):
-                used = vertices.new_zeros(len(vertices), dtype=torch.bool).index_fill(0, own.flatten().long(), True)
-                far |= dict.fromkeys(movers, times_as_far(vertices[used]))
+                used = vertices.new_zeros(len(vertices), dtype=torch.bool)
+                for some in own.flatten().split(AT_ONCE):
+                    used.index_fill_(0, some.long(), True)
+                far |= dict.fromkeys(movers, times_as_far(vertices if used.all() else vertices[used]))
         far |= dict.fromkeys(cameras, times_as_far(vertices))
         far = {name: times for name, times in far.items() if times > limit}
         if not far:

@@ -17,6 +17,7 @@ from torch_radbp.tensors.vec import Vec3
 
 SMALLEST_COSINE = 1e-12
 SMALLEST_INDEX = 1e-20  # of the squared modulus of eta^2 - k^2 - sin^2 + 2 i eta k
+GREATEST_INDEX = 1e6  # of a conductor: greater numbers count as this one, whose powers float32 holds
 
 
 def dielectric_reflectance(cos_i: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
@@ -48,23 +49,23 @@ def conductor_reflectance(cos_i: Tensor, eta: Vec3, k: Vec3) -> Vec3:
 
     Args:
         cos_i: between the direction of incidence and the normal, at least 0.
-        eta, k: real and imaginary part of the index of refraction, at least 0.
+        eta, k: real and imaginary part of the index of refraction, at least 0; at most `GREATEST_INDEX` counts.
     """
     return Vec3(*(_conductor_channel(cos_i, *index) for index in zip(eta, k)))
 
 
 def _conductor_channel(cos_i: Tensor, eta: Tensor, k: Tensor) -> Tensor:
+    eta, k = eta.clamp_max(GREATEST_INDEX), k.clamp_max(GREATEST_INDEX)
     cos2, sin2 = cos_i * cos_i, 1.0 - cos_i * cos_i
     # (a + i b)^2 = (eta + i k)^2 - sin^2, its real part and its modulus.
     real = eta * eta - k * k - sin2
     product = eta * k  # a b
     modulus = torch.sqrt(real * real + 4.0 * product * product + SMALLEST_INDEX)
     larger = torch.sqrt(0.5 * (modulus + real.abs()))
-    positive = (real >= 0).to(real.dtype)
-    a = positive * larger + (1.0 - positive) * (product / larger)
-    # With mod = |a + i b|^2: Rs = |cos - (a + i b)|^2 / |cos + (a + i b)|^2, and Rp / Rs in the same terms.
-    even, odd = modulus + cos2, 2.0 * a * cos_i
-    perpendicular = (even - odd + SMALLEST_COSINE) / (even + odd + SMALLEST_COSINE)
-    even, odd = cos2 * modulus + sin2 * sin2, odd * sin2
-    ratio = (even - odd + SMALLEST_COSINE) / (even + odd + SMALLEST_COSINE)
-    return 0.5 * perpendicular * (1.0 + ratio)
+    positive = real >= 0
+    # a = scaled / scale. All that follows is multiplied by `scale`, so that there is one division in the end.
+    scaled, scale = torch.where(positive, larger, product), torch.where(positive, 1.0, larger)
+    # With mod = |a + i b|^2: Rs = |cos - (a + i b)|^2 / |cos + (a + i b)|^2, and (1 + Rp / Rs) / 2 in the same terms.
+    even, odd = (modulus + cos2 + SMALLEST_COSINE) * scale, 2.0 * scaled * cos_i
+    other = (cos2 * modulus + sin2 * sin2 + SMALLEST_COSINE) * scale
+    return (even - odd) * other / ((even + odd) * (other + odd * sin2))

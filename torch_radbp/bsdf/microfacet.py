@@ -62,9 +62,10 @@ class GGX(NamedTuple):
 
     def density(self, m: Vec3) -> Tensor:
         """Area of microfacets with normal `m` per area of the surface and solid angle of m."""
-        x, y = m.x / self.alpha_u, m.y / self.alpha_v
-        stretched = x * x + y * y + m.z * m.z
-        return 1.0 / (math.pi * self.alpha_u * self.alpha_v * stretched * stretched)
+        area = self.alpha_u * self.alpha_v
+        x, y, z = m.x * self.alpha_v, m.y * self.alpha_u, m.z * area
+        ratio = area / (x * x + y * y + z * z)
+        return ratio * ratio * area * (1.0 / math.pi)
 
     def projected_area(self, w: Vec3) -> Tensor:
         """Area of microfacets that `w`, above the surface, sees: cos / G1. Positive."""
@@ -175,8 +176,8 @@ class MicrofacetKind(Kind):
         """A microfacet normal, drawn for the direction `w` above the surface; attached."""
         return self.facets(values).sample_visible(w, u, v) if self.visible else self.facets(values).sample(u, v)
 
-    def area(self, facets: Beckmann | GGX, w: Vec3, cos_i: Tensor, cos_m: Tensor) -> Tensor:
-        """What D(m) <w, m> is divided by in the density of the normals that are drawn.
+    def per_area(self, facets: Beckmann | GGX, w: Vec3, cos_i: Tensor, cos_m: Tensor) -> Tensor:
+        """What D(m) <w, m> is multiplied by in the density of the normals that are drawn.
 
         Args:
             facets: of the surface.
@@ -184,7 +185,7 @@ class MicrofacetKind(Kind):
             cos_i: between it and the normal m.
             cos_m: between m and the surface's normal.
         """
-        return facets.projected_area(w) if self.visible else cos_i.clamp_min(SMALLEST_COSINE) / cos_m
+        return 1.0 / facets.projected_area(w) if self.visible else cos_m / cos_i.clamp_min(SMALLEST_COSINE)
 
 
 def stretch(facets: Beckmann | GGX, w: Vec3) -> Tensor:

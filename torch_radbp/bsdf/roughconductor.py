@@ -30,7 +30,7 @@ class RoughConductorKind(MicrofacetKind):
         m, _ = half_vector(wi + wo)
         density = 0.25 * facets.density(m) * lit
         scale, cosine = density * facets.masking(wi) * facets.masking(wo) * wo.z, dot(wi, m)
-        return reflectance * conductor_reflectance(cosine, eta, k) * scale, density / self.area(facets, wi, cosine, m.z)
+        return reflectance * conductor_reflectance(cosine, eta, k) * scale, density * self.per_area(facets, wi, cosine, m.z)
 
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         wi = above(wi)

@@ -92,7 +92,7 @@ class RoughDielectricKind(MicrofacetKind):
         chance = self.reflectance_by_direction(values, whole_wi, whole_wo) if fixed_lobes else g.reflectance
         return (scattered * (density * facets.masking(wi) * facets.masking(wo) * wo.z),
                 (chance * reflected + (1.0 - chance) * transmitted * g.eta * g.eta)
-                * (density / self.area(facets, wi, g.cos_i, g.m.z)))
+                * (density * self.per_area(facets, wi, g.cos_i, g.m.z)))
 
     def reflectance_by_direction(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
         """The reflectance of the microfacet between two directions, attached to these alone."""

@@ -61,7 +61,7 @@ class RoughPlasticKind(MicrofacetKind):
         value = specular * (reflectance * of_coat * facets.masking(wi) * facets.masking(wo) * wo.z) + (
             coated(diffuse, internal, self.nonlinear) * (of_base * passes_in * self.passes(values, wo.z) / (eta * eta)))
         chance = chance_of_lobe(specular_chance(1.0 - passes_in, diffuse, specular), fixed_lobes)
-        return value, chance * (of_coat / self.area(facets, wi, dot(wi, m), m.z)) + (1.0 - chance) * of_base
+        return value, chance * (of_coat * self.per_area(facets, wi, dot(wi, m), m.z)) + (1.0 - chance) * of_base
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
         values, wi = tuple(value.detach() for value in values), above(wi.detach())

@@ -56,7 +56,12 @@ class RenderCall(NamedTuple):
 
     def still(self) -> RenderCall:
         """The call without derivatives."""
-        return self._replace(scene=detached(self.scene), views=[detached(view) for view in self.views])
+        return self._replace(scene=self.still_scene, views=[detached(view) for view in self.views])
+
+    @property
+    def still_scene(self) -> SceneTensors:
+        """The scene without derivatives."""
+        return detached(self.scene) if self.integrand is None else self.integrand.scene
 
     def of_derivative(self) -> RenderCall:
         """The call whose image has the samples of the derivative."""

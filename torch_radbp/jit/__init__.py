@@ -13,7 +13,7 @@ In the order of data:
    Tables that are read at one index are read together: `window.py` permutes entries that lie close to each other,
    `row_reads.py` reads tables that are columns of the same rows. `prefetch.py` hints at the memory that will be needed.
 4. `machine.py` makes machine code of that, `run.py` calls it on tensors, `team.py` on several threads; `allocator.py` has
-   them write into memory that was used before.
+   them write into memory that was used before, `large_pages.py` into pages that a processor finds sooner.
    `dual.py` has a loop compute tangents beside values, in forward mode.
 5. What calls such functions, casts rays and moves lanes about, bounce after bounce, is itself noted once (`recording.py`)
    and then run as machine code (`recorded.py`), whatever the numbers of lanes are; helpers take part by a `board.py`.

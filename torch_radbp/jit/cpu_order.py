@@ -138,6 +138,7 @@ done:
 """
 BITS = (8, 32, 64)  # of an element
 ABREAST = 4  # runs of lanes
+FEW_LANES_OF_QUEUE = 64
 ZERO = array("q", [0])
 COUNTERS = "ptr %places, i64 %queues, i64 %first"
 
@@ -233,6 +234,8 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
         return listener.partition(number, queues)
     number, lanes, size = number.contiguous(), number.numel(), number.element_size()
     order = number.new_empty(lanes, dtype=torch.int32)
+    if queues * FEW_LANES_OF_QUEUE > lanes:
+        return partitioned_by_many(number, queues, order)
     counts = ZERO * (queues * ABREAST)  # of all queues for each run; what is left over goes on with the last
     numbers, counters, run = number.data_ptr(), counts.buffer_info()[0], lanes // ABREAST
     last, first, rest = counters + 8 * queues * (ABREAST - 1), ABREAST * run, lanes % ABREAST
@@ -242,6 +245,16 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     code().begin(counters, found.buffer_info()[0], queues)
     code().partition[size](order.data_ptr(), numbers, counters, queues, 0, run)
     code().partition_rest[size](order.data_ptr(), numbers, last, queues, first, rest)
+    return order, found
+
+
+def partitioned_by_many(number: Tensor, queues: int, order: Tensor) -> tuple[Tensor, Sequence[int]]:
+    """`partition` into queues of few lanes, whose counters for several runs would not fit into a cache; writes `order`."""
+    size, found = number.element_size(), ZERO * queues
+    code().count_rest[size](number.data_ptr(), found.buffer_info()[0], queues, 0, number.numel())
+    counts = torch.frombuffer(found, dtype=torch.int64)
+    places = counts.cumsum(0).sub_(counts)
+    code().partition_rest[size](order.data_ptr(), number.data_ptr(), places.data_ptr(), queues, 0, number.numel())
     return order, found
 
 

@@ -10,9 +10,10 @@ from torch import Tensor
 from torch_radbp.jit.cpu_order import partition
 from torch_radbp.jit.machine import cached_code, made_once
 
-# Each run of lanes, one after the other, in the order of its keys: a key moves down past those that are greater.
+# Each run of lanes, one after the other, in the order of its keys: a key moves down past those that are greater. And the
+# number of the run of each lane.
 SORT_RUNS = """\
-define void @sort_runs(ptr %order, ptr %keys, ptr %counts, i64 %runs) {
+define void @sort_runs(ptr %order, ptr %keys, ptr %numbers, ptr %counts, i64 %runs) {
 entry:
   %some = icmp sgt i64 %runs, 0
   br i1 %some, label %run, label %done
@@ -22,11 +23,19 @@ run:
   %count_at = getelementptr i64, ptr %counts, i64 %number
   %count = load i64, ptr %count_at, align 8
   %end = add i64 %begin, %count
+  %short = trunc i64 %number to i32
+  %none = icmp eq i64 %count, 0
+  br i1 %none, label %run.end, label %first
+first:
+  %first_at = getelementptr i32, ptr %numbers, i64 %begin
+  store i32 %short, ptr %first_at, align 4
   %second = add i64 %begin, 1
   %several = icmp slt i64 %second, %end
   br i1 %several, label %lane, label %run.end
 lane:
-  %i = phi i64 [ %second, %run ], [ %next, %placed ]
+  %i = phi i64 [ %second, %first ], [ %next, %placed ]
+  %number_at = getelementptr i32, ptr %numbers, i64 %i
+  store i32 %short, ptr %number_at, align 4
   %key_at = getelementptr i32, ptr %keys, i64 %i
   %key = load i32, ptr %key_at, align 4
   %lane_at = getelementptr i32, ptr %order, i64 %i
@@ -70,11 +79,12 @@ LONGEST_RUN = 64  # that is sorted key by key
 
 
 class Code:
-    """The machine code of `SORT_RUNS`: takes addresses of lanes, of their keys, of the runs' lengths, and how many runs."""
+    """The machine code of `SORT_RUNS`: takes addresses of lanes, of their keys, of the numbers of their runs, which are
+    written, of the runs' lengths, and how many runs."""
 
     def __init__(self) -> None:
         self.module = cached_code(SORT_RUNS, entry="sort_runs")
-        self.sort_runs = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, ctypes.c_int64)(self.module.address)
+        self.sort_runs = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 4, ctypes.c_int64)(self.module.address)
 
 
 code = made_once(Code)
@@ -88,7 +98,6 @@ def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor,
         order, _ = partition(minor, queues)
         order = order.index_select(0, partition(major.index_select(0, order), queues)[0])
         return order, major.index_select(0, order), minor.index_select(0, order)
-    keys = minor.index_select(0, order)
-    code().sort_runs(order.data_ptr(), keys.data_ptr(), counts.data_ptr(), queues)
-    every = torch.arange(queues, dtype=torch.int32, device="cpu")
-    return order, every.repeat_interleave(counts, output_size=len(order)), keys
+    keys, numbers = minor.index_select(0, order), torch.empty_like(order)
+    code().sort_runs(order.data_ptr(), keys.data_ptr(), numbers.data_ptr(), counts.data_ptr(), queues)
+    return order, numbers, keys

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from torch_radbp.jit.board import Board
 from torch_radbp.jit.lane_operations import Outside, Place, Span
+from torch_radbp.jit.large_pages import block_of_bytes
 from torch_radbp.jit.machine import MachineCode, cached_code
-from torch_radbp.jit.recorded_text import Layout, Writer
+from torch_radbp.jit.recorded_text import Group, Layout, Writer
 from torch_radbp.jit.recording import NotRecordable, Recording
 from torch_radbp.jit.structure import Leaf, assembler, flatten, replaced
 
@@ -112,9 +113,8 @@ class Recorded:
         """
         row = -(-lanes // 64) * 64
         addresses = given.addresses + others.addresses + given.lengths + others.lengths
-        kept = [torch.empty((len(group.tensors), 0 if group.handed else row), dtype=group.dtype, device="cpu")
-                for group in self.layout.groups]
-        room = torch.empty(max(1, self.layout.bytes * row), dtype=torch.uint8, device="cpu")
+        kept = [self.rows_of(group, row) for group in self.layout.groups]
+        room = block_of_bytes(max(1, self.layout.bytes * row))
         places, counts = array("q", [block.data_ptr() for block in kept]), array("q", [0, lanes, *known])
         counts.extend([0] * (self.counts - len(counts)))
         memory = Memory((*given.items, *others.items), kept, places, room, row)
@@ -133,6 +133,14 @@ class Recorded:
         results = [rows[group][row] if count == WHOLE else rows[group][row][:counts[count]]
                    for group, row, count in self.found]
         return self.assemble(results), counts
+
+    @staticmethod
+    def rows_of(group: Group, entries: int) -> Tensor:
+        """Room for the results of a group, (tensors, entries); what is handed over has none."""
+        if group.handed:
+            return torch.empty((len(group.tensors), 0), dtype=group.dtype, device="cpu")
+        size = len(group.tensors) * entries * group.dtype.itemsize
+        return block_of_bytes(size).view(group.dtype).view(-1, entries)
 
     def do(self, outside: Outside, contexts: Sequence[Any], memory: Memory, counts: array) -> None:
         """Has done what is done outside, if there are lanes."""

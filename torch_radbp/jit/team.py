@@ -24,6 +24,9 @@ from torch_radbp.tensors.torch_internals import operations_on_this_thread
 
 Item, Result = TypeVar("Item"), TypeVar("Result")
 PART = 4096  # lanes that a thread takes at a time
+LEAST = 1024  # the same where parts are made smaller, so that each thread takes equally many
+BLOCK = 64  # lanes of which all parts but the last are a multiple
+EVEN = 4  # parts for each thread, of more of which it matters little
 
 
 class Job(ctypes.Structure):
@@ -264,11 +267,19 @@ class LaneLoop(NamedTuple):
 
 def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = PART) -> None:
     """Runs a loop on all threads that work for this one; see `LaneLoop`. Inside `loops_together` it waits for the others."""
-    loop = LaneLoop(body, lanes, inputs, outputs, part)
     if HERE.loops is None:
-        run_loops([loop])
+        run_loops([LaneLoop(body, lanes, inputs, outputs, part_for_all(lanes, part))])
     else:
-        HERE.loops.append(loop)
+        HERE.loops.append(LaneLoop(body, lanes, inputs, outputs, part))
+
+
+def part_for_all(lanes: int, part: int) -> int:
+    """Lanes of a part at most, so that of a loop of few parts each thread takes equally many."""
+    count, team = -(-lanes // part), threads()
+    if count < 2 or count > EVEN * team:
+        return part
+    count = max(count, min(-(-count // team) * team, lanes // LEAST))
+    return -(-lanes // (count * BLOCK)) * BLOCK
 
 
 def run_loops(loops: Sequence[LaneLoop]) -> None:

@@ -62,6 +62,7 @@ class Stages(NamedTuple):
     slopes: Callable
     asked_of_places: Callable
     boxes_around: Callable
+    ray_along_edge: Callable
     edge_bounds: Callable
     merged_bounds: Callable
     descended: Callable

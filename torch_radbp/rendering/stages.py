@@ -19,6 +19,7 @@ from torch_radbp.boundary.edge_places import edge_place, edge_weight
 from torch_radbp.boundary.in_sight import in_sight, paths_beside
 from torch_radbp.boundary.intersections import boxes_around
 from torch_radbp.boundary.motion import asked_of_places, slopes, swept
+from torch_radbp.boundary.pierced import ray_along_edge
 from torch_radbp.boundary.places import rays_beside
 from torch_radbp.boundary.reflections.crossings import drawn_by_steps
 from torch_radbp.boundary.reflections.differences import parted, unparted
@@ -74,6 +75,7 @@ STAGES = {  # of each the arguments that are read at indices
     segment_place: (*CURVES, "segments", "lot"), rays_beside: ("sight", "places", "chosen"),
     in_sight: ("geometry", "places", "sent"), paths_beside: ("places", "chosen", "sent", "times", "shown"), swept: MOTION,
     slopes: MOTION, asked_of_places: ("camera", "pixels", "film"), boxes_around: ("geometry",),
+    ray_along_edge: ("geometry", "bodies"),
     edge_bounds: (*OUTLINE, "slots"), merged_bounds: ("below",), descended: ("nodes", "eyes"),
     edge_found: (*OUTLINE, "tree", "eyes"), edge_tried: (*OUTLINE, "eyes"),
     edge_passed: (*OUTLINE, "eyes", "lot", "found", "eye"), segment_bounds: ("geometry", "segments", "slots"),

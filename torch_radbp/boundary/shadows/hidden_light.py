@@ -31,6 +31,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.shadows import film_density, split
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.light_points import light_points
@@ -154,17 +155,16 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
         call, casting, effort: as for `border.borders_in_view`.
         first: what the first vertices of paths receive straight from lights.
     """
-    view, geometry = call.views[number], geometry_of(call.scene)
+    geometry, count = geometry_of(call.scene), number_of_paths(call, call.views[number], effort)
     integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand, number_of_paths(call, view, effort))
-    if not len(points.depth):
+    density, tried = None, count // film_density.SHARE
+    if tried >= film_density.FEWEST:
+        trial = looks_at_edges(split.trying(call), number, integrand, casting, tried, first)
+        density = None if trial is None else film_density.film_density(call.views[number], trial.points, trial.passed)
+    looks = looks_at_edges(call, number, integrand, casting, count, first, density)
+    if looks is None:
         return None
-    at = vertex_at(call, geometry, number, points)
-    eyes = eyes_of(call, number, integrand, points, at, first)
-    passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS,
-                         PLACES * len(points.depth))
-    if passed is None:
-        return None
+    points, at, passed = looks
     if call.scene.layout.surround is None:
         passed, hit = onto_surfaces(call.integrand, passed)
         passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
@@ -175,6 +175,36 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
         return None
     return cuts_that_matter(call.stages, geometry, casting, points, at, passed, hit,
                             lambda cuts: light_beyond(call, integrand, points, cuts.hit, passed, at, first))
+
+
+class Looks(NamedTuple):
+    """What vertices of paths see of edges."""
+
+    points: Viewpoints  # (M,)
+    at: Vec3  # (M,) where they are
+    passed: Passed  # (N,) places that they see, all of which stand for the same angle
+
+
+def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, count: int, first: FirstVertex,
+                   density: Tensor | None = None) -> Looks | None:
+    """Places on edges that vertices of so many paths see; None: they see none.
+
+    Args:
+        call, number, casting: as for `cuts_of_view`.
+        integrand: the view's.
+        count: of the paths.
+        first: as for `cuts_of_view`.
+        density: of the paths, as for `viewpoints`.
+    """
+    geometry = geometry_of(call.scene)
+    points = viewpoints(call, number, integrand, count, density=density)
+    if not len(points.depth):
+        return None
+    at = vertex_at(call, geometry, number, points)
+    eyes = eyes_of(call, number, integrand, points, at, first)
+    passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
+                         PLACES * len(points.depth))
+    return None if passed is None else Looks(points, at, passed)
 
 
 def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: FirstVertex) -> Eyes:

@@ -20,6 +20,7 @@ from torch_radbp.path.recorded_bounce import bounces_taken
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Onward, put_rows
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import LaneKey, SampleKey
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.nearby import slides_from
@@ -79,7 +80,8 @@ class Reached(NamedTuple):
     onwards: PathState  # and how
 
 
-def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, following: bool = False) -> Viewpoints:
+def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, following: bool = False,
+               density: Tensor | None = None) -> Viewpoints:
     """One vertex each of so many camera paths, picked in proportion to their throughput; of those that have one.
 
     Args:
@@ -87,21 +89,21 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
         integrand: of the detached scene.
         count: of the paths.
         following: vertices whose scattered directions carry derivatives are meant; else those after which points are glued.
+        density: (cells,) float64, by which the paths are spread over the cells of the film; None: evenly.
     """
     view, grid, device = call.views[number], call.views[number].grid, call.scene.device
     cells = grid.columns * grid.rows
     sample = torch.arange(count, dtype=torch.int32, device=device)
     key = salted(view, SALT)
     jitter = numbers(key, sample, SALT, torch.float64)
-    cell = ((sample + jitter) * (cells / count)).floor().clamp_max(cells - 1).to(torch.int32)
+    cell, area = cells_begun(sample + jitter, count, cells, density)
     row = torch.div(cell, grid.columns, rounding_mode="floor")
     column, pixel = cell - row * grid.columns, view.window.numbers(cell - row * grid.columns, row)
     camera = call.stages.sample_camera(view.camera, view.numbered, pixel, sample, key, call.scene.layout.traces_cones)
     place = Vec2(column - view.window.columns.before + camera.place.x.double(),
                  row - view.window.rows.before + camera.place.y.double())
     picked = picked_vertices(integrand, started(call, camera), key, following)
-    area = cells / count  # of the film, for which each path stands
-    beta = picked.beta * (area * picked.total / picked.promise.clamp_min(TINY))
+    beta = picked.beta * (area.to(picked.total.dtype) * picked.total / picked.promise.clamp_min(TINY))
     if camera.weight is not None:
         beta = beta * camera.weight
     found = Viewpoints(pixel, sample, place, picked.depth.long(), picked.ray, picked.hit, picked.slides, beta, camera.key,
@@ -112,6 +114,21 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
     geometry = geometry_of(call.scene)
     near = slides_from(corners_of(geometry, found.hit), found.hit.t.double(), is_plain(geometry, found.hit))
     return found._replace(slides=found.slides | (near & (found.depth > 0)))
+
+
+def cells_begun(along: Tensor, count: int, cells: int, density: Tensor | None) -> tuple[Tensor, Tensor]:
+    """The cells of the film in which paths begin, (N,) int32, and the areas for which these stand, (N,) or () float64.
+
+    Args:
+        along: (N,) float64 from 0 to `count`, the number of all paths.
+        cells: how many there are.
+        density: as for `viewpoints`.
+    """
+    if density is None:
+        return (along * (cells / count)).floor().clamp_max(cells - 1).to(torch.int32), along.new_tensor(cells / count)
+    total = running_sum(density)
+    cell = torch.searchsorted(total, along * (total[-1] / count), right=True).clamp_max(cells - 1)
+    return cell.to(torch.int32), total[-1] / count / density[cell]
 
 
 def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, following: bool) -> Picked:
