@@ -166,7 +166,7 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     chunk = min(max(chunk, work.least), lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
     bounces = len(fractions)
-    bounce, sweep, tape, outside, at_once, held, tables = work.bounce_memory
+    bounce, sweep, tape, outside, at_once, held_back, tables = work.bounce_memory
     if adjoint.taped:
         kept = int(lanes * WASTE * tape.per_lane + tape.fixed)
         working = max(together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize), work.jumps)
@@ -183,7 +183,7 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     working = together * unlike * (busy * max(fractions) + replayed) + work.workers * sweep.fixed
     working += work.workers * (WASTE * outside.per_lane * min(chunk, at_once) + outside.fixed)
     # Adjoints that are held back, once more where they are joined; lanes are of the image, or of the derivative.
-    working += work.workers * WASTE * 2 * held * min(HELD, 2 * chunk * sum(fractions))
+    working += work.workers * WASTE * 2 * held_back * min(HELD, 2 * chunk * sum(fractions))
     working = max(working, WASTE * tables.packing)
     if work.jumps:  # paths beside curves are traced as the others are
         working = max(working, work.jumps + together * unlike * waste * share * bounce.per_lane)
