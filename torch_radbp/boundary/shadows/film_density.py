@@ -19,7 +19,7 @@ from torch_radbp.boundary.shadows.viewpoints import Viewpoints
 from torch_radbp.call.view import View
 from torch_radbp.tensors.vec import max_component
 
-SHARE, FEWEST = 8, 1024  # one path is tried for so many; and at least, or none is
+SHARE, FEWEST = 32, 1024  # one path is tried for so many; and at least, or none is
 GUIDED = 0.5  # share of the paths that go where edges are near
 OF_TILE = 16  # places on edges in a tile, in the mean
 
