@@ -1,5 +1,7 @@
 """What is recorded with lanes does the same again, whatever the numbers of lanes turn out to be."""
 
+from collections.abc import Iterator
+
 import pytest
 import torch
 from torch import Tensor
@@ -125,17 +127,23 @@ def test_what_is_scattered_goes_to_the_totals_of_the_call(lanes):
 GATHERED = LaneFunction(lambda x, lanes: torch.index_select(x, 0, lanes), ("x",))
 
 
-def asking(context, number: Tensor, x: Tensor):
-    """Lanes queue by queue, for each of which someone outside is asked, and a loop over what was found."""
+def by_queue(number: Tensor, x: Tensor) -> Iterator[Tensor]:
+    """The numbers of each queue that has lanes, gathered when they are asked for."""
     order, counts = partition(number, QUEUES)
-    found, first = [], 0
+    first = 0
     for count in counts:
         if count:
-            own = GATHERED(x, order[first:first + count])
-            answers, = outside(lambda context, given: [(context["factor"] * x, x.max() - x) for _, x in given], context,
-                               [(own, own)], [2])
-            found += [*answers, *TWICE(*answers)]
+            yield GATHERED(x, order[first:first + count])
         first += count
+
+
+def asking(context, number: Tensor, x: Tensor):
+    """Lanes queue by queue, for each of which someone outside is asked, and a loop over what was found."""
+    found = []
+    for own in by_queue(number, x):
+        answers, = outside(lambda context, given: [(context["factor"] * x, x.max() - x) for _, x in given], context,
+                           [(own, own)], [2])
+        found += [*answers, *TWICE(*answers)]
     return found
 
 
@@ -154,13 +162,7 @@ def test_what_is_done_outside_is_done_in_the_context_of_the_call(lanes, threads)
 
 def asking_together(context, number: Tensor, x: Tensor):
     """As `asking`, all queues in one turn."""
-    order, counts = partition(number, QUEUES)
-    given, first = [], 0
-    for count in counts:
-        if count:
-            own = GATHERED(x, order[first:first + count])
-            given.append((own, own))
-        first += count
+    given = [(own, own) for own in by_queue(number, x)]
 
     def work(context, given):
         context["turns"] = context.get("turns", 0) + 1
