@@ -84,19 +84,67 @@ def test_no_sample_is_large_next_to_the_line_where_surfaces_meet(name):
     assert found.isfinite().all() and 0 < found.max() < 40 * found.mean()
 
 
-def test_points_slide_past_edges_at_bounded_speed():
-    """A point that stays in a fixed direction moves by r / h where that from which it is seen moves by one, h above its
-    plane, r away. What edges add counts with this over their distance: at most 0.6 / h, in a rise of twice r."""
-    generator = torch.Generator().manual_seed(1)
-    corners = tuple(Vec3(*(torch.full((20000,), at, dtype=torch.float64) for at in corner))
-                    for corner in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
-    height, over, ahead, u = (size * torch.rand(20000, generator=generator, dtype=torch.float64)**power
-                              for size, power in ((0.1, 3), (0.2, 3), (0.1, 2), (1.0, 1)))
-    u, zero, plain = 0.2 + 0.6 * u * (1.0 - over), torch.zeros_like(u), torch.ones_like(u, dtype=torch.bool)
-    start = Vec3(u, over + ahead, height)
-    reach = Vec3(u, over, zero) - start
+CORNERS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
+
+def corners_of(count: int) -> tuple[Vec3, Vec3, Vec3]:
+    """A triangle's, so many times."""
+    return tuple(Vec3(*(torch.full((count,), at, dtype=torch.float64) for at in corner)) for corner in CORNERS)
+
+
+def seen_at(u: torch.Tensor, v: torch.Tensor, start: Vec3) -> tuple[Nearby, Floor]:
+    """Points of that triangle as they are seen from surfaces that face along y."""
+    zero, plain = torch.zeros_like(u), torch.ones_like(u, dtype=torch.bool)
+    reach = Vec3(u, v, zero) - start
     distance = torch.sqrt(dot(reach, reach))
     floor = Floor(start, Vec3(zero, zero + 1.0, zero), plain, zero + 1e-9)
-    share = slide_at(Nearby(corners, u, over, reach * (1.0 / distance), distance, plain), floor).share
-    assert (share > 0.3).sum() > 1000 and (distance / height).max() > 100
-    assert (share * (distance / height) / over).mul(height).max() <= 0.6
+    return Nearby(corners_of(len(u)), u, v, reach * (1.0 / distance), distance, plain), floor
+
+
+def test_points_slide_past_edges_at_bounded_speed():
+    """A point that stays in a fixed direction moves by r / h where that from which it is seen moves by one, h above its
+    plane, r away. What edges add counts with this over their distance: at most 1 / h where the foot of h lies farther from
+    the edge than the point, for there m falls linearly to the edge."""
+    generator = torch.Generator().manual_seed(1)
+    height, over, ahead, u = (size * torch.rand(20000, generator=generator, dtype=torch.float64)**power
+                              for size, power in ((0.1, 3), (0.2, 3), (0.1, 2), (1.0, 1)))
+    u = 0.2 + 0.6 * u * (1.0 - over - ahead)
+    near, floor = seen_at(u, over, Vec3(u, over + ahead, height))
+    share = slide_at(near, floor).share
+    assert (share > 0.3).sum() > 1000 and (near.distance / height).max() > 100
+    assert (share * near.distance / over).max() <= 1.0
+
+
+def any_seen(count: int) -> tuple[Nearby, Floor]:
+    """Points seen from places that lie above a triangle, many of them close to it, and to edges."""
+    generator = torch.Generator().manual_seed(2)
+    foot, point = (torch.sort(torch.rand(2, count, generator=generator, dtype=torch.float64), 0).values for _ in range(2))
+    near = 0.01 + 0.99 * torch.rand(count, generator=generator, dtype=torch.float64)**2  # at the foot the share has a tip
+    point = foot + (point - foot) * near
+    height = 0.4 * torch.rand(count, generator=generator, dtype=torch.float64)**3
+    return seen_at(point[0], point[1] - point[0], Vec3(foot[0], foot[1] - foot[0], height))
+
+
+def test_the_change_of_the_share_is_that_of_differences():
+    near, floor = any_seen(20000)
+    found, step = slide_at(near, floor), 1e-7
+    for by, u, v in ((found.by_u, step, 0.0), (found.by_v, 0.0, step)):
+        sides = [slide_at(*seen_at(near.u + sign * u, near.v + sign * v, floor.p)).share for sign in (1.0, -1.0)]
+        expected = (sides[0] - sides[1]) / (2.0 * step)
+        assert (expected.abs() > 0.1).sum() > 1000
+        off = (by - expected).abs() > 1e-3 * expected.abs().clamp_min(1.0)
+        assert off.double().mean() < 1e-3  # the share has kinks
+
+
+def test_turns_and_changes_of_solid_angle_are_bounded():
+    """By 2 / (D + h) and 1 / h, with D the distance of the foot from the nearest edge or the end of the reach."""
+    near, floor = any_seen(20000)
+    slide, start = slide_at(near, floor), floor.p
+    reach = 0.5 * 0.5**0.5
+    nearest = torch.minimum(torch.minimum(start.x, start.y), (1.0 - start.x - start.y) * 0.5**0.5)
+    nearest = torch.minimum(nearest, (reach**2 - start.z**2).clamp_min(0.0).sqrt())
+    slides = slide.share > 0.0
+    assert slides.sum() > 1000
+    assert ((1.0 - slide.share) / near.distance * (nearest + start.z))[slides].max() <= 2.0
+    rising = slide.by_u * (near.u - start.x) + slide.by_v * (near.v - start.y)  # times h: where x rises by one
+    assert rising.abs()[slides].max() <= 1.0

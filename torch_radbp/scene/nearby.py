@@ -12,13 +12,19 @@ coordinates (u, v), which change by (u', v') in a fixed direction, it is (1 - m)
 
 Any m may be chosen that is continuous over a triangle and 0 along its edges: then no edge and no other surface sees anything
 of it, and only borders that lie inside of triangles move differently over points that slide (`boundary/shadows/slid.py`).
-Here m is near 1 within some distance of x and away from edges,
 
-    m = (1 - r^2 / R^2)^2 s_1 s_2 s_3
+Where x rises from the triangle's plane, h above it, points in fixed directions move away from its foot by rho / h, with rho
+their distance from there; what m changes by on this way counts as often as directions of that rho are met, h / rho^2. So the
+variance is that of m', squared and integrated over rho, over h: least where m falls linearly. Here it falls from x's foot to
+the edges, or to the end of a reach, whichever comes first,
 
-with R a share of the least height of the triangle, and s_i rising smoothly from 0 at an edge to 1 at twice r. The rise must
-be wide: at grazing angles points slide much faster than x, and where a wall that ends stands on a floor they come as near to
-the ends as x does. Edges in the plane of x, along which surfaces touch, need no s_i: light along that plane does not count.
+    m = D / (D + h) min(lambda_i(y) / lambda_i(foot), 1 - rho / sqrt(R^2 - h^2))
+
+with lambda_i the barycentric coordinates, D the least distance of the foot from where m is 0, and R a share of the least
+height of the triangle. No direction turns by more than 2 / (D + h), and no element of solid angle changes by more than 1 / h
+for what x moves, where glued points have 1 / r and its square. Where the foot lies outside, points stay glued.
+
+Edges in the plane of x, along which surfaces touch, need no m of 0: light along that plane does not count.
 Triangles at which light jumps for other reasons than shadows are *not plain*, and vertices stay glued to them.
 
 Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4 (any continuous motion of the points serves);
@@ -34,8 +40,7 @@ from torch import Tensor
 
 from torch_radbp.tensors.vec import TINY, Vec3, cross, dot
 
-REACH = 0.2  # of the least height of a triangle: how near x must be
-BORDER = 2.0  # times the distance of x: how far from an edge the share is less
+REACH = 0.5  # of the least height of a triangle: how near x must be
 
 Corners = tuple[Vec3, Vec3, Vec3]
 
@@ -89,39 +94,29 @@ def least(heights: tuple[Tensor, Tensor, Tensor]) -> Tensor:
 def slide_at(near: Nearby, floor: Floor) -> Slide:
     """How much points slide that are seen from near x."""
     p0, p1, p2 = corners = tuple(corner.detach() for corner in near.corners)
-    e1, e2 = p1 - p0, p2 - p0
-    heights = heights_of(corners)
-    height = least(heights).clamp_min(TINY)
-    reach = near.distance / (REACH * height)
-    left = (1.0 - reach * reach).clamp_min(0.0)
-    seen = dot(cross(e1, e2), near.d).abs() > TINY
-    fall = left * left * (near.plain & seen).to(left.dtype)
-    steep = -4.0 * left * reach / (REACH * height)  # what `fall` changes by with the distance
+    e1, e2, heights = p1 - p0, p2 - p0, heights_of(corners)
+    n, gap = cross(e1, e2), floor.p - p0
+    squared = dot(n, n).clamp_min(TINY)
+    foot_u, foot_v = dot(cross(gap, e2), n) / squared, dot(cross(e1, gap), n) / squared
+    above, reach = dot(gap, n).abs() * torch.rsqrt(squared), REACH * least(heights)
+    slides = near.plain & (dot(n, near.d).abs() > TINY) & (above < reach)
+
+    radius = torch.sqrt((reach * reach - above * above).clamp_min(TINY))
+    away = e1 * (near.u - foot_u) + e2 * (near.v - foot_v)
+    distance = torch.sqrt(dot(away, away)).clamp_min(TINY)
+    share, nearest = 1.0 - distance / radius, radius
+    by_u, by_v = (-dot(away, edge) / (distance * radius) for edge in (e1, e2))
 
     level = [dot(corner - floor.p, floor.n).abs() <= 2.0 * floor.clearance for corner in corners]
-    along = [floor.plain & level[1] & level[2], floor.plain & level[2] & level[0], floor.plain & level[0] & level[1]]
-    farther_u, farther_v = dot(e1, near.d), dot(e2, near.d)  # what the distance changes by
-    rises = [rise_from(weight * over, (over * by_u, over * by_v), (farther_u, farther_v), near.distance, touches)
-             for weight, over, touches, by_u, by_v in zip((1.0 - near.u - near.v, near.u, near.v), heights, along,
-                                                          (-1.0, 1.0, 0.0), (-1.0, 0.0, 1.0))]
-    (s0, *t0), (s1, *t1), (s2, *t2) = rises
-    rise, counts = s0 * s1 * s2, (near.plain & seen).to(left.dtype)
-    by_u, by_v = (counts * (steep * farther * rise + left * left * (a * s1 * s2 + b * s0 * s2 + c * s0 * s1))
-                  for farther, a, b, c in zip((farther_u, farther_v), t0, t1, t2))
-    return Slide(fall * rise, by_u, by_v)
-
-
-def rise_from(over: Tensor, pace: tuple[Tensor, Tensor], farther: tuple[Tensor, Tensor], distance: Tensor,
-              touches: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """A smooth rise from 0 at an edge to 1, and its derivatives by u and v; 1 where the edge `touches` the surface of x.
-
-    Args:
-        over: how far from the edge the points lie; `pace`: its derivatives by u and v.
-        distance: of x; `farther`: its derivatives.
-        touches: bool.
-    """
-    width = BORDER * distance.clamp_min(TINY)
-    way = (over / width).clamp(0.0, 1.0)
-    slope = torch.where(touches, 0.0, 6.0 * way * (1.0 - way) / width)
-    return (torch.where(touches, 1.0, way * way * (3.0 - 2.0 * way)),
-            *(slope * (own - way * BORDER * away) for own, away in zip(pace, farther)))
+    ends = ((1.0 - foot_u - foot_v, 1.0 - near.u - near.v, -1.0, -1.0), (foot_u, near.u, 1.0, 0.0),
+            (foot_v, near.v, 0.0, 1.0))
+    for number, ((of_foot, here, u, v), height) in enumerate(zip(ends, heights)):
+        counts = ~(floor.plain & level[number - 1] & level[number - 2])
+        slides = slides & ((of_foot > TINY) | ~counts)
+        of_foot = of_foot.clamp_min(TINY)
+        nearest = torch.where(counts, torch.minimum(nearest, of_foot * height), nearest)
+        first = counts & (here < share * of_foot)
+        share, by_u, by_v = (torch.where(first, own / of_foot, other)
+                             for own, other in ((here, share), (u, by_u), (v, by_v)))
+    size = torch.where(slides & (share > 0.0), nearest / (nearest + above).clamp_min(TINY), 0.0)
+    return Slide(size * share, size * by_u, size * by_v)
