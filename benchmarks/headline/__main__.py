@@ -3,6 +3,8 @@
 Five tasks of inverse rendering, each with this renderer and with Mitsuba (``llvm_ad_rgb``): the same scene, targets (by
 Mitsuba), first guess, size of images, samples a pixel, loss (mean squared error), and Adam with the same rates. Mitsuba has
 the integrators of its tutorials, and where they guide samples of edges, which takes time, it also runs without guiding.
+The scenes name no sampler, so that each has its own, ours points of low discrepancy and Mitsuba independent samples; Mitsuba
+also runs with its ``multijitter``, the quietest of its samplers for gradients, and whichever is sooner counts.
 This renderer has its defaults: ``renderer(seed=step)``, image and derivative by samples of their own, as Mitsuba's.
 
 They step by turns within one process, one for each task, after steps that compile and count for nothing but the column
@@ -33,6 +35,7 @@ from benchmarks.peers import mitsuba_for
 from benchmarks.scenes import QUICK
 
 OURS = "ours"
+SAMPLERS = {None: "", "multijitter": ", multijitter"}  # of Mitsuba's sensors; None: its default
 WARM_UP = 2
 HEADER = """\
 | task | renderer | step, ms | first step, s | error, start | at the end | common | seconds to it | ours / Mitsuba's |
@@ -47,13 +50,16 @@ def measure(options: argparse.Namespace) -> dict:
         if options.quick:
             task = task._replace(setting=QUICK._replace(max_depth=task.setting.max_depth), steps=2)
         targets = task.targets(mi, options.target_samples)
-        runs: dict[str, list[Curve]] = {name: [] for name in (OURS, *task.integrators)}
+        sampled = {sampler: task.sampled(Path(folder), sampler) for sampler in SAMPLERS}
+        theirs = {f"{name}{said}": (sampled[sampler], name)
+                  for name in task.integrators for sampler, said in SAMPLERS.items()}
+        runs: dict[str, list[Curve]] = {name: [] for name in (OURS, *theirs)}
         first = {}
         shown = progress.add_task(task.title, total=options.seeds * task.steps)
         for seed in range(options.seeds):
             def loops(seed: int = seed) -> dict:
-                theirs = {name: MitsubaLoop(task, name, mi, targets, seed) for name in task.integrators}
-                return {OURS: OurLoop(task, targets, seed), **theirs}
+                return {OURS: OurLoop(sampled[None], targets, seed),
+                        **{name: MitsubaLoop(*run, mi, targets, seed) for name, run in theirs.items()}}
 
             if seed == 0:
                 warm = loops()

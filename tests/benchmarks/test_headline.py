@@ -14,6 +14,7 @@ from benchmarks.headline.race import Curve, common_error, outcome, race
 from benchmarks.headline.task import parameters
 from benchmarks.headline.tasks import TASKS
 from benchmarks.headline.tasks.shape import radius
+from torch_radbp.sensor.sampler import Independent, LowDiscrepancy, MultiJitter
 
 HERE = Path(__file__).parents[2]
 FALLING = [1.0, 0.5, 0.25, 0.125, 0.0625]
@@ -84,6 +85,16 @@ def test_the_truth_has_no_error_and_the_first_guess_has(name, tmp_path):
     assert task.error(truth) < 1e-6
     guess = {unknown.name: unknown.ours(scene).found() for unknown in task.unknowns}
     assert task.error(guess) > 0.1
+
+
+@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("sampler, expected",
+                         [(None, LowDiscrepancy), ("independent", Independent), ("multijitter", MultiJitter)])
+def test_a_task_begins_with_the_samplers_asked_for(name, sampler, expected, tmp_path):
+    task = TASKS[name](tmp_path)
+    scene = task.sampled(tmp_path, sampler).load()
+    assert len(scene.sensors) == task.views
+    assert all(type(sensor.sampler) is expected for sensor in scene.sensors)
 
 
 @pytest.mark.deep
