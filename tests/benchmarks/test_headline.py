@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.headline.__main__ import HEADER, OURS, rows
+from benchmarks.headline.__main__ import HEADER, OURS, joined, rows
 from benchmarks.headline.race import Curve, common_error, outcome, race
 from benchmarks.headline.task import parameters
 from benchmarks.headline.tasks import TASKS
@@ -69,6 +69,15 @@ def test_a_row_has_the_ratio_to_the_faster_of_theirs_and_says_what_did_not_conve
 def test_runs_of_which_half_do_not_arrive_have_no_seconds():
     runs = [curve(1.0, FALLING), curve(1.0, [1.0, 0.9])]
     assert outcome(runs, 0.3).seconds is None and outcome([*runs, runs[0]], 0.3).seconds == 2.0
+
+
+def test_races_of_a_task_are_joined_with_all_runs_of_ours():
+    fast, slow = (curve(step, FALLING)._asdict() for step in (1.0, 2.0))
+    shared = {"title": "Box", "measure": "RMS"}
+    found = joined([shared | {"first": {OURS: 1.0, "a": 2.0}, "runs": {OURS: [fast], "a": [slow]}},
+                    shared | {"first": {OURS: 3.0, "b": 4.0}, "runs": {OURS: [slow], "b": [fast]}}])
+    assert found == shared | {"first": {OURS: 1.0, "a": 2.0, "b": 4.0},
+                              "runs": {OURS: [fast, slow], "a": [slow], "b": [fast]}}
 
 
 @pytest.mark.parametrize("name", TASKS)
