@@ -41,7 +41,8 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
     """
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
     integrand = integrand_of(call, integrand, wavefront.sensor)
-    L = tracer(integrand, started(call, samples), recorder.visit)
+    asked = record or call.quantities is not None  # of the quantities some ask for what camera rays meet
+    L = tracer(integrand, started(call, samples), recorder.visit if asked else None)
     radiance = L if record and call.adjoint.keep_radiance else None
     return (deposit(call, wavefront, shown(call, integrand, samples, recorder.hit, L), samples.place),
             recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))

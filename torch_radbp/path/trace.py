@@ -8,6 +8,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.recorded_bounce import bounces_taken
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Onward, Step
+from torch_radbp.path.whole_paths import trace_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.vec import Vec3
 
@@ -28,6 +29,8 @@ def trace(integrand: Integrand, start: PathState, visit: Callable[[int, PathStat
         (`integrand.differentiated`), it is 0 there: nobody asks what these bring to the image.
     """
     L, onward = Vec3.buffer(start.beta.x), Onward(start, None)
+    if visit is None and trace_whole(integrand, start, L, hit, depth):
+        return L
     with bounces_taken(integrand, start) as bounce:
         while depth < integrand.max_depth and onward.count:
             state, step, onward = bounce(onward, depth, hit, L)
