@@ -22,8 +22,8 @@ from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
-from torch_radbp.path.trace import trace
-from torch_radbp.path.wavefront import Step, walk
+from torch_radbp.path.trace import trace, walk
+from torch_radbp.path.wavefront import Step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, leaves_of, rows_between

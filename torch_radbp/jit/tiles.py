@@ -18,7 +18,7 @@ from torch_radbp.jit.large_pages import block_of_bytes
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
 from torch_radbp.jit.recorded import WHOLE, Given, Recorded
 from torch_radbp.jit.recording import NotRecordable
-from torch_radbp.jit.team import part_for_all, run_lanes, threads
+from torch_radbp.jit.team import run_lanes, threads
 
 TILE = 4096  # lanes
 # The words of an array that describes a recording, in order, as the code reads them.
