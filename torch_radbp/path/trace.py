@@ -8,7 +8,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.recorded_bounce import bounces_taken
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Onward, Step
-from torch_radbp.path.whole_paths import trace_whole
+from torch_radbp.path.whole_paths import traced_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.vec import Vec3
 
@@ -30,8 +30,9 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
         (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is. If some lanes are of the derivative alone
         (`integrand.differentiated`), it is 0 there: nobody asks what these bring to the image.
     """
-    L = Vec3.buffer(start.beta.x)
-    if visit is not None or not trace_whole(integrand, start, L, hit, depth):
+    L = traced_whole(integrand, start, hit, depth) if visit is None else None
+    if L is None:
+        L = Vec3.buffer(start.beta.x)
         take_bounces(integrand, start, L, visit, hit, depth)
     return L
 

@@ -31,15 +31,13 @@ class Link(NamedTuple):
     onward: Onward  # without contents
 
 
-def trace_whole(integrand: Integrand, start: PathState, L: Vec3, hit: Hit | None, depth: int) -> bool:
-    """Traces paths to their end and adds what they bring to `L`, as `trace.trace` does; False if that is not possible.
-
-    Args as for `trace.trace`; L: (N,) 0, written into.
-    """
-    if not recordable(integrand) or integrand.differentiated is not None or integrand.max_depth - depth > MOST_BOUNCES:
-        return False
+def traced_whole(integrand: Integrand, start: PathState, hit: Hit | None = None, depth: int = 0) -> Vec3 | None:
+    """What `trace.trace` returns, (N,), for paths that nobody visits; None if they cannot be traced so. Args as there."""
+    if not recordable(integrand) or integrand.max_depth - depth > MOST_BOUNCES:
+        return None
+    L = Vec3.buffer(start.beta.x)
     if integrand.max_depth <= depth or not len(start.lane):
-        return True
+        return L
     if depth == 0 and hit is None and integrand.rejects_hits:
         hit = first_hit(integrand, start.ray, depth)
     tables, onward = Tables(integrand, start.pdf.dtype), Onward(start, None)
@@ -48,18 +46,18 @@ def trace_whole(integrand: Integrand, start: PathState, L: Vec3, hit: Hit | None
         lanes = tensors_of((onward, hit))
         varying = Given([*lanes, *tensors_of((L, integrand.at(bounce)))])
         if not all([leaf.is_contiguous() for leaf in varying.items]):
-            return False
+            return None
         structure: list = []
         flatten((onward, hit, L), [], structure)
         key = ("whole", RECORDINGS.kind(tables.kind, *structure), varying.pattern, integrand.settings_at(bounce),
                integrand.is_last(bounce), bounce == 0)
         link = RECORDINGS.of(key, partial(record_link, integrand, tables, onward, bounce, hit, L))
         if link is None:
-            return False
+            return None
         steps.append(Step(link.recorded, Given([*varying.items, *tables.given.items]), len(lanes)))
         onward, hit = link.onward, None
     integrand.caster.count(run_in_tiles(steps, len(start.lane)))
-    return True
+    return L
 
 
 def record_link(integrand: Integrand, tables: Tables, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> Link | None:
