@@ -200,9 +200,9 @@ def test_a_far_plane_is_heeded_though_the_scene_was_recorded_without_it(calls):
         assert torch.equal(seen, rb.Renderer(cut, **SETTINGS)(seed=1))
 
 
-@pytest.mark.parametrize("settings", [{}, {"hide_emitters": True}, {"nee": False}, {"max_depth": 1}, {"max_depth": 2},
+@pytest.mark.parametrize("settings", [{}, {"hide_emitters": True}, {"nee": False}, {"max_depth": 2},
                                       {"rr_depth": 1, "max_depth": 20}], ids=str)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", ["closed box", "textures", "two sides", "sky and points"])
 def test_paths_that_are_traced_whole_have_the_same_bits(name, settings, monkeypatch):
     def image() -> torch.Tensor:
         with torch.no_grad():
