@@ -9,10 +9,11 @@ from tests.derivatives.everything import build_everything
 from tests.gradients import cotangent, unwarned_renderer
 from tests.scenes import cornell, diffuse, load, parameters, rectangle, rgb, sensor, sky_and_points, textured, two_sided
 from tests.texture.networks import Function, lit_room, mlp, room
-from torch_radbp.adjoint import recorded_sweep
+from torch_radbp.adjoint import record, recorded_sweep
 from torch_radbp.io.transform import translate
 from torch_radbp.jit.recorded import Recorded
-from torch_radbp.path import recorded_bounce
+from torch_radbp.jit.tiles import TILE
+from torch_radbp.path import recorded_bounce, whole_paths
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 2, "compile": True, "terms": ("interior",)}
@@ -35,13 +36,18 @@ SCENES = {"closed box": lambda dtype: cornell(dtype, 12), "textures": lambda dty
 @pytest.fixture
 def calls(monkeypatch) -> list[int]:
     """The lanes of each call of what was recorded, as they come."""
-    found, call = [], Recorded.__call__
+    found, call, run = [], Recorded.__call__, whole_paths.run_in_tiles
 
     def noting(self, given, lanes, *rest, **more):
         found.append(lanes)
         return call(self, given, lanes, *rest, **more)
 
+    def noting_steps(steps, lanes):
+        found.extend([lanes] * len(steps))
+        return run(steps, lanes)
+
     monkeypatch.setattr(Recorded, "__call__", noting)
+    monkeypatch.setattr(whole_paths, "run_in_tiles", noting_steps)
     return found
 
 
@@ -49,6 +55,7 @@ def singly(monkeypatch) -> None:
     """From here on nothing is recorded."""
     monkeypatch.setattr(recorded_bounce, "recordable", lambda integrand: False)
     monkeypatch.setattr(recorded_sweep, "recordable", lambda integrand: False)
+    monkeypatch.setattr(whole_paths, "recordable", lambda integrand: False)
 
 
 def rendered(scene: rb.Scene, **settings) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
@@ -108,6 +115,8 @@ def test_a_loop_that_moves_a_mesh_and_changes_colours_uses_the_same_recordings(c
     name = next(name for name, _ in scene.named_parameters() if name.endswith("vertex_positions"))
     renderer, fresh = (rb.Renderer(own, **SETTINGS) for own in (scene, other))
     renderer(seed=0)
+    with torch.no_grad():
+        renderer(seed=0)  # whose paths are traced whole
     known = len(recorded_bounce.RECORDINGS.known)
     for step in range(3):
         for own in (scene, other):
@@ -189,3 +198,39 @@ def test_a_far_plane_is_heeded_though_the_scene_was_recorded_without_it(calls):
     with pytest.MonkeyPatch.context() as patch, torch.no_grad():
         singly(patch)
         assert torch.equal(seen, rb.Renderer(cut, **SETTINGS)(seed=1))
+
+
+@pytest.mark.parametrize("settings", [{}, {"hide_emitters": True}, {"nee": False}, {"max_depth": 2},
+                                      {"rr_depth": 1, "max_depth": 20}], ids=str)
+@pytest.mark.parametrize("name", ["closed box", "textures", "two sides", "sky and points"])
+def test_paths_that_are_traced_whole_have_the_same_bits(name, settings, monkeypatch):
+    def image() -> torch.Tensor:
+        with torch.no_grad():
+            return rb.Renderer(SCENES[name](torch.float32), **SETTINGS | {"spp": 80} | settings)(seed=3)
+
+    tiles, run = [], whole_paths.run_in_tiles
+    monkeypatch.setattr(whole_paths, "run_in_tiles", lambda steps, lanes: tiles.append(lanes) or run(steps, lanes))
+    found = image()
+    assert max(tiles) > TILE
+    singly(monkeypatch)
+    tiles.clear()
+    expected = image()
+    assert not tiles and expected.std() > 0 and torch.equal(found, expected)
+
+
+def test_rays_of_paths_that_are_traced_whole_are_counted(monkeypatch):
+    def rays() -> int:
+        renderer = rb.Renderer(cornell(torch.float32), **SETTINGS)
+        call = renderer.prepare(1, None, None, None)
+        with torch.no_grad():
+            renderer(seed=1)
+        return call.caster.rays_cast
+
+    found = rays()
+    singly(monkeypatch)
+    assert found == rays() > 0
+
+
+def test_derivatives_that_are_traced_apart_have_the_same_bits(calls, monkeypatch):
+    monkeypatch.setattr(record, "MANY", 1)
+    assert_same_bits(lambda: cornell(torch.float32, 12), calls, monkeypatch)

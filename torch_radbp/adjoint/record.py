@@ -22,12 +22,16 @@ from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
-from torch_radbp.path.trace import trace
-from torch_radbp.path.wavefront import Step, walk
+from torch_radbp.path.trace import trace, walk
+from torch_radbp.path.wavefront import Step
+from torch_radbp.path.whole_paths import traced_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
 from torch_radbp.tensors.vec import Vec3
+
+# Lanes of an image from which on those of its derivative are traced apart: fewer take longer in Python than they gain.
+MANY = 1 << 15
 
 
 def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront, which: int, record: bool,
@@ -41,7 +45,8 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
     """
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
     integrand = integrand_of(call, integrand, wavefront.sensor)
-    L = tracer(integrand, started(call, samples), recorder.visit)
+    asked = record or call.quantities is not None  # of the quantities some ask for what camera rays meet
+    L = tracer(integrand, started(call, samples), recorder.visit if asked else None)
     radiance = L if record and call.adjoint.keep_radiance else None
     return (deposit(call, wavefront, shown(call, integrand, samples, recorder.hit, L), samples.place),
             recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))
@@ -49,13 +54,18 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
 
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:
     """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative, traced
-    as one."""
+    as one unless the image is large and can be traced whole."""
     image, derivative = (camera_samples(call, wavefront, which) for which in (0, 1))
     recorder, lanes = Recorder(call.adjoint, integrand.max_depth), wavefront.lanes
-    integrand = integrand_of(call, integrand, wavefront.sensor)
-    integrand = integrand._replace(differentiated=derivative.ray.d.x.new_full((), lanes, dtype=torch.int32))
-    L = trace(integrand, started(call, joined([derivative, image])), recorder.visit)
-    hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
+    integrand, hit = integrand_of(call, integrand, wavefront.sensor), None
+    whole = lanes >= MANY and call.quantities is None
+    L = traced_whole(integrand, started(call, image)) if whole else None
+    if L is not None:
+        walk(integrand, started(call, derivative), recorder.visit)
+    else:
+        integrand = integrand._replace(differentiated=derivative.ray.d.x.new_full((), lanes, dtype=torch.int32))
+        L = trace(integrand, started(call, joined([derivative, image])), recorder.visit)
+        hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
     return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
             recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))
 

@@ -30,7 +30,7 @@ from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec3
 
-Bounce = Callable[[Onward, int, Hit | None, Vec3], tuple[PathState, Step, Onward]]
+Bounce = Callable[[Onward, int, Hit | None, Vec3 | None], tuple[PathState, Step, Onward]]
 MOST = 256  # recordings that are kept
 UNKNOWN = object()
 
@@ -115,7 +115,7 @@ class Recorder:
         self.integrand, self.board, self.tables = integrand, board, Tables(integrand, dtype)
         self.kind: int | None = None  # of the bounces after the first
 
-    def __call__(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> tuple[PathState, Step, Onward]:
+    def __call__(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
         """As `bounced`."""
         integrand = self.integrand
         if depth == 0 and hit is None and integrand.rejects_hits:
@@ -144,7 +144,7 @@ class Recorder:
         step = Step(hit, front, order, queues, visible, survives, picked, values)
         return state, step, onward
 
-    def record(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> RecordedBounce | None:
+    def record(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3 | None) -> RecordedBounce | None:
         """Records a bounce like this one; None if that is not possible."""
         integrand = self.integrand
         reserve = Reserve()

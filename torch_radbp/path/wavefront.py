@@ -7,7 +7,7 @@ The loop is the same forwards, where `trace.py` sums the image, and wherever a b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -258,7 +258,8 @@ class Onward(NamedTuple):
         return integrand.stages.rows(self.paths, self.alive)
 
 
-def bounced(integrand: Integrand, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> tuple[PathState, Step, Onward]:
+def bounced(integrand: Integrand, onward: Onward, depth: int, hit: Hit | None,
+            L: Vec3 | None) -> tuple[PathState, Step, Onward]:
     """One bounce of every lane, which adds what it brings to the radiance `L` of those of the image: L += beta_k E_k.
 
     Args:
@@ -266,16 +267,16 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, hit: Hit | None, L
         onward: the paths that take it.
         depth: of the bounce.
         hit: of their rays, if it is known.
-        L: (N,) of all lanes, written into.
+        L: (N,) of all lanes, written into; None: nobody asks for it.
 
     Returns:
         The paths that reached the bounce, what was decided there, and those that go on.
     """
     state = onward.packed(integrand)
-    vertex, light, step = take_step(integrand, state, depth, hit=hit)
+    vertex, light, step = take_step(integrand, state, depth, hit=hit, with_light=L is not None)
     stages, last = integrand.stages, step.queues[-1]
     shown = [queue for queue in step.queues if queue.image and queue.event.scatters]
-    if shown:
+    if shown and L is not None:
         order, lane, Le, Ld, visible = rows_between((step.order, vertex.next.lane, vertex.Le, vertex.Ld, step.visible),
                                                     shown[0].first, shown[-1].last)
         put_rows(L, lane, stages.brightened(L, state.beta, order, lane, Le, Ld, visible))
@@ -284,12 +285,6 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, hit: Hit | None, L
         ended = stages.rows(state.lane, order)
         put_rows(L, ended, stages.brightened(L, state.beta, order, ended, light, None, None))
     return state, step, Onward(vertex.next, surviving(step))
-
-
-def walk(integrand: Integrand, start: PathState, visit: Callable[[int, PathState, Step], None]) -> None:
-    """Shows `visit` what `trace.trace` does, whose sum is not wanted."""
-    for bounce in bounces(integrand, start, with_light=False):
-        visit(bounce.depth, bounce.state, bounce.step)
 
 
 def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:
