@@ -202,6 +202,7 @@ class Step(NamedTuple):
     """A recording that is run for a tile."""
 
     recorded: Recorded
+    handed: Handed
     given: Given  # whose first tensors are the results of the recording before, in order; of the first: lanes, in order
     lanes: int  # how many of them
 
@@ -241,7 +242,6 @@ def run_in_tiles(steps: Sequence[Step], lanes: int) -> int:
         steps: the recordings. The results of each are what the next one is given first; the last of them tells who goes on.
         lanes: of the first, at least 1.
     """
-    known = {id(step.recorded): handed(step.recorded) for step in steps}
     alone, shared = code().address_of("alone"), run_loop()
     alive: list[array] = []
 
@@ -250,11 +250,10 @@ def run_in_tiles(steps: Sequence[Step], lanes: int) -> int:
         return words.buffer_info()[0]
 
     described, links = array("q"), array("q")
-    for number, (recorded, given, count) in enumerate(steps):
+    for number, (recorded, own, given, count) in enumerate(steps):
         if number == 0:
             for place, item in enumerate(given.items[:count]):
                 links.extend([place, item.element_size()])
-        own = known[id(recorded)]
         functions = array("q", [alone if function == shared else function for function in recorded.functions])
         template = given.addresses + given.lengths
         spans = array("q", [border for span in recorded.rays for border in span])
@@ -262,11 +261,11 @@ def run_in_tiles(steps: Sequence[Step], lanes: int) -> int:
             recorded.code.address, address(functions), address(template), len(template), address(links), len(links) // 2,
             address(own.offsets), len(own.offsets), address(spans), len(recorded.rays), own.count])))
         links = own.results
-    area = max(own.bytes for own in known.values())
+    area = max(step.handed.bytes for step in steps)
     room, words = 2 * area, max(2 * len(step.given.items) for step in steps)
     given_at = room + max(1, max(step.recorded.layout.bytes for step in steps)) * TILE
     kept_at = given_at + 8 * words
-    counts_at = kept_at + 8 * max(len(own.offsets) for own in known.values())
+    counts_at = kept_at + 8 * max(len(step.handed.offsets) for step in steps)
     size = -(-(counts_at + 8 * max(step.recorded.counts for step in steps)) // 4096) * 4096
     memory: Tensor = block_of_bytes(threads() * size)
     inputs = array("q", [address(described), len(steps), memory.data_ptr(), size, 0, TILE, area, room, given_at, kept_at,

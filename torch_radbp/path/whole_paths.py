@@ -13,7 +13,7 @@ import torch
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
-from torch_radbp.jit.tiles import Step, run_in_tiles
+from torch_radbp.jit.tiles import Handed, Step, handed, run_in_tiles
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, recordable, tensors_of, without_contents
 from torch_radbp.path.state import PathState
@@ -28,6 +28,7 @@ class Link(NamedTuple):
     """A bounce of which only those are asked for that go on."""
 
     recorded: Recorded
+    handed: Handed
     onward: Onward  # without contents
 
 
@@ -54,7 +55,7 @@ def traced_whole(integrand: Integrand, start: PathState, hit: Hit | None = None,
         link = RECORDINGS.of(key, partial(record_link, integrand, tables, onward, bounce, hit, L))
         if link is None:
             return None
-        steps.append(Step(link.recorded, Given([*varying.items, *tables.given.items]), len(lanes)))
+        steps.append(Step(link.recorded, link.handed, Given([*varying.items, *tables.given.items]), len(lanes)))
         onward, hit = link.onward, None
     integrand.caster.count(run_in_tiles(steps, len(start.lane)))
     return L
@@ -71,6 +72,7 @@ def record_link(integrand: Integrand, tables: Tables, onward: Onward, depth: int
     try:
         with torch.no_grad(), listening(listener):
             _, _, onward = bounced(integrand, onward, depth, hit, L)
-        return Link(Recorded(listener, given, () if integrand.is_last(depth) else onward), onward)
+        recorded = Recorded(listener, given, () if integrand.is_last(depth) else onward)
+        return Link(recorded, handed(recorded), onward)
     except NotRecordable:
         return None
