@@ -15,6 +15,7 @@ from torch_radbp.call.render_call import (
     RenderCall,
     camera_samples,
     integrand_of,
+    samples_of_chunks,
     start_paths,
     started,
 )
@@ -50,11 +51,15 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:
     """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative, traced
     as one."""
-    image, derivative = (camera_samples(call, wavefront, which) for which in (0, 1))
+    image, derivative = (samples_of_chunks(call, wavefront, which) for which in (0, 1))
     recorder, lanes = Recorder(call.adjoint, integrand.max_depth), wavefront.lanes
+    both = joined([samples._replace(weight=None, place=None) for samples in (*derivative, *image)])
+    image, derivative = (rows_between(both, first, first + lanes)._replace(
+        weight=joined([samples.weight for samples in own]), place=joined([samples.place for samples in own]))
+        for first, own in ((lanes, image), (0, derivative)))
     integrand = integrand_of(call, integrand, wavefront.sensor)
     integrand = integrand._replace(differentiated=derivative.ray.d.x.new_full((), lanes, dtype=torch.int32))
-    L = trace(integrand, started(call, joined([derivative, image])), recorder.visit)
+    L = trace(integrand, started(call, both), recorder.visit)
     hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
     return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
             recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))
