@@ -3,18 +3,22 @@
 Five tasks of inverse rendering, each with this renderer and with Mitsuba (``llvm_ad_rgb``): the same scene, targets (by
 Mitsuba), first guess, size of images, samples a pixel, loss (mean squared error), and Adam with the same rates. Mitsuba has
 the integrators of its tutorials, and where they guide samples of edges, which takes time, it also runs without guiding.
+The scenes name no sampler, so that each has its own, ours points of low discrepancy and Mitsuba independent samples; Mitsuba
+also runs with its ``multijitter``, the quietest of its samplers for gradients, and whichever is sooner counts.
 This renderer has its defaults: ``renderer(seed=step)``, image and derivative by samples of their own, as Mitsuba's.
 
-They step by turns within one process, one for each task, after steps that compile and count for nothing but the column
-"first step". Recorded are the seconds of every step and the error of what was found. The common error is 1.5 times that at
-the end of ours, or of Mitsuba's best, whichever is greater; the figure is the ratio of the seconds after which the errors
-stay below it, medians of the seeds. Who takes longer than ``--seconds`` for a run is stopped. Figures of tasks that were
-measured before are kept in the folder of ``--out`` and shown again, so that one can measure task by task.
+Ours and one way of running Mitsuba step by turns within one process, after steps that compile and count for nothing but the
+column "first step"; a process holds one scene of each, since others would cost Mitsuba time. Recorded are the seconds of
+every step and the error of what was found. The common error is 1.5 times that at the end of ours, or of Mitsuba's best,
+whichever is greater; the figure is the ratio of the seconds after which the errors stay below it, medians of the seeds. Who
+takes longer than ``--seconds`` for a run is stopped. Figures of tasks that were measured before are kept in the folder of
+``--out`` and shown again, so that one can measure task by task.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import subprocess
@@ -27,12 +31,14 @@ from rich.progress import Progress
 
 from benchmarks.headline.chart import panel, write_chart
 from benchmarks.headline.loops import MitsubaLoop, OurLoop
-from benchmarks.headline.race import Curve, Outcome, common_error, fastest, outcome, race
+from benchmarks.headline.race import Curve, Loop, Outcome, common_error, fastest, outcome, race
+from benchmarks.headline.task import Task
 from benchmarks.headline.tasks import TASKS
 from benchmarks.peers import mitsuba_for
 from benchmarks.scenes import QUICK
 
 OURS = "ours"
+SAMPLERS = {None: "", "multijitter": ", multijitter"}  # of Mitsuba's sensors; None: its default
 WARM_UP = 2
 HEADER = """\
 | task | renderer | step, ms | first step, s | error, start | at the end | common | seconds to it | ours / Mitsuba's |
@@ -40,42 +46,73 @@ HEADER = """\
 
 
 def measure(options: argparse.Namespace) -> dict:
-    """Curves of one task, in this process."""
+    """Curves of one task, ours and those of one way of running Mitsuba, in this process."""
     mi = mitsuba_for("cpu")
     with tempfile.TemporaryDirectory() as folder, Progress(console=Console(stderr=True), transient=True) as progress:
         task = TASKS[options.only](Path(folder))
         if options.quick:
             task = task._replace(setting=QUICK._replace(max_depth=task.setting.max_depth), steps=2)
         targets = task.targets(mi, options.target_samples)
-        runs: dict[str, list[Curve]] = {name: [] for name in (OURS, *task.integrators)}
-        first = {}
-        shown = progress.add_task(task.title, total=options.seeds * task.steps)
-        for seed in range(options.seeds):
-            def loops(seed: int = seed) -> dict:
-                theirs = {name: MitsubaLoop(task, name, mi, targets, seed) for name in task.integrators}
-                return {OURS: OurLoop(task, targets, seed), **theirs}
+        integrator, sampler = ways(task)[options.against]
+        ours, theirs = (task.sampled(Path(folder), kind) for kind in (None, sampler))
 
-            if seed == 0:
-                warm = loops()
-                first = {name: loop.step(10**5) for name, loop in warm.items()}
-                for loop in warm.values():
-                    for number in range(1, WARM_UP):
-                        loop.step(10**5 + number)
-            found = race(loops(), task.error, task.steps, options.seconds, lambda: progress.advance(shown))
+        def loops(seed: int) -> dict[str, Loop]:
+            return {OURS: OurLoop(ours, targets, seed), options.against: MitsubaLoop(theirs, integrator, mi, targets, seed)}
+
+        first = warm_up(loops(seed=0))
+        shown = progress.add_task(f"{task.title}: {options.against}", total=options.seeds * task.steps)
+        runs: dict[str, list[Curve]] = {name: [] for name in first}
+        for seed in range(options.seeds):
+            # Mitsuba's kernels contain what every scene in memory has, so that one that is still there takes its time.
+            gc.collect()
+            found = race(loops(seed), task.error, task.steps, options.seconds, lambda: progress.advance(shown))
             for name, curve in found.items():
                 runs[name].append(curve)
     return {"task": options.only, "title": task.title, "measure": task.measure, "first": first,
             "runs": {name: [curve._asdict() for curve in curves] for name, curves in runs.items()}}
 
 
-def in_own_process(name: str, options: argparse.Namespace) -> dict | None:
+def ways(task: Task) -> dict[str, tuple[str, str | None]]:
+    """The ways in which Mitsuba runs a task: integrator and type of sampler, by what the table calls them."""
+    return {f"{integrator}{said}": (integrator, sampler)
+            for integrator in task.integrators for sampler, said in SAMPLERS.items()}
+
+
+def warm_up(loops: dict[str, Loop]) -> dict[str, float]:
+    """Steps that count for nothing; the seconds of the first of each loop."""
+    first = {name: loop.step(10**5) for name, loop in loops.items()}
+    for loop in loops.values():
+        for number in range(1, WARM_UP):
+            loop.step(10**5 + number)
+    return first
+
+
+def in_own_processes(name: str, options: argparse.Namespace) -> dict | None:
+    """`measure` against each way of running Mitsuba, together; None if one has failed and said why."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = [in_own_process(name, against, options) for against in ways(TASKS[name](Path(folder)))]
+    return joined([one for one in found if one is not None]) if all(found) else None
+
+
+def in_own_process(name: str, against: str, options: argparse.Namespace) -> dict | None:
     """`measure` in a new process, whose home folder holds no kernels of Mitsuba; None if it has failed and said why."""
-    command = [sys.executable, "-m", "benchmarks.headline", "--only", name, "--seeds", str(options.seeds), "--seconds",
-               str(options.seconds), "--target-samples", str(options.target_samples), *["--quick"] * options.quick]
+    command = [sys.executable, "-m", "benchmarks.headline", "--only", name, "--against", against, "--seeds",
+               str(options.seeds), "--seconds", str(options.seconds), "--target-samples", str(options.target_samples),
+               *["--quick"] * options.quick]
     with tempfile.TemporaryDirectory() as home:
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True,
                               env={**os.environ, "HOME": home, "RADBP_KERNEL_CACHE": "off"})
     return None if done.returncode else json.loads(done.stdout.splitlines()[-1])
+
+
+def joined(found: list[dict]) -> dict:
+    """Races of one task as one: ours has run in each of them, and all its runs count."""
+    runs: dict[str, list[dict]] = {}
+    for one in found:
+        for name, curves in one["runs"].items():
+            runs.setdefault(name, []).extend(curves)
+    return found[0] | {"first": {name: seconds for one in reversed(found) for name, seconds in one["first"].items()},
+                       "runs": runs}
 
 
 def curves_of(found: dict) -> dict[str, list[Curve]]:
@@ -113,6 +150,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/headline"), help="folder of figures, table and chart")
     parser.add_argument("--quick", action="store_true", help="tiny images and two steps, to see that it works")
     parser.add_argument("--only", choices=TASKS, help=argparse.SUPPRESS)
+    parser.add_argument("--against", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.only:
         print(json.dumps(measure(options)))
@@ -120,7 +158,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     failed = []
     for name in options.task:
-        found = in_own_process(name, options)
+        found = in_own_processes(name, options)
         if found is None:
             failed.append(name)
         else:

@@ -11,12 +11,9 @@ import numpy as np
 import torch_radbp as rb
 from benchmarks.headline.unknown import Unknown
 from benchmarks.peers import translated
-from benchmarks.scenes.description import NO_ROULETTE, Setting
+from benchmarks.scenes.description import NO_ROULETTE, Setting, Source, with_sampler
 
 SAMPLES_OF_A_PASS = 128
-
-Source = Path | dict[str, Any]  # Mitsuba's XML, or its dict with transforms as (4, 4) arrays
-
 
 PRB = {"Mitsuba, prb": {"type": "prb"}}
 
@@ -39,6 +36,10 @@ class Task(NamedTuple):
     steps: int
     integrators: dict[str, dict[str, Any]]
     """Mitsuba's, without depths, by what the table calls it."""
+
+    def sampled(self, folder: Path, sampler: str | None) -> Task:
+        """The same, begun with sensors that have a sampler of this type, or none of the scene's: each renderer's own."""
+        return self._replace(scene=with_sampler(self.scene, folder, sampler))
 
     def load(self) -> rb.Scene:
         """The scene, for this renderer."""

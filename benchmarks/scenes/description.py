@@ -14,6 +14,9 @@ import torch_radbp as rb
 NO_ROULETTE = 10_000  # an rr_depth that no path reaches: the two renderers play roulette by different rules
 
 
+Source = Path | dict[str, Any]  # Mitsuba's XML, or its dict with transforms as (4, 4) arrays and files by absolute names
+
+
 class Setting(NamedTuple):
     """How a scene is rendered."""
 
@@ -25,8 +28,7 @@ class Setting(NamedTuple):
 class BenchmarkScene(NamedTuple):
     """A scene for both renderers, and what is measured on it."""
 
-    source: Path | dict[str, Any]
-    """Mitsuba's XML, or its dict with transforms as (4, 4) arrays and all files by absolute names."""
+    source: Source
     parameters: tuple[str, ...]
     """The names, as in `mi.traverse`, of what gradients are wanted of."""
     setting: Setting
@@ -50,8 +52,9 @@ class BenchmarkScene(NamedTuple):
 def with_filter(scene: BenchmarkScene, rfilter: str, folder: Path) -> BenchmarkScene:
     """The same scene, whose films have another reconstruction filter; an XML file is written to `folder`."""
     if isinstance(scene.source, Path):
-        return rewritten(scene, folder, rfilter,
-                         lambda text: re.sub(r'(<rfilter type=")\w+(")', rf"\g<1>{rfilter}\g<2>", text))
+        return scene._replace(source=rewritten(
+            scene.source, folder, rfilter,
+            lambda text: re.sub(r'(<rfilter type=")\w+(")', rf"\g<1>{rfilter}\g<2>", text)))
 
     def replaced(part):
         return {key: {"type": rfilter} if key == "rfilter" else replaced(value) for key, value in part.items()
@@ -62,24 +65,35 @@ def with_filter(scene: BenchmarkScene, rfilter: str, folder: Path) -> BenchmarkS
 
 def without_samplers(scene: BenchmarkScene, folder: Path) -> BenchmarkScene:
     """The same scene, whose sensors name no sampler: each renderer takes its own; an XML file is written to `folder`."""
-    if isinstance(scene.source, Path):
-        return rewritten(scene, folder, "own_sampler",
-                         lambda text: re.sub(r"\s*<sampler\b.*?</sampler>", "", text, flags=re.DOTALL))
-
-    def without(part):
-        return {key: without(value) for key, value in part.items() if key != "sampler"} if isinstance(part, dict) else part
-
-    return scene._replace(source=without(scene.source))
+    return scene._replace(source=with_sampler(scene.source, folder, None))
 
 
-def rewritten(scene: BenchmarkScene, folder: Path, name: str, change: Callable[[str], str]) -> BenchmarkScene:
+def with_sampler(source: Source, folder: Path, sampler: str | None) -> Source:
+    """The same scene, whose sensors have a sampler of this type, or name none; an XML file is written to `folder`."""
+    if isinstance(source, Path):
+        def changed(text: str) -> str:
+            text = re.sub(r"\s*<sampler\b.*?</sampler>", "", text, flags=re.DOTALL)
+            return re.sub(r"(?=<film\b)", f'<sampler type="{sampler}"/>', text) if sampler else text
+
+        return rewritten(source, folder, f"{sampler or 'own'}_sampler", changed)
+
+    def exchanged(part):
+        if not isinstance(part, dict):
+            return part
+        kept = {key: exchanged(value) for key, value in part.items() if key != "sampler"}
+        return kept | {"sampler": {"type": sampler}} if sampler and "film" in part else kept
+
+    return exchanged(source)
+
+
+def rewritten(source: Path, folder: Path, name: str, change: Callable[[str], str]) -> Path:
     """The same scene with another text of its file, in `folder`; the files that it names are named as a whole."""
-    text, beside = scene.source.read_text(encoding="utf-8"), scene.source.parent
+    text, beside = source.read_text(encoding="utf-8"), source.parent
     text = re.sub(r'(<string name="filename" value=")([^"]+)(")',
                   lambda found: f"{found[1]}{(beside / found[2]).resolve()}{found[3]}", text)
-    path = folder / f"{scene.source.stem}_{name}.xml"
+    path = folder / f"{source.stem}_{name}.xml"
     path.write_text(change(text), encoding="utf-8")
-    return scene._replace(source=path)
+    return path
 
 
 def cotangent(resolution: int) -> np.ndarray:

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.headline.__main__ import HEADER, OURS, rows
+from benchmarks.headline.__main__ import HEADER, OURS, joined, rows
 from benchmarks.headline.race import Curve, common_error, outcome, race
 from benchmarks.headline.task import parameters
 from benchmarks.headline.tasks import TASKS
 from benchmarks.headline.tasks.shape import radius
+from torch_radbp.sensor.sampler import Independent, LowDiscrepancy, MultiJitter
 
 HERE = Path(__file__).parents[2]
 FALLING = [1.0, 0.5, 0.25, 0.125, 0.0625]
@@ -70,6 +71,15 @@ def test_runs_of_which_half_do_not_arrive_have_no_seconds():
     assert outcome(runs, 0.3).seconds is None and outcome([*runs, runs[0]], 0.3).seconds == 2.0
 
 
+def test_races_of_a_task_are_joined_with_all_runs_of_ours():
+    fast, slow = (curve(step, FALLING)._asdict() for step in (1.0, 2.0))
+    shared = {"title": "Box", "measure": "RMS"}
+    found = joined([shared | {"first": {OURS: 1.0, "a": 2.0}, "runs": {OURS: [fast], "a": [slow]}},
+                    shared | {"first": {OURS: 3.0, "b": 4.0}, "runs": {OURS: [slow], "b": [fast]}}])
+    assert found == shared | {"first": {OURS: 1.0, "a": 2.0, "b": 4.0},
+                              "runs": {OURS: [fast, slow], "a": [slow], "b": [fast]}}
+
+
 @pytest.mark.parametrize("name", TASKS)
 def test_the_truth_has_no_error_and_the_first_guess_has(name, tmp_path):
     task = TASKS[name](tmp_path)
@@ -84,6 +94,16 @@ def test_the_truth_has_no_error_and_the_first_guess_has(name, tmp_path):
     assert task.error(truth) < 1e-6
     guess = {unknown.name: unknown.ours(scene).found() for unknown in task.unknowns}
     assert task.error(guess) > 0.1
+
+
+@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("sampler, expected",
+                         [(None, LowDiscrepancy), ("independent", Independent), ("multijitter", MultiJitter)])
+def test_a_task_begins_with_the_samplers_asked_for(name, sampler, expected, tmp_path):
+    task = TASKS[name](tmp_path)
+    scene = task.sampled(tmp_path, sampler).load()
+    assert len(scene.sensors) == task.views
+    assert all(type(sensor.sampler) is expected for sensor in scene.sensors)
 
 
 @pytest.mark.deep
