@@ -15,6 +15,7 @@ from torch_radbp.call.render_call import (
     RenderCall,
     camera_samples,
     integrand_of,
+    samples_of_chunks,
     start_paths,
     started,
 )
@@ -53,21 +54,41 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
 
 
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:
-    """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative, traced
-    as one unless the image is large and can be traced whole."""
-    image, derivative = (camera_samples(call, wavefront, which) for which in (0, 1))
-    recorder, lanes = Recorder(call.adjoint, integrand.max_depth), wavefront.lanes
-    integrand, hit = integrand_of(call, integrand, wavefront.sensor), None
-    whole = lanes >= MANY and call.quantities is None
-    L = traced_whole(integrand, started(call, image)) if whole else None
-    if L is not None:
-        walk(integrand, started(call, derivative), recorder.visit)
-    else:
-        integrand = integrand._replace(differentiated=derivative.ray.d.x.new_full((), lanes, dtype=torch.int32))
-        L = trace(integrand, started(call, joined([derivative, image])), recorder.visit)
-        hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
+    """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative."""
+    recorder = Recorder(call.adjoint, integrand.max_depth)
+    integrand = integrand_of(call, integrand, wavefront.sensor)
+    large = wavefront.lanes >= MANY and call.quantities is None
+    traced = traced_apart(call, integrand, wavefront, recorder) if large else None
+    image, derivative, hit, L = traced or traced_as_one(call, integrand, wavefront, recorder)
     return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
             recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))
+
+
+def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
+                 recorder: Recorder) -> tuple[CameraSample, CameraSample, None, Vec3] | None:
+    """What `traced_as_one` gives but for hits, if the image can be traced whole, without its bounces; else None."""
+    image = camera_samples(call, wavefront, 0)
+    L = traced_whole(integrand, started(call, image))
+    if L is None:
+        return None
+    derivative = camera_samples(call, wavefront, 1)
+    walk(integrand, started(call, derivative), recorder.visit)
+    return image, derivative, None, L
+
+
+def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
+                  recorder: Recorder) -> tuple[CameraSample, CameraSample, Hit | None, Vec3]:
+    """The camera rays of the image and those of the derivative, what the former meet, and their radiance."""
+    image, derivative = (samples_of_chunks(call, wavefront, which) for which in (0, 1))
+    lanes = wavefront.lanes
+    both = joined([samples._replace(weight=None, place=None) for samples in (*derivative, *image)])
+    image, derivative = (rows_between(both, first, first + lanes)._replace(
+        weight=joined([samples.weight for samples in own]), place=joined([samples.place for samples in own]))
+        for first, own in ((lanes, image), (0, derivative)))
+    integrand = integrand._replace(differentiated=both.ray.d.x.new_full((), lanes, dtype=torch.int32))
+    L = trace(integrand, started(call, both), recorder.visit)
+    hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
+    return image, derivative, hit, L
 
 
 def shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hit | None, L: Vec3) -> list[Tensor]:

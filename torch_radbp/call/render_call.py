@@ -80,12 +80,17 @@ def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState
 
 def camera_samples(call: RenderCall, wavefront: Wavefront, which: int) -> CameraSample:
     """The rays of a wavefront's lanes; see `sample_camera`. `which` as for `start_paths`."""
+    return joined(samples_of_chunks(call, wavefront, which))
+
+
+def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> list[CameraSample]:
+    """As `camera_samples`, chunk by chunk."""
     def of_chunk(chunk: Chunk) -> CameraSample:
         view = call.views[chunk.sensor]
         return call.stages.sample_camera(view.camera, view.numbered, *numbers_of(call, chunk), view.sample_keys[which],
                                          call.scene.layout.traces_cones)
 
-    return joined([of_chunk(chunk) for chunk in wavefront.chunks])
+    return [of_chunk(chunk) for chunk in wavefront.chunks]
 
 
 def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:

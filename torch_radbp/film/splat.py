@@ -132,8 +132,10 @@ def sums_of(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], block: 
         some, others = (sums_of(stage, kernel, own, block) for own in (values[:MOST_VALUES], values[MOST_VALUES:]))
         return torch.cat([some, others[:, :, 1:]], 2)
     if kernel.flat:
-        one = torch.ones_like(place.x)
-        return sums_in_pairs(torch.stack([one, *values]).view(1, 1, 1 + len(values), -1, samples), 4)
+        filters = place.x.new_full((1, 1, 1, len(place.x) // samples), samples)
+        if not values:
+            return filters
+        return torch.cat([filters, sums_in_pairs(torch.stack(values).view(1, 1, len(values), -1, samples), 4)], 2)
     first, left, count = parts_of(stage, block)
     lanes = first.t().flatten(), left.t().flatten(), count  # part by part, so that parts lie apart and are quickly added
     found = results_of(stage, size * size * (1 + len(values)), kernel, values, place, *lanes)
