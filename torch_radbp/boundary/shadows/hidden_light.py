@@ -23,7 +23,8 @@ Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Renderi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -44,6 +45,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     crossed_at,
     extent_of,
     finite_normal,
+    numbers,
     onto_surfaces,
     pace,
     places_seen,
@@ -52,6 +54,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     unhidden,
 )
 from torch_radbp.boundary.shadows.slid import less_what_slides
+from torch_radbp.boundary.shadows.thinning import chances, thinned
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View
@@ -59,12 +62,15 @@ from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand, Stages
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import primal
+from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
-SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most
+SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most at once
+ROUNDS = 16  # of `MOST` paths, at most
 LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
 EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
@@ -155,16 +161,26 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
         call, casting, effort: as for `border.borders_in_view`.
         first: what the first vertices of paths receive straight from lights.
     """
-    geometry, count = geometry_of(call.scene), number_of_paths(call, call.views[number], effort)
-    integrand = integrand_of(call, call.integrand, number)
-    density, tried = None, count // film_density.SHARE
+    view, integrand = call.views[number], integrand_of(call, call.integrand, number)
+    paths = number_of_paths(call, view, effort, ROUNDS * MOST)
+    density, tried = None, paths // film_density.SHARE
     if tried >= film_density.FEWEST:
         trial = looks_at_edges(split.trying(call), number, integrand, casting, tried, first)
-        density = None if trial is None else film_density.film_density(call.views[number], trial.points, trial.passed)
-    looks = looks_at_edges(call, number, integrand, casting, count, first, density)
-    if looks is None:
-        return None
-    points, at, passed = looks
+        density = None if trial is None else film_density.film_density(view, trial.points, trial.passed)
+    rounds = -(-paths // MOST)
+    count, found = paths // rounds, []
+    for begun in range(0, rounds * count, count):
+        looks = looks_at_edges(call, number, integrand, casting, count, first, density, begun)
+        cuts = None if looks is None else cuts_of_looks(call, integrand, casting, looks, first)
+        if cuts is not None:
+            found.append(cuts if rounds == 1 else fewer(cuts, salted(view, SALT), begun, MOST * PLACES // rounds))
+    return together(found, rounds)
+
+
+def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: Looks,
+                  first: FirstVertex) -> CutsOfView | None:
+    """Those of the places that are seen at which edges cut off light; None: there are none. Args as for `looks_at_edges`."""
+    geometry, (points, at, passed) = geometry_of(call.scene), looks
     if call.scene.layout.surround is None:
         passed, hit = onto_surfaces(call.integrand, passed)
         passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
@@ -177,6 +193,32 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float,
                             lambda cuts: light_beyond(call, integrand, points, cuts.hit, passed, at, first))
 
 
+def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfView:
+    """About `most` of the cuts of a round, which stand for all of them; see `thinning.py`.
+
+    Args:
+        key: of random numbers.
+        begun: the number of the round's first path.
+    """
+    chance = chances((found.strength * found.sweep).abs().amax(0), most)
+    kept = thinned(chance, numbers(key, begun + found.cuts.edge.new_zeros(1), SALT, torch.float64))
+    found = some_of(found, kept)
+    used, viewpoint = found.cuts.viewpoint.unique(return_inverse=True)
+    cuts = found.cuts._replace(viewpoint=viewpoint.to(found.cuts.viewpoint.dtype))
+    return found._replace(points=rows(found.points, used.long()), cuts=cuts, strength=found.strength / chance[kept])
+
+
+def together(found: Sequence[CutsOfView], rounds: int) -> CutsOfView | None:
+    """The cuts of some of so many rounds, each of which stands for the whole; None: there are none."""
+    if rounds == 1 or not found:
+        return found[0] if found else None
+    before = itertools.accumulate([len(own.points.depth) for own in found], initial=0)
+    parts = [leaves_of(own._replace(strength=own.strength / rounds,
+                                    cuts=own.cuts._replace(viewpoint=own.cuts.viewpoint + first)))
+             for own, first in zip(found, before)]
+    return with_leaves(found[0], [torch.cat(own, -1) if isinstance(own[0], Tensor) else own[0] for own in zip(*parts)])
+
+
 class Looks(NamedTuple):
     """What vertices of paths see of edges."""
 
@@ -186,7 +228,7 @@ class Looks(NamedTuple):
 
 
 def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, count: int, first: FirstVertex,
-                   density: Tensor | None = None) -> Looks | None:
+                   density: Tensor | None = None, begun: int = 0) -> Looks | None:
     """Places on edges that vertices of so many paths see; None: they see none.
 
     Args:
@@ -194,12 +236,14 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
         integrand: the view's.
         count: of the paths.
         first: as for `cuts_of_view`.
-        density: of the paths, as for `viewpoints`.
+        density, begun: of the paths, as for `viewpoints`.
     """
     geometry = geometry_of(call.scene)
-    points = viewpoints(call, number, integrand, count, density=density)
+    points = viewpoints(call, number, integrand, count, density=density, begun=begun)
     if not len(points.depth):
         return None
+    if begun:
+        call = split.with_numbers(call, SALT + begun)
     at = vertex_at(call, geometry, number, points)
     eyes = eyes_of(call, number, integrand, points, at, first)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
@@ -227,9 +271,9 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     return Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
 
 
-def number_of_paths(call: RenderCall, view: View, effort: float) -> int:
+def number_of_paths(call: RenderCall, view: View, effort: float, most: int = MOST) -> int:
     """Of how many paths edges are looked at, with a share of the samples that there are at most."""
-    return max(FEWEST_PATHS, int(effort * min(MOST, view.width * view.height * call.spp // SHARE)))
+    return max(FEWEST_PATHS, int(effort * min(most, view.width * view.height * call.spp // SHARE)))
 
 
 def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed,

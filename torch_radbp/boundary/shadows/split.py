@@ -35,8 +35,13 @@ class Sampled(Protocol):
 
 def trying(call: RenderCall) -> RenderCall:
     """The call with random numbers of its own for what is tried."""
+    return with_numbers(call, SALT)
+
+
+def with_numbers(call: RenderCall, salt: int) -> RenderCall:
+    """The call with other random numbers."""
     return call._replace(views=[view._replace(sample_keys=tuple(
-        SampleKey(hash32(key.seed ^ SALT), key.shared) for key in view.sample_keys)) for view in call.views])
+        SampleKey(hash32(key.seed ^ salt), key.shared) for key in view.sample_keys)) for view in call.views])
 
 
 def is_worth_trying(call: RenderCall, number: int) -> bool:

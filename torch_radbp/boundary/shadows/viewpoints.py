@@ -81,7 +81,7 @@ class Reached(NamedTuple):
 
 
 def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, following: bool = False,
-               density: Tensor | None = None) -> Viewpoints:
+               density: Tensor | None = None, begun: int = 0) -> Viewpoints:
     """One vertex each of so many camera paths, picked in proportion to their throughput; of those that have one.
 
     Args:
@@ -90,13 +90,14 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
         count: of the paths.
         following: vertices whose scattered directions carry derivatives are meant; else those after which points are glued.
         density: (cells,) float64, by which the paths are spread over the cells of the film; None: evenly.
+        begun: how many others have begun before, with random numbers of their own.
     """
     view, grid, device = call.views[number], call.views[number].grid, call.scene.device
     cells = grid.columns * grid.rows
-    sample = torch.arange(count, dtype=torch.int32, device=device)
+    sample = torch.arange(begun, begun + count, dtype=torch.int32, device=device)
     key = salted(view, SALT)
     jitter = numbers(key, sample, SALT, torch.float64)
-    cell, area = cells_begun(sample + jitter, count, cells, density)
+    cell, area = cells_begun(sample - begun + jitter, count, cells, density)
     row = torch.div(cell, grid.columns, rounding_mode="floor")
     column, pixel = cell - row * grid.columns, view.window.numbers(cell - row * grid.columns, row)
     camera = call.stages.sample_camera(view.camera, view.numbered, pixel, sample, key, call.scene.layout.traces_cones)

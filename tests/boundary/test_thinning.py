@@ -1,0 +1,46 @@
+"""Some samples stand for all: sums keep their expectation, large ones are always kept, and about as many as asked for."""
+
+import pytest
+import torch
+
+from torch_radbp.boundary.shadows.thinning import chances, thinned
+
+STARTS = torch.arange(4096, dtype=torch.float64).add(0.5).div(4096)
+
+
+def sizes(*, count=500, seed=0):
+    """Most are small, some are 0, and three are larger than the rest together."""
+    generator = torch.Generator().manual_seed(seed)
+    size = torch.rand(count, generator=generator, dtype=torch.float64)
+    size[::7] = 0.0
+    size[[5, 100, 401]] = 1e4
+    return size
+
+
+@pytest.mark.parametrize("most", [4, 50, 300])
+def test_chances_are_in_proportion_and_sum_up_to_what_is_asked_for(most):
+    size = sizes()
+    chance = chances(size, most)
+    assert 0.999 * most < float(chance.sum()) < most + 1e-9
+    assert (chance[[5, 100, 401]] == 1.0).all() and (chance[::7] == 0.0).all()
+    small = (chance < 1.0) & (size > 0.0)
+    ratio = chance[small] / size[small]
+    assert small.sum() > 100 and torch.allclose(ratio, ratio[0].expand_as(ratio))
+
+
+def test_all_that_count_are_kept_where_more_are_asked_for():
+    size = sizes()
+    assert ((chances(size, 1000) == 1.0) == (size > 0.0)).all()
+    assert not chances(torch.zeros(5, dtype=torch.float64), 3).any()
+
+
+def test_sums_keep_their_expectation():
+    """Over evenly spread starts each is kept as often as its chance says."""
+    size = sizes()
+    chance = chances(size, 50)
+    value = size * torch.sin(torch.arange(len(size)))
+    kept = [thinned(chance, u) for u in STARTS]
+    assert all(49 <= len(own) <= 51 for own in kept)
+    found = torch.stack([(value[own] / chance[own]).sum() for own in kept]).mean()
+    assert float(value.sum()) != 0.0
+    assert float(found) == pytest.approx(float(value.sum()), abs=1e-3 * float(value.abs().sum()))

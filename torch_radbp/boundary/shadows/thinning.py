@@ -1,0 +1,48 @@
+"""Some of many samples, which stand for all of them.
+
+Each is kept with a probability in proportion to what it counts for, and counts as much more as it was unlikely to be kept:
+sums keep their expectation. Large ones, which make the noise, are all kept.
+
+References: Madow 1949, "On the Theory of Systematic Sampling II"; Veach 1997, section 10.4 (roulette).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.sampling.running_sum import running_sum
+
+TURNS = 4  # of looking for the probability of small ones: more large ones are certain after each
+
+
+def chances(size: Tensor, most: int) -> Tensor:
+    """The probabilities with which to keep about `most` of more than that; those of 0 are never kept.
+
+    Args:
+        size: (N,) float64, not negative.
+        most: about their sum, which is not more, if so many are not 0; else all of these are kept.
+
+    Returns:
+        (N,) in [0, 1], in proportion to `size` but where that would be more than 1.
+    """
+    chance = torch.zeros_like(size)
+    for _ in range(TURNS):
+        certain = chance >= 1.0
+        left = torch.where(certain, 0.0, size)
+        free = most - certain.sum()
+        chance = torch.where(certain, 1.0, (left * (free / left.sum().clamp_min(1e-300))).clamp_max(1.0))
+    return chance
+
+
+def thinned(chance: Tensor, u: Tensor) -> Tensor:
+    """The numbers of those that are kept, int64: each with its probability, and of any that follow each other as many as
+    their probabilities sum up to, to within 1.
+
+    Args:
+        chance: (N,) float64.
+        u: () uniform in [0, 1).
+    """
+    reached = (running_sum(chance) + u).floor()
+    before = torch.cat([u.floor().reshape(1), reached[:-1]])
+    return (reached > before).nonzero().squeeze(1)
