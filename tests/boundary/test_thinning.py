@@ -3,6 +3,9 @@
 import pytest
 import torch
 
+import torch_radbp as rb
+from tests.derivatives.shadow_scenes import SHADOWS
+from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.thinning import chances, thinned
 
 STARTS = torch.arange(4096, dtype=torch.float64).add(0.5).div(4096)
@@ -44,3 +47,29 @@ def test_sums_keep_their_expectation():
     found = torch.stack([(value[own] / chance[own]).sum() for own in kept]).mean()
     assert float(value.sum()) != 0.0
     assert float(found) == pytest.approx(float(value.sum()), abs=1e-3 * float(value.abs().sum()))
+
+
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+def test_the_derivative_is_the_same_of_rounds_of_which_little_is_kept(monkeypatch):
+    """A plate over a floor under an even sky, in sums over the film by which noise is small."""
+    moving, found, kept, made = SHADOWS["plate, constant"], {}, [], hidden_light.together
+
+    def noted(cuts, rounds):
+        kept.append((rounds, sum(len(own.cuts.edge) for own in cuts)))
+        return made(cuts, rounds)
+
+    monkeypatch.setattr(hidden_light, "together", noted)
+    for most in (1 << 16, 512):
+        monkeypatch.setattr(hidden_light, "MOST", most)
+        scene = moving.build()
+        found[most] = torch.stack([rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=256, seed=seed,
+                                          max_depth=moving.max_depth, terms=("shadow",))[0] for seed in range(6)]).double()
+        assert found[most].isfinite().all() and found[most].abs().max() > 0
+    assert [rounds for rounds, _ in kept] == [1] * 6 + [8] * 6
+    assert all(cuts <= 512 * hidden_light.PLACES + 8 for rounds, cuts in kept if rounds == 8)
+    assert all(2000 < cuts < before for (_, before), (_, cuts) in zip(kept, kept[6:]))
+    weights = found[1 << 16][4:].mean(0).sign()  # of other seeds than those that are compared
+    once, rounds = ((images[:4] * weights).sum((1, 2, 3)) for images in found.values())
+    noise = (float(once.var() + rounds.var()) / len(once))**0.5
+    assert noise < 0.05 * float(once.mean())
+    assert abs(float(once.mean() - rounds.mean())) < 4.0 * noise

@@ -76,6 +76,8 @@ def bytes_of_shadows(call: RenderCall) -> int:
     tried = BYTES_OF_TRIED[not hasattr(call.stages.edge_tried, "into")]
     ways = max(samples * border.LOOKS * GROUP * tried, vertices * hidden_light.LOOKS * BYTES_OF_WAY)
     places = max(samples, vertices * hidden_light.PLACES)
+    if paths > hidden_light.SHARE * hidden_light.MOST:  # those of a round, beside those that others have kept
+        places += vertices * hidden_light.PLACES
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
     if not glues(call) or call.integrand.settings.following:
         places += vertices * followed_light.PLACES * followed_light.TIMES_AS_LARGE
