@@ -116,8 +116,8 @@ def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) 
     width = grid.columns + 2 * grid.kernel.reach
     entry = chunk.rows.numbers(call.scene.device, width)
     if grid.kernel.flat:
-        # Read once for all samples of a pixel.
-        return rows(pixels, entry).map(lambda asked: asked[:, None].expand(-1, chunk.samples).flatten())
+        # Read once for all samples of a pixel; of a single one `flatten` alone would repeat the same place in memory.
+        return rows(pixels, entry).map(lambda asked: asked[:, None].expand(-1, chunk.samples).flatten().contiguous())
     block = Block(place, chunk.samples, call.spp)
     return Vec3(*asked_of(call.stages.asked, grid.kernel, tuple(pixels), block, entry, width, 1))
 

@@ -209,13 +209,13 @@ def lying(tables: Sequence[Tensor]) -> tuple:
 
 
 @contextmanager
-def bounces_taken(integrand: Integrand, start: PathState) -> Iterator[Bounce]:
-    """What takes one bounce after the other: `bounced`, or machine code that does the same."""
+def bounces_taken(integrand: Integrand, dtype: torch.dtype) -> Iterator[Bounce]:
+    """What takes one bounce after the other, of rays of a dtype: `bounced`, or machine code that does the same."""
     if not recordable(integrand):
         yield partial(bounced, integrand)
         return
     with board() as own:
-        yield Recorder(integrand, own, start.pdf.dtype)
+        yield Recorder(integrand, own, dtype)
 
 
 def recordable(integrand: Integrand) -> bool:

@@ -33,22 +33,24 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
     L = traced_whole(integrand, start, hit, depth) if visit is None else None
     if L is None:
         L = Vec3.buffer(start.beta.x)
-        take_bounces(integrand, start, L, visit, hit, depth)
+        walk(integrand, start, visit, L, hit, depth)
     return L
 
 
-def walk(integrand: Integrand, start: PathState, visit: Visit) -> None:
-    """Shows `visit` what `trace` does, whose sum is not wanted."""
-    take_bounces(integrand, start, None, visit, None, 0)
+def walk(integrand: Integrand, start: PathState, visit: Visit | None, L: Vec3 | None = None, hit: Hit | None = None,
+         depth: int = 0) -> None:
+    """Shows `visit` what `trace` does, bounce by bounce.
 
-
-def take_bounces(integrand: Integrand, start: PathState, L: Vec3 | None, visit: Visit | None, hit: Hit | None,
-                 depth: int) -> None:
-    """Bounce by bounce what `trace` does; `L`: (N,) what it returns, added to, or None. Other args as there."""
+    Args:
+        integrand, start, visit, hit, depth: as there.
+        L: (N,) the sum, which is added to; None: it is not wanted.
+    """
     onward = Onward(start, None)
-    with bounces_taken(integrand, start) as bounce:
+    with bounces_taken(integrand, start.pdf.dtype) as bounce:
+        del start  # of which nothing is needed beside later bounces, as of these
         while depth < integrand.max_depth and onward.count:
             state, step, onward = bounce(onward, depth, hit, L)
             if visit is not None:
                 visit(depth, state, step)
+            del state, step
             depth, hit = depth + 1, None

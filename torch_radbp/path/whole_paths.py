@@ -13,7 +13,7 @@ import torch
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
-from torch_radbp.jit.tiles import Handed, Step, handed, run_in_tiles
+from torch_radbp.jit.tiles import TILE, Handed, Step, handed, run_in_tiles
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, recordable, tensors_of, without_contents
 from torch_radbp.path.state import PathState
@@ -33,11 +33,12 @@ class Link(NamedTuple):
 
 
 def traced_whole(integrand: Integrand, start: PathState, hit: Hit | None = None, depth: int = 0) -> Vec3 | None:
-    """What `trace.trace` returns, (N,), for paths that nobody visits; None if they cannot be traced so. Args as there."""
-    if not recordable(integrand) or integrand.max_depth - depth > MOST_BOUNCES:
+    """What `trace.trace` returns, (N,), for paths that nobody visits; None if they cannot be traced so, or are so few that a
+    tile would take more memory than their bounces. Args as there."""
+    if len(start.lane) < TILE or not recordable(integrand) or integrand.max_depth - depth > MOST_BOUNCES:
         return None
     L = Vec3.buffer(start.beta.x)
-    if integrand.max_depth <= depth or not len(start.lane):
+    if integrand.max_depth <= depth:
         return L
     if depth == 0 and hit is None and integrand.rejects_hits:
         hit = first_hit(integrand, start.ray, depth)

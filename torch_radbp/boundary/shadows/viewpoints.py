@@ -144,7 +144,7 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
     picked = Picked.nothing(start, integrand.proposal.triangles.instances is not None)
     stages, onward, L, depth = integrand.stages, Onward(start, None), Vec3.buffer(start.pdf), 0
     attached = integrand.settings.sampling == "attached"
-    with bounces_taken(integrand, start) as bounce:
+    with bounces_taken(integrand, start.pdf.dtype) as bounce:
         while onward.count and not integrand.is_last(depth):
             state, step, onward = bounce(onward, depth, None, L)
             meant = [torch.arange(queue.first, queue.last, dtype=torch.int32, device=key.seed.device)
