@@ -11,7 +11,7 @@ from benchmarks.headline.race import Curve
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 560, 400, 64, 16, 64, 44  # pixels of a panel, and its margins
 COLUMNS = 2
-COLOURS = ("#0b62c4", "#d1495b", "#e0a030", "#6b8e4e")  # ours first
+COLOURS = ("#0b62c4", "#d1495b", "#e0a030", "#6b8e4e", "#7b52ab")  # ours first
 INK, FAINT = "#222222", "#dddddd"
 
 
@@ -55,10 +55,15 @@ def panel(title: str, measure: str, runs: dict[str, list[Curve]], error: float) 
     _, y = axes.place(10 ** axes.times[0], error)
     for x in range(LEFT, WIDTH - RIGHT, 12):
         draw.line((x, y, x + 6, y), INK)
-    x = LEFT
+    if len(runs) > len(COLOURS):
+        raise ValueError(f"{title} has {len(runs)} renderers, and there are {len(COLOURS)} colours: add some to COLOURS")
+    x, y = LEFT, 30
     for colour, (name, curves) in zip(COLOURS, runs.items()):
-        draw.text((x, 34), name, colour, small)
-        x += int(draw.textlength(name, small)) + 24
+        width = int(draw.textlength(name, small))
+        if x + width > WIDTH:
+            x, y = LEFT, y + 16
+        draw.text((x, y), name, colour, small)
+        x += width + 24
         for curve in curves:
             draw.line([axes.place(*point) for point in zip(curve.seconds[1:], curve.errors[1:])], colour, 2)
     return picture

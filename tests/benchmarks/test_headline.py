@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageColor
 
 from benchmarks.headline.__main__ import HEADER, OURS, joined, rows
+from benchmarks.headline.chart import COLOURS, panel
 from benchmarks.headline.race import Curve, common_error, outcome, race
 from benchmarks.headline.task import parameters
 from benchmarks.headline.tasks import TASKS
@@ -69,6 +70,15 @@ def test_a_row_has_the_ratio_to_the_faster_of_theirs_and_says_what_did_not_conve
 def test_runs_of_which_half_do_not_arrive_have_no_seconds():
     runs = [curve(1.0, FALLING), curve(1.0, [1.0, 0.9])]
     assert outcome(runs, 0.3).seconds is None and outcome([*runs, runs[0]], 0.3).seconds == 2.0
+
+
+@pytest.mark.parametrize("count", [2, len(COLOURS)])
+def test_a_panel_has_the_curves_of_all_renderers(count):
+    runs = {f"a renderer with a long name {number}": [curve(1.0 + number, FALLING)] for number in range(count)}
+    colours = {colour for _, colour in panel("Box", "RMS", runs, 0.1).getcolors(1 << 16)}
+    assert {ImageColor.getrgb(colour) for colour in COLOURS[:count]} <= colours
+    with pytest.raises(ValueError, match="add some"):
+        panel("Box", "RMS", {str(number): [curve(1.0, FALLING)] for number in range(len(COLOURS) + 1)}, 0.1)
 
 
 def test_races_of_a_task_are_joined_with_all_runs_of_ours():
