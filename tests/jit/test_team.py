@@ -179,6 +179,19 @@ def test_results_come_in_the_order_of_the_items_however_long_each_takes(recorded
     assert each(work, [], 2) == []
 
 
+@pytest.mark.parametrize(("number", "of_helper"), [(2, 1), (3, 1), (4, 2), (7, 3)])
+def test_of_two_items_a_helper_has_half_the_threads_and_the_caller_all(number, of_helper):
+    both = threading.Barrier(2)
+
+    def work(item: int) -> tuple[bool, int, int]:
+        both.wait(timeout=60)
+        return threading.current_thread() in helpers(), threads(), torch.get_num_threads()
+
+    with alone_in_torch(threads=number):
+        found = each(work, range(2), number)
+    assert sorted(found) == [(False, number, 1), (True, of_helper, 1)]
+
+
 def test_nothing_is_begun_after_an_item_has_failed():
     begun = []
 

@@ -20,19 +20,20 @@ from torch_radbp.call.render_call import (
     started,
 )
 from torch_radbp.call.wavefronts import Wavefront
+from torch_radbp.jit.team import each, threads
+from torch_radbp.jit.tiles import TILE
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.recorded_bounce import recordable
 from torch_radbp.path.state import PathState
 from torch_radbp.path.trace import trace, walk
 from torch_radbp.path.wavefront import Step
-from torch_radbp.path.whole_paths import traced_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
 from torch_radbp.tensors.vec import Vec3
 
-# Lanes of an image from which on those of its derivative are traced apart: fewer take longer in Python than they gain.
-MANY = 1 << 15
+MANY = 2 * TILE  # lanes of an image from which on those of its derivative are traced apart, at the same time
 
 
 def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront, which: int, record: bool,
@@ -58,22 +59,27 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
     recorder = Recorder(call.adjoint, integrand.max_depth)
     integrand = integrand_of(call, integrand, wavefront.sensor)
     large = wavefront.lanes >= MANY and call.quantities is None
-    traced = traced_apart(call, integrand, wavefront, recorder) if large else None
-    image, derivative, hit, L = traced or traced_as_one(call, integrand, wavefront, recorder)
+    traced = traced_apart if large and recordable(integrand) else traced_as_one
+    image, derivative, hit, L = traced(call, integrand, wavefront, recorder)
     return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
             recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))
 
 
 def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
-                 recorder: Recorder) -> tuple[CameraSample, CameraSample, None, Vec3] | None:
-    """What `traced_as_one` gives but for hits, if the image can be traced whole, without its bounces; else None."""
-    image = camera_samples(call, wavefront, 0)
-    L = traced_whole(integrand, started(call, image))
-    if L is None:
-        return None
-    derivative = camera_samples(call, wavefront, 1)
-    walk(integrand, started(call, derivative), recorder.visit)
-    return image, derivative, None, L
+                 recorder: Recorder) -> tuple[CameraSample, CameraSample, None, Vec3]:
+    """What `traced_as_one` gives but for hits: the image without its bounces, and at the same time the derivative's paths
+    without light, so that a thread is at its lanes while the other is at its Python."""
+    def image() -> tuple[CameraSample, Vec3]:
+        samples = camera_samples(call, wavefront, 0)
+        return samples, trace(integrand, started(call, samples))
+
+    def derivative() -> CameraSample:
+        samples = camera_samples(call, wavefront, 1)
+        walk(integrand, started(call, samples), recorder.visit)
+        return samples
+
+    (shown, L), differentiated = each(lambda side: side(), (image, derivative), threads())
+    return shown, differentiated, None, L
 
 
 def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,

@@ -12,6 +12,7 @@ from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from torch_radbp.jit.loops import WRITE_JOB
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
 from torch_radbp.jit.team import assisted
 
@@ -29,16 +30,7 @@ begin:
   %body_at = getelementptr i64, ptr %board, i64 4
   store ptr %body, ptr %body_at, align 8
   %job = getelementptr i64, ptr %board, i64 5
-  store i64 %lanes, ptr %job, align 8
-  %part_at = getelementptr i64, ptr %job, i64 1
-  store i64 %part, ptr %part_at, align 8
-  %next_at = getelementptr i64, ptr %job, i64 2
-  store i64 0, ptr %next_at, align 8
-  %inputs_at = getelementptr i64, ptr %job, i64 3
-  store ptr %inputs, ptr %inputs_at, align 8
-  %outputs_at = getelementptr i64, ptr %job, i64 4
-  store ptr %outputs, ptr %outputs_at, align 8
-  %several = icmp sgt i64 %lanes, %part
+{job}  %several = icmp sgt i64 %lanes, %part
   br i1 %several, label %share, label %alone
 alone:
   call void %body(ptr %job)
@@ -113,7 +105,7 @@ define i32 @stay() {
 @made_once
 def board_code() -> MachineCode:
     """The machine code of `TEXT`."""
-    return cached_code(TEXT.replace("{looks}", str(LOOKS)), entry="run_loop")
+    return cached_code(TEXT.replace("{looks}", str(LOOKS)).replace("{job}", WRITE_JOB), entry="run_loop")
 
 
 def run_loop() -> int:

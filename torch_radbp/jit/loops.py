@@ -2,6 +2,19 @@
 
 from collections.abc import Sequence
 
+# Writes a `team.Job`, of which nobody has taken a part.
+WRITE_JOB = """\
+  store i64 %lanes, ptr %job, align 8
+  %part_at = getelementptr i64, ptr %job, i64 1
+  store i64 %part, ptr %part_at, align 8
+  %next_at = getelementptr i64, ptr %job, i64 2
+  store i64 0, ptr %next_at, align 8
+  %inputs_at = getelementptr i64, ptr %job, i64 3
+  store ptr %inputs, ptr %inputs_at, align 8
+  %outputs_at = getelementptr i64, ptr %job, i64 4
+  store ptr %outputs, ptr %outputs_at, align 8
+"""
+
 # Takes parts of a `team.Job` until none is left; fewer lanes than a block has go by `few_lanes`.
 TAKE_PARTS = """\
 define void @lanes_of_job(ptr %job) {{

@@ -206,11 +206,15 @@ def assisted(work: Callable[[Task], None], finish: Callable[[], None]) -> Iterat
 
 
 def each(work: Callable[[Item], Result], items: Sequence[Item], threads: int) -> list[Result]:
-    """`work` on each item, by at most so many threads; the results in the order of the items."""
+    """`work` on each item, by at most so many threads; the results in the order of the items.
+
+    Of fewer items than threads each has its part of them, and this thread, which waits for the others, all.
+    """
     recorded, left, results = torch.is_grad_enabled(), deque(enumerate(items)), {}
+    part = threads // max(1, len(items))
 
     def take_items(task: Task) -> None:
-        with torch.set_grad_enabled(recorded):
+        with torch.set_grad_enabled(recorded), alone_in_torch(max(part, HERE.threads or 1)):
             for number, item in until_none_is_left(left):
                 if task.error is not None:
                     return

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torch_radbp.jit.board import run_loop
 from torch_radbp.jit.large_pages import block_of_bytes
+from torch_radbp.jit.loops import WRITE_JOB
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
 from torch_radbp.jit.recorded import WHOLE, Given, Recorded
 from torch_radbp.jit.recording import NotRecordable
@@ -36,16 +37,7 @@ define void @alone(ptr %board, ptr %body, i64 %lanes, i64 %part, ptr %inputs, pt
   %some = icmp sgt i64 %lanes, 0
   br i1 %some, label %work, label %done
 work:
-  store i64 %lanes, ptr %job, align 8
-  %part_at = getelementptr i64, ptr %job, i64 1
-  store i64 %part, ptr %part_at, align 8
-  %next_at = getelementptr i64, ptr %job, i64 2
-  store i64 0, ptr %next_at, align 8
-  %inputs_at = getelementptr i64, ptr %job, i64 3
-  store ptr %inputs, ptr %inputs_at, align 8
-  %outputs_at = getelementptr i64, ptr %job, i64 4
-  store ptr %outputs, ptr %outputs_at, align 8
-  call void %body(ptr %job)
+{WRITE_JOB}  call void %body(ptr %job)
   br label %done
 done:
   ret void
