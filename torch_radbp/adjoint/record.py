@@ -57,7 +57,7 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
     """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative."""
     recorder = Recorder(call.adjoint, integrand.max_depth)
     integrand = integrand_of(call, integrand, wavefront.sensor)
-    large = wavefront.lanes >= MANY and call.quantities is None
+    large = wavefront.lanes >= MANY and call.quantities is None and not integrand.scene.layout.reads_outside
     traced = traced_apart(call, integrand, wavefront, recorder) if large else None
     image, derivative, hit, L = traced or traced_as_one(call, integrand, wavefront, recorder)
     return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
