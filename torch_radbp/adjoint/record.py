@@ -24,10 +24,10 @@ from torch_radbp.jit.team import each, threads
 from torch_radbp.jit.tiles import TILE
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.recorded_bounce import recordable
 from torch_radbp.path.state import PathState
 from torch_radbp.path.trace import trace, walk
 from torch_radbp.path.wavefront import Step
+from torch_radbp.path.whole_paths import goes_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
@@ -58,8 +58,8 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
     """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative."""
     recorder = Recorder(call.adjoint, integrand.max_depth)
     integrand = integrand_of(call, integrand, wavefront.sensor)
-    large = wavefront.lanes >= MANY and call.quantities is None
-    traced = traced_apart if large and recordable(integrand) else traced_as_one
+    apart = wavefront.lanes >= MANY and call.quantities is None and goes_whole(integrand, wavefront.lanes)
+    traced = traced_apart if apart else traced_as_one
     image, derivative, hit, L = traced(call, integrand, wavefront, recorder)
     return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
             recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))
@@ -78,8 +78,8 @@ def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
         walk(integrand, started(call, samples), recorder.visit)
         return samples
 
-    (shown, L), differentiated = each(lambda side: side(), (image, derivative), threads())
-    return shown, differentiated, None, L
+    (seen, L), differentiated = each(lambda side: side(), (image, derivative), threads())
+    return seen, differentiated, None, L
 
 
 def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,

@@ -32,10 +32,16 @@ class Link(NamedTuple):
     onward: Onward  # without contents
 
 
+def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
+    """True if so many paths from a depth on may be traced whole: there are enough to make a tile's memory worth it, and what
+    they meet asks nobody outside."""
+    return (lanes >= TILE and recordable(integrand) and integrand.max_depth - depth <= MOST_BOUNCES
+            and not integrand.proposal.layout.reads_outside)
+
+
 def traced_whole(integrand: Integrand, start: PathState, hit: Hit | None = None, depth: int = 0) -> Vec3 | None:
-    """What `trace.trace` returns, (N,), for paths that nobody visits; None if they cannot be traced so, or are so few that a
-    tile would take more memory than their bounces. Args as there."""
-    if len(start.lane) < TILE or not recordable(integrand) or integrand.max_depth - depth > MOST_BOUNCES:
+    """What `trace.trace` returns, (N,), for paths that nobody visits; None if they cannot be traced so. Args as there."""
+    if not goes_whole(integrand, len(start.lane), depth):
         return None
     L = Vec3.buffer(start.beta.x)
     if integrand.max_depth <= depth:

@@ -37,9 +37,12 @@ class Sorted(NamedTuple):
     order: Tensor | None  # (N,) int32; None: they are so already
     batches: list[Batch]
 
-    def rows(self, record):
-        """Of a record of the lanes, in this order."""
-        return record if self.order is None else rows(record, self.order)
+    def part(self, channels: Sequence[Tensor], batch: Batch) -> Tensor:
+        """(M, C) what the lanes of a batch have of C channels, (N,) each."""
+        here = slice(batch.first, batch.last)
+        if self.order is None:
+            return torch.stack([channel[here] for channel in channels], 1)
+        return torch.stack(rows(tuple(channels), self.order[here]), 1)
 
     def back(self, found: Tensor) -> Tensor:
         """Columns, (..., N), for lanes in this order as they were before."""
@@ -118,15 +121,13 @@ class ModuleBank(NamedTuple):
                for pair in zip(self.parameters, wanted)]
         leaves = [[parameter for parameter in parameters if parameter.requires_grad] for parameters in own]
         lanes, functions = self.sorted(row, PARAMETERS), Copies(self.functions, own)
-        place, adj_values = (part.stack() for part in lanes.rows((at, adjoint)))
 
         def of_batch(batch: Batch) -> Sequence[Tensor | None]:
-            module, first, last = batch
             with torch.enable_grad():
-                values = functions.of(module)(place[first:last], known=True)
+                values = functions.of(batch.module)(lanes.part(at, batch), known=True)
             if not values.requires_grad:
-                return [None for _ in leaves[module]]
-            return torch.autograd.grad(values, leaves[module], adj_values[first:last], allow_unused=True)
+                return [None for _ in leaves[batch.module]]
+            return torch.autograd.grad(values, leaves[batch.module], lanes.part(adjoint, batch), allow_unused=True)
 
         batches = [batch for batch in lanes.batches if leaves[batch.module]]
         found = each(of_batch, batches, threads_for(row))
@@ -147,11 +148,14 @@ class ModuleBank(NamedTuple):
             of_batch: from a module and M places, (M, 2) or (M, 3), to (M, *shape).
         """
         lanes = self.sorted(row)
-        place = lanes.rows(at).stack()
-        parts = each(lambda batch: of_batch(batch.module, place[batch.first:batch.last]), lanes.batches, threads_for(row))
+
+        def columns(batch: Batch) -> Tensor:
+            return of_batch(batch.module, lanes.part(at, batch)).movedim(0, -1).contiguous()
+
         nothing = lanes.batches[0].first if lanes.batches else len(row)
-        found = torch.cat([place.new_zeros(nothing, *shape), *parts])
-        return lanes.back(found.movedim(0, -1).contiguous())
+        none = [at[0].new_zeros(*shape, nothing)] if nothing or not lanes.batches else []
+        parts = [*none, *each(columns, lanes.batches, threads_for(row))]
+        return lanes.back(parts[0] if len(parts) == 1 else torch.cat(parts, -1))
 
     def sorted(self, row: Tensor, parameters: float = torch.inf) -> Sorted:
         """Lanes module by module, in batches.
