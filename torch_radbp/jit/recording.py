@@ -20,6 +20,7 @@ from torch import Tensor
 from torch_radbp.jit.addition import Addition
 from torch_radbp.jit.lane_operations import (
     Added,
+    Body,
     Chosen,
     Copy,
     Given,
@@ -84,7 +85,6 @@ class Recording:
             self.given.setdefault(address_of(item), number)
         self.operations: list[Operation] = []
         self.rays: list[Span] = []  # that are cast
-        self.code: list = []  # what the functions belong to that are called
         self.made: list[Made] = []
         self.memory: dict[int, int] = {}  # numbers of tensors that were made, by address
         self.alive: list = [given]  # so that addresses remain theirs
@@ -133,7 +133,7 @@ class Recording:
 
     # -- What is done ---------------------------------------------------------------------------------------------------
 
-    def loop(self, body: int, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
+    def loop(self, body: int | Body, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
              first: int = 0, lengths: bool = False) -> None:
         """A loop of `team.run_lanes`.
 
