@@ -286,6 +286,7 @@ class Here(threading.local):
     """What belongs to a thread."""
 
     recording: Recording | None = None
+    guard: Guard | None = None
 
 
 HERE = Here()
@@ -314,9 +315,26 @@ def outside(work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
 @contextmanager
 def listening(recording: Recording) -> Iterator[None]:
     """What this thread does with lanes is recorded, and not done."""
-    HERE.recording = recording
+    HERE.recording, HERE.guard = recording, Guard(recording)
     try:
-        with Guard(recording):
+        with HERE.guard:
             yield
     finally:
-        HERE.recording = None
+        HERE.recording = HERE.guard = None
+
+
+@contextmanager
+def unguarded() -> Iterator[None]:
+    """Nobody looks at what this thread has torch do inside, such as tracing: it touches no tensor without contents.
+
+    No other mode of torch's may have been entered since this thread began to listen.
+    """
+    guard = HERE.guard
+    if guard is None:
+        yield
+        return
+    guard.__exit__(None, None, None)
+    try:
+        yield
+    finally:
+        guard.__enter__()

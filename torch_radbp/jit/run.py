@@ -16,7 +16,7 @@ from torch_radbp.jit.arguments import Arguments, Parameter, Taken
 from torch_radbp.jit.compiled import Compiled, Interface
 from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.later import Later
-from torch_radbp.jit.recording import recording
+from torch_radbp.jit.recording import recording, unguarded
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.structure import Leaf, difference, flatten, of_lanes, replaced
 from torch_radbp.jit.target import Target, target_of
@@ -141,7 +141,7 @@ class LaneFunction:
         key = given.key
         compiled = self.compiled.get(key)
         if compiled is None:
-            with self.compiling:
+            with self.compiling, unguarded():
                 compiled = self.compiled.get(key) or self.compile(given)
                 self.compiled[key] = compiled
         if isinstance(compiled, str):
