@@ -119,7 +119,7 @@ def read(name: str, target: Target) -> Compiled | None:
         interface, code = pickle.loads(found)
     except UNREADABLE:
         return None
-    return Compiled(interface, Later(lambda: target.loop(code, interface.searched)) if interface.dtypes else None)
+    return ready(interface, Later(lambda: code), target)
 
 
 def made(name: str | None, interface: Interface, program: Program, target: Target) -> Compiled:
@@ -130,8 +130,17 @@ def made(name: str | None, interface: Interface, program: Program, target: Targe
             write(name, interface, found)
         return found
 
-    later = Later(code).meanwhile()
-    return Compiled(interface, Later(lambda: target.loop(later.result(), interface.searched)) if interface.dtypes else None)
+    later = Later(code)
+    if interface.dtypes:
+        later.meanwhile()
+    else:
+        later.result()
+    return ready(interface, later, target)
+
+
+def ready(interface: Interface, code: Later[bytes], target: Target) -> Compiled:
+    """The function of some code, which is loaded when it is first run; without outputs there is none."""
+    return Compiled(interface, Later(lambda: target.loop(code.result(), interface.searched)) if interface.dtypes else None)
 
 
 def write(name: str, interface: Interface, code: bytes) -> None:
