@@ -89,7 +89,8 @@ def test_a_recording_needs_no_code_before_it_ends(monkeypatch):
     with torch.no_grad(), listening(recording):
         found = functions[1](functions[0](x))
     may_begin.set()
-    recorded = Recorded(recording, [x], found)    given = torch.rand(100)
+    recorded = Recorded(recording, [x], found)
+    given = torch.rand(100)
     with board() as own:
         result, _ = recorded(Given([given]), Given([]), 100, own)
     torch.testing.assert_close(result, (given * 2 + 1) * 3 + 1)

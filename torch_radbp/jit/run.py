@@ -165,7 +165,7 @@ class LaneFunction:
                              f"at {leaf.data_ptr():#x}")
 
     def compile(self, given: Arguments) -> Compiled | str:
-        """The function for arguments of this structure: from disk, or traced now and compiled meanwhile; or why it cannot be."""
+        """The function for arguments of this structure: from disk, or traced now and compiled meanwhile; or why not."""
         try:
             if self.target is not None:  # asked for by name, to look at what it does: always compiled
                 program, interface = self.traced(given)
