@@ -40,10 +40,11 @@ class Later(Generic[Made]):
 
     def result(self) -> Made:
         """What is made. If that fails, whoever asks is told, and may ask again."""
-        with self.making:
-            if self.make is not None:
-                self.made, self.make = self.make(), None
-            return self.made
+        if self.make is not None:
+            with self.making:
+                if self.make is not None:
+                    self.made, self.make = self.make(), None  # in this order, as others look at `make` first
+        return self.made
 
 
 @atexit.register
