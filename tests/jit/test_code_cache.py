@@ -26,7 +26,7 @@ traced = []
 trace = run.trace
 run.trace = lambda function, *rest: traced.append(1) or trace(function, *rest)
 emit = machine.object_code
-machine.object_code = lambda text: traced.append("machine code") or emit(text)
+machine.object_code = lambda text, **how: traced.append("machine code") or emit(text, **how)
 scene = rb.load(r"{root}/assets/cornell_box/scene.xml", resolution=8)
 value = scene.get_parameter("green.reflectance.value").requires_grad_()
 image = rb.Renderer(scene, spp=2, max_depth=4)(seed=3)

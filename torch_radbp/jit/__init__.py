@@ -17,7 +17,8 @@ In the order of data:
    `dual.py` has a loop compute tangents beside values, in forward mode.
 5. What calls such functions, casts rays and moves lanes about, bounce after bounce, is itself noted once (`recording.py`)
    and then run as machine code (`recorded.py`), whatever the numbers of lanes are; helpers take part by a `board.py`.
-6. `compiled.py` keeps it for later processes: on disk (`code_cache.py`), by what it depends on (`fingerprint.py`).
+6. `later.py` has code made meanwhile, while other functions are traced: what is recorded needs none before it ends.
+   `compiled.py` keeps it for later processes: on disk (`code_cache.py`), by what it depends on (`fingerprint.py`).
 
 It knows torch and LLVM, and nothing of rendering.
 """

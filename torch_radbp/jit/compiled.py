@@ -18,6 +18,8 @@ from torch import Tensor
 from torch_radbp.jit import code_cache
 from torch_radbp.jit.arguments import Arguments, Column
 from torch_radbp.jit.fingerprint import Opaque, fingerprint
+from torch_radbp.jit.graph import Program
+from torch_radbp.jit.later import Later
 from torch_radbp.jit.recording import NotRecordable, Recording
 from torch_radbp.jit.structure import assembler
 from torch_radbp.jit.target import Loop, Target
@@ -43,11 +45,11 @@ class Compiled:
 
     Args:
         interface: of the code.
-        code: ready to run; None if nothing is computed: every result is an argument as it is.
+        loop: the code, ready to run; None if nothing is computed: every result is an argument as it is.
     """
 
-    def __init__(self, interface: Interface, code: Loop | None):
-        self.interface, self.code = interface, code
+    def __init__(self, interface: Interface, loop: Later[Loop] | None):
+        self.interface, self.loop = interface, loop
         self.inputs, _, self.dtypes, self.results, returned, self.structure = interface
         self.assemble: Callable[[list[Tensor]], Any] = assembler(returned)
         self.sizes = [dtype.itemsize for dtype in self.dtypes]
@@ -56,23 +58,26 @@ class Compiled:
 
     def run(self, given: Arguments, outputs: list[int]) -> None:
         """Computes all lanes; the results go to the addresses `outputs`."""
-        if given.lanes and self.code is not None:
-            self.code.run(given.lanes, [given.pointers[place] for place in self.inputs],
-                          [given.sizes[place] for place in self.inputs], outputs)
+        if given.lanes and self.loop is not None:
+            self.loop.result().run(given.lanes, [given.pointers[place] for place in self.inputs],
+                                   [given.sizes[place] for place in self.inputs], outputs)
 
+    @property
+    def address(self) -> int:
+        """Of the loop's body, once there is one; see `team.LaneLoop`."""
+        address = getattr(self.loop.result(), "address", None)
+        if address is None:
+            raise NotRecordable("a loop is for another device")
+        return address
 
     def recorded(self, listener: Recording, given: Arguments, outputs: Sequence[Tensor], first: int = 0) -> None:
         """Has it recorded that all lanes are computed; the results go to `outputs`, from the entry `first` on."""
-        if self.code is None or not given.lanes:
+        if self.loop is None or not given.lanes:
             return
-        body = getattr(self.code, "address", None)
-        if body is None:
-            raise NotRecordable("a loop is for another device")
         if given.read is not given.leaves and any(map(operator.is_not, given.read, given.leaves)):
             raise NotRecordable("a tensor is copied before it is read")
-        listener.loop(body, given.lanes, PART, [given.leaves[place] for place in self.inputs], outputs,
+        listener.loop(self, given.lanes, PART, [given.leaves[place] for place in self.inputs], outputs,
                       first, lengths=True)
-        listener.code.append(self.code)
 
 
 def name_of(function: Callable, tables: tuple[str, ...], given: Arguments, target: Target) -> str | None:
@@ -114,16 +119,32 @@ def read(name: str, target: Target) -> Compiled | None:
         interface, code = pickle.loads(found)
     except UNREADABLE:
         return None
-    return ready(interface, code, target)
+    return ready(interface, Later(lambda: code), target)
 
 
-def ready(interface: Interface, code: bytes, target: Target) -> Compiled:
-    """The function of some code; without outputs there is none."""
-    return Compiled(interface, target.loop(code, interface.searched) if interface.dtypes else None)
+def made(name: str | None, interface: Interface, program: Program, target: Target) -> Compiled:
+    """The function of a program, whose code is made meanwhile, and kept for later processes under a name if it has one."""
+    def code() -> bytes:
+        found = target.code(program) if interface.dtypes else b""
+        if name is not None:
+            write(name, interface, found)
+        return found
+
+    later = Later(code)
+    if interface.dtypes:
+        later.meanwhile()
+    else:
+        later.result()
+    return ready(interface, later, target)
+
+
+def ready(interface: Interface, code: Later[bytes], target: Target) -> Compiled:
+    """The function of some code, which is loaded when it is first run; without outputs there is none."""
+    return Compiled(interface, Later(lambda: target.loop(code.result(), interface.searched)) if interface.dtypes else None)
 
 
 def write(name: str, interface: Interface, code: bytes) -> None:
-    """Keeps a function for later processes, if what it returns can be told to them."""
+    """Keeps a function for `read`, if what it returns can be told to other processes."""
     try:
         contents = pickle.dumps((interface, code))
     except (pickle.PicklingError, AttributeError, TypeError):  # constants that only this process has

@@ -6,6 +6,7 @@ some forty operations; whatever torch has beyond them is written in terms of the
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -91,7 +92,7 @@ class Builder:
 
     def constant(self, number: bool | int | float, dtype: torch.dtype) -> Value:
         """A number that is known now, rounded to `dtype`."""
-        return self.value("constant", (), dtype, NUMBER, torch.tensor(number, dtype=dtype, device="cpu").item())
+        return self.value("constant", (), dtype, NUMBER, rounded(number, dtype))
 
     def cast(self, value: Value, dtype: torch.dtype) -> Value:
         """The value in another dtype, as `Tensor.to` converts it."""
@@ -100,6 +101,14 @@ class Builder:
         if value.operation == "constant":
             return self.constant(value.static, dtype)
         return self.value("cast", (value,), dtype)
+
+
+def rounded(number: bool | int | float, dtype: torch.dtype) -> bool | int | float:
+    """A number as a tensor of a dtype holds it."""
+    if type(number) is float and dtype == torch.float32:
+        return ctypes.c_float(number).value
+    return number if type(number) is float and dtype == torch.float64 else (
+        torch.tensor(number, dtype=dtype, device="cpu").item())
 
 
 def program(outputs: tuple[Value | None, ...]) -> Program:

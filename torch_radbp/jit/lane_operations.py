@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 
@@ -24,10 +24,18 @@ class Place(NamedTuple):
     size: int = 4  # bytes of an entry
 
 
+class Body(Protocol):
+    """A loop's body that may not have been compiled yet."""
+
+    @property
+    def address(self) -> int:
+        """Where it lies, once it has been; see `team.LaneLoop`."""
+
+
 class Loop(NamedTuple):
     """A loop over lanes."""
 
-    body: int  # address, see `team.LaneLoop`
+    body: int | Body  # or its address
     lanes: Span
     part: int
     inputs: tuple[Place, ...]

@@ -62,22 +62,28 @@ def host() -> str:
     return " ".join([llvm.get_process_triple(), llvm.get_host_cpu_name(), host_features().flatten()])
 
 
-def target_machine() -> llvm.TargetMachine:
+def target_machine(optimizes: bool = True) -> llvm.TargetMachine:
     """What makes machine code for this processor."""
     return initialized().create_target_machine(cpu=llvm.get_host_cpu_name(),
-                                               features=host_features().flatten(), opt=2)
+                                               features=host_features().flatten(), opt=2 if optimizes else 0)
 
 
-def object_code(text: str) -> bytes:
-    """The machine code of a module in LLVM's text, as an object file."""
-    machine = target_machine()
+def object_code(text: str, optimized: bool = True) -> bytes:
+    """The machine code of a module in LLVM's text, as an object file.
+
+    Args:
+        text: of the module.
+        optimized: False for code in which no time is spent, such as that between loops: it is made ten times as quickly.
+    """
+    machine = target_machine(optimized)
     module = llvm.parse_assembly(text)
     module.triple = machine.triple
     module.verify()
-    # Of what LLVM can do beyond this, nothing made the loops faster, and compilation took twice as long.
-    passes = llvm.create_new_module_pass_manager()
-    passes.add_instruction_combine_pass()
-    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    if optimized:
+        # Of what LLVM can do beyond this, nothing made the loops faster, and compilation took twice as long.
+        passes = llvm.create_new_module_pass_manager()
+        passes.add_instruction_combine_pass()
+        passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
     return machine.emit_object(module)
 
 
@@ -100,6 +106,6 @@ class MachineCode:
         return self.engine.get_function_address(function)
 
 
-def cached_code(text: str, entry: str = "lanes_of_job") -> MachineCode:
-    """The machine code of a module in LLVM's text, from disk if it was made before."""
-    return MachineCode(code_cache.machine_code(text, host(), object_code), entry)
+def cached_code(text: str, entry: str = "lanes_of_job", optimized: bool = True) -> MachineCode:
+    """The machine code of a module in LLVM's text, from disk if it was made before; `optimized`: see `object_code`."""
+    return MachineCode(code_cache.machine_code(text, host(), functools.partial(object_code, optimized=optimized)), entry)

@@ -79,12 +79,13 @@ class Recorded:
         self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
         writer = Writer(recording, self.layout, len(given))
         text = writer.text()
-        self.code: MachineCode = cached_code(text, entry="recorded0")
+        self.code: MachineCode = cached_code(text, entry="recorded0", optimized=False)
         self.outside = [operation for operation in recording.operations if isinstance(operation, Outside)]
         self.parts = [RECORDED(self.code.address_of(f"recorded{number}")) for number in range(1 + len(self.outside))]
         self.dtypes = [made.dtype for made in recording.made]
-        self.rays, self.called = recording.rays, recording.code  # the latter so that it stays where it is
-        self.functions, self.counts = array("q", writer.functions), recording.counts
+        self.rays, self.counts = recording.rays, recording.counts
+        self.called = writer.functions  # so that they stay where they are
+        self.functions = array("q", [called if isinstance(called, int) else called.address for called in self.called])
 
     def where(self, place: Place | None, lanes: Span, dtype: torch.dtype) -> Found:
         """Where a result is found; `place`: None if it has no lanes."""

@@ -20,6 +20,7 @@ from torch_radbp.jit import cpu_order, cpu_scatter
 from torch_radbp.jit.addition import MOST_TABLES
 from torch_radbp.jit.board import run_loop
 from torch_radbp.jit.lane_operations import (
+    Body,
     Chosen,
     Copy,
     Inverted,
@@ -133,8 +134,9 @@ class Writer:
 
     def __init__(self, recording: Recording, layout: Layout, given: int):
         self.recording, self.layout, self.given = recording, layout, given
-        self.functions: list[int] = []
+        self.functions: list[int | Body] = []
         self.lines: list[str] = []  # of the function that is being written
+        self.addresses: dict[Place, str] = {}  # that are known there
         self.counts = {0: "0", 1: "%lanes", **dict.fromkeys(range(2, 2 + recording.given_counts), "")}
 
     def line(self, text: str) -> str:
@@ -143,11 +145,11 @@ class Writer:
         self.lines.append(f"{name} = {text}")
         return name
 
-    def function(self, address: int) -> str:
+    def function(self, function: int | Body) -> str:
         """The pointer to a function."""
-        if address not in self.functions:
-            self.functions.append(address)
-        at = self.line(f"getelementptr ptr, ptr %functions, i64 {self.functions.index(address)}")
+        if function not in self.functions:
+            self.functions.append(function)
+        at = self.line(f"getelementptr ptr, ptr %functions, i64 {self.functions.index(function)}")
         return self.line(f"load ptr, ptr {at}, align 8")
 
     def number_of(self, lanes: Span) -> str:
@@ -156,6 +158,12 @@ class Writer:
 
     def address(self, place: Place) -> str:
         """The pointer to where something lies."""
+        if place not in self.addresses:
+            self.addresses[place] = self.new_address(place)
+        return self.addresses[place]
+
+    def new_address(self, place: Place) -> str:
+        """The same, after the instructions that find it."""
         if not place.made:
             at = self.line(f"getelementptr ptr, ptr %given, i64 {place.tensor}")
             return self.moved(self.line(f"load ptr, ptr {at}, align 8"), place)
@@ -193,7 +201,7 @@ class Writer:
         self.call(operation.body, self.number_of(operation.lanes), operation.part, inputs,
                   [self.address(place) for place in operation.outputs])
 
-    def call(self, body: int, number: str, part: int, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+    def call(self, body: int | Body, number: str, part: int, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         """Runs a loop over so many lanes."""
         run, function = self.function(run_loop()), self.function(body)
         self.lines.append(f"call void {run}(ptr %board, ptr {function}, i64 {number}, i64 {part}, "
@@ -273,7 +281,7 @@ class Writer:
         """The function of some operations, which come one after the other."""
         write = {Loop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put, Inverted: self.inverted,
                  Copy: self.copy, Scattered: self.scattered}
-        self.lines, known = [], len(self.counts)
+        self.lines, self.addresses, known = [], {}, len(self.counts)
         for count in range(2, known):
             at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")
             self.counts[count] = self.line(f"load i64, ptr {at}, align 8")

@@ -20,6 +20,7 @@ from torch import Tensor
 from torch_radbp.jit.addition import Addition
 from torch_radbp.jit.lane_operations import (
     Added,
+    Body,
     Chosen,
     Copy,
     Given,
@@ -84,7 +85,6 @@ class Recording:
             self.given.setdefault(address_of(item), number)
         self.operations: list[Operation] = []
         self.rays: list[Span] = []  # that are cast
-        self.code: list = []  # what the functions belong to that are called
         self.made: list[Made] = []
         self.memory: dict[int, int] = {}  # numbers of tensors that were made, by address
         self.alive: list = [given]  # so that addresses remain theirs
@@ -133,7 +133,7 @@ class Recording:
 
     # -- What is done ---------------------------------------------------------------------------------------------------
 
-    def loop(self, body: int, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
+    def loop(self, body: int | Body, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
              first: int = 0, lengths: bool = False) -> None:
         """A loop of `team.run_lanes`.
 
@@ -286,6 +286,7 @@ class Here(threading.local):
     """What belongs to a thread."""
 
     recording: Recording | None = None
+    guard: Guard | None = None
 
 
 HERE = Here()
@@ -314,9 +315,26 @@ def outside(work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
 @contextmanager
 def listening(recording: Recording) -> Iterator[None]:
     """What this thread does with lanes is recorded, and not done."""
-    HERE.recording = recording
+    HERE.recording, HERE.guard = recording, Guard(recording)
     try:
-        with Guard(recording):
+        with HERE.guard:
             yield
     finally:
-        HERE.recording = None
+        HERE.recording = HERE.guard = None
+
+
+@contextmanager
+def unguarded() -> Iterator[None]:
+    """Nobody looks at what this thread has torch do inside, such as tracing: it touches no tensor without contents.
+
+    No other mode of torch's may have been entered since this thread began to listen.
+    """
+    guard = HERE.guard
+    if guard is None:
+        yield
+        return
+    guard.__exit__(None, None, None)
+    try:
+        yield
+    finally:
+        guard.__enter__()

@@ -7,6 +7,7 @@ import operator
 import threading
 from collections.abc import Callable
 from copy import copy
+from functools import partial
 
 from torch import Tensor
 
@@ -14,7 +15,8 @@ from torch_radbp.jit import compiled as compiled_functions
 from torch_radbp.jit.arguments import Arguments, Parameter, Taken
 from torch_radbp.jit.compiled import Compiled, Interface
 from torch_radbp.jit.graph import LANES, Program
-from torch_radbp.jit.recording import recording
+from torch_radbp.jit.later import Later
+from torch_radbp.jit.recording import recording, unguarded
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.structure import Leaf, difference, flatten, of_lanes, replaced
 from torch_radbp.jit.target import Target, target_of
@@ -139,7 +141,7 @@ class LaneFunction:
         key = given.key
         compiled = self.compiled.get(key)
         if compiled is None:
-            with self.compiling:
+            with self.compiling, unguarded():
                 compiled = self.compiled.get(key) or self.compile(given)
                 self.compiled[key] = compiled
         if isinstance(compiled, str):
@@ -163,11 +165,11 @@ class LaneFunction:
                              f"at {leaf.data_ptr():#x}")
 
     def compile(self, given: Arguments) -> Compiled | str:
-        """The function for arguments of this structure: from disk, or traced and compiled now; or why it cannot be."""
+        """The function for arguments of this structure: from disk, or traced now and compiled meanwhile; or why not."""
         try:
             if self.target is not None:  # asked for by name, to look at what it does: always compiled
                 program, interface = self.traced(given)
-                return Compiled(interface, self.target.compile(program) if program.outputs else None)
+                return Compiled(interface, Later(partial(self.target.compile, program)) if program.outputs else None)
             target = target_of(given.device)
             name = compiled_functions.name_of(self.function, self.tables, given, target)
             found = None if name is None else compiled_functions.read(name, target)
@@ -176,10 +178,7 @@ class LaneFunction:
             program, interface = self.traced(given)
         except UnknownOperation as error:
             return str(error)
-        code = target.code(program) if program.outputs else b""
-        if name is not None:
-            compiled_functions.write(name, interface, code)
-        return compiled_functions.ready(interface, code, target)
+        return compiled_functions.made(name, interface, program, target)
 
     def program(self, *arguments) -> Program:
         """What is computed for such arguments, traced now."""

@@ -126,12 +126,13 @@ class Here(threading.local):
 
 
 HERE, TEAM = Here(), Team()
+COMPILERS = Team()  # that take no part in loops; see `later.py`
 
 
 def forget_helpers() -> None:
-    """Begins with a team of its own in a forked process, which has none of its parent's threads."""
-    global TEAM
-    TEAM = Team()
+    """Begins with teams of its own in a forked process, which has none of its parent's threads."""
+    global TEAM, COMPILERS
+    TEAM, COMPILERS = Team(), Team()
 
 
 if hasattr(os, "register_at_fork"):
