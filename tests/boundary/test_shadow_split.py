@@ -40,9 +40,9 @@ def test_samples_of_one_path_are_no_independent_ones():
 
 
 @pytest.mark.parametrize("quiet", [1.0, 0.5, 0.2, 0.01])
-def test_samples_are_as_the_root_of_the_variance_but_for_the_least(quiet):
+def test_samples_are_as_the_root_of_the_variance_over_their_cost_but_for_the_least(quiet):
     tried = samples(64, 0.1)
-    first = split.TRIED * split.variance(tried) / quiet**2
+    first = split.TRIED * split.variance(tried) / (split.COST * quiet**2)
     assert split.effort(first, tried) == pytest.approx(max(quiet, split.LEAST))
 
 

@@ -46,7 +46,6 @@ from torch_radbp.boundary.shadows.seen_edges import (
     extent_of,
     finite_normal,
     numbers,
-    onto_surfaces,
     pace,
     places_seen,
     point_of_edge,
@@ -181,12 +180,12 @@ def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, look
                   first: FirstVertex) -> CutsOfView | None:
     """Those of the places that are seen at which edges cut off light; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
-    if call.scene.layout.surround is None:
-        passed, hit = onto_surfaces(call.integrand, passed)
-        passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
-    else:
-        passed = rows(passed, unhidden(call.integrand, passed))
-        hit = call.integrand.caster.intersect(passed.onwards)
+    hit = call.integrand.caster.intersect(passed.onwards)
+    counts = hit.prim >= 0
+    if call.scene.layout.surround is not None:
+        counts = counts | first.surroundings | (rows(points.depth, passed.eye) > 0)
+    passed, hit = rows((passed, hit), counts.nonzero().squeeze(1))
+    passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
     if not len(passed.edge):
         return None
     return cuts_that_matter(call.stages, geometry, casting, points, at, passed, hit,
