@@ -201,10 +201,7 @@ def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfVie
     """
     chance = chances((found.strength * found.sweep).abs().amax(0), most)
     kept = thinned(chance, numbers(key, begun + found.cuts.edge.new_zeros(1), SALT, torch.float64))
-    found = some_of(found, kept)
-    used, viewpoint = found.cuts.viewpoint.unique(return_inverse=True)
-    cuts = found.cuts._replace(viewpoint=viewpoint.to(found.cuts.viewpoint.dtype))
-    return found._replace(points=rows(found.points, used.long()), cuts=cuts, strength=found.strength / chance[kept])
+    return with_used_viewpoints(some_of(found, kept)._replace(strength=found.strength[:, kept] / chance[kept]))
 
 
 def together(found: Sequence[CutsOfView], rounds: int) -> CutsOfView | None:
@@ -280,7 +277,7 @@ def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, point
     """The cuts at which light is lost; None: there are none. Args as for `all_cuts`."""
     found = all_cuts(stages, geometry, casting, points, at, passed, hit, light)
     kept = matter(found)
-    return some_of(found, kept) if len(kept) else None
+    return with_used_viewpoints(some_of(found, kept)) if len(kept) else None
 
 
 def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
@@ -309,6 +306,13 @@ def some_of(found: CutsOfView, kept: Tensor) -> CutsOfView:
     """The cuts of these numbers."""
     return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
                           sweep=found.sweep[kept])
+
+
+def with_used_viewpoints(found: CutsOfView) -> CutsOfView:
+    """The same cuts, without viewpoints that have none: those that slide are traced once more, attached."""
+    used, viewpoint = found.cuts.viewpoint.unique(return_inverse=True)
+    cuts = found.cuts._replace(viewpoint=viewpoint.to(found.cuts.viewpoint.dtype))
+    return found._replace(points=rows(found.points, used.long()), cuts=cuts)
 
 
 def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
