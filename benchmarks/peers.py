@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import glob
 import os
 import time
@@ -147,18 +148,27 @@ class Mitsuba:
         mi = mitsuba_for(device)
         import drjit as dr
 
-        self.dr, self.mi, (resolution, self.spp, max_depth) = dr, mi, scene.setting
+        self.dr, self.mi, (resolution, spp, self.max_depth) = dr, mi, scene.setting
         if isinstance(scene.source, Path):
             self.scene = mi.load_file(str(scene.source), resolution=resolution)
         else:
             self.scene = mi.load_dict(translated(mi, scene.source))
-        integrator = {"type": "prb"} if integrator is None else integrator
-        self.spp = 0 if "sppc" in integrator else self.spp
-        self.integrator = mi.load_dict(integrator | {"max_depth": max_depth, "rr_depth": NO_ROULETTE})
+        self.use({"type": "prb"} if integrator is None else integrator, spp)
         self.parameters, self.names = mi.traverse(self.scene), scene.parameters
         self.parameters.keep(list(self.names))
         self.cotangent = mi.TensorXf(cotangent(resolution))
         dr.eval(self.cotangent)
+
+    def use(self, integrator: dict[str, Any], spp: int) -> None:
+        """Renders with an integrator, so many samples a pixel, from now on."""
+        self.spp = 0 if "sppc" in integrator else spp
+        self.integrator = self.mi.load_dict(integrator | {"max_depth": self.max_depth, "rr_depth": NO_ROULETTE})
+
+    def using(self, integrator: dict[str, Any], spp: int) -> Mitsuba:
+        """Another integrator with the same scene and parameters: kernels contain what every scene in memory has."""
+        other = copy.copy(self)
+        other.use(integrator, spp)
+        return other
 
     def run(self, seed: int) -> Pass:
         """A forward and backward pass with changed parameters, both evaluated to the end."""

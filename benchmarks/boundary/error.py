@@ -14,6 +14,7 @@ from rich.progress import track
 
 from benchmarks.boundary.projected import DEFAULT, GUIDED, MANY, OURS, SEEDS, differences, mitsubas, ours, splits
 from benchmarks.boundary.scenes import SCENES
+from benchmarks.peers import Mitsuba
 from benchmarks.scenes.description import Setting
 
 WARM_UP = 2
@@ -61,8 +62,9 @@ def measure(name: str, setting: Setting, effort: Effort) -> dict:
     due = start + 60.0 * effort.minutes * OF_REFERENCES, start + 60.0 * effort.minutes
     with tempfile.TemporaryDirectory() as home:
         folder = Path(home)
-        fine = make(folder, setting._replace(spp=effort.finer * setting.spp))
-        passes = {OURS: ours(fine, folder), DEFAULT: mitsubas(fine, GUIDED)}
+        moving, fine = (make(folder, setting._replace(spp=spp)) for spp in (setting.spp, effort.finer * setting.spp))
+        peer = Mitsuba(moving.scene, integrator=GUIDED)
+        passes = {OURS: ours(fine, folder), DEFAULT: mitsubas(peer, fine, GUIDED)}
         fine_passes = {who: [] for who in passes}
         for seed in while_due(track(range(effort.references), "references", transient=True), FEWEST, due[0]):
             for who, run in passes.items():
@@ -78,9 +80,8 @@ def measure(name: str, setting: Setting, effort: Effort) -> dict:
         weights = {who: 1.0 / mean.variance.sum() if agree or who == OURS else 0.0 for who, mean in means.items()}
         reference = Mean(sum(weights[who] * mean.value for who, mean in means.items()) / sum(weights.values()),
                          sum(weights[who] ** 2 * mean.variance for who, mean in means.items()) / sum(weights.values()) ** 2)
-        moving = make(folder, setting)
-        passes = {OURS: ours(moving, folder), DEFAULT: mitsubas(moving, GUIDED),
-                  **{who: mitsubas(moving, integrator) for who, integrator in splits(setting.spp).items()}}
+        passes = {OURS: ours(moving, folder), DEFAULT: mitsubas(peer, moving, GUIDED),
+                  **{who: mitsubas(peer, moving, integrator) for who, integrator in splits(setting.spp).items()}}
     samples = {who: [] for who in passes}
     seeds = track(range(-WARM_UP, effort.rounds), name, transient=True)
     for seed in while_due(seeds, WARM_UP + (FEWEST_SLOW - 1) * TIMES_LESS + 1, due[1]):

@@ -46,9 +46,9 @@ def ours(moving: MovingMesh, folder: Path) -> Pass:
     return projected(Ours(without_samplers(moving.scene, folder), compiled=True, terms=TERMS), moving)
 
 
-def mitsubas(moving: MovingMesh, integrator: dict) -> Pass:
-    """Mitsuba with an integrator."""
-    return projected(Mitsuba(moving.scene, integrator=integrator), moving)
+def mitsubas(peer: Mitsuba, moving: MovingMesh, integrator: dict) -> Pass:
+    """Mitsuba with an integrator and the samples of `moving`; `peer`: has the scene, which all of its integrators share."""
+    return projected(peer.using(integrator, moving.scene.setting.spp), moving)
 
 
 def projected(peer: Ours | Mitsuba, moving: MovingMesh) -> Pass:

@@ -39,10 +39,18 @@ def test_samples_of_one_path_are_no_independent_ones():
     assert split.variance(found) == pytest.approx(3 * 26.0)
 
 
+def test_viewpoints_without_cuts_are_left_out():
+    points = torch.tensor([10.0, 20.0, 30.0, 40.0])
+    cuts = hidden_light.Cuts(torch.tensor([3, 1, 3], dtype=torch.int32), None, None, None, None)
+    found = hidden_light.with_used_viewpoints(hidden_light.CutsOfView(points, cuts, None, None, None))
+    assert found.points.tolist() == [20.0, 40.0]
+    assert found.cuts.viewpoint.tolist() == [1, 0, 1] and found.cuts.viewpoint.dtype == torch.int32
+
+
 @pytest.mark.parametrize("quiet", [1.0, 0.5, 0.2, 0.01])
-def test_samples_are_as_the_root_of_the_variance_but_for_the_least(quiet):
+def test_samples_are_as_the_root_of_the_variance_over_their_cost_but_for_the_least(quiet):
     tried = samples(64, 0.1)
-    first = split.TRIED * split.variance(tried) / quiet**2
+    first = split.TRIED * split.variance(tried) / (split.COST * quiet**2)
     assert split.effort(first, tried) == pytest.approx(max(quiet, split.LEAST))
 
 

@@ -46,7 +46,6 @@ from torch_radbp.boundary.shadows.seen_edges import (
     extent_of,
     finite_normal,
     numbers,
-    onto_surfaces,
     pace,
     places_seen,
     point_of_edge,
@@ -181,12 +180,12 @@ def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, look
                   first: FirstVertex) -> CutsOfView | None:
     """Those of the places that are seen at which edges cut off light; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
-    if call.scene.layout.surround is None:
-        passed, hit = onto_surfaces(call.integrand, passed)
-        passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
-    else:
-        passed = rows(passed, unhidden(call.integrand, passed))
-        hit = call.integrand.caster.intersect(passed.onwards)
+    hit = call.integrand.caster.intersect(passed.onwards)
+    counts = hit.prim >= 0
+    if call.scene.layout.surround is not None:
+        counts = counts | first.surroundings | (rows(points.depth, passed.eye) > 0)
+    passed, hit = rows((passed, hit), counts.nonzero().squeeze(1))
+    passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
     if not len(passed.edge):
         return None
     return cuts_that_matter(call.stages, geometry, casting, points, at, passed, hit,
@@ -202,10 +201,7 @@ def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfVie
     """
     chance = chances((found.strength * found.sweep).abs().amax(0), most)
     kept = thinned(chance, numbers(key, begun + found.cuts.edge.new_zeros(1), SALT, torch.float64))
-    found = some_of(found, kept)
-    used, viewpoint = found.cuts.viewpoint.unique(return_inverse=True)
-    cuts = found.cuts._replace(viewpoint=viewpoint.to(found.cuts.viewpoint.dtype))
-    return found._replace(points=rows(found.points, used.long()), cuts=cuts, strength=found.strength / chance[kept])
+    return with_used_viewpoints(some_of(found, kept)._replace(strength=found.strength[:, kept] / chance[kept]))
 
 
 def together(found: Sequence[CutsOfView], rounds: int) -> CutsOfView | None:
@@ -281,7 +277,7 @@ def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, point
     """The cuts at which light is lost; None: there are none. Args as for `all_cuts`."""
     found = all_cuts(stages, geometry, casting, points, at, passed, hit, light)
     kept = matter(found)
-    return some_of(found, kept) if len(kept) else None
+    return with_used_viewpoints(some_of(found, kept)) if len(kept) else None
 
 
 def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
@@ -310,6 +306,13 @@ def some_of(found: CutsOfView, kept: Tensor) -> CutsOfView:
     """The cuts of these numbers."""
     return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
                           sweep=found.sweep[kept])
+
+
+def with_used_viewpoints(found: CutsOfView) -> CutsOfView:
+    """The same cuts, without viewpoints that have none: those that slide are traced once more, attached."""
+    used, viewpoint = found.cuts.viewpoint.unique(return_inverse=True)
+    cuts = found.cuts._replace(viewpoint=viewpoint.to(found.cuts.viewpoint.dtype))
+    return found._replace(points=rows(found.points, used.long()), cuts=cuts)
 
 
 def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:

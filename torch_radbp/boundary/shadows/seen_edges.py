@@ -196,13 +196,14 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
         eyes: look at them.
         seed: of the random numbers.
         each: how often each looks for an edge.
-        count: how many places there are to be on edges that were found.
+        count: how many places there are to be on edges that were found, at most: no more than ways that found one.
     """
     outline, tree = casting
     extent = extent_of(geometry)
     at = ways_down(stages, tree, eyes, seed, each, extent)
-    found = picked_ones(stages.edge_found(geometry, outline, tree, eyes, at, extent), at.eye, each, count)
-    return places_on(stages, geometry, outline, eyes, seed, found, count)
+    found = stages.edge_found(geometry, outline, tree, eyes, at, extent)
+    count = min(count, int(torch.count_nonzero(found.times)))
+    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, at.eye, each, count), count)
 
 
 def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, found: PickedOnes | None,
@@ -227,7 +228,8 @@ def numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: torch.dt
 
 def extent_of(geometry: Geometry) -> Tensor:
     """() float64, the longest side of the box around the vertices."""
-    return torch.stack([part.max() - part.min() for part in geometry.triangles.vertices.p]).amax().double()
+    ends = [part.aminmax() for part in geometry.triangles.vertices.p]
+    return torch.stack([end.max - end.min for end in ends]).amax().double()
 
 
 def onto_surfaces(integrand: Integrand, passed: Passed) -> tuple[Passed, Hit]:

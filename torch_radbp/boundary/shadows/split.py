@@ -3,7 +3,7 @@
 Samples are worth taking where they lower the noise of the whole. Of the first integral all are taken. Of each of the others
 a few tell how much noise there is. They are not used otherwise: were their numbers to decide how many others they are added
 to, large ones would count less. Sums of integrals that have variances V with as many samples each are the least noisy for
-their cost with samples in proportion to sqrt(V).
+their cost with samples in proportion to sqrt(V / c), c the time of a sample.
 
 Reference: Owen 2013, "Monte Carlo theory, methods and examples", section 8.4 (Neyman allocation).
 """
@@ -21,6 +21,7 @@ from torch_radbp.sampling.sampler import SampleKey, hash32
 TRIED = 1 / 16  # share of the samples that tell the noise
 LEAST = 1 / 8  # share of the samples that are taken where there is little of it,
 UNKNOWN, ENOUGH = 1 / 4, 8  # and where fewer than so many counted, of which the noise cannot be told
+COST = 3.0  # times as long as a sample of the first integral one of the others takes
 WORTH = 1 << 16  # paths of an image from which on it is worth trying
 SALT = 0x5851F42D  # tells the random numbers of what is tried from others
 
@@ -75,4 +76,4 @@ def effort(first: float, tried: Sampled | None) -> float:
         return 1.0
     amounts = torch.zeros(3, 0) if tried is None else tried.independent()
     least = UNKNOWN if amounts.shape[1] < ENOUGH else LEAST
-    return min(1.0, max(least, (TRIED * squares(amounts) / first)**0.5))
+    return min(1.0, max(least, (TRIED * squares(amounts) / (COST * first))**0.5))
