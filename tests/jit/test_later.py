@@ -1,5 +1,6 @@
 """Code that is made meanwhile: once, by whoever comes first, and errors reach whoever asks."""
 
+import os
 import subprocess
 import sys
 from functools import partial
@@ -65,6 +66,32 @@ def test_whoever_asks_is_told_of_an_error_and_may_ask_again():
 def test_a_process_that_ends_waits_for_what_a_helper_has_begun_and_begins_nothing_more():
     done = subprocess.run([sys.executable, "-c", LEAVES], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and done.stderr == "" and done.stdout == "finished\n"
+
+
+FORKS = """
+import os
+from threading import Event
+from torch_radbp.jit.later import Later
+begun, made = Event(), []
+def work():
+    begun.set()
+    Event().wait(0.5)
+    made.append(1)
+Later(work).meanwhile()
+begun.wait()
+if os.fork():
+    raise SystemExit(os.waitstatus_to_exitcode(os.wait()[1]))
+assert made == [1]  # a helper that was at work has finished
+found = Event()
+Later(found.set).meanwhile()
+os._exit(0 if found.wait(60) else 3)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes cannot be forked here")
+def test_a_fork_waits_for_the_helper_and_has_one_of_its_own():
+    done = subprocess.run([sys.executable, "-c", FORKS], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
 
 
 def test_errors_of_the_compiler_reach_whoever_runs_the_function(monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import os
 from collections.abc import Callable
 from threading import Lock
 from typing import Generic, TypeVar
@@ -20,7 +21,7 @@ class Later(Generic[Made]):
     """
 
     ends = False  # the process: helpers begin nothing more
-    begun: set[Later] = set()  # by helpers, and not finished
+    helping = Lock()  # what the helper holds that makes something: one at a time, as LLVM does
 
     def __init__(self, make: Callable[[], Made]):
         self.make: Callable[[], Made] | None = make
@@ -33,10 +34,9 @@ class Later(Generic[Made]):
 
     def helped(self, task: team.Task) -> None:
         """What a helper does."""
-        self.begun.add(self)
-        if not self.ends:
-            self.result()
-        self.begun.discard(self)
+        with self.helping:
+            if not self.ends:
+                self.result()
 
     def result(self) -> Made:
         """What is made. If that fails, whoever asks is told, and may ask again."""
@@ -48,9 +48,13 @@ class Later(Generic[Made]):
 
 
 @atexit.register
-def wait_for_helpers() -> None:
-    """Lets helpers finish: a process does not end inside of LLVM."""
+def wait_for_helper() -> None:
+    """Lets the helper finish: a process does not end inside of LLVM."""
     Later.ends = True
-    for later in list(Later.begun):
-        with later.making:
-            pass
+    with Later.helping:
+        pass
+
+
+if hasattr(os, "register_at_fork"):  # a forked process would find LLVM locked for ever
+    os.register_at_fork(before=Later.helping.acquire, after_in_parent=Later.helping.release,
+                        after_in_child=Later.helping.release)
