@@ -28,12 +28,14 @@ from torch_radbp.boundary.places import (
 )
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.boundary.terminators import light_may_end
+from torch_radbp.scene.interaction import clearance
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Vec2, Vec3, dot, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, rows, unit_normal
 
 COPLANAR = 1e-6  # half of the difference of unit normals, below which triangles lie in one plane
 STEP = 1e-5  # of the width of a triangle, by which it is told on which side of an edge it is seen
-INWARDS = 1e-3  # barycentric weight of the vertex opposite an edge where a triangle is looked at
+INWARDS = 1e-3  # barycentric weight of the vertex opposite an edge where a triangle is looked at, at most
+CLEARANCES = 8.0  # how far off an edge a flat triangle is looked at, in units of how far off it rays leave it
 
 
 def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
@@ -149,12 +151,32 @@ def sheet_at(geometry: Geometry, sight: Sight, corners: tuple[Vec3, Vec3, Vec3],
     tip, start, end = (point_at(geometry, row, instance) for row in in_turn)
     side = end - start
     of_tip, share = (dot(point - start, side) / dot(side, side) for point in (tip, p))
-    # Normals at the edge itself may lie exactly across the line of sight.
-    share = (share - INWARDS * of_tip).clamp(0.0, 1.0 - INWARDS)
-    weights = torch.full_like(share, INWARDS), 1.0 - INWARDS - share, share  # of the corner and those after it
+    inwards = weight_inwards(geometry, triangle, corners, across)
+    share = torch.minimum((share - inwards * of_tip).clamp_min(0.0), 1.0 - inwards)
+    weights = inwards, 1.0 - inwards - share, share  # of the corner and those after it
     u = torch.where(place == 0, weights[1], torch.where(place == 1, weights[0], weights[2]))
     v = torch.where(place == 0, weights[2], torch.where(place == 1, weights[1], weights[0]))
     return Sheet(Glued(triangle, u, v), ahead, dot(across, towards) / ahead.abs(), depth_of(camera, p, [opposite], aperture))
+
+
+def weight_inwards(geometry: Geometry, triangle: Tensor, corners: tuple[Vec3, Vec3, Vec3], across: Vec3) -> Tensor:
+    """The barycentric weight of the vertices opposite edges where triangles are looked at, (N,).
+
+    Where another surface touches an edge, light changes the faster the nearer to its end: what is seen of a flat triangle
+    is looked at as near to the edge as rays that leave it there surely meet what touches it. Interpolated normals may
+    lie exactly across the line of sight at the edge, and are looked at farther off.
+
+    Args:
+        triangle: (N,) int32.
+        corners: the ends of the edges, and what lies opposite.
+        across: (N,) from the edges to these, by the shortest way.
+    """
+    off = CLEARANCES * clearance(corners) * torch.rsqrt(dot(across, across).clamp_min(TINY))
+    off = off.clamp_max(INWARDS)
+    if not geometry.layout.shading_normals:
+        return off
+    smooth = geometry.triangles.smooth
+    return torch.full_like(off, INWARDS) if smooth is None else torch.where(lookup(smooth, triangle), INWARDS, off)
 
 
 def in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
