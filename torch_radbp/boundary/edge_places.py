@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.creases import FOLD, SHADED, TURNED, WHOLE
-from torch_radbp.boundary.geometry import Between, Geometry, in_world, point_at
+from torch_radbp.boundary.geometry import Between, Geometry, in_world, point_at, vertex_normals
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import (
     CREASE,
@@ -28,12 +28,15 @@ from torch_radbp.boundary.places import (
 )
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.boundary.terminators import light_may_end
+from torch_radbp.scene.interaction import clearance
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Vec2, Vec3, dot, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, normalize, rows, unit_normal
 
 COPLANAR = 1e-6  # half of the difference of unit normals, below which triangles lie in one plane
 STEP = 1e-5  # of the width of a triangle, by which it is told on which side of an edge it is seen
-INWARDS = 1e-3  # barycentric weight of the vertex opposite an edge where a triangle is looked at
+CLEARANCES = 8.0  # how far off an edge a triangle is looked at, in units of how far off it rays leave it
+INWARDS = 1e-3  # the same as a barycentric weight of the vertex opposite: at most, and where normals are seen askance:
+ASKANCE = 1e-2  # cosine between line of sight and interpolated normal at the edge, up to which they are
 
 
 def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
@@ -149,12 +152,35 @@ def sheet_at(geometry: Geometry, sight: Sight, corners: tuple[Vec3, Vec3, Vec3],
     tip, start, end = (point_at(geometry, row, instance) for row in in_turn)
     side = end - start
     of_tip, share = (dot(point - start, side) / dot(side, side) for point in (tip, p))
-    # Normals at the edge itself may lie exactly across the line of sight.
-    share = (share - INWARDS * of_tip).clamp(0.0, 1.0 - INWARDS)
-    weights = torch.full_like(share, INWARDS), 1.0 - INWARDS - share, share  # of the corner and those after it
+    # Where another surface touches an edge, light changes the faster the nearer to the end of that: near places have it
+    # right, but rays must not pass by what touches. Normals at the edge itself may lie exactly across the line of sight.
+    inwards = CLEARANCES * clearance(corners) * torch.rsqrt(dot(across, across).clamp_min(TINY))
+    inwards = inwards.clamp_max(INWARDS)
+    if geometry.layout.shading_normals:
+        level = facing_at(geometry, triangle, Between(*in_turn), instance, share, towards)
+        inwards = torch.where(level.abs() < ASKANCE, INWARDS, inwards)
+    share = torch.minimum((share - inwards * of_tip).clamp_min(0.0), 1.0 - inwards)
+    weights = inwards, 1.0 - inwards - share, share  # of the corner and those after it
     u = torch.where(place == 0, weights[1], torch.where(place == 1, weights[0], weights[2]))
     v = torch.where(place == 0, weights[2], torch.where(place == 1, weights[1], weights[0]))
     return Sheet(Glued(triangle, u, v), ahead, dot(across, towards) / ahead.abs(), depth_of(camera, p, [opposite], aperture))
+
+
+def facing_at(geometry: Geometry, triangle: Tensor, between: Between, instance: Tensor | None, share: Tensor,
+              towards: Vec3) -> Tensor:
+    """The cosines between lines of sight and interpolated normals at edges, (N,); of flat triangles 1.
+
+    Args:
+        triangle: (N,) int32.
+        between: the vertices opposite the edges, and those at their ends.
+        instance: (N,) int32 that shows these.
+        share: (N,) of the way along the edges.
+        towards: (N,) the viewer, of any length.
+    """
+    _, start, end = vertex_normals(geometry, between, instance)
+    n = normalize(start + (end - start) * share)
+    level, smooth = dot(n, towards) * torch.rsqrt(dot(towards, towards)), geometry.triangles.smooth
+    return level if smooth is None else torch.where(lookup(smooth, triangle), level, 1.0)
 
 
 def in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
