@@ -18,6 +18,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 from unittest.mock import patch
@@ -32,6 +33,7 @@ from torch_radbp.jit.cpu import CpuLoop, framed
 from torch_radbp.jit.emit import Emitter
 from torch_radbp.jit.graph import LANES, Program, Value
 from torch_radbp.jit.instructions import memory
+from torch_radbp.jit.later import Later
 from torch_radbp.jit.machine import host_width, object_code
 from torch_radbp.jit.run import Compiled
 
@@ -128,7 +130,7 @@ class Loops:
 
 
 @contextmanager
-def watched(unread: dict[Compiled, CpuLoop]) -> Iterator[Loops]:
+def watched(unread: dict[Compiled, Later[CpuLoop]]) -> Iterator[Loops]:
     """Watches all compiled functions while it is open; `unread` remembers their loops without gathers."""
     loops, names, programs = Loops(), {}, {}
     prepare, run = LaneFunction.prepared, Compiled.run
@@ -141,15 +143,17 @@ def watched(unread: dict[Compiled, CpuLoop]) -> Iterator[Loops]:
 
     def running(compiled: Compiled, given: Arguments, outputs: list[int]) -> None:
         name, program = names[id(compiled)], programs[id(compiled)]
-        code, elsewhere = compiled.code, [torch.empty(given.lanes, dtype=dtype) for dtype in compiled.dtypes]
+        code, elsewhere = compiled.loop, [torch.empty(given.lanes, dtype=dtype) for dtype in compiled.dtypes]
         if compiled not in unread:
-            unread[compiled] = without_reads(program)
+            unread[compiled] = Later(partial(without_reads, program))
+            unread[compiled].result()
+            compiled.load()
         for loop, results, seconds in ((unread[compiled], [tensor.data_ptr() for tensor in elsewhere], loops.unread),
                                        (code, outputs, loops.seconds)):
-            compiled.code, start = loop, time.thread_time()
+            compiled.loop, start = loop, time.thread_time()
             run(compiled, given, results)
             seconds[name] += time.thread_time() - start
-        compiled.code = code
+        compiled.loop = code
         loops.work[name] = loops.work[name].plus(program, given.lanes)
 
     with patch.object(LaneFunction, "prepared", prepared), patch.object(Compiled, "run", running):

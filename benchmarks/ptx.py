@@ -58,7 +58,7 @@ def kernels(scene: str, sampling: str) -> Iterator[Kernel]:
     for stage, cases in calls_of(scene, sampling).items():
         for arguments in cases.values():
             listing = Listing()
-            getattr(fused(Gpu(listing)), stage).fused.prepared(arguments)
+            getattr(fused(Gpu(listing)), stage).fused.prepared(arguments)[0].load()
             scatterer = arguments[0].layout.scatterer if stage in ("bounce", "bounce_adjoint") else None
             kind = "" if scatterer is None else type(scatterer.kind).__name__
             yield from (Kernel(stage, kind, text) for text in listing.texts)

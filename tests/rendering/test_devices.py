@@ -103,7 +103,7 @@ def kernels_on_cuda(stage: CompiledStage, arguments: tuple, monkeypatch) -> list
             moved[id(leaf)] = torch.empty_like(leaf, device="meta")
             moved[id(leaf)].address = leaf.data_ptr()  # tables that share their memory are one
     with torch.no_grad(), SaysCuda():
-        stage.fused.prepared(with_leaves(arguments, [moved.get(id(leaf), leaf) for leaf in leaves_of(arguments)]))
+        stage.fused.prepared(with_leaves(arguments, [moved.get(id(leaf), leaf) for leaf in leaves_of(arguments)]))[0].load()
     assert asked == {CUDA}
     return listing.texts
 
@@ -122,8 +122,8 @@ def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, monkeypa
             apart = with_leaves(arguments, [leaf.contiguous() if isinstance(leaf, Tensor) else leaf
                                             for leaf in leaves_of(arguments)])  # as tensors without contents lie
             texts, here, in_rows = kernels_on_cuda(getattr(stages, stage), apart, monkeypatch), Listing(), Listing()
-            getattr(fused(Gpu(here)), stage).fused.prepared(apart)
-            getattr(fused(Gpu(in_rows)), stage).fused.prepared(arguments)
+            getattr(fused(Gpu(here)), stage).fused.prepared(apart)[0].load()
+            getattr(fused(Gpu(in_rows)), stage).fused.prepared(arguments)[0].load()
             assert texts == here.texts and (texts or stage == "material_value")  # some colours are arguments as they are
             assert all(".visible .entry lanes(" in ptx(text, "sm_90") and "store" in text
                        for text in {*texts, *in_rows.texts})

@@ -62,6 +62,11 @@ class Compiled:
             self.loop.result().run(given.lanes, [given.pointers[place] for place in self.inputs],
                                    [given.sizes[place] for place in self.inputs], outputs)
 
+    def load(self) -> None:
+        """Gets the code ready, which a first run does else."""
+        if self.loop is not None:
+            self.loop.result()
+
     @property
     def address(self) -> int:
         """Of the loop's body, once there is one; see `team.LaneLoop`."""
