@@ -21,9 +21,9 @@ PASSES = {"ball over a glossy floor": 4}  # of each half of the reference, if no
 # Of the occluder's soft shadow differences are noisier than the bounds: two passes have twice the noise of ours, and single
 # pixels of theirs are off by 1.3 to 1.8 from the mean of eight of ours.
 UNBOUNDED = ("occluder",)
-# Of which the largest error of a pixel is not judged: where a wall stands on a floor, edges come as near to vertices of paths
-# as one likes, and single samples of what these hide are large, anywhere along the foot: of five seeds the largest error of a
-# pixel is .41, 1.03, .89, .46 and .37, over a reference of 32 passes a half, whose halves are .2 apart.
+# Of which the largest error of a pixel is not judged: where a wall stands on a floor, edges come as near to vertices of
+# paths as one likes, and single samples of what these hide are large, anywhere along the foot: of five seeds the largest
+# error of a pixel is .41, 1.03, .89, .46 and .37, over a reference of 32 passes a half.
 ENDS = ("self shadowing",)
 QUICK = ("camera",)
 
